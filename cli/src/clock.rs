@@ -8,16 +8,16 @@ pub struct Clock;
 
 /// A reading of the clock.
 #[derive(Clone, Copy, Debug)]
-pub struct Moment(Instant);
+pub struct Timestamp(Instant);
 
 impl Clock {
     /// Returns the current reading.
-    pub fn now(self) -> Moment {
-        Moment(Instant::now())
+    pub fn now(self) -> Timestamp {
+        Timestamp(Instant::now())
     }
 
-    /// Returns the time from `moment` to now.
-    pub fn since(self, moment: Moment) -> Duration {
-        self.now().0.saturating_duration_since(moment.0)
+    /// Returns the time from `start` to now.
+    pub fn since(self, start: Timestamp) -> Duration {
+        self.now().0.saturating_duration_since(start.0)
     }
 }

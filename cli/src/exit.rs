@@ -1,6 +1,6 @@
 //! Exit codes that scripts rely on, and failures with one short paragraph of text.
 
-use femc_reports::{Blame, ReportError};
+use femc_reports::{ErrorKind, ReportError};
 use std::fmt;
 use std::process::ExitCode;
 
@@ -42,9 +42,9 @@ impl fmt::Display for Failure {
 
 impl From<ReportError> for Failure {
     fn from(error: ReportError) -> Self {
-        match error.blame() {
-            Blame::Usage => usage(error),
-            Blame::Work => failed(error),
+        match error.kind() {
+            ErrorKind::Usage => usage(error),
+            ErrorKind::Execution => failed(error),
         }
     }
 }

@@ -16,28 +16,28 @@ mod request;
 mod threads;
 mod values;
 
-use config::{Parsed, Refused};
+use config::{ConfigError, ParsedArgs};
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
     let cli = match config::parse(std::env::args_os().collect()) {
-        Ok(Parsed::Command(cli)) => *cli,
-        Ok(Parsed::Shown(settings)) => {
+        Ok(ParsedArgs::Command(cli)) => *cli,
+        Ok(ParsedArgs::Settings(settings)) => {
             print!("{settings}");
             return exit::Exit::Done.into();
         }
-        Err(Refused::Usage(error)) => error.exit(),
-        Err(Refused::File(failure)) => {
+        Err(ConfigError::Usage(error)) => error.exit(),
+        Err(ConfigError::File(failure)) => {
             eprintln!("femc: error: {failure}");
             return failure.exit.into();
         }
     };
-    let say = output::Say::new(&cli.common);
+    let printer = output::Printer::new(&cli.common);
     let _logging = log::start(&cli);
-    match command::run(cli, say) {
+    match command::run(cli, printer) {
         Ok(exit) => exit.into(),
         Err(failure) => {
-            say.failure(&failure);
+            printer.failure(&failure);
             failure.exit.into()
         }
     }

@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 use bytes::Bytes;
 use femc_coordinator::{Artifacts, Config, Coordinator, Handle, Log};
 use femc_model::*;
-use femc_proto::{Client, Incoming, Outgoing};
+use femc_proto::{Client, SessionReceiver, SessionSender};
 use femc_schedule::{Fact, Ledger};
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::sync::mpsc;
@@ -46,7 +46,7 @@ async fn measure() -> Result<()> {
     for signal in ["KILL", "STOP"] {
         let mut all = Vec::new();
         for _ in 0..3 {
-            all.push(again(signal).await?);
+            all.push(reassignment_time(signal).await?);
         }
         println!("task of a worker that got SIG{signal} runs again after {all:.1?} ms");
     }
@@ -64,12 +64,12 @@ fn config(folder: &Path) -> Config {
 fn job(frames: u32, tiles: u32) -> JobSpec {
     JobSpec {
         name: "figures".into(),
-        bundle: Digest::of(SCENE),
+        bundle: Digest::compute(SCENE),
         entry: "a.mgf".into(),
         settings: "{}".into(),
         frames: (1..=frames).collect(),
         grid: Grid { film: [tiles * 8, 8], tile: 8 },
-        graph: testing::frames(Sizes::even(tiles, 64), &[16], if tiles > 256 { 256 } else { 0 }),
+        graph: testing::frame_graph(TaskSizes::even(tiles, 64), &[16], if tiles > 256 { 256 } else { 0 }),
         contents: vec![],
         priority: 50,
         owner: "me".into(),
@@ -199,7 +199,7 @@ async fn pages(address: SocketAddr, count: usize) -> Result<()> {
 }
 
 /// Runs one page: requests the feed and reports every event.
-async fn page(address: SocketAddr, source: SocketAddr, heard: &mpsc::Sender<()>) -> Result<()> {
+async fn page(address: SocketAddr, source: SocketAddr, events: &mpsc::Sender<()>) -> Result<()> {
     let socket = tokio::net::TcpSocket::new_v4()?;
     socket.bind(source)?;
     let mut stream = socket.connect(address).await?;
@@ -213,7 +213,7 @@ async fn page(address: SocketAddr, source: SocketAddr, heard: &mpsc::Sender<()>)
         for &byte in &bytes[..count] {
             // Only the last line of an event is followed by an empty line. HTTP header lines end in CR LF.
             if byte == b'\n' && last == b'\n' {
-                heard.send(()).await?;
+                events.send(()).await?;
             }
             last = byte;
         }
@@ -282,12 +282,12 @@ async fn half_done(mut queue: impl femc_queue::Queue, frames: u32, tiles: u32) -
     queue.load().await?;
     let (mut ledger, mut since) = (Ledger::default(), 0);
     let mut facts = vec![
-        Fact::Opened { incarnation: 1 },
+        Fact::CoordinatorStarted { incarnation: 1 },
         Fact::Submitted {
             job: JobId(1),
             key: None,
             spec: Box::new(job(1000, 1000)),
-            cut: Cut::Whole,
+            chunk_size: ChunkSize::Whole,
             date: None,
             announces: true,
         },
@@ -299,19 +299,19 @@ async fn half_done(mut queue: impl femc_queue::Queue, frames: u32, tiles: u32) -
             facts.push(Fact::Done { task, end: index + 1, epoch, leased: Tick(1), result });
         };
         for index in 0..tiles {
-            let digest = Digest::of(&[frame.to_le_bytes(), index.to_le_bytes()].concat());
+            let digest = Digest::compute(&[frame.to_le_bytes(), index.to_le_bytes()].concat());
             put(StageKind::Render, 0, index, Artifact { digest, bytes: 2000 });
         }
         if tiles == 1000 {
-            (0..4).for_each(|group| put(StageKind::Reduce, 1, group, Artifact::of(RESULT)));
-            put(StageKind::Image, 2, 0, Artifact::of(RESULT));
+            (0..4).for_each(|group| put(StageKind::Reduce, 1, group, Artifact::from_bytes(RESULT)));
+            put(StageKind::Image, 2, 0, Artifact::from_bytes(RESULT));
         }
         let mut records = Vec::new();
         for fact in facts.drain(..) {
             ledger.apply(&fact, Tick(2));
             records.push(fact.encode(Tick(2))?);
         }
-        queue.append(femc_queue::Batch::of(&records)).await?;
+        queue.append(femc_queue::Batch::from_records(&records)).await?;
         since += records.len();
         // The last records are not part of a snapshot.
         if since >= 20_000 && frame + 30 < frames {
@@ -334,7 +334,7 @@ fn result(kind: StageKind, artifact: Artifact) -> TaskResult {
 }
 
 /// Measures the milliseconds from the signal to a worker until one of its tasks is given to another worker.
-async fn again(signal: &str) -> Result<f64> {
+async fn reassignment_time(signal: &str) -> Result<f64> {
     let folder = tempfile::tempdir()?;
     // Disables copies of late tasks, so that the expiry of the lease is measured and not a copy.
     let scheduler = femc_schedule::Config { late: u64::MAX, ..femc_schedule::Config::default() };
@@ -373,7 +373,7 @@ async fn again(signal: &str) -> Result<f64> {
     Ok(taken.as_secs_f64() * 1e3)
 }
 
-async fn join(client: &Client, instance: u64) -> Result<(Outgoing, Incoming)> {
+async fn join(client: &Client, instance: u64) -> Result<(SessionSender, SessionReceiver)> {
     let registration = Registration {
         name: "no-op".into(),
         instance,
@@ -382,14 +382,14 @@ async fn join(client: &Client, instance: u64) -> Result<(Outgoing, Incoming)> {
         slots: 1,
         tags: vec![],
         held: vec![],
-        died: None,
+        death: None,
     };
     Ok(client.session(registration).await?)
 }
 
 fn done(lease: &Assignment) -> FromWorker {
-    let result = result(lease.task.stage.kind, Artifact::of(RESULT));
-    let usage = Usage {
+    let result = result(lease.task.stage.kind, Artifact::from_bytes(RESULT));
+    let usage = ResourceUsage {
         wait: 0.012_345,
         wall: 0.123_456,
         preparation: 0.001_234,

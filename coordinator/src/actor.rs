@@ -3,12 +3,12 @@
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use femc_fault::{Point, pass, pass_async};
+use femc_fault::{Point, pass_point, pass_point_async};
 use femc_model::{
-    Crew, Digest, Failure, FromWorker, JobId, JobStatus, Month, OwnerUsage, Refusal, TaskFilter, TaskPage, TaskUsage,
-    Tick, ToWorker, WorkerId, WorkerStatus,
+    Digest, Failure, FromWorker, JobId, JobStatus, Month, OwnerUsage, Refusal, TaskFilter, TaskPage, TaskUsage, Tick,
+    ToWorker, WorkerId, WorkerList, WorkerStatus,
 };
-use femc_proto::{AttemptPage, Backup, Call, Changes, JobShape, Listing, News, References, Reply, Session};
+use femc_proto::{AttemptPage, Backup, Call, ChangeScope, Changes, JobList, JobShape, References, Reply, Session};
 use femc_queue::{Batch, Note, Queue, QueueError, Remedy};
 use femc_schedule::{Command, Event, Fact, RequestId, Roster, Scheduler, SnapshotError};
 use femc_store::Store;
@@ -18,29 +18,29 @@ use tokio::sync::{mpsc, oneshot, watch};
 use tokio::time::Instant;
 
 use crate::announce::Announcer;
-use crate::attempts::{self, Ended};
+use crate::attempts::{self, EndedAttempts};
 use crate::clock::Clock;
 use crate::config::{Config, CoordinatorError};
 use crate::disks::Disks;
-use crate::execute::Watched;
+use crate::error_targets::ErrorTargets;
+use crate::execute::WatchedJob;
+use crate::full_log::{ActorInputs, PendingBatch};
 use crate::janitor::Janitor;
-use crate::metrics::{Metrics, Now};
-use crate::session::{self, Worker};
-use crate::target::Targets;
-use crate::wait::{Doors, Pending};
+use crate::metrics::{CurrentFigures, Metrics};
+use crate::session::{self, WorkerSession};
 
 /// Subject of the note with the roster of workers. Other subjects are job numbers, which begin with 1.
-pub const ROSTER: u64 = 0;
+pub const ROSTER_SUBJECT: u64 = 0;
 
 /// Event from the reader of a session.
 #[derive(Debug)]
 pub(crate) enum SessionEvent {
     /// A message of the worker.
-    Said(Box<FromWorker>),
+    Message(Box<FromWorker>),
     /// The worker completed a task, but this artifact of the result is not in the store. The text is the store's message.
     ArtifactMissing(Box<FromWorker>, Digest, String),
     /// The session has ended.
-    Over,
+    Ended,
 }
 
 /// Recipient of an answer of the scheduler.
@@ -52,9 +52,9 @@ pub(crate) enum PendingReply {
 
 /// A call whose answer changes nothing. It is answered when all earlier facts are durable.
 #[derive(Debug)]
-enum Question {
-    List(Reply<Listing>),
-    Changes(News, Reply<Changes>),
+enum Query {
+    List(Reply<JobList>),
+    Changes(ChangeScope, Reply<Changes>),
     Status(JobId, Reply<JobStatus>),
     Watch(JobId, Reply<watch::Receiver<JobStatus>>),
     Parts(JobId, Reply<Vec<femc_model::FrameParts>>),
@@ -64,7 +64,7 @@ enum Question {
     FrameTable(JobId, Reply<Vec<femc_model::FrameStatus>>),
     Tasks(JobId, TaskFilter, u64, usize, Reply<TaskPage>),
     Attempts(JobId, u64, Reply<AttemptPage>),
-    Workers(Reply<Crew>),
+    Workers(Reply<WorkerList>),
     Usage(Reply<Vec<OwnerUsage>>),
     Drained(Result<Vec<WorkerId>, Refusal>, Reply<Vec<WorkerId>>),
     Done(Reply<()>),
@@ -82,50 +82,50 @@ pub(crate) struct Actor<Q> {
     date_zero: Option<u64>,
     /// Month last passed to the scheduler.
     month: Option<Month>,
-    pub(crate) workers: BTreeMap<WorkerId, Worker>,
+    pub(crate) workers: BTreeMap<WorkerId, WorkerSession>,
     /// Workers whose sessions have begun but have not been welcomed yet.
-    joined: Vec<WorkerId>,
+    to_welcome: Vec<WorkerId>,
     pub(crate) pending: BTreeMap<RequestId, PendingReply>,
-    pub(crate) watched: BTreeMap<JobId, Watched>,
+    pub(crate) watched: BTreeMap<JobId, WatchedJob>,
     pub(crate) changed: BTreeSet<JobId>,
     /// Jobs with events since a feed last asked; `None` until a feed has asked.
-    pub(crate) touched: Option<BTreeSet<JobId>>,
+    pub(crate) changed_since_feed: Option<BTreeSet<JobId>>,
     pub(crate) janitor: Janitor,
     /// Facts that the scheduler has applied but that are not durable yet, with the time of each.
     facts: Vec<(Tick, Fact)>,
     /// Ended attempts that are not durable yet.
-    attempts: Ended,
+    attempts: EndedAttempts,
     /// Target relative errors of the jobs' frames.
-    pub(crate) targets: Targets,
+    pub(crate) targets: ErrorTargets,
     /// Roster of known workers, connected or not.
     pub(crate) roster: Roster,
     /// Whether the roster has changed since its last note.
-    is_roster_new: bool,
+    is_roster_dirty: bool,
     /// Time of the next roster note, if workers are connected.
-    roster_from: Instant,
+    next_roster_note: Instant,
     /// Events raised while commands were executed, such as broken sessions.
-    pub(crate) echoes: VecDeque<Event>,
-    questions: Vec<Question>,
+    pub(crate) follow_up_events: VecDeque<Event>,
+    queries: Vec<Query>,
     /// Received heartbeats without an answer, with their numbers.
     heartbeats: Vec<(WorkerId, u64)>,
     numbers: u64,
     /// Number of records since the last snapshot.
     records: usize,
     /// Number of records after which the next snapshot is due.
-    snapshot: usize,
+    snapshot_interval: usize,
     /// Earliest time of the next snapshot, after one failed for lack of space.
-    snapshots_from: Instant,
+    next_snapshot: Instant,
     session_events: mpsc::Sender<(WorkerId, SessionEvent)>,
-    pub(crate) heard: mpsc::Receiver<(WorkerId, SessionEvent)>,
+    pub(crate) session_inbox: mpsc::Receiver<(WorkerId, SessionEvent)>,
     /// Session events received while there was no space for the log.
-    pub(crate) put_off: VecDeque<(WorkerId, SessionEvent)>,
+    pub(crate) deferred: VecDeque<(WorkerId, SessionEvent)>,
     pub(crate) metrics: Metrics,
     /// Requests for metrics.
-    pub(crate) watchers: mpsc::Receiver<oneshot::Sender<Now>>,
+    pub(crate) metrics_requests: mpsc::Receiver<oneshot::Sender<CurrentFigures>>,
     pub(crate) announcer: Announcer,
     pub(crate) disks: Disks,
     /// Time of the last check of the disks.
-    pub(crate) looked: Instant,
+    pub(crate) disks_checked: Instant,
 }
 
 impl<Q: Queue> Actor<Q> {
@@ -134,11 +134,11 @@ impl<Q: Queue> Actor<Q> {
     /// Interval between two checks of deadlines and watchers.
     const TIMER: Duration = Duration::from_millis(100);
     /// Delay of the timer after which the loop is considered stalled. No worker's message was processed in this time.
-    const STANDSTILL: Duration = Duration::from_millis(500);
+    const STALL_THRESHOLD: Duration = Duration::from_millis(500);
     /// Interval between two roster notes. After a crash, the times of last contact are this accurate.
-    const ROSTER: Duration = Duration::from_secs(60);
+    const ROSTER_INTERVAL: Duration = Duration::from_secs(60);
     /// Delay before a snapshot that failed for lack of space is retried.
-    const SNAPSHOT_AGAIN: Duration = Duration::from_secs(10);
+    const SNAPSHOT_RETRY_DELAY: Duration = Duration::from_secs(10);
 
     pub(crate) fn new(
         scheduler: Scheduler,
@@ -146,54 +146,54 @@ impl<Q: Queue> Actor<Q> {
         store: Store,
         records: usize,
         roster: Roster,
-        watchers: mpsc::Receiver<oneshot::Sender<Now>>,
+        metrics_requests: mpsc::Receiver<oneshot::Sender<CurrentFigures>>,
         config: &Config,
     ) -> Self {
         let (session_events, heard) = mpsc::channel(4 * Self::BATCH);
-        let disks = Disks::of(config);
-        config.metrics.lies_on(disks.clone());
+        let disks = Disks::new(config);
+        config.metrics.set_disks(disks.clone());
         // Clears the reason left from an earlier term.
-        config.metrics.waits(None);
+        config.metrics.set_wait_reason(None);
         Self {
-            clock: Clock::from(scheduler.ledger().now(), config.time.clone()),
+            clock: Clock::new(scheduler.ledger().now(), config.time.clone()),
             date_zero: config.scheduler.clock_zero,
             month: None,
             scheduler,
             queue,
             store,
             workers: BTreeMap::new(),
-            joined: Vec::new(),
+            to_welcome: Vec::new(),
             pending: BTreeMap::new(),
             watched: BTreeMap::new(),
             changed: BTreeSet::new(),
-            touched: None,
+            changed_since_feed: None,
             janitor: Janitor::default(),
             facts: Vec::new(),
-            attempts: Ended::default(),
-            targets: Targets::default(),
+            attempts: EndedAttempts::default(),
+            targets: ErrorTargets::default(),
             roster,
-            is_roster_new: false,
-            roster_from: Instant::now() + Self::ROSTER,
-            echoes: VecDeque::new(),
-            questions: Vec::new(),
+            is_roster_dirty: false,
+            next_roster_note: Instant::now() + Self::ROSTER_INTERVAL,
+            follow_up_events: VecDeque::new(),
+            queries: Vec::new(),
             heartbeats: Vec::new(),
             numbers: 0,
             records,
-            snapshot: config.snapshot,
-            snapshots_from: Instant::now(),
+            snapshot_interval: config.snapshot,
+            next_snapshot: Instant::now(),
             session_events,
-            heard,
-            put_off: VecDeque::new(),
+            session_inbox: heard,
+            deferred: VecDeque::new(),
             metrics: config.metrics.clone(),
-            watchers,
+            metrics_requests,
             announcer: Announcer::new(config.announce.clone()),
             disks,
-            looked: Instant::now(),
+            disks_checked: Instant::now(),
         }
     }
 
     /// Runs until `stop`'s sender is dropped, or the log fails.
-    pub(crate) async fn run(mut self, mut doors: Doors) -> Result<(), CoordinatorError> {
+    pub(crate) async fn run(mut self, mut inputs: ActorInputs) -> Result<(), CoordinatorError> {
         let mut timer = tokio::time::interval(Self::TIMER);
         timer.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
         let mut commands = Vec::new();
@@ -201,59 +201,59 @@ impl<Q: Queue> Actor<Q> {
         loop {
             tokio::select! {
                 biased;
-                _ = doors.stop.changed() => break,
+                _ = inputs.stop.changed() => break,
                 due = timer.tick() => {
-                    if due.elapsed() > Self::STANDSTILL {
+                    if due.elapsed() > Self::STALL_THRESHOLD {
                         tracing::warn!(
                             seconds = due.elapsed().as_secs_f64(),
                             "delayed; messages of workers are processed first"
                         );
-                        self.hear(Event::LoopStalled, &mut commands);
+                        self.handle_event(Event::CoordinatorStalled, &mut commands);
                     }
-                    self.note_month(&mut commands);
-                    self.hear(Event::Elapsed, &mut commands);
-                    self.look_after(&mut commands, &mut doors).await?;
+                    self.update_month(&mut commands);
+                    self.handle_event(Event::Elapsed, &mut commands);
+                    self.run_maintenance(&mut commands, &mut inputs).await?;
                 }
                 // Deferred events are older than the others, so they are processed first.
-                () = std::future::ready(()), if !self.put_off.is_empty() => {}
-                Some((worker, event)) = self.heard.recv() => self.session_event(worker, event, &mut commands),
-                Some(call) = doors.calls.recv() => self.call(call, &mut commands),
-                Some(watcher) = self.watchers.recv() => self.show(watcher),
-                Some((job, ended)) = self.announcer.told.recv() => {
-                    self.hear(Event::Announced { job, ended }, &mut commands);
+                () = std::future::ready(()), if !self.deferred.is_empty() => {}
+                Some((worker, event)) = self.session_inbox.recv() => self.handle_session_event(worker, event, &mut commands),
+                Some(call) = inputs.calls.recv() => self.handle_call(call, &mut commands),
+                Some(watcher) = self.metrics_requests.recv() => self.send_figures(watcher),
+                Some((job, ended)) = self.announcer.announced.recv() => {
+                    self.handle_event(Event::Announced { job, ended }, &mut commands);
                 }
             }
             for _ in 0..Self::BATCH {
-                if let Some((worker, event)) = self.put_off.pop_front() {
-                    self.session_event(worker, event, &mut commands);
-                } else if let Ok((worker, event)) = self.heard.try_recv() {
-                    self.session_event(worker, event, &mut commands);
-                } else if let Ok(call) = doors.calls.try_recv() {
-                    self.call(call, &mut commands);
-                } else if let Some(event) = self.echoes.pop_front() {
-                    self.hear(event, &mut commands);
+                if let Some((worker, event)) = self.deferred.pop_front() {
+                    self.handle_session_event(worker, event, &mut commands);
+                } else if let Ok((worker, event)) = self.session_inbox.try_recv() {
+                    self.handle_session_event(worker, event, &mut commands);
+                } else if let Ok(call) = inputs.calls.try_recv() {
+                    self.handle_call(call, &mut commands);
+                } else if let Some(event) = self.follow_up_events.pop_front() {
+                    self.handle_event(event, &mut commands);
                 } else {
                     break;
                 }
             }
-            self.commit(&mut commands, &mut doors).await?;
+            self.commit(&mut commands, &mut inputs).await?;
         }
-        self.say_goodbye();
-        self.note_roster().await;
+        self.send_goodbyes();
+        self.save_roster().await;
         Ok(self.queue.close().await?)
     }
 
     /// Answers a request for metrics.
-    pub(crate) fn show(&mut self, watcher: oneshot::Sender<Now>) {
-        let figures = self.scheduler.figures(self.clock.now());
+    pub(crate) fn send_figures(&mut self, reply: oneshot::Sender<CurrentFigures>) {
+        let figures = self.scheduler.stats(self.clock.now());
         // The send fails if the watcher is gone. This is ignored.
-        let _ = watcher.send(Now { figures, records: self.records });
+        let _ = reply.send(CurrentFigures { figures, records: self.records });
     }
 
     /// Passes `event` to the scheduler and collects the resulting commands and facts.
-    fn hear(&mut self, event: Event, commands: &mut Vec<Command>) {
+    fn handle_event(&mut self, event: Event, commands: &mut Vec<Command>) {
         let (now, first) = (self.clock.now(), commands.len());
-        self.scheduler.hear(event, now, commands);
+        self.scheduler.handle_into(event, now, commands);
         commands[first..].iter().for_each(|command| self.metrics.on_command(command));
         for command in commands.extract_if(first.., |command| command.is_for_log()) {
             match command {
@@ -262,46 +262,46 @@ impl<Q: Queue> Actor<Q> {
                     self.targets.on_fact(&fact);
                     self.facts.push((now, fact));
                 }
-                Command::Note(attempt) => self.attempts.put(*attempt),
+                Command::RecordAttempt(attempt) => self.attempts.put(*attempt),
                 _ => {}
             }
         }
     }
 
     /// Processes the log and the usage that are part of a report.
-    fn besides(&mut self, worker: WorkerId, said: &mut FromWorker, commands: &mut Vec<Command>) {
-        if let Some(event) = log_of(worker, said) {
-            self.hear(event, commands);
+    fn process_log_and_usage(&mut self, worker: WorkerId, message: &mut FromWorker, commands: &mut Vec<Command>) {
+        if let Some(event) = take_log(worker, message) {
+            self.handle_event(event, commands);
         }
-        for usage in usage_of(said) {
-            self.hear(Event::Usage { worker, usage }, commands);
+        for usage in take_usage(message) {
+            self.handle_event(Event::Usage { worker, usage }, commands);
         }
     }
 
-    fn session_event(&mut self, worker: WorkerId, session_event: SessionEvent, commands: &mut Vec<Command>) {
+    fn handle_session_event(&mut self, worker: WorkerId, session_event: SessionEvent, commands: &mut Vec<Command>) {
         if !self.workers.contains_key(&worker) {
             return;
         }
         let event = match session_event {
-            SessionEvent::Said(mut said) => {
-                match &*said {
+            SessionEvent::Message(mut message) => {
+                match &*message {
                     FromWorker::Heartbeat { number, .. } => self.heartbeats.push((worker, *number)),
-                    FromWorker::Failed { failure, .. } => self.metrics.failed(failure),
+                    FromWorker::Failed { failure, .. } => self.metrics.count_failure(failure),
                     FromWorker::Register(_)
                     | FromWorker::Completed { .. }
                     | FromWorker::Draining
                     | FromWorker::Available => {}
                 }
-                self.besides(worker, &mut said, commands);
-                event_of(worker, *said)
+                self.process_log_and_usage(worker, &mut message, commands);
+                to_event(worker, *message)
             }
-            SessionEvent::ArtifactMissing(mut said, artifact, message) => {
-                self.besides(worker, &mut said, commands);
-                self.metrics.failed(&Failure::Store { message: message.clone() });
-                artifact_missing(worker, &said, artifact, message)
+            SessionEvent::ArtifactMissing(mut report, artifact, message) => {
+                self.process_log_and_usage(worker, &mut report, commands);
+                self.metrics.count_failure(&Failure::Store { message: message.clone() });
+                artifact_missing(worker, &report, artifact, message)
             }
-            SessionEvent::Over => {
-                self.observe_workers();
+            SessionEvent::Ended => {
+                self.update_roster();
                 self.roster.leave(worker);
                 self.workers.remove(&worker);
                 tracing::info!(worker = worker.0, "worker left");
@@ -309,7 +309,7 @@ impl<Q: Queue> Actor<Q> {
             }
         };
         if let Some(event) = event {
-            self.hear(event, commands);
+            self.handle_event(event, commands);
         }
     }
 
@@ -323,20 +323,20 @@ impl<Q: Queue> Actor<Q> {
     }
 
     /// Passes the current month to the scheduler, which sums usage by month.
-    fn note_month(&mut self, commands: &mut Vec<Command>) {
+    fn update_month(&mut self, commands: &mut Vec<Command>) {
         let date = self.date().and_then(|date| Timestamp::from_millisecond(i64::try_from(date).ok()?).ok());
         let date = date.map(|date| date.to_zoned(TimeZone::UTC).date());
         let month = date.and_then(|date| Month::new(date.year().try_into().ok()?, date.month().try_into().ok()?));
         if let Some(month) = month.filter(|month| self.month != Some(*month)) {
             self.month = Some(month);
-            self.hear(Event::Month(month), commands);
+            self.handle_event(Event::Month(month), commands);
         }
     }
 
-    fn call(&mut self, call: Call, commands: &mut Vec<Command>) {
+    fn handle_call(&mut self, call: Call, commands: &mut Vec<Command>) {
         match call {
             Call::Submit { key, reply, .. }
-                if !self.is_known(key.as_deref())
+                if !self.is_known_key(key.as_deref())
                     && let Some(no) = self.disks.refusal() =>
             {
                 drop(reply.send(Err(no)));
@@ -345,45 +345,45 @@ impl<Q: Queue> Actor<Q> {
                 drop(reply.send(Err(no)));
             }
             Call::Submit { key, spec, reply } => {
-                let request = self.ask(PendingReply::Submit(reply));
+                let request = self.register_request(PendingReply::Submit(reply));
                 let date = self.date();
-                self.hear(Event::Submitted { request, key, spec, date }, commands);
+                self.handle_event(Event::Submitted { request, key, spec, date }, commands);
             }
             Call::Control { job, control, reply } => {
-                let request = self.ask(PendingReply::Control(reply));
-                self.hear(Event::Controlled { request, job, control }, commands);
+                let request = self.register_request(PendingReply::Control(reply));
+                self.handle_event(Event::Controlled { request, job, control }, commands);
             }
-            Call::Session(session) => self.join(*session, commands),
-            Call::Changes { news, reply } => self.questions.push(Question::Changes(news, reply)),
-            Call::List { reply } => self.questions.push(Question::List(reply)),
-            Call::Status { job, reply } => self.questions.push(Question::Status(job, reply)),
-            Call::Watch { job, reply } => self.questions.push(Question::Watch(job, reply)),
-            Call::Parts { job, reply } => self.questions.push(Question::Parts(job, reply)),
-            Call::Frames { job, reply } => self.questions.push(Question::Frames(job, reply)),
+            Call::Session(session) => self.start_session(*session, commands),
+            Call::Changes { scope: news, reply } => self.queries.push(Query::Changes(news, reply)),
+            Call::List { reply } => self.queries.push(Query::List(reply)),
+            Call::Status { job, reply } => self.queries.push(Query::Status(job, reply)),
+            Call::Watch { job, reply } => self.queries.push(Query::Watch(job, reply)),
+            Call::Parts { job, reply } => self.queries.push(Query::Parts(job, reply)),
+            Call::Frames { job, reply } => self.queries.push(Query::Frames(job, reply)),
             Call::Drain { worker, drain, reply } => {
-                let workers = self.scheduler.named(&worker);
+                let workers = self.scheduler.select_workers(&worker);
                 for &worker in &workers {
-                    self.hear(Event::Drained { worker, drain }, commands);
+                    self.handle_event(Event::Drained { worker, drain }, commands);
                 }
                 let nobody = || Refusal::NoSuchWorker { worker: worker.to_string() };
                 let answer = if workers.is_empty() { Err(nobody()) } else { Ok(workers) };
-                self.questions.push(Question::Drained(answer, reply));
+                self.queries.push(Query::Drained(answer, reply));
             }
-            Call::Lost { digest, reply } => {
-                self.hear(Event::Lost { digest }, commands);
-                self.questions.push(Question::Done(reply));
+            Call::ArtifactLost { digest, reply } => {
+                self.handle_event(Event::ArtifactLost { digest }, commands);
+                self.queries.push(Query::Done(reply));
             }
-            Call::Logs { job, since, reply } => self.questions.push(Question::Logs(job, since, reply)),
-            Call::Shape { job, reply } => self.questions.push(Question::Shape(job, reply)),
-            Call::FrameTable { job, reply } => self.questions.push(Question::FrameTable(job, reply)),
+            Call::Logs { job, since, reply } => self.queries.push(Query::Logs(job, since, reply)),
+            Call::Shape { job, reply } => self.queries.push(Query::Shape(job, reply)),
+            Call::FrameTable { job, reply } => self.queries.push(Query::FrameTable(job, reply)),
             Call::Tasks { job, filter, from, count, reply } => {
-                self.questions.push(Question::Tasks(job, filter, from, count, reply));
+                self.queries.push(Query::Tasks(job, filter, from, count, reply));
             }
-            Call::Attempts { job, from, reply } => self.questions.push(Question::Attempts(job, from, reply)),
-            Call::Workers { reply } => self.questions.push(Question::Workers(reply)),
-            Call::Usage { reply } => self.questions.push(Question::Usage(reply)),
-            Call::References { reply } => self.questions.push(Question::References(reply)),
-            Call::Backup { reply } => self.questions.push(Question::Backup(reply)),
+            Call::Attempts { job, from, reply } => self.queries.push(Query::Attempts(job, from, reply)),
+            Call::Workers { reply } => self.queries.push(Query::Workers(reply)),
+            Call::Usage { reply } => self.queries.push(Query::Usage(reply)),
+            Call::References { reply } => self.queries.push(Query::References(reply)),
+            Call::Backup { reply } => self.queries.push(Query::Backup(reply)),
         }
     }
 
@@ -392,14 +392,14 @@ impl<Q: Queue> Actor<Q> {
         self.numbers
     }
 
-    fn ask(&mut self, pending: PendingReply) -> RequestId {
+    fn register_request(&mut self, pending: PendingReply) -> RequestId {
         let request = RequestId(self.number());
         self.pending.insert(request, pending);
         request
     }
 
-    fn join(&mut self, session: Session, commands: &mut Vec<Command>) {
-        pass(Point::CoordinatorBeforeJoin);
+    fn start_session(&mut self, session: Session, commands: &mut Vec<Command>) {
+        pass_point(Point::CoordinatorBeforeJoin);
         let Session { registration, messages, out } = session;
         // If the number was used before, it belongs to a session whose last message has been processed.
         let worker = self.roster.join(&registration.name);
@@ -410,16 +410,16 @@ impl<Q: Queue> Actor<Q> {
             engine = registration.engine,
             "worker joined"
         );
-        self.metrics.joined();
-        self.workers.insert(worker, Worker::new(out));
-        tokio::spawn(session::listen(worker, messages, self.store.clone(), self.session_events.clone()));
-        self.joined.push(worker);
-        self.hear(Event::Joined { worker, registration }, commands);
-        self.observe_workers();
+        self.metrics.count_session();
+        self.workers.insert(worker, WorkerSession::new(out));
+        tokio::spawn(session::forward_messages(worker, messages, self.store.clone(), self.session_events.clone()));
+        self.to_welcome.push(worker);
+        self.handle_event(Event::Joined { worker, registration }, commands);
+        self.update_roster();
     }
 
     /// Returns whether a job was submitted with this key.
-    pub(crate) fn is_known(&self, key: Option<&str>) -> bool {
+    pub(crate) fn is_known_key(&self, key: Option<&str>) -> bool {
         key.is_some_and(|key| self.scheduler.ledger().job_of_key(key).is_some())
     }
 
@@ -428,43 +428,43 @@ impl<Q: Queue> Actor<Q> {
     pub(crate) async fn commit(
         &mut self,
         commands: &mut Vec<Command>,
-        doors: &mut Doors,
+        inputs: &mut ActorInputs,
     ) -> Result<(), CoordinatorError> {
-        if self.facts.is_empty() && self.attempts.is_empty() && !self.is_roster_new {
+        if self.facts.is_empty() && self.attempts.is_empty() && !self.is_roster_dirty {
             self.queue.check()?;
         } else {
             let records = self.facts.drain(..).map(|(now, fact)| fact.encode(now)).collect::<Result<Vec<_>, _>>()?;
             // Fault points are counted only for batches with records of jobs, because workers join and leave at random times.
             let is_of_jobs = !records.is_empty() || !self.attempts.is_empty();
             if is_of_jobs {
-                pass_async(Point::CoordinatorBeforeAppend).await;
+                pass_point_async(Point::CoordinatorBeforeAppend).await;
             }
             let (mut notes, mut forgotten) = self.attempts.take()?;
-            if std::mem::take(&mut self.is_roster_new) {
+            if std::mem::take(&mut self.is_roster_dirty) {
                 notes.push(self.roster_note()?);
-                forgotten.push(ROSTER);
+                forgotten.push(ROSTER_SUBJECT);
             }
             let begun = Instant::now();
             let batch = Batch { records: &records, notes: &notes, forgotten: &forgotten };
-            self.keep(Pending { batch, commands }, doors).await?;
-            self.metrics.appended(records.iter().map(Vec::len).sum(), begun.elapsed());
+            self.append_when_possible(PendingBatch { batch, commands }, inputs).await?;
+            self.metrics.count_append(records.iter().map(Vec::len).sum(), begun.elapsed());
             if is_of_jobs {
-                pass_async(Point::CoordinatorAfterAppend).await;
+                pass_point_async(Point::CoordinatorAfterAppend).await;
             }
             self.records += records.len();
         }
         // Reports of dead processes in their registrations are durable now.
-        for worker in std::mem::take(&mut self.joined) {
+        for worker in std::mem::take(&mut self.to_welcome) {
             self.welcome(worker);
         }
         self.execute(commands);
-        self.renew();
-        self.answer().await
+        self.answer_heartbeats();
+        self.answer_queries().await
     }
 
     /// Answers the heartbeats. This happens after the commands, so that an assignment that arrives after the answer was made after
     /// the heartbeat was sent.
-    fn renew(&mut self) {
+    fn answer_heartbeats(&mut self) {
         let now = self.clock.now();
         for (worker, heartbeat) in std::mem::take(&mut self.heartbeats) {
             self.answer_heartbeat(worker, heartbeat, now);
@@ -473,36 +473,36 @@ impl<Q: Queue> Actor<Q> {
 
     pub(crate) fn answer_heartbeat(&mut self, worker: WorkerId, heartbeat: u64, now: Tick) {
         let (leases, intake) = (self.scheduler.leases(worker, now), self.scheduler.intake(worker));
-        self.tell(worker, ToWorker::Renewed { heartbeat, leases, intake });
+        self.send_to_worker(worker, ToWorker::Renewed { heartbeat, leases, intake });
     }
 
-    async fn answer(&mut self) -> Result<(), CoordinatorError> {
+    async fn answer_queries(&mut self) -> Result<(), CoordinatorError> {
         let now = self.clock.now();
         // The send fails if the caller has disconnected. This is ignored.
-        for question in std::mem::take(&mut self.questions) {
+        for question in std::mem::take(&mut self.queries) {
             match question {
-                Question::List(reply) => {
+                Query::List(reply) => {
                     let jobs = self.scheduler.jobs(now).into_iter();
                     let jobs = jobs.map(|status| self.targets.fill(&self.scheduler, status)).collect();
                     let warnings = self.disks.warnings();
-                    drop(reply.send(Ok(Listing { jobs, warnings })));
+                    drop(reply.send(Ok(JobList { jobs, warnings })));
                 }
-                Question::Changes(news, reply) => drop(reply.send(Ok(self.changes(news)))),
-                Question::Status(job, reply) => {
+                Query::Changes(news, reply) => drop(reply.send(Ok(self.changes(news)))),
+                Query::Status(job, reply) => {
                     drop(reply.send(self.targets.status(&self.scheduler, job, now)));
                 }
-                Question::Watch(job, reply) => drop(reply.send(self.watch(job))),
-                Question::Parts(job, reply) => drop(reply.send(self.scheduler.parts(job))),
-                Question::Frames(job, reply) => drop(reply.send(self.scheduler.frames(job))),
-                Question::Logs(job, since, reply) => drop(reply.send(self.scheduler.logs(job, since))),
-                Question::Shape(job, reply) => drop(reply.send(self.shape(job))),
-                Question::FrameTable(job, reply) => drop(reply.send(self.scheduler.frame_table(job))),
-                Question::Tasks(job, filter, from, count, reply) => {
+                Query::Watch(job, reply) => drop(reply.send(self.watch(job))),
+                Query::Parts(job, reply) => drop(reply.send(self.scheduler.partial_frames(job))),
+                Query::Frames(job, reply) => drop(reply.send(self.scheduler.frames(job))),
+                Query::Logs(job, since, reply) => drop(reply.send(self.scheduler.logs(job, since))),
+                Query::Shape(job, reply) => drop(reply.send(self.shape(job))),
+                Query::FrameTable(job, reply) => drop(reply.send(self.scheduler.frame_table(job))),
+                Query::Tasks(job, filter, from, count, reply) => {
                     drop(reply.send(self.scheduler.tasks(job, filter, from, count, now)));
                 }
-                Question::Attempts(job, from, reply) => {
+                Query::Attempts(job, from, reply) => {
                     let page = match self.queue.notes(job.0, from).await {
-                        Ok(page) => Ok(attempts::page(page)),
+                        Ok(page) => Ok(attempts::decode_page(page)),
                         Err(error) if error.remedy() == Remedy::Reopen => return Err(error.into()),
                         // Notes are stored beside the log. The log works without them.
                         Err(error) => {
@@ -511,15 +511,15 @@ impl<Q: Queue> Actor<Q> {
                     };
                     drop(reply.send(page));
                 }
-                Question::Drained(answer, reply) => drop(reply.send(answer)),
-                Question::Done(reply) => drop(reply.send(Ok(()))),
-                Question::Workers(reply) => drop(reply.send(Ok(self.crew()))),
-                Question::Usage(reply) => drop(reply.send(Ok(self.scheduler.usage_by_owner()))),
-                Question::References(reply) => drop(reply.send(Ok(self.references()))),
-                Question::Backup(reply) => {
+                Query::Drained(answer, reply) => drop(reply.send(answer)),
+                Query::Done(reply) => drop(reply.send(Ok(()))),
+                Query::Workers(reply) => drop(reply.send(Ok(self.all_workers()))),
+                Query::Usage(reply) => drop(reply.send(Ok(self.scheduler.usage_by_owner()))),
+                Query::References(reply) => drop(reply.send(Ok(self.references()))),
+                Query::Backup(reply) => {
                     let copied = self.queue.copy().await;
                     let backup = copied.map(|log| Backup { log, references: self.references() });
-                    drop(reply.send(backup.map_err(|error| no_copy(&error))));
+                    drop(reply.send(backup.map_err(|error| backup_refusal(&error))));
                 }
             }
         }
@@ -527,50 +527,50 @@ impl<Q: Queue> Actor<Q> {
     }
 
     /// Returns the connected and the disconnected workers.
-    fn crew(&self) -> Crew {
-        let there = self.there();
+    fn all_workers(&self) -> WorkerList {
+        let there = self.connected_workers();
         let offline = self.roster.offline(&there);
-        Crew { there, offline }
+        WorkerList { connected: there, offline }
     }
 
     /// Returns the connected workers, with the counts of earlier sessions.
-    fn there(&self) -> Vec<WorkerStatus> {
+    fn connected_workers(&self) -> Vec<WorkerStatus> {
         let mut there = self.scheduler.workers(self.clock.now());
         self.roster.add_earlier(&mut there);
         there
     }
 
     /// Updates the roster from the connected workers. The next commit makes it durable.
-    fn observe_workers(&mut self) {
+    fn update_roster(&mut self) {
         let now = self.clock.now();
         // Without a date, the time of contact is not known.
         let Some(zero) = self.scheduler.config().clock_zero else { return };
-        self.roster.observe(&self.there(), zero.saturating_add(now.0));
-        self.is_roster_new = true;
+        self.roster.observe(&self.connected_workers(), zero.saturating_add(now.0));
+        self.is_roster_dirty = true;
     }
 
     fn roster_note(&self) -> Result<Note, SnapshotError> {
-        Ok(Note { subject: ROSTER, bytes: self.roster.encode()? })
+        Ok(Note { subject: ROSTER_SUBJECT, bytes: self.roster.encode()? })
     }
 
     /// Writes the final roster note, with the latest contacts.
-    async fn note_roster(&mut self) {
-        self.observe_workers();
+    async fn save_roster(&mut self) {
+        self.update_roster();
         let Ok(note) = self.roster_note() else { return };
-        let batch = Batch { notes: &[note], forgotten: &[ROSTER], ..Batch::default() };
+        let batch = Batch { notes: &[note], forgotten: &[ROSTER_SUBJECT], ..Batch::default() };
         if let Err(error) = self.queue.append(batch).await {
             tracing::warn!(%error, "cannot save the last contacts of workers");
         }
     }
 
     /// Returns the changes for a feed.
-    fn changes(&mut self, news: News) -> Changes {
+    fn changes(&mut self, scope: ChangeScope) -> Changes {
         let now = self.clock.now();
-        let touched = self.touched.replace(BTreeSet::new()).filter(|_| news == News::Changes);
+        let touched = self.changed_since_feed.replace(BTreeSet::new()).filter(|_| scope == ChangeScope::Changes);
         let is_wanted = |job| touched.as_ref().is_none_or(|touched| touched.contains(&job));
         let (jobs, there) = self.scheduler.changed_jobs(is_wanted, now);
         let jobs = jobs.into_iter().map(|status| self.targets.fill(&self.scheduler, status)).collect();
-        Changes { jobs, there, workers: self.crew(), warnings: self.disks.warnings() }
+        Changes { jobs, existing_jobs: there, workers: self.all_workers(), warnings: self.disks.warnings() }
     }
 
     pub(crate) fn references(&self) -> References {
@@ -579,33 +579,37 @@ impl<Q: Queue> Actor<Q> {
     }
 
     /// Does periodic work: updates watchers, removes unneeded artifacts, makes snapshots.
-    async fn look_after(&mut self, commands: &mut Vec<Command>, doors: &mut Doors) -> Result<(), CoordinatorError> {
+    async fn run_maintenance(
+        &mut self,
+        commands: &mut Vec<Command>,
+        inputs: &mut ActorInputs,
+    ) -> Result<(), CoordinatorError> {
         self.queue.check()?;
         self.refresh_watched();
-        if Instant::now() >= self.roster_from {
-            self.roster_from = Instant::now() + Self::ROSTER;
+        if Instant::now() >= self.next_roster_note {
+            self.next_roster_note = Instant::now() + Self::ROSTER_INTERVAL;
             if !self.workers.is_empty() {
-                self.observe_workers();
+                self.update_roster();
             }
         }
-        self.sweep(commands, doors).await?;
-        self.disks.look_later(&mut self.looked);
-        if self.records >= self.snapshot && Instant::now() >= self.snapshots_from {
+        self.sweep(commands, inputs).await?;
+        self.disks.check_in_background(&mut self.disks_checked);
+        if self.records >= self.snapshot_interval && Instant::now() >= self.next_snapshot {
             // The snapshot already includes the facts of these commands.
-            self.commit(commands, doors).await?;
+            self.commit(commands, inputs).await?;
             let state = self.scheduler.ledger().encode()?;
-            pass_async(Point::CoordinatorBeforeSnapshot).await;
+            pass_point_async(Point::CoordinatorBeforeSnapshot).await;
             let begun = Instant::now();
             match self.queue.snapshot(&state).await {
-                Err(error) if error.remedy() == Remedy::Room => {
+                Err(error) if error.remedy() == Remedy::FreeSpace => {
                     tracing::warn!(%error, "no space for a snapshot; the log grows until there is space");
-                    self.snapshots_from = Instant::now() + Self::SNAPSHOT_AGAIN;
+                    self.next_snapshot = Instant::now() + Self::SNAPSHOT_RETRY_DELAY;
                     return Ok(());
                 }
                 made => made?,
             }
-            self.metrics.snapshot(begun.elapsed());
-            pass_async(Point::CoordinatorAfterSnapshot).await;
+            self.metrics.count_snapshot(begun.elapsed());
+            pass_point_async(Point::CoordinatorAfterSnapshot).await;
             self.records = 0;
         }
         Ok(())
@@ -613,7 +617,7 @@ impl<Q: Queue> Actor<Q> {
 }
 
 /// Converts a failed copy of the log to a refusal. The log itself is unchanged.
-fn no_copy(error: &QueueError) -> Refusal {
+fn backup_refusal(error: &QueueError) -> Refusal {
     match error {
         QueueError::NoCopy { .. } => Refusal::Invalid { field: "backup".into(), message: error.to_string() },
         error => Refusal::Unavailable { message: format!("cannot copy the log: {error}") },
@@ -621,8 +625,8 @@ fn no_copy(error: &QueueError) -> Refusal {
 }
 
 /// Takes the log out of a worker's report.
-fn log_of(worker: WorkerId, said: &mut FromWorker) -> Option<Event> {
-    match said {
+fn take_log(worker: WorkerId, message: &mut FromWorker) -> Option<Event> {
+    match message {
         FromWorker::Completed { task, epoch, log, .. } | FromWorker::Failed { task, epoch, log, .. } => {
             let (task, epoch) = (*task, *epoch);
             log.take().map(|log| Event::Logged { worker, task, epoch, log })
@@ -632,8 +636,8 @@ fn log_of(worker: WorkerId, said: &mut FromWorker) -> Option<Event> {
 }
 
 /// Takes the usage of leases out of a worker's message: of a reported lease, or of revoked leases.
-fn usage_of(said: &mut FromWorker) -> impl Iterator<Item = TaskUsage> + use<> {
-    let (reported, others) = match said {
+fn take_usage(message: &mut FromWorker) -> impl Iterator<Item = TaskUsage> + use<> {
+    let (reported, others) = match message {
         FromWorker::Heartbeat { usage, .. } => (None, std::mem::take(usage)),
         FromWorker::Completed { task, epoch, usage, .. } | FromWorker::Failed { task, epoch, usage, .. } => {
             let (task, epoch) = (*task, *epoch);
@@ -645,16 +649,16 @@ fn usage_of(said: &mut FromWorker) -> impl Iterator<Item = TaskUsage> + use<> {
 }
 
 /// Makes the event of a completion whose artifact is missing.
-fn artifact_missing(worker: WorkerId, said: &FromWorker, artifact: Digest, message: String) -> Option<Event> {
-    let FromWorker::Completed { task, epoch, .. } = said else { return None };
+fn artifact_missing(worker: WorkerId, report: &FromWorker, artifact: Digest, message: String) -> Option<Event> {
+    let FromWorker::Completed { task, epoch, .. } = report else { return None };
     let (task, epoch) = (*task, *epoch);
     tracing::warn!(job = task.job.0, %task, worker = worker.0, message, "result rejected: artifact missing or damaged");
     Some(Event::ArtifactMissing { worker, task, epoch, artifact, message })
 }
 
 /// Converts a worker's message to an event of the scheduler.
-fn event_of(worker: WorkerId, said: FromWorker) -> Option<Event> {
-    Some(match said {
+fn to_event(worker: WorkerId, message: FromWorker) -> Option<Event> {
+    Some(match message {
         FromWorker::Heartbeat { tasks, .. } => Event::Heartbeat { worker, tasks },
         FromWorker::Completed { task, epoch, result, .. } => Event::Completed { worker, task, epoch, result },
         FromWorker::Failed { task, epoch, failure, .. } => {

@@ -4,40 +4,40 @@ use std::fs::File;
 use std::future::Future;
 use std::pin::Pin;
 
-use femc_queue::{Batch, Contents, Page, Queue, QueueError};
+use femc_queue::{Batch, LogContents, NotePage, Queue, QueueError};
 
-type Answer<'a, T> = Pin<Box<dyn Future<Output = Result<T, QueueError>> + Send + 'a>>;
+type QueueFuture<'a, T> = Pin<Box<dyn Future<Output = Result<T, QueueError>> + Send + 'a>>;
 
 /// [`Queue`] with boxed futures.
-trait Behind: Send {
-    fn load(&mut self) -> Answer<'_, Contents>;
-    fn append<'a>(&'a mut self, batch: Batch<'a>) -> Answer<'a, ()>;
-    fn snapshot<'a>(&'a mut self, state: &'a [u8]) -> Answer<'a, ()>;
-    fn reserve(&mut self, least: u32) -> Answer<'_, u32>;
-    fn notes(&mut self, subject: u64, from: u64) -> Answer<'_, Page>;
+trait DynQueue: Send {
+    fn load(&mut self) -> QueueFuture<'_, LogContents>;
+    fn append<'a>(&'a mut self, batch: Batch<'a>) -> QueueFuture<'a, ()>;
+    fn snapshot<'a>(&'a mut self, state: &'a [u8]) -> QueueFuture<'a, ()>;
+    fn reserve(&mut self, least: u32) -> QueueFuture<'_, u32>;
+    fn notes(&mut self, subject: u64, from: u64) -> QueueFuture<'_, NotePage>;
     fn check(&mut self) -> Result<(), QueueError>;
-    fn copy(&mut self) -> Answer<'_, File>;
-    fn close(self: Box<Self>) -> Answer<'static, ()>;
+    fn copy(&mut self) -> QueueFuture<'_, File>;
+    fn close(self: Box<Self>) -> QueueFuture<'static, ()>;
 }
 
-impl<Q: Queue> Behind for Q {
-    fn load(&mut self) -> Answer<'_, Contents> {
+impl<Q: Queue> DynQueue for Q {
+    fn load(&mut self) -> QueueFuture<'_, LogContents> {
         Box::pin(Queue::load(self))
     }
 
-    fn append<'a>(&'a mut self, batch: Batch<'a>) -> Answer<'a, ()> {
+    fn append<'a>(&'a mut self, batch: Batch<'a>) -> QueueFuture<'a, ()> {
         Box::pin(Queue::append(self, batch))
     }
 
-    fn snapshot<'a>(&'a mut self, state: &'a [u8]) -> Answer<'a, ()> {
+    fn snapshot<'a>(&'a mut self, state: &'a [u8]) -> QueueFuture<'a, ()> {
         Box::pin(Queue::snapshot(self, state))
     }
 
-    fn reserve(&mut self, least: u32) -> Answer<'_, u32> {
+    fn reserve(&mut self, least: u32) -> QueueFuture<'_, u32> {
         Box::pin(Queue::reserve(self, least))
     }
 
-    fn notes(&mut self, subject: u64, from: u64) -> Answer<'_, Page> {
+    fn notes(&mut self, subject: u64, from: u64) -> QueueFuture<'_, NotePage> {
         Box::pin(Queue::notes(self, subject, from))
     }
 
@@ -45,17 +45,17 @@ impl<Q: Queue> Behind for Q {
         Queue::check(self)
     }
 
-    fn copy(&mut self) -> Answer<'_, File> {
+    fn copy(&mut self) -> QueueFuture<'_, File> {
         Box::pin(Queue::copy(self))
     }
 
-    fn close(self: Box<Self>) -> Answer<'static, ()> {
+    fn close(self: Box<Self>) -> QueueFuture<'static, ()> {
         Box::pin(Queue::close(*self))
     }
 }
 
 /// Log of any kind.
-pub(crate) struct AnyQueue(Box<dyn Behind>);
+pub(crate) struct AnyQueue(Box<dyn DynQueue>);
 
 impl AnyQueue {
     pub(crate) fn new(queue: impl Queue) -> Self {
@@ -64,7 +64,7 @@ impl AnyQueue {
 }
 
 impl Queue for AnyQueue {
-    async fn load(&mut self) -> Result<Contents, QueueError> {
+    async fn load(&mut self) -> Result<LogContents, QueueError> {
         self.0.load().await
     }
 
@@ -80,7 +80,7 @@ impl Queue for AnyQueue {
         self.0.reserve(least).await
     }
 
-    async fn notes(&mut self, subject: u64, from: u64) -> Result<Page, QueueError> {
+    async fn notes(&mut self, subject: u64, from: u64) -> Result<NotePage, QueueError> {
         self.0.notes(subject, from).await
     }
 

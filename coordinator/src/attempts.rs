@@ -5,26 +5,26 @@ use std::collections::BTreeMap;
 
 use femc_model::{AttemptRecord, JobId, Refusal};
 use femc_proto::{AttemptPage, JobShape};
-use femc_queue::{Note, Page, Queue};
+use femc_queue::{Note, NotePage, Queue};
 use femc_schedule::{Fact, SnapshotError, decode_attempts, encode_attempts};
 
 use crate::actor::Actor;
 
 /// Ended attempts by job, and the jobs whose attempts must be deleted.
 #[derive(Debug, Default)]
-pub(crate) struct Ended {
+pub(crate) struct EndedAttempts {
     attempts: BTreeMap<JobId, Vec<AttemptRecord>>,
     forgotten: Vec<u64>,
 }
 
-impl Ended {
+impl EndedAttempts {
     pub(crate) fn put(&mut self, attempt: AttemptRecord) {
         self.attempts.entry(attempt.task.job).or_default().push(attempt);
     }
 
     /// Drops the attempts of a job that is deleted.
     pub(crate) fn on_fact(&mut self, fact: &Fact) {
-        if let Fact::Forgotten { job } = fact {
+        if let Fact::JobRemoved { job } = fact {
             self.attempts.remove(job);
             self.forgotten.push(job.0);
         }
@@ -45,7 +45,7 @@ impl Ended {
 }
 
 /// Decodes a page of notes. Invalid notes are left out.
-pub(crate) fn page(page: Page) -> AttemptPage {
+pub(crate) fn decode_page(page: NotePage) -> AttemptPage {
     let read = |note: Vec<u8>| {
         decode_attempts(&note).unwrap_or_else(|error| {
             tracing::warn!(%error, "cannot read saved attempts");
@@ -58,6 +58,6 @@ pub(crate) fn page(page: Page) -> AttemptPage {
 impl<Q: Queue> Actor<Q> {
     pub(crate) fn shape(&self, job: JobId) -> Result<JobShape, Refusal> {
         let spec = self.scheduler.spec(job).ok_or(Refusal::NoSuchJob { job })?;
-        Ok(JobShape { spec: Box::new(spec.clone()), cut: self.scheduler.cut(job) })
+        Ok(JobShape { spec: Box::new(spec.clone()), cut: self.scheduler.chunk_size(job) })
     }
 }

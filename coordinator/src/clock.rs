@@ -9,23 +9,23 @@ use tokio::time::Instant;
 
 /// Source of the coordinator's time. A simulation has its own, which may go back, as the clock of a machine that was moved may.
 #[derive(Clone)]
-pub struct Time(Arc<dyn Fn() -> Duration + Send + Sync>);
+pub struct TimeSource(Arc<dyn Fn() -> Duration + Send + Sync>);
 
-impl Time {
+impl TimeSource {
     /// Makes a time source from `source`, which returns the time since some fixed moment.
-    pub fn by(source: impl Fn() -> Duration + Send + Sync + 'static) -> Self {
+    pub fn from_fn(source: impl Fn() -> Duration + Send + Sync + 'static) -> Self {
         Self(Arc::new(source))
     }
 }
 
-impl Default for Time {
+impl Default for TimeSource {
     fn default() -> Self {
         let started = Instant::now();
-        Self::by(move || started.elapsed())
+        Self::from_fn(move || started.elapsed())
     }
 }
 
-impl fmt::Debug for Time {
+impl fmt::Debug for TimeSource {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("Time")
     }
@@ -36,44 +36,44 @@ impl fmt::Debug for Time {
 #[derive(Debug)]
 pub(crate) struct Clock {
     base: Tick,
-    time: Time,
-    shown: Mutex<Shown>,
+    time: TimeSource,
+    reading: Mutex<Reading>,
 }
 
 /// Last reading of the source, and the total elapsed time.
 #[derive(Debug)]
-struct Shown {
+struct Reading {
     last: Duration,
     passed: Duration,
     is_stopped: bool,
 }
 
 impl Clock {
-    pub(crate) fn from(base: Tick, time: Time) -> Self {
-        let shown = Shown { last: (time.0)(), passed: Duration::ZERO, is_stopped: false };
-        Self { base, shown: Mutex::new(shown), time }
+    pub(crate) fn new(base: Tick, time: TimeSource) -> Self {
+        let shown = Reading { last: (time.0)(), passed: Duration::ZERO, is_stopped: false };
+        Self { base, reading: Mutex::new(shown), time }
     }
 
     pub(crate) fn now(&self) -> Tick {
-        let passed = self.look(|_| {});
+        let passed = self.update_reading(|_| {});
         self.base.after(u64::try_from(passed.as_millis()).unwrap_or(u64::MAX))
     }
 
     /// Stops the clock.
     pub(crate) fn stop(&self) {
-        self.look(|shown| shown.is_stopped = true);
+        self.update_reading(|shown| shown.is_stopped = true);
     }
 
     /// Resumes the clock from its present value.
-    pub(crate) fn go_on(&self) {
-        self.look(|shown| shown.is_stopped = false);
+    pub(crate) fn resume(&self) {
+        self.update_reading(|shown| shown.is_stopped = false);
     }
 
     /// Returns the total elapsed time, then applies `change`.
-    fn look(&self, change: impl FnOnce(&mut Shown)) -> Duration {
+    fn update_reading(&self, change: impl FnOnce(&mut Reading)) -> Duration {
         let time = (self.time.0)();
         // A poisoned lock is safe to use: a panic in the few lines under it leaves no partial change.
-        let mut shown = self.shown.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut shown = self.reading.lock().unwrap_or_else(PoisonError::into_inner);
         let passed = if shown.is_stopped { Duration::ZERO } else { time.saturating_sub(shown.last) };
         shown.passed += passed;
         shown.last = time;
@@ -102,8 +102,9 @@ mod tests {
         let config = Config::default();
         let (scheduler, _) = Scheduler::new(config.scheduler.clone(), Ledger::default());
         let (_asks, watchers) = mpsc::channel(1);
-        let actor = Actor::new(scheduler, Memory::default(), Store::memory(), 0, Roster::default(), watchers, &config);
-        let [time, configured] = [Time::default(), config.time].map(|time| Clock::from(Tick(0), time));
+        let actor =
+            Actor::new(scheduler, Memory::default(), Store::in_memory(), 0, Roster::default(), watchers, &config);
+        let [time, configured] = [TimeSource::default(), config.time].map(|time| Clock::new(Tick(0), time));
         let clocks = [time, configured, actor.clock];
         let show = || clocks.each_ref().map(|clock| clock.now().0);
         let date = SystemTime::now();
@@ -120,7 +121,8 @@ mod tests {
     fn a_source_that_goes_back_does_not_turn_time_back_nor_hold_it() {
         let source = Arc::new(AtomicU64::new(10_000));
         let shows = source.clone();
-        let clock = Clock::from(Tick(5), Time::by(move || Duration::from_millis(shows.load(Ordering::Relaxed))));
+        let clock =
+            Clock::new(Tick(5), TimeSource::from_fn(move || Duration::from_millis(shows.load(Ordering::Relaxed))));
         let after = |milliseconds| {
             source.store(milliseconds, Ordering::Relaxed);
             clock.now().0
@@ -128,7 +130,7 @@ mod tests {
         assert_eq!([11_000, 4_000, 4_500, 4_400, 14_400].map(after), [1_005, 1_005, 1_505, 1_505, 11_505]);
         clock.stop();
         assert_eq!([20_000, 21_000].map(after), [11_505, 11_505]);
-        clock.go_on();
+        clock.resume();
         assert_eq!(after(21_500), 12_005);
     }
 }

@@ -4,14 +4,14 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use femc_proto::{Entrance, Limits, ServeError, Site};
-use femc_queue::{Database, Loss, QueueError};
+use femc_proto::{AccessControl, Limits, ServeError, Site};
+use femc_queue::{Database, LossPolicy, QueueError};
 use femc_schedule::SnapshotError;
 use femc_store::StoreError;
 use femc_trust::Audit;
 
-use crate::announce::Announce;
-use crate::clock::Time;
+use crate::announce::NotifyConfig;
+use crate::clock::TimeSource;
 use crate::metrics::Metrics;
 
 /// Location of the log.
@@ -59,13 +59,13 @@ pub struct Config {
     pub exposure: Exposure,
     /// Identity of the coordinator and the identities that it accepts; `None`: connections are not encrypted, and everyone is
     /// accepted.
-    pub entrance: Option<Entrance>,
+    pub entrance: Option<AccessControl>,
     /// Limits of connections and messages.
     pub limits: Limits,
     /// Audit log of changes and refusals.
     pub audit: Option<Audit>,
     /// Notifications about the ends of jobs.
-    pub announce: Announce,
+    pub announce: NotifyConfig,
     /// Content for browsers.
     pub site: Site,
     /// Location of the log.
@@ -79,9 +79,9 @@ pub struct Config {
     /// Bytes to keep free on the disks of the log and of the artifacts. With less, new jobs are refused. 0: no limit.
     pub keep_free: u64,
     /// Treatment of a log that lacks acknowledged records.
-    pub loss: Loss,
+    pub loss: LossPolicy,
     /// Source of time.
-    pub time: Time,
+    pub time: TimeSource,
     /// Metrics of the coordinator.
     pub metrics: Metrics,
 }
@@ -94,15 +94,15 @@ impl Default for Config {
             entrance: None,
             limits: Limits::default(),
             audit: None,
-            announce: Announce::default(),
+            announce: NotifyConfig::default(),
             site: Site::default(),
             log: Log::Memory,
             artifacts: Artifacts::Memory,
             scheduler: femc_schedule::Config::default(),
             snapshot: 20_000,
             keep_free: 0,
-            loss: Loss::Refused,
-            time: Time::default(),
+            loss: LossPolicy::Refuse,
+            time: TimeSource::default(),
             metrics: Metrics::default(),
         }
     }

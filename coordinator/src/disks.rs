@@ -25,7 +25,7 @@ struct Inner {
 #[derive(Debug)]
 struct Disk {
     /// Data on this disk, for messages.
-    holds: &'static str,
+    content: &'static str,
     /// Watched path on the disk.
     path: PathBuf,
     /// Free bytes; `u64::MAX`: not known.
@@ -38,8 +38,8 @@ impl Disk {
         Some(self.free.load(Ordering::Relaxed)).filter(|free| *free < u64::MAX)
     }
 
-    fn place(&self) -> String {
-        format!("{} ({})", self.holds, self.path.display())
+    fn description(&self) -> String {
+        format!("{} ({})", self.content, self.path.display())
     }
 }
 
@@ -47,9 +47,9 @@ impl Disks {
     /// Multiple of `keep_free` below which a warning is given.
     const WARN: u64 = 4;
     /// Interval between two checks.
-    pub(crate) const EVERY: Duration = Duration::from_secs(1);
+    pub(crate) const CHECK_INTERVAL: Duration = Duration::from_secs(1);
 
-    pub(crate) fn of(config: &Config) -> Self {
+    pub(crate) fn new(config: &Config) -> Self {
         let log = match &config.log {
             Log::Sqlite(path) => Some(("the log", folder(path))),
             Log::Memory | Log::Postgres { .. } => None,
@@ -58,38 +58,45 @@ impl Disks {
             Artifacts::Folder(path) => Some(("the artifacts", path.clone())),
             Artifacts::Memory | Artifacts::S3(_) => None,
         };
-        let disk =
-            |(holds, path)| Disk { holds, path, free: AtomicU64::new(u64::MAX), was_low: AtomicBool::new(false) };
+        let disk = |(holds, path)| Disk {
+            content: holds,
+            path,
+            free: AtomicU64::new(u64::MAX),
+            was_low: AtomicBool::new(false),
+        };
         let disks = log.into_iter().chain(artifacts).map(disk).collect();
         let disks = Self(Arc::new(Inner { disks, keep_free: config.keep_free, is_looking: AtomicBool::new(false) }));
-        disks.look();
+        disks.check();
         disks
     }
 
     /// Queries the operating system, which may be slow.
-    fn look(&self) {
+    fn check(&self) {
         let Inner { disks, keep_free, .. } = &*self.0;
         for disk in disks {
-            let free = femc_metrics::free(&disk.path).unwrap_or(u64::MAX);
+            let free = femc_metrics::free_disk_bytes(&disk.path).unwrap_or(u64::MAX);
             disk.free.store(free, Ordering::Relaxed);
             let is_low = free < Self::WARN.saturating_mul(*keep_free);
             match (disk.was_low.swap(is_low, Ordering::Relaxed), is_low) {
-                (false, true) => tracing::warn!(place = disk.place(), free, keep_free, "disk space is low"),
-                (true, false) => tracing::info!(place = disk.place(), free, "there is enough disk space again"),
+                (false, true) => tracing::warn!(place = disk.description(), free, keep_free, "disk space is low"),
+                (true, false) => tracing::info!(place = disk.description(), free, "there is enough disk space again"),
                 (false, false) | (true, true) => {}
             }
         }
     }
 
     /// Queries the operating system in the background, at most once per interval.
-    pub(crate) fn look_later(&self, last: &mut Instant) {
-        if self.0.disks.is_empty() || last.elapsed() < Self::EVERY || self.0.is_looking.swap(true, Ordering::Relaxed) {
+    pub(crate) fn check_in_background(&self, last: &mut Instant) {
+        if self.0.disks.is_empty()
+            || last.elapsed() < Self::CHECK_INTERVAL
+            || self.0.is_looking.swap(true, Ordering::Relaxed)
+        {
             return;
         }
         *last = Instant::now();
         let disks = self.clone();
         tokio::task::spawn_blocking(move || {
-            disks.look();
+            disks.check();
             disks.0.is_looking.store(false, Ordering::Relaxed);
         });
     }
@@ -98,7 +105,7 @@ impl Disks {
     pub(crate) fn refusal(&self) -> Option<Refusal> {
         let short = self.0.disks.iter().find_map(|disk| {
             let free = disk.free().filter(|free| *free < self.0.keep_free)?;
-            Some((disk.place(), free))
+            Some((disk.description(), free))
         });
         short.map(|(place, free)| Refusal::NoRoom { place, free })
     }
@@ -108,7 +115,7 @@ impl Disks {
         let keep = self.0.keep_free;
         let warning = |disk: &Disk| {
             let free = disk.free().filter(|free| *free < Self::WARN.saturating_mul(keep))?;
-            let (mib, place, keep) = (free >> 20, disk.place(), keep >> 20);
+            let (mib, place, keep) = (free >> 20, disk.description(), keep >> 20);
             let follows =
                 if free >> 20 < keep { "new jobs are refused until" } else { "new jobs will be refused if less than" };
             Some(format!("{mib} MiB are free for {place}; {follows} {keep} MiB are free (`femc gc`)"))
@@ -119,7 +126,7 @@ impl Disks {
     /// Returns the free bytes by the data on each disk.
     pub(crate) fn free(&self) -> Vec<(&'static str, u64)> {
         let label = |holds| if holds == "the log" { "log" } else { "artifacts" };
-        self.0.disks.iter().filter_map(|disk| Some((label(disk.holds), disk.free()?))).collect()
+        self.0.disks.iter().filter_map(|disk| Some((label(disk.content), disk.free()?))).collect()
     }
 }
 

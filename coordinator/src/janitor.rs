@@ -14,7 +14,7 @@ use femc_schedule::Command;
 
 use crate::actor::Actor;
 use crate::config::CoordinatorError;
-use crate::wait::Doors;
+use crate::full_log::ActorInputs;
 
 /// Released artifacts that wait for their removal.
 #[derive(Debug, Default)]
@@ -25,23 +25,23 @@ pub(crate) struct Janitor {
 
 impl Janitor {
     /// Milliseconds between release and removal.
-    const REST: u64 = 30_000;
+    const REMOVAL_DELAY: u64 = 30_000;
     /// Milliseconds between two removals. Each of them inspects everything that the jobs name.
-    const EVERY: u64 = 2_000;
+    const SWEEP_INTERVAL: u64 = 2_000;
 
-    pub(crate) fn note(&mut self, now: Tick, digests: Vec<Digest>) {
+    pub(crate) fn push(&mut self, now: Tick, digests: Vec<Digest>) {
         self.released.push_back((now, digests));
     }
 
     /// Returns whether the released artifacts should be inspected now.
     fn is_due(&self, now: Tick) -> bool {
-        now.since(self.swept) >= Self::EVERY
+        now.since(self.swept) >= Self::SWEEP_INTERVAL
     }
 
-    fn due(&mut self, now: Tick) -> Vec<Digest> {
+    fn take_due(&mut self, now: Tick) -> Vec<Digest> {
         let mut due = Vec::new();
         self.swept = now;
-        while self.released.front().is_some_and(|(released, _)| now.since(*released) >= Self::REST) {
+        while self.released.front().is_some_and(|(released, _)| now.since(*released) >= Self::REMOVAL_DELAY) {
             due.extend(self.released.pop_front().map(|(_, digests)| digests).unwrap_or_default());
         }
         due
@@ -54,13 +54,13 @@ impl<Q: Queue> Actor<Q> {
     pub(crate) async fn sweep(
         &mut self,
         commands: &mut Vec<Command>,
-        doors: &mut Doors,
+        inputs: &mut ActorInputs,
     ) -> Result<(), CoordinatorError> {
         if !self.janitor.is_due(self.clock.now()) {
             return Ok(());
         }
-        self.commit(commands, doors).await?;
-        let due = self.scheduler.unreferenced(self.janitor.due(self.clock.now()));
+        self.commit(commands, inputs).await?;
+        let due = self.scheduler.unreferenced(self.janitor.take_due(self.clock.now()));
         if due.is_empty() {
             return Ok(());
         }

@@ -1,7 +1,7 @@
 //! Sessions of workers. The reader of a session also checks that reported artifacts really are in the store.
 
 use femc_model::{
-    Artifact, Digest, Failure, FromWorker, JobId, JobSpec, Latest, LogText, TaskResult, ToWorker, WorkerId,
+    Artifact, BoundedMap, Digest, Failure, FromWorker, JobId, JobSpec, LogText, TaskResult, ToWorker, WorkerId,
 };
 use femc_proto::WorkerMessages;
 use femc_store::{Soundness, Store};
@@ -11,20 +11,20 @@ use crate::actor::SessionEvent;
 
 /// Actor's end of a session.
 #[derive(Debug)]
-pub(crate) struct Worker {
+pub(crate) struct WorkerSession {
     pub(crate) out: mpsc::Sender<ToWorker>,
     /// Jobs whose specification was sent most recently. Any other job is sent, or sent again, before its tasks.
-    pub(crate) jobs: Latest<JobId, ()>,
+    pub(crate) jobs: BoundedMap<JobId, ()>,
 }
 
-impl Worker {
+impl WorkerSession {
     pub(crate) fn new(out: mpsc::Sender<ToWorker>) -> Self {
-        Self { out, jobs: Latest::new(JobSpec::SESSION_SPECS) }
+        Self { out, jobs: BoundedMap::new(JobSpec::SESSION_SPECS) }
     }
 }
 
 /// Forwards the worker's messages until the session ends.
-pub(crate) async fn listen(
+pub(crate) async fn forward_messages(
     worker: WorkerId,
     mut messages: WorkerMessages,
     store: Store,
@@ -44,18 +44,18 @@ pub(crate) async fn listen(
             }
             None => break,
         };
-        if actor.send((worker, checked(message, &store).await)).await.is_err() {
+        if actor.send((worker, check_message(message, &store).await)).await.is_err() {
             return;
         }
     }
     // The send fails if the actor is gone. This is ignored.
-    let _ = actor.send((worker, SessionEvent::Over)).await;
+    let _ = actor.send((worker, SessionEvent::Ended)).await;
 }
 
 /// Checks a message against the store. A completion whose artifacts are not all in the store becomes
 /// [`SessionEvent::ArtifactMissing`]. Artifacts that a worker reports as lost are read. This removes damaged ones, so that they can
 /// be uploaded again.
-async fn checked(mut message: FromWorker, store: &Store) -> SessionEvent {
+async fn check_message(mut message: FromWorker, store: &Store) -> SessionEvent {
     check_log(&mut message, store).await;
     if let FromWorker::Failed { failure: Failure::LostInputs { digests, .. }, .. } = &message {
         for digest in digests {
@@ -65,21 +65,21 @@ async fn checked(mut message: FromWorker, store: &Store) -> SessionEvent {
         }
     }
     let lacks = match &message {
-        FromWorker::Completed { result, .. } => lacking(result, store).await,
+        FromWorker::Completed { result, .. } => first_missing_artifact(result, store).await,
         _ => None,
     };
     match lacks {
         Some((artifact, error)) => SessionEvent::ArtifactMissing(Box::new(message), artifact, error),
-        None => SessionEvent::Said(Box::new(message)),
+        None => SessionEvent::Message(Box::new(message)),
     }
 }
 
 /// Returns the first artifact of a result that is missing or damaged in the store, with the store's message. A damaged artifact is
 /// removed, so that it is accepted when it is uploaded again.
-async fn lacking(result: &TaskResult, store: &Store) -> Option<(Digest, String)> {
+async fn first_missing_artifact(result: &TaskResult, store: &Store) -> Option<(Digest, String)> {
     for artifact in result.artifacts() {
         let Artifact { digest, bytes } = artifact;
-        let message = match store.known(&artifact).await {
+        let message = match store.verify_unless_recent(&artifact).await {
             Ok(Soundness::Sound(found)) if found == bytes => continue,
             Ok(Soundness::Sound(found)) => format!("artifact {digest} has {found} bytes, expected {bytes}"),
             Ok(Soundness::Damaged) => format!("artifact {digest} is damaged in the store"),
@@ -97,7 +97,7 @@ async fn check_log(message: &mut FromWorker, store: &Store) {
         return;
     };
     if let LogText::Stored(artifact) = log.text
-        && !matches!(store.known(&artifact).await, Ok(Soundness::Sound(bytes)) if bytes == artifact.bytes)
+        && !matches!(store.verify_unless_recent(&artifact).await, Ok(Soundness::Sound(bytes)) if bytes == artifact.bytes)
     {
         log.text = LogText::Inline("the coordinator did not receive the log".into());
     }

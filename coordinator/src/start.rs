@@ -8,7 +8,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use femc_model::Tick;
 use femc_proto::{Connected, Io, ServeError, Server, TcpIncoming};
-use femc_queue::{Batch, Lost, Memory, Queue, Sqlite};
+use femc_queue::{Batch, Memory, MissingRecords, Queue, Sqlite};
 use femc_schedule::{Fact, Ledger, Roster, Scheduler};
 use femc_store::Store;
 use femc_trust::AuditEvent;
@@ -17,17 +17,17 @@ use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 use tokio_stream::Stream;
 
-use crate::actor::{Actor, ROSTER};
+use crate::actor::{Actor, ROSTER_SUBJECT};
 use crate::any_queue::AnyQueue;
 use crate::config::{Artifacts, Config, CoordinatorError, Exposure, Log};
-use crate::lead::{self, Standing};
-use crate::wait::Doors;
+use crate::full_log::ActorInputs;
+use crate::leadership::{self, Leadership};
 
 /// Future that completes when the server must stop.
-type Until = Pin<Box<dyn Future<Output = ()> + Send>>;
+type StopSignal = Pin<Box<dyn Future<Output = ()> + Send>>;
 
 /// Future that completes when the server has stopped.
-type Serving = Pin<Box<dyn Future<Output = Result<(), ServeError>> + Send>>;
+type ServeFuture = Pin<Box<dyn Future<Output = Result<(), ServeError>> + Send>>;
 
 /// Coordinator of the farm.
 #[derive(Debug)]
@@ -38,15 +38,15 @@ impl Coordinator {
     const CALLS: usize = 1024;
 
     /// Starts on the current tokio runtime. When this returns, the coordinator listens, unless it is one of several: then it may be
-    /// a standby, see [`Handle::standing`].
+    /// a standby, see [`Handle::leadership`].
     pub async fn start(config: Config) -> Result<Handle, CoordinatorError> {
-        Self::boxed(config).await
+        Self::open_boxed(config).await
     }
 
     /// [`Self::open`] as a boxed future. The compiler generates the code of an async function in the crate that polls it. With the
     /// box, that is this crate, and not every program that starts a coordinator.
     #[inline(never)]
-    fn boxed(config: Config) -> Pin<Box<dyn Future<Output = Result<Handle, CoordinatorError>> + Send>> {
+    fn open_boxed(config: Config) -> Pin<Box<dyn Future<Output = Result<Handle, CoordinatorError>> + Send>> {
         Box::pin(Self::open(config))
     }
 
@@ -55,9 +55,9 @@ impl Coordinator {
             return Err(CoordinatorError::Exposed { address: config.listen });
         }
         let store = match &config.artifacts {
-            Artifacts::Memory => Store::memory(),
-            Artifacts::Folder(path) => Store::folder(path)?,
-            Artifacts::S3(url) => Store::s3(url)?,
+            Artifacts::Memory => Store::in_memory(),
+            Artifacts::Folder(path) => Store::open_folder(path)?,
+            Artifacts::S3(url) => Store::open_s3(url)?,
         };
         tokio::spawn({
             let store = store.clone();
@@ -69,61 +69,61 @@ impl Coordinator {
             }
         });
         match config.log.clone() {
-            Log::Memory => Self::with(config, store, Memory::default()).await,
+            Log::Memory => Self::start_with(config, store, Memory::default()).await,
             Log::Sqlite(path) => {
                 let queue = Sqlite::open_with(&path, config.loss).await?;
-                config.metrics.log_is(path);
-                Self::with(config, store, queue).await
+                config.metrics.set_log_file(path);
+                Self::start_with(config, store, queue).await
             }
-            Log::Postgres { database, silence } => lead::start(config, store, database, silence).await,
+            Log::Postgres { database, silence } => leadership::start_candidate(config, store, database, silence).await,
         }
     }
 
     /// Starts with this log and this store. Ignores those in `config`.
-    pub async fn with(config: Config, store: Store, queue: impl Queue) -> Result<Handle, CoordinatorError> {
+    pub async fn start_with(config: Config, store: Store, queue: impl Queue) -> Result<Handle, CoordinatorError> {
         let listen = |error| CoordinatorError::Listen { address: config.listen, error };
         let listener = TcpListener::bind(config.listen).await.map_err(listen)?;
         let address = listener.local_addr().map_err(listen)?;
-        Self::at(listener, Config { listen: address, ..config }, store, queue).await
+        Self::start_on_listener(listener, Config { listen: address, ..config }, store, queue).await
     }
 
-    /// Like [`Self::with`], on a port that already listens. Its address is `config.listen`.
-    pub(crate) async fn at(
+    /// Like [`Self::start_with`], on a port that already listens. Its address is `config.listen`.
+    pub(crate) async fn start_on_listener(
         listener: TcpListener,
         config: Config,
         store: Store,
         queue: impl Queue,
     ) -> Result<Handle, CoordinatorError> {
         let incoming = TcpIncoming::from(listener).with_nodelay(Some(true));
-        let serve = |server: Server, stop| -> Serving { Box::pin(server.serve(incoming, stop)) };
-        Self::begin(config, store, AnyQueue::new(queue), Box::new(serve)).await
+        let serve = |server: Server, stop| -> ServeFuture { Box::pin(server.serve(incoming, stop)) };
+        Self::start_server(config, store, AnyQueue::new(queue), Box::new(serve)).await
     }
 
-    /// Like [`Self::with`], on connections that do not arrive over TCP, and that end when `incoming` is dropped. `config.listen` is
-    /// only the address that is reported to others.
-    pub async fn on<C: Io + Connected>(
+    /// Like [`Self::start_with`], on connections that do not arrive over TCP, and that end when `incoming` is dropped.
+    /// `config.listen` is only the address that is reported to others.
+    pub async fn start_on_stream<C: Io + Connected>(
         incoming: impl Stream<Item = io::Result<C>> + Send + 'static,
         config: Config,
         store: Store,
         queue: impl Queue,
     ) -> Result<Handle, CoordinatorError> {
-        let serve = |server: Server, stop| -> Serving {
+        let serve = |server: Server, stop| -> ServeFuture {
             Box::pin(async move {
                 tokio::select! {
                     biased;
-                    outcome = server.serve_on(incoming) => outcome,
+                    outcome = server.serve_forever(incoming) => outcome,
                     () = stop => Ok(()),
                 }
             })
         };
-        Self::begin(config, store, AnyQueue::new(queue), Box::new(serve)).await
+        Self::start_server(config, store, AnyQueue::new(queue), Box::new(serve)).await
     }
 
-    async fn begin(
+    async fn start_server(
         config: Config,
         store: Store,
         mut queue: AnyQueue,
-        serve: Box<dyn FnOnce(Server, Until) -> Serving + Send>,
+        serve: Box<dyn FnOnce(Server, StopSignal) -> ServeFuture + Send>,
     ) -> Result<Handle, CoordinatorError> {
         let (address, url) = (config.listen, config.url(config.listen));
         let (scheduler, records) = recover(&config, &mut queue).await?;
@@ -131,17 +131,17 @@ impl Coordinator {
         let (calls, inbox) = mpsc::channel(Self::CALLS);
         let (stop, stopped) = watch::channel(());
         let (asked, figures) = mpsc::channel(1);
-        config.metrics.leads(asked);
+        config.metrics.begin_term(asked);
         let actor = Actor::new(scheduler, queue, store.clone(), records, roster, figures, &config);
-        let actor = tokio::spawn(actor.run(Doors { calls: inbox, stop: stopped }));
+        let actor = tokio::spawn(actor.run(ActorInputs { calls: inbox, stop: stopped }));
         let (serving, mut until) = watch::channel(());
         let server = serve(
             Server::new(calls, store)
-                .behind(config.entrance)
-                .counted(config.metrics.traffic())
-                .within(config.limits)
-                .noting(config.audit)
-                .showing(config.site),
+                .with_access_control(config.entrance)
+                .with_traffic(config.metrics.traffic())
+                .with_limits(config.limits)
+                .with_audit(config.audit)
+                .with_site(config.site),
             Box::pin(async move {
                 // Completes when the sender is dropped: on a stop, or because the actor has ended.
                 let _ = until.changed().await;
@@ -170,7 +170,7 @@ impl Coordinator {
                 }
             })
         });
-        Ok(Handle::new(address, url, stop, run, watch::channel(Standing::Leads).1))
+        Ok(Handle::new(address, url, stop, run, watch::channel(Leadership::Leader).1))
     }
 }
 
@@ -183,8 +183,8 @@ async fn recover(config: &Config, queue: &mut AnyQueue) -> Result<(Scheduler, us
             "the log's last records are incomplete and ignored; they were never acknowledged"
         );
     }
-    if let Some(lost) = contents.lost {
-        own_up(config, lost);
+    if let Some(lost) = contents.missing {
+        report_loss(config, lost);
     }
     let mut ledger = contents.snapshot.as_deref().map(Ledger::decode).transpose()?.unwrap_or_default();
     for record in &contents.records {
@@ -193,18 +193,18 @@ async fn recover(config: &Config, queue: &mut AnyQueue) -> Result<(Scheduler, us
     }
     let now: Tick = ledger.now();
     let incarnation = queue.reserve(ledger.incarnation() + 1).await?;
-    ledger.outlive(incarnation - 1);
+    ledger.raise_incarnation(incarnation - 1);
     let date = SystemTime::now().duration_since(UNIX_EPOCH).ok();
     let date = date.and_then(|since| u64::try_from(since.as_millis()).ok());
     let clock_zero = config.scheduler.clock_zero.or_else(|| date?.checked_sub(now.0));
     let (scheduler, opened) = Scheduler::new(femc_schedule::Config { clock_zero, ..config.scheduler.clone() }, ledger);
-    queue.append(Batch::of(&[opened.encode(now)?])).await?;
+    queue.append(Batch::from_records(&[opened.encode(now)?])).await?;
     Ok((scheduler, contents.records.len() + 1))
 }
 
 /// Reads the last note with the roster of workers. If it cannot be read, the roster starts empty.
 async fn roster(queue: &mut AnyQueue) -> Result<Roster, CoordinatorError> {
-    let notes = queue.notes(ROSTER, 0).await?.notes;
+    let notes = queue.notes(ROSTER_SUBJECT, 0).await?.notes;
     let read = notes.last().map(|note| Roster::decode(note)).transpose();
     Ok(read
         .unwrap_or_else(|error| {
@@ -215,14 +215,14 @@ async fn roster(queue: &mut AnyQueue) -> Result<Roster, CoordinatorError> {
 }
 
 /// Logs which acknowledged records are given up.
-fn own_up(config: &Config, Lost { kept, known }: Lost) {
+fn report_loss(config: &Config, MissingRecords { last_existing: kept, last_known: known }: MissingRecords) {
     let what = match known {
         Some(known) => format!("the log lost its records {} to {known}, or more", kept + 1),
         None => format!("the log ends with record {kept}; the number of lost records is unknown"),
     };
     tracing::warn!(kept, known, "{what}; continuing without them");
     if let Some(audit) = &config.audit {
-        audit.note(&AuditEvent {
+        audit.record(&AuditEvent {
             who: "who started the coordinator".into(),
             call: "accept-loss".into(),
             what: Some(what),
@@ -239,7 +239,7 @@ pub struct Handle {
     url: String,
     stop: watch::Sender<()>,
     run: JoinHandle<Result<(), CoordinatorError>>,
-    standing: watch::Receiver<Standing>,
+    leadership: watch::Receiver<Leadership>,
 }
 
 impl Handle {
@@ -248,14 +248,14 @@ impl Handle {
         url: String,
         stop: watch::Sender<()>,
         run: JoinHandle<Result<(), CoordinatorError>>,
-        standing: watch::Receiver<Standing>,
+        leadership: watch::Receiver<Leadership>,
     ) -> Self {
-        Self { address, url, stop, run, standing }
+        Self { address, url, stop, run, leadership }
     }
 
     /// Returns the present and future state among the coordinators of the farm. A single coordinator leads.
-    pub fn standing(&self) -> watch::Receiver<Standing> {
-        self.standing.clone()
+    pub fn leadership(&self) -> watch::Receiver<Leadership> {
+        self.leadership.clone()
     }
 
     /// Returns the address on which it listens, with the actual port.

@@ -7,14 +7,14 @@ use std::{env, fs, io};
 
 /// Instruction sets of x86-64 and x86-64-v3. `tests/builds` shows that they give the same bits. Any other set becomes part of the
 /// name.
-const EQUAL: [&str; 2] = [
+const EQUIVALENT_FEATURES: [&str; 2] = [
     "fxsr,sse,sse2",
     "avx,avx2,bmi1,bmi2,cmpxchg16b,f16c,fma,fxsr,lzcnt,movbe,popcnt,sse,sse2,sse3,sse4.1,sse4.2,ssse3,xsave",
 ];
 
 /// Compiler flags that change no value: flags of lints, linking and debugging, and flags that choose the instruction set, which has
 /// its own part of the name.
-const HARMLESS: [&str; 21] = [
+const HARMLESS_FLAGS: [&str; 21] = [
     "-A",
     "-D",
     "-F",
@@ -45,7 +45,7 @@ fn main() -> io::Result<()> {
     for part in fs::read_dir(engine)? {
         let part = part?.path();
         files.push(part.join("Cargo.toml"));
-        sources(&part.join("src"), &mut files)?;
+        collect_sources(&part.join("src"), &mut files)?;
     }
     files.sort();
     let mut hash = Hash::new();
@@ -53,30 +53,30 @@ fn main() -> io::Result<()> {
     println!("cargo:rerun-if-changed=../../Cargo.lock");
     println!("cargo:rerun-if-changed=../../Cargo.toml");
     for file in files.iter().filter(|file| file.is_file()) {
-        hash.take(file.to_string_lossy().replace('\\', "/").as_bytes());
-        hash.take(&fs::read(file)?);
+        hash.update(file.to_string_lossy().replace('\\', "/").as_bytes());
+        hash.update(&fs::read(file)?);
     }
     let compiler = Command::new(env::var_os("RUSTC").unwrap_or_else(|| "rustc".into())).arg("--version").output()?;
-    hash.take(&compiler.stdout);
+    hash.update(&compiler.stdout);
     for name in ["TARGET", "PROFILE", "OPT_LEVEL"] {
-        hash.take(variable(name).as_bytes());
+        hash.update(env_variable(name).as_bytes());
     }
-    let instructions = variable("CARGO_CFG_TARGET_FEATURE");
-    if !EQUAL.contains(&&*instructions) {
-        hash.take(instructions.as_bytes());
+    let instructions = env_variable("CARGO_CFG_TARGET_FEATURE");
+    if !EQUIVALENT_FEATURES.contains(&&*instructions) {
+        hash.update(instructions.as_bytes());
     }
-    telling(&variable("CARGO_ENCODED_RUSTFLAGS")).iter().for_each(|flag| hash.take(flag.as_bytes()));
+    value_changing_flags(&env_variable("CARGO_ENCODED_RUSTFLAGS")).iter().for_each(|flag| hash.update(flag.as_bytes()));
     println!("cargo:rustc-env=FEMC_ENGINE={}-{:016x}", env!("CARGO_PKG_VERSION"), hash.0);
     Ok(())
 }
 
-fn variable(name: &str) -> String {
+fn env_variable(name: &str) -> String {
     env::var(name).unwrap_or_default()
 }
 
 /// Returns the flags that may change a value, each with its argument.
-fn telling(flags: &str) -> Vec<String> {
-    let (mut words, mut telling) = (flags.split('\x1f'), Vec::new());
+fn value_changing_flags(flags: &str) -> Vec<String> {
+    let (mut words, mut relevant) = (flags.split('\x1f'), Vec::new());
     while let Some(word) = words.next() {
         let argument = match word {
             "-C"
@@ -95,18 +95,18 @@ fn telling(flags: &str) -> Vec<String> {
             _ => "",
         };
         let flag = format!("{word}{argument}").replace("--codegen", "-C");
-        if !flag.is_empty() && !HARMLESS.iter().any(|harmless| flag.starts_with(harmless)) {
-            telling.push(flag);
+        if !flag.is_empty() && !HARMLESS_FLAGS.iter().any(|harmless| flag.starts_with(harmless)) {
+            relevant.push(flag);
         }
     }
-    telling
+    relevant
 }
 
-fn sources(folder: &Path, files: &mut Vec<PathBuf>) -> io::Result<()> {
+fn collect_sources(folder: &Path, files: &mut Vec<PathBuf>) -> io::Result<()> {
     let Ok(entries) = fs::read_dir(folder) else { return Ok(()) };
     for entry in entries {
         let path = entry?.path();
-        if path.is_dir() { sources(&path, files)? } else { files.push(path) }
+        if path.is_dir() { collect_sources(&path, files)? } else { files.push(path) }
     }
     Ok(())
 }
@@ -119,7 +119,7 @@ impl Hash {
         Self(0xcbf2_9ce4_8422_2325)
     }
 
-    fn take(&mut self, bytes: &[u8]) {
+    fn update(&mut self, bytes: &[u8]) {
         for byte in bytes.iter().chain(&(bytes.len() as u64).to_le_bytes()) {
             self.0 = (self.0 ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3);
         }

@@ -27,8 +27,8 @@
 //! Values beyond the range of half floats become the greatest half float.
 
 use femc_film::{FilmError, FrameImage, Image, PixelChannels, PixelError, exr, pixel_errors};
-use femc_paths::Statistics;
-use femc_paths::pixels::{Maps, Pixel};
+use femc_paths::LightStatistics;
+use femc_paths::pixels::{Pixel, PixelMaps};
 use half::f16;
 use std::io::Cursor;
 
@@ -36,11 +36,11 @@ const MAGIC: &[u8; 4] = b"FMXC";
 const VERSION: u32 = 1;
 /// Value that stands for "not known".
 const UNKNOWN: f32 = -1.0;
-const NAMES: [&str; 8] = ["R", "G", "B", "Y", "error", "standard_error", "freedom", "samples"];
-const MAPS: [&str; 3] = ["depth", "throughput", "deviation"];
+const PIXEL_CHANNELS: [&str; 8] = ["R", "G", "B", "Y", "error", "standard_error", "freedom", "samples"];
+const MAP_CHANNELS: [&str; 3] = ["depth", "throughput", "deviation"];
 
 /// Encodes a finished frame.
-pub fn of_exr(bytes: &[u8]) -> Result<Vec<u8>, FilmError> {
+pub fn encode_exr(bytes: &[u8]) -> Result<Vec<u8>, FilmError> {
     let names = ["R", "G", "B", "relative_error.Y", "variance.Y", "samples.Y"];
     let (width, height, [r, g, b, errors, variance, samples]) = exr::decode_channels(Cursor::new(bytes), names)?;
     let pixels: Vec<[f32; 3]> = r.into_iter().zip(g).zip(b).map(|((r, g), b)| [r, g, b]).collect();
@@ -48,48 +48,49 @@ pub fn of_exr(bytes: &[u8]) -> Result<Vec<u8>, FilmError> {
 }
 
 /// Encodes an unfinished frame.
-pub fn of_frame(image: &FrameImage) -> Vec<u8> {
-    let errors = exr::errors(&image.error(), image);
+pub fn encode_frame(image: &FrameImage) -> Vec<u8> {
+    let errors = exr::block_error_plane(&image.error(), image);
     let samples: Vec<f32> = image.samples.iter().map(|&samples| samples as f32).collect();
     encode(&image.color, &errors, &image.luminance_variance, &samples)
 }
 
 /// Encodes an image and its errors.
-/// - `errors`: relative errors of the pixels' blocks.
+/// - `block_error_plane`: relative errors of the pixels' blocks.
 /// - `variance`: variances of the pixels' luminance.
 fn encode(image: &Image, errors: &[f32], variance: &[f32], samples: &[f32]) -> Vec<u8> {
     let luminance: Vec<f32> = (0..image.pixels.len()).map(|at| image.luminance(at)).collect();
     let width = image.width as usize;
     let own = pixel_errors(PixelChannels { width, luminance: &luminance, variance, samples });
     let of = |value: fn(PixelError) -> f32| own.iter().map(move |error| error.map_or(UNKNOWN, value));
-    let mut bytes = head([image.width, image.height], &NAMES);
+    let mut bytes = start_header([image.width, image.height], &PIXEL_CHANNELS);
     for channel in 0..3 {
-        put(&mut bytes, image.pixels.iter().map(|pixel| pixel[channel]));
+        push_plane(&mut bytes, image.pixels.iter().map(|pixel| pixel[channel]));
     }
-    put(&mut bytes, luminance.iter().copied());
-    put(&mut bytes, errors.iter().copied());
-    put(&mut bytes, of(|error| error.standard_error as f32));
-    put(&mut bytes, of(|error| f32::from(error.freedom)));
-    put(&mut bytes, samples.iter().copied());
+    push_plane(&mut bytes, luminance.iter().copied());
+    push_plane(&mut bytes, errors.iter().copied());
+    push_plane(&mut bytes, of(|error| error.standard_error as f32));
+    push_plane(&mut bytes, of(|error| f32::from(error.freedom)));
+    push_plane(&mut bytes, samples.iter().copied());
     bytes
 }
 
 /// Encodes the light statistics of a frame.
-pub fn of_statistics(bytes: &[u8]) -> Result<Vec<u8>, FilmError> {
-    let statistics = Statistics::decode(bytes).map_err(|_| FilmError::Corrupt("the light statistics are damaged"))?;
-    let maps = Maps::of(&statistics);
+pub fn encode_statistics(bytes: &[u8]) -> Result<Vec<u8>, FilmError> {
+    let statistics =
+        LightStatistics::decode(bytes).map_err(|_| FilmError::Corrupt("the light statistics are damaged"))?;
+    let maps = PixelMaps::from_statistics(&statistics);
     let pixels: Vec<Pixel> = maps.pixels().collect();
-    let mut bytes = head(maps.film, &MAPS);
+    let mut bytes = start_header(maps.film, &MAP_CHANNELS);
     let of: [fn(&Pixel) -> f64; 3] = [|it| it.depth, |it| it.throughput, |it| it.variance.sqrt()];
     for of in of {
         let value = |pixel: &Pixel| if pixel.samples > 0 { of(pixel) as f32 } else { UNKNOWN };
-        put(&mut bytes, pixels.iter().map(value));
+        push_plane(&mut bytes, pixels.iter().map(value));
     }
     Ok(bytes)
 }
 
 /// Returns the header, with capacity for all planes after it.
-fn head([width, height]: [u32; 2], names: &[&str]) -> Vec<u8> {
+fn start_header([width, height]: [u32; 2], names: &[&str]) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(128 + 2 * names.len() * width as usize * height as usize);
     bytes.extend(MAGIC);
     for number in [VERSION, width, height, names.len() as u32] {
@@ -102,7 +103,7 @@ fn head([width, height]: [u32; 2], names: &[&str]) -> Vec<u8> {
     bytes
 }
 
-fn put(bytes: &mut Vec<u8>, values: impl Iterator<Item = f32>) {
+fn push_plane(bytes: &mut Vec<u8>, values: impl Iterator<Item = f32>) {
     let most = f16::MAX.to_f32();
     bytes.extend(values.flat_map(|value| f16::from_f32(value.clamp(-most, most)).to_le_bytes()));
 }
@@ -122,7 +123,7 @@ mod tests {
         let bytes = encode(&image, &[-1.0, 0.5], &[0.0, 0.0], &[16.0, 8.0]);
         let head = [4, 8, 12, 16].map(|at| number(&bytes, at));
         assert_eq!((&bytes[..4], head), (&b"FMXC"[..], [1, 2, 1, 8]));
-        let head = 20 + NAMES.iter().map(|name| 4 + name.len()).sum::<usize>();
+        let head = 20 + PIXEL_CHANNELS.iter().map(|name| 4 + name.len()).sum::<usize>();
         let planes: Vec<f32> =
             bytes[head..].chunks(2).map(|half| f16::from_le_bytes(half.try_into().unwrap()).to_f32()).collect();
         assert_eq!(planes.len(), 16);
@@ -188,8 +189,8 @@ mod tests {
         let image = frame();
         let provenance = femc_film::Provenance { error: image.error(), ..Default::default() };
         let file = exr::encode(&image, &provenance).unwrap();
-        let sent = of_exr(&file).unwrap();
-        assert_eq!(sent, of_frame(&image), "a frame in work has the same numbers");
+        let sent = encode_exr(&file).unwrap();
+        assert_eq!(sent, encode_frame(&image), "a frame in work has the same numbers");
         let planes = read(&sent);
         assert_eq!(
             planes.keys().collect::<Vec<_>>(),

@@ -14,19 +14,19 @@ use tokio::net::TcpStream;
 use tonic::transport::Uri;
 
 use crate::error::CallError;
-use crate::net::{Dial, Link};
+use crate::net::{ByteStream, Dialer};
 
 /// One or more addresses, and the one in use.
 #[derive(Debug)]
 pub(crate) struct Addresses {
     all: Vec<Uri>,
     urls: Vec<String>,
-    used: AtomicUsize,
+    current: AtomicUsize,
 }
 
 impl Addresses {
     /// Connection timeout per address, if there are several.
-    const PATIENCE: Duration = Duration::from_secs(2);
+    const CONNECT_TIMEOUT: Duration = Duration::from_secs(2);
 
     /// Parses a comma-separated list.
     pub(crate) fn parse(list: &str) -> Result<Self, CallError> {
@@ -45,7 +45,7 @@ impl Addresses {
         }
         // Start with the last, because the address after the one in use is tried first.
         let used = AtomicUsize::new(all.len() - 1);
-        Ok(Self { all, urls, used })
+        Ok(Self { all, urls, current: used })
     }
 
     pub(crate) fn count(&self) -> usize {
@@ -58,11 +58,11 @@ impl Addresses {
     }
 
     /// Returns the host and port of the first address.
-    pub(crate) fn first_place(&self) -> (String, u16) {
-        self.place(&self.all[0])
+    pub(crate) fn first_host_port(&self) -> (String, u16) {
+        self.host_port(&self.all[0])
     }
 
-    fn place(&self, uri: &Uri) -> (String, u16) {
+    fn host_port(&self, uri: &Uri) -> (String, u16) {
         let host = uri.host().unwrap_or_default().trim_start_matches('[').trim_end_matches(']').to_owned();
         (host, uri.port_u16().unwrap_or(if self.are_encrypted() { 443 } else { 80 }))
     }
@@ -73,7 +73,7 @@ impl Addresses {
     }
 
     /// Returns the first URL, as it was given, that is not on this machine.
-    pub(crate) fn beyond_this_machine(&self) -> Option<&str> {
+    pub(crate) fn first_remote_url(&self) -> Option<&str> {
         let is_here = |uri: &Uri| {
             let host = uri.host().unwrap_or_default().trim_start_matches('[').trim_end_matches(']');
             host == "localhost" || host.parse().is_ok_and(|ip: IpAddr| ip.is_loopback())
@@ -82,8 +82,8 @@ impl Addresses {
     }
 
     /// Returns the address in use.
-    pub(crate) fn used(&self) -> &str {
-        &self.urls[self.used.load(Ordering::Relaxed)]
+    pub(crate) fn current_url(&self) -> &str {
+        &self.urls[self.current.load(Ordering::Relaxed)]
     }
 
     /// Returns all addresses as they were given.
@@ -92,21 +92,21 @@ impl Addresses {
     }
 
     /// Connects to the first address that accepts, starting after the address in use.
-    pub(crate) async fn reach(self: Arc<Self>, dial: Dial) -> io::Result<Link> {
+    pub(crate) async fn connect(self: Arc<Self>, dial: Dialer) -> io::Result<ByteStream> {
         let mut faults = Vec::new();
-        let begin = self.used.load(Ordering::Relaxed) + 1;
+        let begin = self.current.load(Ordering::Relaxed) + 1;
         for at in (begin..begin + self.count()).map(|at| at % self.count()) {
             let uri = &self.all[at];
-            let (host, port) = self.place(uri);
+            let (host, port) = self.host_port(uri);
             let link = async {
-                match &dial.way {
+                match &dial.dial_fn {
                     Some(dial) => dial(host, port).await,
                     None => tcp(host, port).await,
                 }
             };
-            match tokio::time::timeout(Self::PATIENCE, link).await {
+            match tokio::time::timeout(Self::CONNECT_TIMEOUT, link).await {
                 Ok(Ok(link)) => {
-                    self.used.store(at, Ordering::Relaxed);
+                    self.current.store(at, Ordering::Relaxed);
                     return Ok(link);
                 }
                 Ok(Err(error)) => faults.push(error.to_string()),
@@ -118,10 +118,10 @@ impl Addresses {
     }
 }
 
-async fn tcp(host: String, port: u16) -> io::Result<Link> {
+async fn tcp(host: String, port: u16) -> io::Result<ByteStream> {
     let stream = TcpStream::connect((host, port)).await?;
     stream.set_nodelay(true)?;
-    Ok(Link::new(stream))
+    Ok(ByteStream::new(stream))
 }
 
 #[cfg(test)]
@@ -149,7 +149,7 @@ mod tests {
 
     #[test]
     fn what_is_not_this_machine_is_known_by_its_address() {
-        let beyond = |list: &str| Addresses::parse(list).unwrap().beyond_this_machine().map(str::to_owned);
+        let beyond = |list: &str| Addresses::parse(list).unwrap().first_remote_url().map(str::to_owned);
         assert_eq!(beyond("http://127.0.0.1:7878,http://[::1]:7878,http://localhost:1,http://127.9.9.9"), None);
         for far in [
             "http://10.0.0.1:7878",
@@ -164,22 +164,22 @@ mod tests {
 
     #[tokio::test]
     async fn broken_connection_is_replaced_by_next_accepting_address() {
-        let dial = Dial::by(|host, _| {
+        let dial = Dialer::from_fn(|host, _| {
             Box::pin(async move {
                 match host.as_str() {
                     "down" => Err(io::Error::other("refused")),
-                    _ => Ok(Link::new(tokio::io::empty())),
+                    _ => Ok(ByteStream::new(tokio::io::empty())),
                 }
             })
         });
         let addresses = Arc::new(Addresses::parse("http://down,http://one,http://two").unwrap());
         let mut used = Vec::new();
         for _ in 0..3 {
-            addresses.clone().reach(dial.clone()).await.unwrap();
-            used.push(addresses.used().to_owned());
+            addresses.clone().connect(dial.clone()).await.unwrap();
+            used.push(addresses.current_url().to_owned());
         }
         assert_eq!(used, ["http://one", "http://two", "http://one"]);
         let down = Arc::new(Addresses::parse("http://down,http://down").unwrap());
-        assert_eq!(down.reach(dial).await.unwrap_err().to_string(), "refused");
+        assert_eq!(down.connect(dial).await.unwrap_err().to_string(), "refused");
     }
 }

@@ -1,6 +1,6 @@
 //! The token sent with every call.
 
-use femc_trust::Pass;
+use femc_trust::TokenFile;
 use tonic::metadata::{Ascii, MetadataValue};
 use tonic::service::Interceptor;
 use tonic::service::interceptor::InterceptedService;
@@ -8,25 +8,25 @@ use tonic::transport::Channel;
 use tonic::{Request, Status};
 
 /// A channel that adds the token, if there is one, to every call.
-pub(crate) type Bearing = InterceptedService<Channel, Bearer>;
+pub(crate) type AuthorizedChannel = InterceptedService<Channel, TokenInterceptor>;
 
 /// A token as a header; without a token, calls are unchanged.
 #[derive(Debug, Clone)]
-pub(crate) struct Bearer(Option<MetadataValue<Ascii>>);
+pub(crate) struct TokenInterceptor(Option<MetadataValue<Ascii>>);
 
-impl Bearer {
-    pub(crate) fn of(pass: Option<&Pass>) -> Self {
-        let header = |pass: &Pass| {
+impl TokenInterceptor {
+    pub(crate) fn new(token_file: Option<&TokenFile>) -> Self {
+        let header = |pass: &TokenFile| {
             let mut text: MetadataValue<Ascii> = format!("Bearer {}", pass.token().secret()).parse().ok()?;
             // A sensitive header is neither printed nor kept in header tables.
             text.set_sensitive(true);
             Some(text)
         };
-        Self(pass.and_then(header))
+        Self(token_file.and_then(header))
     }
 }
 
-impl Interceptor for Bearer {
+impl Interceptor for TokenInterceptor {
     fn call(&mut self, mut request: Request<()>) -> Result<Request<()>, Status> {
         if let Some(token) = &self.0 {
             request.metadata_mut().insert("authorization", token.clone());

@@ -26,7 +26,7 @@ pub enum CallError {
     },
     /// The token would cross a network on which others can read it.
     #[error("the token is not sent to {url}: the address is not encrypted and not on this machine")]
-    OpenToken {
+    InsecureToken {
         /// Address of the coordinator.
         url: String,
     },
@@ -44,7 +44,7 @@ pub enum CallError {
         /// Error of the transport.
         message: String,
         /// Cause, if the error reveals it.
-        why: Why,
+        cause: UnreachableCause,
     },
     /// The coordinator refused the call.
     #[error(transparent)]
@@ -64,15 +64,15 @@ pub enum CallError {
 
 /// Cause why a coordinator cannot be reached, if the transport reveals it.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub enum Why {
+pub enum UnreachableCause {
     /// The address does not answer, the connection broke, or the server speaks another protocol; [`look`](crate::look)
     /// distinguishes them.
     #[default]
-    Away,
+    Connection,
     /// The server's certificate was not issued by the authority of the identity or token.
-    TheirCertificate,
+    ServerCertificate,
     /// The server rejects the client's certificate.
-    OurCertificate,
+    ClientCertificate,
 }
 
 /// Error of a backup.
@@ -115,7 +115,7 @@ pub enum IdentityError {
 }
 
 /// Returns the gRPC code of a refusal. The match is exhaustive, so a new refusal must choose its code.
-fn code(refusal: &Refusal) -> Code {
+fn grpc_code(refusal: &Refusal) -> Code {
     match refusal {
         Refusal::NoSuchJob { .. } | Refusal::NoSuchArtifact { .. } | Refusal::NoSuchWorker { .. } => Code::NotFound,
         Refusal::Ended { .. } | Refusal::StaleEpoch | Refusal::MissingArtifacts { .. } => Code::FailedPrecondition,
@@ -131,7 +131,7 @@ fn code(refusal: &Refusal) -> Code {
 
 pub(crate) fn to_status(refusal: &Refusal) -> Status {
     let details = wire::Refusal::from(refusal.clone()).encode_to_vec();
-    Status::with_details(code(refusal), refusal.to_string(), details.into())
+    Status::with_details(grpc_code(refusal), refusal.to_string(), details.into())
 }
 
 pub(crate) fn from_status(url: &str, status: &Status) -> CallError {
@@ -141,14 +141,14 @@ pub(crate) fn from_status(url: &str, status: &Status) -> CallError {
         return refusal.try_into().map_or_else(CallError::Answer, CallError::Refused);
     }
     let message = status.message().to_owned();
-    let why = std::error::Error::source(status).map_or(Why::Away, tls::why);
+    let cause = std::error::Error::source(status).map_or(UnreachableCause::Connection, tls::unreachable_cause);
     match status.code() {
         Code::Unavailable | Code::Cancelled | Code::DeadlineExceeded => {
-            CallError::Unreachable { url: url.into(), message, why }
+            CallError::Unreachable { url: url.into(), message, cause }
         }
         // A connection that breaks within an answer has no gRPC code of its own.
         Code::Unknown | Code::Internal if std::error::Error::source(status).is_some() => {
-            CallError::Unreachable { url: url.into(), message, why }
+            CallError::Unreachable { url: url.into(), message, cause }
         }
         code => CallError::Status { code: format!("{code:?}"), message },
     }
@@ -167,7 +167,7 @@ mod tests {
     use prost_types::FileDescriptorSet;
 
     /// Returns the code as the .proto writes it, such as `NOT_FOUND`.
-    fn documented(code: Code) -> String {
+    fn proto_code_name(code: Code) -> String {
         let mut out = String::new();
         for c in format!("{code:?}").chars() {
             if c.is_ascii_uppercase() && !out.is_empty() {
@@ -192,7 +192,7 @@ mod tests {
         for refusal in refusals() {
             let bytes = wire::Refusal::from(refusal.clone()).encode_to_vec();
             let (number, _) = prost::encoding::decode_key(&mut &bytes[..]).unwrap();
-            let (comment, code) = (comment(number), documented(code(&refusal)));
+            let (comment, code) = (comment(number), proto_code_name(grpc_code(&refusal)));
             let is_documented = comment.contains(&format!("Status {code}."));
             // `StaleEpoch` is not the answer of any call, so it has no documented status.
             assert!(is_documented != (refusal == Refusal::StaleEpoch), "{refusal}: {code}, not {comment}");

@@ -6,14 +6,14 @@
 #![deny(missing_docs)]
 
 mod addresses;
+mod batch;
 mod bearer;
 mod client;
 mod codec;
 mod convert;
 mod error;
-mod look;
-mod many;
 mod net;
+mod probe;
 mod server;
 #[cfg(feature = "testing")]
 pub mod testing;
@@ -21,15 +21,18 @@ mod tls;
 mod transfer;
 mod wire;
 
-pub use client::{Client, Incoming, Outgoing, Watch};
+pub use client::{Client, JobWatch, SessionReceiver, SessionSender};
 pub use convert::ConvertError;
-pub use error::{BackupError, CallError, IdentityError, ServeError, Why};
+pub use error::{BackupError, CallError, IdentityError, ServeError, UnreachableCause};
 pub use femc_service::view::error_target;
-pub use femc_service::{AttemptPage, Backup, Changes, Files, JobShape, Limits, Listing, News, References, Reply, Site};
-pub use look::{Found, look};
-pub use net::{Dial, Dialing, Io, Link};
+pub use femc_service::{
+    AttemptPage, Backup, ChangeScope, Changes, JobList, JobShape, Limits, PageFiles, References, Reply, Site,
+};
+pub use net::{ByteStream, DialFuture, Dialer, Io};
+pub use probe::{ProbeResult, probe_address};
 pub use server::{
-    Call, CollectMode, Collected, Entrance, LEAST_GRACE, Server, Session, Traffic, Volume, WorkerMessages,
+    AccessControl, ArtifactTotals, Call, CollectMode, CollectReport, MIN_GRACE, Server, Session, Traffic,
+    WorkerMessages,
 };
 pub use tonic::transport::server::{Connected, TcpIncoming};
 
@@ -39,16 +42,16 @@ pub const PROTOCOL: u32 = 5;
 /// Oldest worker version that a coordinator accepts: one before its own, so that a running farm can be upgraded, the coordinator
 /// first. The coordinator sends older workers nothing that they do not know. It refuses versions before 5, which do not know
 /// graphs.
-pub const OLDEST: u32 = if PROTOCOL > 5 { PROTOCOL - 1 } else { 5 };
+pub const OLDEST_PROTOCOL: u32 = if PROTOCOL > 5 { PROTOCOL - 1 } else { 5 };
 
 /// Largest number of artifact bytes in one message.
-pub const PIECE: usize = 1 << 20;
+pub const MAX_PIECE_SIZE: usize = 1 << 20;
 
 /// Largest size in bytes of a message of the services `Jobs` and `Workers`.
-pub const MESSAGE: usize = Limits::MESSAGE;
+pub const MAX_MESSAGE_SIZE: usize = Limits::MESSAGE;
 
 /// Largest size in bytes of a message that a worker accepts from its coordinator. An assignment names all inputs of its task, at
 /// most [`Graph::MAX_INPUTS`].
 ///
 /// [`Graph::MAX_INPUTS`]: femc_model::Graph::MAX_INPUTS
-pub const ASSIGNMENT: usize = 96 << 20;
+pub const MAX_ASSIGNMENT_SIZE: usize = 96 << 20;

@@ -7,7 +7,7 @@ use std::pin::Pin;
 use std::sync::Arc;
 use std::task::{Context, Poll};
 
-use femc_trust::{Identity, Pass};
+use femc_trust::{Identity, TokenFile};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tonic::transport::server::Connected;
 
@@ -17,28 +17,28 @@ pub trait Io: AsyncRead + AsyncWrite + Send + Unpin + 'static {}
 impl<T: AsyncRead + AsyncWrite + Send + Unpin + 'static> Io for T {}
 
 /// One end of a connection.
-pub struct Link(Box<dyn Io>);
+pub struct ByteStream(Box<dyn Io>);
 
-impl Link {
+impl ByteStream {
     /// Wraps a byte stream.
     pub fn new(io: impl Io) -> Self {
         Self(Box::new(io))
     }
 }
 
-impl fmt::Debug for Link {
+impl fmt::Debug for ByteStream {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("Link")
     }
 }
 
-impl AsyncRead for Link {
+impl AsyncRead for ByteStream {
     fn poll_read(mut self: Pin<&mut Self>, cx: &mut Context<'_>, buffer: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
         Pin::new(&mut self.0).poll_read(cx, buffer)
     }
 }
 
-impl AsyncWrite for Link {
+impl AsyncWrite for ByteStream {
     fn poll_write(mut self: Pin<&mut Self>, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
         Pin::new(&mut self.0).poll_write(cx, bytes)
     }
@@ -52,50 +52,54 @@ impl AsyncWrite for Link {
     }
 }
 
-impl Connected for Link {
+impl Connected for ByteStream {
     type ConnectInfo = ();
 
     fn connect_info(&self) {}
 }
 
 /// A connection being established.
-pub type Dialing = Pin<Box<dyn Future<Output = io::Result<Link>> + Send>>;
+pub type DialFuture = Pin<Box<dyn Future<Output = io::Result<ByteStream>> + Send>>;
 
-type Way = dyn Fn(String, u16) -> Dialing + Send + Sync;
+type DialFn = dyn Fn(String, u16) -> DialFuture + Send + Sync;
 
 /// The way in which a client connects to a coordinator, and its identity or token.
 #[derive(Clone, Default)]
-pub struct Dial {
-    pub(crate) way: Option<Arc<Way>>,
+pub struct Dialer {
+    pub(crate) dial_fn: Option<Arc<DialFn>>,
     pub(crate) identity: Option<Arc<Identity>>,
-    pub(crate) pass: Option<Arc<Pass>>,
+    pub(crate) token_file: Option<Arc<TokenFile>>,
 }
 
-impl Dial {
+impl Dialer {
     /// Creates a dialer for TCP.
     pub fn tcp() -> Self {
         Self::default()
     }
 
     /// Creates a dialer that calls `dial` with host and port.
-    pub fn by(dial: impl Fn(String, u16) -> Dialing + Send + Sync + 'static) -> Self {
-        Self { way: Some(Arc::new(dial)), ..Self::default() }
+    pub fn from_fn(dial: impl Fn(String, u16) -> DialFuture + Send + Sync + 'static) -> Self {
+        Self { dial_fn: Some(Arc::new(dial)), ..Self::default() }
     }
 
     /// Adds an identity, which addresses that begin with `https://` require.
-    pub fn with(self, identity: Identity) -> Self {
+    pub fn with_identity(self, identity: Identity) -> Self {
         Self { identity: Some(Arc::new(identity)), ..self }
     }
 
     /// Adds a token. It is only sent where nobody else can read it: over encrypted connections or within this machine.
-    pub fn bearing(self, pass: Pass) -> Self {
-        Self { pass: Some(Arc::new(pass)), ..self }
+    pub fn with_token(self, token_file: TokenFile) -> Self {
+        Self { token_file: Some(Arc::new(token_file)), ..self }
     }
 }
 
-impl fmt::Debug for Dial {
+impl fmt::Debug for Dialer {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let way = if self.way.is_none() { "tcp" } else { "another way" };
-        f.debug_struct("Dial").field("way", &way).field("identity", &self.identity).field("pass", &self.pass).finish()
+        let way = if self.dial_fn.is_none() { "tcp" } else { "another way" };
+        f.debug_struct("Dial")
+            .field("way", &way)
+            .field("identity", &self.identity)
+            .field("pass", &self.token_file)
+            .finish()
     }
 }

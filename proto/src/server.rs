@@ -2,14 +2,14 @@
 
 mod artifacts;
 mod backup;
+mod body_timeout;
 mod collect;
-mod door;
+mod connection_limiter;
 mod guard;
+mod handshake;
 mod inputs;
 mod jobs;
-mod promised;
-mod punctual;
-mod secure;
+mod promises;
 mod traffic;
 mod uploads;
 mod workers;
@@ -20,9 +20,9 @@ use std::io;
 use std::sync::Arc;
 
 use femc_model::{FromWorker, Refusal, Registration, ToWorker};
-use femc_service::{Caller, Farm, Gate, Http, Limits, Places, Reply, Site, Trail};
+use femc_service::{AuditEntry, Caller, Farm, Gate, Http, Limits, Reply, Site, TransferSlots};
 use femc_store::Store;
-use femc_trust::{Audit, Identity, Revoked, Tokens};
+use femc_trust::{Audit, Identity, RevocationList, Tokens};
 use tokio::sync::mpsc;
 use tokio_stream::{Stream, StreamExt as _};
 use tonic::transport::server::{Connected, Router};
@@ -31,16 +31,16 @@ use tonic_health::ServingStatus;
 use tonic_health::server::HealthReporter;
 use tower::layer::util::Stack;
 
+use crate::batch::Batch as _;
 use crate::convert::ConvertError;
 use crate::error::ServeError;
-use crate::many::Many as _;
 use crate::net::Io;
-use crate::{PIECE, tls, wire};
-pub use collect::{CollectMode, Collected, LEAST_GRACE, Volume};
-use door::{Door, Unheard};
+use crate::{MAX_PIECE_SIZE, tls, wire};
+pub use collect::{ArtifactTotals, CollectMode, CollectReport, MIN_GRACE};
+use connection_limiter::{ConnectionLimiter, UnusedConnections};
 use guard::Guard;
-use promised::Promised;
-use secure::{Connection, secured};
+use handshake::{Connection, with_handshakes};
+use promises::Promises;
 pub use traffic::Traffic;
 use uploads::Uploads;
 use wire::artifacts_server::ArtifactsServer;
@@ -66,26 +66,26 @@ pub struct Session {
 pub struct WorkerMessages {
     stream: Streaming<wire::FromWorker>,
     /// Messages received in the same batch as the one before.
-    waiting: VecDeque<wire::FromWorker>,
+    pending: VecDeque<wire::FromWorker>,
     caller: Option<Arc<Caller>>,
 }
 
 impl WorkerMessages {
     pub(crate) fn new(stream: Streaming<wire::FromWorker>, caller: Option<Arc<Caller>>) -> Self {
-        Self { stream, waiting: VecDeque::new(), caller }
+        Self { stream, pending: VecDeque::new(), caller }
     }
 
     /// Returns the next message; `None` at the end, also when the connection breaks or the worker's identity is revoked.
     pub async fn next(&mut self) -> Option<Result<FromWorker, ConvertError>> {
         loop {
-            if self.caller.as_ref().is_some_and(|caller| !caller.still_counts()) {
+            if self.caller.as_ref().is_some_and(|caller| !caller.is_valid()) {
                 return None;
             }
-            if let Some(message) = self.waiting.pop_front() {
+            if let Some(message) = self.pending.pop_front() {
                 return Some(message.try_into());
             }
             match self.stream.message().await.ok()??.split() {
-                Ok(many) => self.waiting.extend(many),
+                Ok(many) => self.pending.extend(many),
                 Err(one) => return Some(one.try_into()),
             }
         }
@@ -100,12 +100,12 @@ pub struct Server {
     /// Artifact store.
     store: Store,
     uploads: Uploads,
-    places: Places,
-    promised: Promised,
+    transfer_slots: TransferSlots,
+    promises: Promises,
     /// Lock held during a garbage collection.
-    collecting: Arc<tokio::sync::Mutex<()>>,
+    collection_lock: Arc<tokio::sync::Mutex<()>>,
     /// The server's identity and access rules; `None`: connections are not encrypted, and everybody may do everything.
-    entrance: Option<Entrance>,
+    access_control: Option<AccessControl>,
     traffic: Traffic,
     limits: Limits,
     audit: Option<Audit>,
@@ -121,12 +121,12 @@ const SERVICES: [&str; 3] =
 
 /// Access rules of a server with access control.
 #[derive(Debug, Clone)]
-pub struct Entrance {
+pub struct AccessControl {
     /// The coordinator's identity: connections are encrypted, and clients with an identity of the same authority get the rights of
     /// their role. `None`: connections are not encrypted, and only tokens are accepted.
     pub identity: Option<Identity>,
     /// Revoked identities.
-    pub revoked: Option<Revoked>,
+    pub revoked: Option<RevocationList>,
     /// Tokens of clients without an identity.
     pub tokens: Option<Tokens>,
 }
@@ -139,10 +139,10 @@ impl Server {
             farm: Farm::new(calls),
             store,
             uploads: Uploads::default(),
-            places: Places::new(&limits),
-            promised: Promised::default(),
-            collecting: Arc::default(),
-            entrance: None,
+            transfer_slots: TransferSlots::new(&limits),
+            promises: Promises::default(),
+            collection_lock: Arc::default(),
+            access_control: None,
             traffic: Traffic::default(),
             limits,
             audit: None,
@@ -151,27 +151,27 @@ impl Server {
     }
 
     /// Sets the access rules; `None` disables access control.
-    pub fn behind(self, entrance: Option<Entrance>) -> Self {
-        Self { entrance, ..self }
+    pub fn with_access_control(self, access_control: Option<AccessControl>) -> Self {
+        Self { access_control, ..self }
     }
 
     /// Sets the counters of the traffic. Several servers may share them.
-    pub fn counted(self, traffic: Traffic) -> Self {
+    pub fn with_traffic(self, traffic: Traffic) -> Self {
         Self { traffic, ..self }
     }
 
     /// Sets the limits for clients.
-    pub fn within(self, limits: Limits) -> Self {
-        Self { limits, places: Places::new(&limits), ..self }
+    pub fn with_limits(self, limits: Limits) -> Self {
+        Self { limits, transfer_slots: TransferSlots::new(&limits), ..self }
     }
 
     /// Sets the audit record for changes and refusals.
-    pub fn noting(self, audit: Option<Audit>) -> Self {
+    pub fn with_audit(self, audit: Option<Audit>) -> Self {
         Self { audit, ..self }
     }
 
     /// Sets the web pages for browsers.
-    pub fn showing(self, site: Site) -> Self {
+    pub fn with_site(self, site: Site) -> Self {
         Self { site, ..self }
     }
 
@@ -193,7 +193,7 @@ impl Server {
     }
 
     /// Serves forever. Dropping the future closes the connections.
-    pub async fn serve_on<C: Io + Connected>(
+    pub async fn serve_forever<C: Io + Connected>(
         self,
         incoming: impl Stream<Item = io::Result<C>>,
     ) -> Result<(), ServeError> {
@@ -206,18 +206,19 @@ impl Server {
         &self,
         incoming: I,
     ) -> Result<impl Stream<Item = io::Result<Connection<C>>> + use<C, I>, ServeError> {
-        let tls = match &self.entrance {
-            Some(Entrance { identity: Some(identity), tokens, .. }) => {
-                let clients = if tokens.is_some() { tls::Clients::MayShowTokens } else { tls::Clients::ShowIdentities };
-                Some(Arc::new(tls::server(identity, clients)?))
+        let tls = match &self.access_control {
+            Some(AccessControl { identity: Some(identity), tokens, .. }) => {
+                let auth =
+                    if tokens.is_some() { tls::ClientAuth::CertificateOrToken } else { tls::ClientAuth::Certificate };
+                Some(Arc::new(tls::server_config(identity, auth)?))
             }
             _ => None,
         };
-        let is_encrypted = self.entrance.as_ref().is_some_and(|entrance| entrance.identity.is_some());
-        let unheard = if is_encrypted { Unheard::Noted } else { Unheard::Ignored };
-        let door = Door::new(self.limits, self.audit.clone(), unheard);
-        let admitted = incoming.filter_map(move |io| io.map(|io| door.admit(io)).transpose());
-        Ok(secured(admitted, tls))
+        let is_encrypted = self.access_control.as_ref().is_some_and(|access| access.identity.is_some());
+        let unused = if is_encrypted { UnusedConnections::Audited } else { UnusedConnections::Ignored };
+        let limiter = ConnectionLimiter::new(self.limits, self.audit.clone(), unused);
+        let admitted = incoming.filter_map(move |io| io.map(|io| limiter.admit(io)).transpose());
+        Ok(with_handshakes(admitted, tls))
     }
 
     async fn router(self) -> Result<(Router<Layers>, HealthReporter), ServeError> {
@@ -230,17 +231,18 @@ impl Server {
             .build_v1()?;
         let builder = tonic::transport::Server::builder();
         let limits = self.limits;
-        let is_encrypted = self.entrance.as_ref().is_some_and(|entrance| entrance.identity.is_some());
-        let lists = self.entrance.as_ref().map(|Entrance { revoked, tokens, .. }| (revoked.clone(), tokens.clone()));
+        let is_encrypted = self.access_control.as_ref().is_some_and(|access| access.identity.is_some());
+        let lists =
+            self.access_control.as_ref().map(|AccessControl { revoked, tokens, .. }| (revoked.clone(), tokens.clone()));
         let gate = Gate::new(lists, limits, self.audit.clone());
-        let (store, places) = (self.store.clone(), self.places.clone());
-        let http = Http::new(self.farm.clone(), store, places, gate.clone(), self.site.clone(), is_encrypted);
+        let (store, slots) = (self.store.clone(), self.transfer_slots.clone());
+        let http = Http::new(self.farm.clone(), store, slots, gate.clone(), self.site.clone(), is_encrypted);
         let router = builder
             .accept_http1(true)
             .layer(self.traffic.clone())
             .layer(Guard::new(gate, http))
-            .http2_keepalive_interval(Some(limits.silence))
-            .http2_keepalive_timeout(Some(limits.answer))
+            .http2_keepalive_interval(Some(limits.keep_alive_interval))
+            .http2_keepalive_timeout(Some(limits.keep_alive_timeout))
             .http2_max_header_list_size(limits.headers)
             .http2_max_pending_accept_reset_streams(Some(limits.resets))
             .max_concurrent_streams(limits.streams)
@@ -250,22 +252,22 @@ impl Server {
             .add_service(reflection)
             .add_service(JobsServer::new(self.clone()).max_decoding_message_size(limits.message))
             .add_service(WorkersServer::new(self.clone()).max_decoding_message_size(limits.message))
-            .add_service(ArtifactsServer::new(self).max_decoding_message_size(2 * PIECE));
+            .add_service(ArtifactsServer::new(self).max_decoding_message_size(2 * MAX_PIECE_SIZE));
         Ok((router, reporter))
     }
 
     /// Passes a call on to the coordinator and waits for its answer.
     async fn ask<T>(&self, call: impl FnOnce(Reply<T>) -> Call) -> Result<T, tonic::Status> {
-        self.question(call).await.map_err(|refusal| crate::error::to_status(&refusal))
+        self.ask_raw(call).await.map_err(|refusal| crate::error::to_status(&refusal))
     }
 
-    /// Passes a call on like [`Self::ask`], for callers that need the refusal itself.
-    async fn question<T>(&self, call: impl FnOnce(Reply<T>) -> Call) -> Result<T, Refusal> {
-        self.farm.ask(call).await
+    /// Passes a call on like [`Self::call`], for callers that need the refusal itself.
+    async fn ask_raw<T>(&self, call: impl FnOnce(Reply<T>) -> Call) -> Result<T, Refusal> {
+        self.farm.call(call).await
     }
 }
 
 /// Returns the audit trail of this request's call.
-fn trail<T>(request: &Request<T>) -> Trail {
+fn trail<T>(request: &Request<T>) -> AuditEntry {
     request.extensions().get().cloned().unwrap_or_default()
 }

@@ -1,15 +1,15 @@
 //! Decoders for every message of the wire, for fuzzing. The generated types stay private.
 
 use femc_model::{
-    Artifact, AttemptRecord, Crew, Drain, FrameParts, FrameRecord, FromWorker, JobSpec, JobStatus, LogRecord,
-    OwnerUsage, Refusal, ToWorker, WorkerName,
+    Artifact, AttemptRecord, Drain, FrameParts, FrameRecord, FromWorker, JobSpec, JobStatus, LogRecord, OwnerUsage,
+    Refusal, ToWorker, WorkerList, WorkerSelector,
 };
 use prost::Message;
 
 use crate::JobShape;
-use crate::convert::{ConvertError, collect_mode, digest, need};
-use crate::many::Many;
-use crate::server::Collected;
+use crate::batch::Batch;
+use crate::convert::{ConvertError, collect_mode, parse_digest, required};
+use crate::server::CollectReport;
 use crate::wire;
 
 /// Descriptors of all messages: a `FileDescriptorSet`.
@@ -26,7 +26,7 @@ pub struct Decoder {
 }
 
 /// Decodes a message, encodes it, decodes it again, and checks that nothing changed.
-fn there_and_back<W, M>(wire: W) -> bool
+fn round_trips<W, M>(wire: W) -> bool
 where
     W: Message + Default + From<M>,
     M: TryFrom<W, Error = ConvertError>,
@@ -39,29 +39,29 @@ where
     true
 }
 
-fn each<W, M>(all: Vec<W>) -> bool
+fn all_round_trip<W, M>(all: Vec<W>) -> bool
 where
     W: Message + Default + From<M>,
     M: TryFrom<W, Error = ConvertError>,
 {
     // Check all elements, also those behind an invalid one.
-    let senseless = all.into_iter().map(there_and_back::<W, M>).filter(|is_good| !is_good).count();
-    senseless == 0
+    let invalid = all.into_iter().map(round_trips::<W, M>).filter(|is_good| !is_good).count();
+    invalid == 0
 }
 
 fn are_digests(all: &[Vec<u8>]) -> bool {
-    all.iter().all(|bytes| digest("digest", bytes).is_ok())
+    all.iter().all(|bytes| parse_digest("digest", bytes).is_ok())
 }
 
 /// Splits a message into its batch, like a session.
-fn messages<W, M>(wire: W) -> bool
+fn batch_round_trips<W, M>(wire: W) -> bool
 where
-    W: Many + Default + From<M>,
+    W: Batch + Default + From<M>,
     M: TryFrom<W, Error = ConvertError>,
 {
     match wire.split() {
-        Ok(many) => each::<W, M>(many),
-        Err(one) => there_and_back::<W, M>(one),
+        Ok(many) => all_round_trip::<W, M>(many),
+        Err(one) => round_trips::<W, M>(one),
     }
 }
 
@@ -79,32 +79,32 @@ macro_rules! decoders {
 
 /// Decoders of every request and reply message, and of the refusals in statuses.
 pub const DECODERS: &[Decoder] = decoders! {
-    SubmitRequest => |wire| need("job", wire.job).is_ok_and(there_and_back::<_, JobSpec>);
+    SubmitRequest => |wire| required("job", wire.job).is_ok_and(round_trips::<_, JobSpec>);
     SubmitReply => |_| true;
     ListRequest => |_| true;
-    ListReply => |wire| each::<_, JobStatus>(wire.jobs);
+    ListReply => |wire| all_round_trip::<_, JobStatus>(wire.jobs);
     StatusRequest => |_| true;
-    JobStatus => there_and_back::<_, JobStatus>;
+    JobStatus => round_trips::<_, JobStatus>;
     WatchRequest => |_| true;
     ControlRequest => |wire| {
-        need("control", wire.control).and_then(femc_model::Control::try_from).is_ok()
+        required("control", wire.control).and_then(femc_model::Control::try_from).is_ok()
     };
     ControlReply => |_| true;
     FramesRequest => |_| true;
-    FramesReply => |wire| each::<_, FrameRecord>(wire.frames);
+    FramesReply => |wire| all_round_trip::<_, FrameRecord>(wire.frames);
     PartsRequest => |_| true;
-    PartsReply => |wire| each::<_, FrameParts>(wire.frames);
+    PartsReply => |wire| all_round_trip::<_, FrameParts>(wire.frames);
     LogsRequest => |_| true;
-    LogsReply => |wire| each::<_, LogRecord>(wire.logs);
+    LogsReply => |wire| all_round_trip::<_, LogRecord>(wire.logs);
     AttemptsRequest => |_| true;
     AttemptsReply => |wire| match wire.part {
-        Some(wire::attempts_reply::Part::Job(job)) => there_and_back::<_, JobShape>(job),
-        Some(wire::attempts_reply::Part::Attempts(page)) => each::<_, AttemptRecord>(page.attempts),
+        Some(wire::attempts_reply::Part::Job(job)) => round_trips::<_, JobShape>(job),
+        Some(wire::attempts_reply::Part::Attempts(page)) => all_round_trip::<_, AttemptRecord>(page.attempts),
         None => false,
     };
     BackupRequest => |_| true;
     BackupReply => |wire| match wire.part {
-        Some(wire::backup_reply::Part::Artifacts(some)) => each::<_, Artifact>(some.artifacts),
+        Some(wire::backup_reply::Part::Artifacts(some)) => all_round_trip::<_, Artifact>(some.artifacts),
         Some(wire::backup_reply::Part::Log(_)) => true,
         None => false,
     };
@@ -112,24 +112,24 @@ pub const DECODERS: &[Decoder] = decoders! {
     // Seconds travel as doubles, so sums beyond 2^53 microseconds are rounded.
     UsageReply => |wire| wire.usage.into_iter().all(|usage| OwnerUsage::try_from(usage).is_ok());
     ListWorkersRequest => |_| true;
-    ListWorkersReply => there_and_back::<_, Crew>;
-    DrainWorkersRequest => there_and_back::<_, (WorkerName, Drain)>;
+    ListWorkersReply => round_trips::<_, WorkerList>;
+    DrainWorkersRequest => round_trips::<_, (WorkerSelector, Drain)>;
     DrainWorkersReply => |_| true;
-    FromWorker => messages::<_, FromWorker>;
-    ToWorker => messages::<_, ToWorker>;
+    FromWorker => batch_round_trips::<_, FromWorker>;
+    ToWorker => batch_round_trips::<_, ToWorker>;
     MissingRequest => |wire| are_digests(&wire.digests);
     MissingReply => |wire| are_digests(&wire.digests);
-    OfferRequest => |wire| digest("digest", &wire.digest).is_ok();
+    OfferRequest => |wire| parse_digest("digest", &wire.digest).is_ok();
     OfferReply => |wire| wire.answer.is_some();
     PutRequest => |wire| match wire.part {
-        Some(wire::put_request::Part::Digest(bytes)) => digest("digest", &bytes).is_ok(),
+        Some(wire::put_request::Part::Digest(bytes)) => parse_digest("digest", &bytes).is_ok(),
         Some(wire::put_request::Part::Piece(_)) => true,
         None => false,
     };
-    PutReply => |wire| need("artifact", wire.artifact).is_ok_and(there_and_back::<_, Artifact>);
-    GetRequest => |wire| digest("digest", &wire.digest).is_ok();
+    PutReply => |wire| required("artifact", wire.artifact).is_ok_and(round_trips::<_, Artifact>);
+    GetRequest => |wire| parse_digest("digest", &wire.digest).is_ok();
     GetReply => |_| true;
     CollectRequest => |wire| collect_mode(wire.mode).is_ok();
-    CollectReply => there_and_back::<_, Collected>;
-    Refusal => there_and_back::<_, Refusal>;
+    CollectReply => round_trips::<_, CollectReport>;
+    Refusal => round_trips::<_, Refusal>;
 };

@@ -1,5 +1,5 @@
 use femc_film::FilmError;
-use femc_pipeline::paths::{PathsError, UnionError};
+use femc_pipeline::paths::{MergeError, PathsError};
 use parquet::errors::ParquetError;
 use std::path::{Path, PathBuf};
 
@@ -19,7 +19,7 @@ pub enum ReportError {
     },
     /// A file or folder given by the user cannot be read.
     #[error("{}: {cause}", path.display())]
-    Named {
+    Input {
         /// The file or folder.
         path: PathBuf,
         /// Error of the system.
@@ -57,11 +57,11 @@ pub enum ReportError {
     },
     /// Frames that were merged cannot be merged again.
     #[error("{file}: {cause}")]
-    NoUnion {
+    MergedFrames {
         /// The file, or the first and the last of several.
         file: String,
         /// Reason of the failure.
-        cause: UnionError,
+        cause: MergeError,
     },
     /// A file of light statistics contains no frame.
     #[error("{}: the file contains no frame", .0.display())]
@@ -71,11 +71,11 @@ pub enum ReportError {
     NoStatistics(PathBuf),
     /// Frames of different jobs.
     #[error("{file}: {cause}; merge only frames of one job, and a frame only with the same content")]
-    Union {
+    MergeConflict {
         /// The file that does not fit.
         file: String,
         /// Reason of the failure.
-        cause: UnionError,
+        cause: MergeError,
     },
     /// A file does not contain measurements.
     #[error("{}: not measurements of `femc bench`: {cause}; give another file, or move this file away", path.display())]
@@ -87,7 +87,7 @@ pub enum ReportError {
     },
     /// Measurements in an unsupported version of the file format.
     #[error("{}: file format version {found}, this program reads version {own}; give another file", path.display())]
-    MeasurementsForm {
+    MeasurementsVersion {
         /// The file.
         path: PathBuf,
         /// Version of the file.
@@ -101,7 +101,7 @@ pub enum ReportError {
          {differing}",
         path.display()
     )]
-    MeasuredOtherwise {
+    SetupMismatch {
         /// The file.
         path: PathBuf,
         /// Differences between the setups.
@@ -128,24 +128,24 @@ pub enum ReportError {
 
 /// Cause of a missing report.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Blame {
+pub enum ErrorKind {
     /// The request: another command line helps.
     Usage,
     /// A file or the machine.
-    Work,
+    Execution,
 }
 
 impl ReportError {
     /// Returns the cause of the error.
-    pub fn blame(&self) -> Blame {
+    pub fn kind(&self) -> ErrorKind {
         match self {
-            Self::Named { .. }
+            Self::Input { .. }
             | Self::NoStatistics(_)
-            | Self::Union { .. }
-            | Self::MeasuredOtherwise { .. }
+            | Self::MergeConflict { .. }
+            | Self::SetupMismatch { .. }
             | Self::NoReference(_)
             | Self::ReferenceSizes { .. }
-            | Self::NotHalves(_) => Blame::Usage,
+            | Self::NotHalves(_) => ErrorKind::Usage,
             Self::Figure(_)
             | Self::File { .. }
             | Self::Record { .. }
@@ -153,10 +153,10 @@ impl ReportError {
             | Self::Film(_)
             | Self::Parquet { .. }
             | Self::Statistics { .. }
-            | Self::NoUnion { .. }
+            | Self::MergedFrames { .. }
             | Self::NoFrame(_)
             | Self::Measurements { .. }
-            | Self::MeasurementsForm { .. } => Blame::Work,
+            | Self::MeasurementsVersion { .. } => ErrorKind::Execution,
         }
     }
 
@@ -165,8 +165,8 @@ impl ReportError {
         move |cause| Self::File { path: path.clone(), cause }
     }
 
-    pub(crate) fn named(path: &Path) -> impl Fn(std::io::Error) -> Self {
+    pub(crate) fn input(path: &Path) -> impl Fn(std::io::Error) -> Self {
         let path = path.to_owned();
-        move |cause| Self::Named { path: path.clone(), cause }
+        move |cause| Self::Input { path: path.clone(), cause }
     }
 }

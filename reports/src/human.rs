@@ -1,6 +1,6 @@
 //! Numbers and tables for people.
 
-pub use femc_service::view::count;
+pub use femc_service::view::counted_noun;
 use std::fmt::Write;
 
 /// Formats a number with about four digits.
@@ -87,22 +87,22 @@ pub fn percent(fraction: f64) -> String {
 
 /// Checks whether a terminal interprets a character instead of showing it: control characters, and those that change the writing
 /// direction.
-pub fn steers(c: char) -> bool {
+pub fn is_terminal_control(c: char) -> bool {
     let turns = matches!(c, '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
     c.is_control() || turns || matches!(c, '\u{2028}' | '\u{2029}')
 }
 
 /// Makes untrusted text safe for a terminal: escapes all characters that a terminal interprets, except line feeds and tabs.
-pub fn shown(text: &str) -> String {
-    escaped(text, |c| steers(c) && !matches!(c, '\n' | '\t'))
+pub fn escape_controls(text: &str) -> String {
+    escape_where(text, |c| is_terminal_control(c) && !matches!(c, '\n' | '\t'))
 }
 
-/// Like [`shown`], but also escapes tabs.
-pub fn inert(text: &str) -> String {
-    escaped(text, |c| steers(c) && c != '\n')
+/// Like [`escape_controls`], but also escapes tabs.
+pub fn escape_controls_and_tabs(text: &str) -> String {
+    escape_where(text, |c| is_terminal_control(c) && c != '\n')
 }
 
-fn escaped(text: &str, is_escaped: impl Fn(char) -> bool) -> String {
+fn escape_where(text: &str, is_escaped: impl Fn(char) -> bool) -> String {
     text.chars().fold(String::with_capacity(text.len()), |mut shown, c| {
         if is_escaped(c) {
             shown.extend(c.escape_default());
@@ -148,8 +148,8 @@ mod tests {
 
     #[test]
     fn what_others_wrote_does_not_steer_a_terminal() {
-        assert_eq!(shown("a\tb\nc\u{1b}[2J\u{9b}1m\r\u{7}ü"), "a\tb\nc\\u{1b}[2J\\u{9b}1m\\r\\u{7}ü");
-        assert_eq!(inert("a\tb\u{202e}\u{2066}c\u{7f}\n"), "a\\tb\\u{202e}\\u{2066}c\\u{7f}\n");
+        assert_eq!(escape_controls("a\tb\nc\u{1b}[2J\u{9b}1m\r\u{7}ü"), "a\tb\nc\\u{1b}[2J\\u{9b}1m\\r\\u{7}ü");
+        assert_eq!(escape_controls_and_tabs("a\tb\u{202e}\u{2066}c\u{7f}\n"), "a\\tb\\u{202e}\\u{2066}c\\u{7f}\n");
     }
 
     #[test]

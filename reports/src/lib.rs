@@ -16,4 +16,4 @@ pub mod light;
 pub mod pages;
 pub mod sweep;
 
-pub use error::{Blame, ReportError};
+pub use error::{ErrorKind, ReportError};

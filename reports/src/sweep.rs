@@ -51,7 +51,7 @@ impl Table {
     fn to_csv(&self) -> String {
         let line = |cells: Vec<String>| cells.join(",") + "\n";
         let header = line(self.columns.iter().map(|(name, _)| quoted(name)).collect());
-        let row = |at| line(self.columns.iter().map(|(_, cells)| cells.shown(at)).collect());
+        let row = |at| line(self.columns.iter().map(|(_, cells)| cells.cell_text(at)).collect());
         header + &(0..self.rows()).map(row).collect::<String>()
     }
 
@@ -82,7 +82,7 @@ impl Cells {
         }
     }
 
-    fn shown(&self, at: usize) -> String {
+    fn cell_text(&self, at: usize) -> String {
         match self {
             Self::Text(cells) => quoted(&cells[at]),
             Self::Number(cells) => cells[at].map_or(String::new(), |number| number.to_string()),

@@ -19,7 +19,7 @@ pub fn road() -> String {
         let x = (gamma - peak) / width;
         if gamma >= 90.0 { 0.0 } else { 0.35 * double::cos(gamma.to_radians()) + strength * double::exp(-x * x) }
     };
-    file(&Head { name: "ROAD-50", opening: [0.5, 0.22, 0.0], flux: 5000.0 }, &vertical, &horizontal, shape)
+    write_file(&FileHeader { name: "ROAD-50", opening: [0.5, 0.22, 0.0], flux: 5000.0 }, &vertical, &horizontal, shape)
 }
 
 /// A ceiling spot of 900 lm, rotationally symmetric: a point.
@@ -29,10 +29,10 @@ pub fn spot() -> String {
         let x = gamma / 24.0;
         if gamma >= 60.0 { 0.0 } else { double::exp(-x * x) }
     };
-    file(&Head { name: "SPOT-9", opening: [0.0; 3], flux: 900.0 }, &vertical, &[0.0], shape)
+    write_file(&FileHeader { name: "SPOT-9", opening: [0.0; 3], flux: 900.0 }, &vertical, &[0.0], shape)
 }
 
-struct Head {
+struct FileHeader {
     name: &'static str,
     /// Width, length, height of the luminous opening, m.
     opening: [f64; 3],
@@ -40,7 +40,7 @@ struct Head {
     flux: f64,
 }
 
-fn file(head: &Head, vertical: &[f64], horizontal: &[f64], shape: impl Fn(f64, f64) -> f64) -> String {
+fn write_file(head: &FileHeader, vertical: &[f64], horizontal: &[f64], shape: impl Fn(f64, f64) -> f64) -> String {
     let rows: Vec<Vec<f64>> = horizontal.iter().map(|&c| vertical.iter().map(|&g| shape(g, c)).collect()).collect();
     let factor = head.flux / flux(vertical, horizontal, &rows);
     let [width, length, height] = head.opening;

@@ -1,15 +1,15 @@
 //! Example scenes: generated ones, and the location of the hand-written ones.
 //!
 //! The scene files lie beside this crate's manifest (`scenes/*.mgf` and their parts in sub-folders). The short ones are written by
-//! hand. This crate writes those in [`generated`] deterministically. They are committed, so that rendering them does not need the
-//! generator. A test keeps both equal, byte for byte.
+//! hand. This crate writes those in [`generate_all`] deterministically. They are committed, so that rendering them does not need
+//! the generator. A test keeps both equal, byte for byte.
 #![deny(missing_docs)]
 
 mod greenhouse;
 mod ies;
+mod mgf_writer;
 mod png;
 mod roundabout;
-mod sheet;
 
 /// A file of a scene.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -26,12 +26,12 @@ impl SceneFile {
     }
 }
 
-/// Names for [`generate`], in the order of the files in [`generated`].
+/// Names for [`generate_scene`], in the order of the files in [`generate_all`].
 pub const NAMES: [&str; 3] = ["roundabout", "greenhouse", "zoo"];
 
 /// Generates the files of one scene: the scene file first where the generator writes it, then its parts.
 /// - `name`: one of [`NAMES`]; `None` for any other.
-pub fn generate(name: &str) -> Option<Vec<SceneFile>> {
+pub fn generate_scene(name: &str) -> Option<Vec<SceneFile>> {
     match name {
         "roundabout" => Some(roundabout::files()),
         "greenhouse" => Some(greenhouse::files()),
@@ -45,11 +45,11 @@ pub fn generate(name: &str) -> Option<Vec<SceneFile>> {
 }
 
 /// Returns all generated files.
-pub fn generated() -> Vec<SceneFile> {
-    NAMES.iter().filter_map(|name| generate(name)).flatten().collect()
+pub fn generate_all() -> Vec<SceneFile> {
+    NAMES.iter().filter_map(|name| generate_scene(name)).flatten().collect()
 }
 
 /// Returns the folder of the committed scenes, as it was when this crate was compiled.
-pub fn folder() -> &'static std::path::Path {
+pub fn scenes_folder() -> &'static std::path::Path {
     std::path::Path::new(env!("CARGO_MANIFEST_DIR"))
 }

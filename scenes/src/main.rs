@@ -2,7 +2,7 @@
 //!
 //! `femc-scenes NAME` prints the scene file, `femc-scenes --write DIR` writes every generated file below DIR.
 
-use femc_scenes::{NAMES, SceneFile, generate, generated};
+use femc_scenes::{NAMES, SceneFile, generate_all, generate_scene};
 use std::{
     io::{self, Write},
     path::Path,
@@ -10,7 +10,7 @@ use std::{
 };
 
 fn write_all(folder: &Path) -> io::Result<()> {
-    for SceneFile { path, bytes } in generated() {
+    for SceneFile { path, bytes } in generate_all() {
         let target = folder.join(path);
         if let Some(parent) = target.parent() {
             std::fs::create_dir_all(parent)?;
@@ -25,8 +25,8 @@ fn main() -> ExitCode {
     let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
     let done = match words.as_slice() {
         ["--write", folder] => write_all(Path::new(folder)),
-        [name] if generate(name).is_some() => {
-            let files = generate(name).unwrap_or_default();
+        [name] if generate_scene(name).is_some() => {
+            let files = generate_scene(name).unwrap_or_default();
             match files.iter().find(|f| f.path.ends_with(".mgf") && !f.path.contains('/')) {
                 Some(file) => io::stdout().write_all(&file.bytes),
                 None => files.iter().try_for_each(|f| writeln!(io::stdout(), "{}", f.path)),

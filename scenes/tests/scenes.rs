@@ -1,25 +1,25 @@
 //! Checks the properties of the committed scenes.
 
-use femc_import::{Loaded, load_path};
+use femc_import::{LoadedScene, load_scene_file};
 use femc_scene::{GroupId, Scene, Severity};
-use femc_scenes::{folder, generated};
+use femc_scenes::{generate_all, scenes_folder};
 use std::fs;
 
 /// Returns the names of the scene files at the top of the folder.
 fn scenes() -> Vec<String> {
-    let entries = fs::read_dir(folder()).expect("the scenes' folder");
+    let entries = fs::read_dir(scenes_folder()).expect("the scenes' folder");
     let names = entries.map(|e| e.expect("an entry").file_name().into_string().expect("UTF-8"));
     let mut scenes: Vec<String> = names.filter(|n| n.ends_with(".mgf")).collect();
     scenes.sort();
     scenes
 }
 
-fn load(name: &str) -> Loaded {
-    load_path(&folder().join(name)).unwrap_or_else(|error| panic!("{name}: {error}"))
+fn load(name: &str) -> LoadedScene {
+    load_scene_file(&scenes_folder().join(name)).unwrap_or_else(|error| panic!("{name}: {error}"))
 }
 
 /// Sums `count` over everything placed in the world, weighted by its placements.
-fn total(scene: &Scene, count: &dyn Fn(&Scene, GroupId) -> usize) -> usize {
+fn count_placed(scene: &Scene, count: &dyn Fn(&Scene, GroupId) -> usize) -> usize {
     fn below(scene: &Scene, group: GroupId, count: &dyn Fn(&Scene, GroupId) -> usize) -> usize {
         let inner = scene.groups[group.index()].instances.iter().map(|i| below(scene, i.group, count));
         count(scene, group) + inner.sum::<usize>()
@@ -28,11 +28,11 @@ fn total(scene: &Scene, count: &dyn Fn(&Scene, GroupId) -> usize) -> usize {
 }
 
 fn polygons(scene: &Scene) -> usize {
-    total(scene, &|scene, group| scene.groups[group.index()].faces.len())
+    count_placed(scene, &|scene, group| scene.groups[group.index()].faces.len())
 }
 
 fn faces_of(scene: &Scene, material: &str) -> usize {
-    total(scene, &|scene, group| {
+    count_placed(scene, &|scene, group| {
         let faces = &scene.groups[group.index()].faces;
         faces.iter().filter(|f| scene.materials[f.material.index()].name == material).count()
     })
@@ -40,8 +40,8 @@ fn faces_of(scene: &Scene, material: &str) -> usize {
 
 #[test]
 fn the_committed_files_are_what_the_generator_writes() {
-    for file in generated() {
-        let committed = fs::read(folder().join(&file.path)).unwrap_or_default();
+    for file in generate_all() {
+        let committed = fs::read(scenes_folder().join(&file.path)).unwrap_or_default();
         assert!(
             committed == file.bytes,
             "{} differs: run `cargo run -p femc-scenes -- --write scenes` and look at the change",
@@ -56,7 +56,7 @@ fn every_scene_loads_without_a_warning_and_stays_small() {
     assert!(scenes.len() >= 7, "{scenes:?}");
     let mut complaints = Vec::new();
     for name in scenes {
-        let loaded = match load_path(&folder().join(&name)) {
+        let loaded = match load_scene_file(&scenes_folder().join(&name)) {
             Ok(loaded) => loaded,
             Err(error) => {
                 complaints.push(error.to_string());
@@ -64,7 +64,8 @@ fn every_scene_loads_without_a_warning_and_stays_small() {
             }
         };
         complaints.extend(loaded.warnings.iter().map(ToString::to_string));
-        let bytes: u64 = loaded.files.iter().map(|f| fs::metadata(folder().join(f)).expect("a file").len()).sum();
+        let bytes: u64 =
+            loaded.files.iter().map(|f| fs::metadata(scenes_folder().join(f)).expect("a file").len()).sum();
         assert!(bytes < 100_000, "{name}: {bytes} bytes");
         assert!(!loaded.scene.cameras.is_empty(), "{name} has no camera");
     }
@@ -75,8 +76,8 @@ fn every_scene_loads_without_a_warning_and_stays_small() {
 fn no_scene_has_a_fault_beyond_a_note() {
     let mut bad = Vec::new();
     for name in scenes() {
-        let Ok(Loaded { scene, .. }) = load_path(&folder().join(&name)) else { continue };
-        let faults = femc_scene::check(&scene).into_iter().filter(|f| f.severity != Severity::Note);
+        let Ok(LoadedScene { scene, .. }) = load_scene_file(&scenes_folder().join(&name)) else { continue };
+        let faults = femc_scene::check_scene(&scene).into_iter().filter(|f| f.severity != Severity::Note);
         bad.extend(faults.map(|f| format!("{name}: {}", f.display(&scene))));
     }
     assert!(bad.is_empty(), "{bad:#?}");
@@ -116,7 +117,7 @@ fn street_lamps_shine_down() {
 #[test]
 fn the_measured_variant_has_its_forty_luminaires() {
     let scene = load("roundabout-ies.mgf").scene;
-    assert_eq!(total(&scene, &|scene, group| scene.groups[group.index()].luminaires.len()), 40);
+    assert_eq!(count_placed(&scene, &|scene, group| scene.groups[group.index()].luminaires.len()), 40);
     assert_eq!(faces_of(&scene, "lamp"), 0);
 }
 

@@ -3,15 +3,15 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
-use femc_coordinator::ROSTER;
-use femc_model::{Artifact, Control, Digest, Ending, Epoch, JobId, JobSpec, JobStatus, TaskKey};
+use femc_coordinator::ROSTER_SUBJECT;
+use femc_model::{Artifact, Control, Digest, Epoch, JobId, JobSpec, JobStatus, LeaseEnding, TaskKey};
 use femc_queue::Note;
 use femc_schedule::{Fact, SnapshotError, decode_attempts};
 
 use crate::disk::Tail;
 use crate::leases::Leases;
-use crate::shared::{Reports, State};
-use crate::tasks::{Tally, Unit, counted};
+use crate::shared::{ResultSet, State};
+use crate::tasks::{Tally, TaskStep, counted_result};
 
 /// A broken guarantee of the farm.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -32,13 +32,13 @@ pub enum Violation {
     },
     /// A job did not end as done.
     #[error("the job ended as {state}")]
-    Failed {
+    JobFailed {
         /// State in which the job ended.
         state: String,
     },
     /// The result of a frame (pixels or drill answer) differs from that of a single process.
     #[error("frame {frame} has the result {found}, expected {expected}")]
-    Result {
+    WrongResult {
         /// Position among the job's frames.
         frame: usize,
         /// Digest of the result.
@@ -48,7 +48,7 @@ pub enum Violation {
     },
     /// The log counts a result twice: samples of a tile, or a whole task.
     #[error("{task} counts twice, at least in part: under epoch {} and under epoch {}", .epochs[0].0, .epochs[1].0)]
-    Twice {
+    CountedTwice {
         /// The task.
         task: TaskKey,
         /// Epochs of the two results.
@@ -56,7 +56,7 @@ pub enum Violation {
     },
     /// The log counts a task whose inputs are not done, for example samples of its round.
     #[error("{task} counts, but its input, step {step} of task {item}, does not")]
-    Missing {
+    MissingInput {
         /// The task that reads the input.
         task: TaskKey,
         /// Number of the task that makes the input.
@@ -66,7 +66,7 @@ pub enum Violation {
     },
     /// A result was acknowledged, but is not in the log.
     #[error("{task} under epoch {} was acknowledged, but is not in the log", .epoch.0)]
-    Forgotten {
+    LostResult {
         /// The task.
         task: TaskKey,
         /// Epoch of its lease.
@@ -92,7 +92,7 @@ pub enum Violation {
     },
     /// A result of one engine build counts in a frame of another build.
     #[error("{task} counts under epoch {}, with the build {build:?} in a frame of the build {frame:?}", .epoch.0)]
-    Foreign {
+    ForeignBuild {
         /// The task.
         task: TaskKey,
         /// Epoch of its lease.
@@ -104,7 +104,7 @@ pub enum Violation {
     },
     /// A frame changed its engine build without a restart.
     #[error("frame {frame} of job {job} changed its build from {:?} to {:?}", .builds[0], .builds[1])]
-    Rebuilt {
+    BuildChanged {
         /// The job.
         job: JobId,
         /// Frame number.
@@ -114,7 +114,7 @@ pub enum Violation {
     },
     /// A counted result has too few or too many attempt records.
     #[error("{task} under epoch {} counts, but has {times} attempt records", .epoch.0)]
-    Noted {
+    AttemptRecords {
         /// The task.
         task: TaskKey,
         /// Epoch of its lease.
@@ -124,7 +124,7 @@ pub enum Violation {
     },
     /// An attempt record says that the attempt is done, but the result does not count.
     #[error("an attempt record says that {task} under epoch {} is done, but its result does not count", .epoch.0)]
-    NotedForNothing {
+    FalseAttemptRecord {
         /// The task.
         task: TaskKey,
         /// Epoch of its lease.
@@ -132,7 +132,7 @@ pub enum Violation {
     },
     /// A job's account differs from what was done.
     #[error("wrong account: {found} {what}, expected {expected}")]
-    Account {
+    WrongAccount {
         /// Name of the quantity.
         what: &'static str,
         /// Value in the account.
@@ -142,7 +142,7 @@ pub enum Violation {
     },
     /// A violation in one of many jobs.
     #[error("job {job}: {violation}")]
-    OfJob {
+    InJob {
         /// The job.
         job: JobId,
         /// The violation.
@@ -160,13 +160,13 @@ pub enum Violation {
     },
     /// A coordinator began with a number that an earlier one had used.
     #[error("incarnation {incarnation} was used before")]
-    Incarnation {
+    IncarnationReused {
         /// The number.
         incarnation: u32,
     },
     /// Two leases have the same epoch.
     #[error("epoch {} belongs to {} and to {}", .epoch.0, .tasks[0], .tasks[1])]
-    EpochAgain {
+    EpochReused {
         /// The epoch.
         epoch: Epoch,
         /// Tasks of the first and the second lease.
@@ -174,13 +174,13 @@ pub enum Violation {
     },
     /// Shared stages were begun again although they existed.
     #[error("the shared stages {} began, but equal ones exist: {}", .jobs[1], .jobs[0])]
-    BegunAgain {
+    DuplicateSharedStages {
         /// The existing instance and the new one.
         jobs: [JobId; 2],
     },
     /// A task was leased before its build had finished the shared stages that it reads.
     #[error("{task} is leased under epoch {}, but its frame's shared stages are not done", .epoch.0)]
-    Unserved {
+    SharedStagesMissing {
         /// The task.
         task: TaskKey,
         /// Epoch of the lease.
@@ -188,13 +188,13 @@ pub enum Violation {
     },
     /// A worker computes a shared stage that no job waits for.
     #[error("a worker holds {task}, but no job waits for it")]
-    Unwanted {
+    UnwantedLease {
         /// The task.
         task: TaskKey,
     },
     /// A new job has the number of an earlier one.
     #[error("a new job got the number {job} of an earlier job")]
-    Renumbered {
+    JobNumberReused {
         /// The number.
         job: JobId,
     },
@@ -208,7 +208,7 @@ pub enum Violation {
     },
     /// The log contains a control that nobody requested.
     #[error("the log has {control:?} of job {job}, but nobody requested it")]
-    Unasked {
+    UnrequestedControl {
         /// The job.
         job: JobId,
         /// Control in the log.
@@ -216,7 +216,7 @@ pub enum Violation {
     },
     /// A control was acknowledged, but is not in the log.
     #[error("{control:?} of job {job} was acknowledged, but is not in the log")]
-    Unwritten {
+    LostControl {
         /// The job.
         job: JobId,
         /// Control that the person requested.
@@ -224,7 +224,7 @@ pub enum Violation {
     },
     /// A control was refused because the job had ended, but it had not.
     #[error("{control:?} of job {job} was refused because the job had ended, but it had not ended")]
-    Refused {
+    WrongRefusal {
         /// The job.
         job: JobId,
         /// Control that was requested.
@@ -232,7 +232,7 @@ pub enum Violation {
     },
     /// A result counts although its job had ended.
     #[error("{task} counts under epoch {}, but its job had ended", .epoch.0)]
-    AfterEnd {
+    CountedAfterEnd {
         /// The task.
         task: TaskKey,
         /// Epoch of its result.
@@ -240,25 +240,25 @@ pub enum Violation {
     },
     /// A job expired too early.
     #[error("job {job} expired too early")]
-    ForgottenEarly {
+    ExpiredEarly {
         /// The job.
         job: JobId,
     },
     /// A job disappeared without expiring.
     #[error("job {job} disappeared")]
-    Gone {
+    JobDisappeared {
         /// The job.
         job: JobId,
     },
     /// A drained worker received a task.
     #[error("the worker of process {instance} is drained, but received a task")]
-    Drained {
+    LeasedToDrained {
         /// The worker's process.
         instance: u64,
     },
     /// An answer differs from the log of that time.
     #[error("an answer about job {job} contradicts the log: {what}")]
-    Answer {
+    WrongAnswer {
         /// The job.
         job: JobId,
         /// Content of the answer.
@@ -268,7 +268,7 @@ pub enum Violation {
     #[error(
         "an answer says that {task} is quarantined after {answered} attempts, but the log has {logged} failures of it"
     )]
-    Attempts {
+    TooManyAttempts {
         /// The task.
         task: TaskKey,
         /// Attempts according to the answer.
@@ -278,7 +278,7 @@ pub enum Violation {
     },
     /// A quarantined task was leased.
     #[error("{task} is leased under epoch {}, but was quarantined before", .epoch.0)]
-    Aside {
+    LeasedWhileQuarantined {
         /// The task.
         task: TaskKey,
         /// Epoch of the lease.
@@ -286,7 +286,7 @@ pub enum Violation {
     },
     /// The attempts of a quarantined task decreased without a retry.
     #[error("{task} was quarantined after {before} attempts, now after {answered}")]
-    Fewer {
+    AttemptsDecreased {
         /// The task.
         task: TaskKey,
         /// Attempts according to an earlier answer.
@@ -296,7 +296,7 @@ pub enum Violation {
     },
     /// The log counts more failures of a task than workers reported. A lease and its copy are one attempt.
     #[error("the log has {counted} failed attempts of {task}, but workers reported {reported}")]
-    Failures {
+    TooManyFailures {
         /// The task.
         task: TaskKey,
         /// Failed attempts in the log.
@@ -306,13 +306,13 @@ pub enum Violation {
     },
     /// A task was reported as stalled, although every task of the simulation makes progress.
     #[error("{task} was reported as stalled")]
-    Stalled {
+    FalseStall {
         /// The task.
         task: TaskKey,
     },
     /// The charge of an owner decreased, or differs from the time for which workers held the owner's tasks.
     #[error("{owner} is charged {held} ms after {before} ms, but workers held tasks of this owner for {seen} ms")]
-    Charged {
+    WrongCharge {
         /// The owner.
         owner: String,
         /// Milliseconds charged before.
@@ -324,7 +324,7 @@ pub enum Violation {
     },
     /// A task was reported to have killed a worker's process, but the process is alive.
     #[error("process {instance} was reported as killed by {task}, but it is alive")]
-    Alive {
+    FalseDeath {
         /// The worker's process.
         instance: u64,
         /// The task.
@@ -332,13 +332,13 @@ pub enum Violation {
     },
     /// A job failed without an explanation.
     #[error("the job failed without an explanation: {status}")]
-    Unexplained {
+    UnexplainedFailure {
         /// Status of the job as the farm reports it.
         status: String,
     },
     /// A report was refused because its lease was over, but its worker had not been informed.
     #[error("the lease of {task} under epoch {} ended, but its worker was not informed", .epoch.0)]
-    Silent {
+    UnannouncedEnd {
         /// The task.
         task: TaskKey,
         /// Epoch of the lease.
@@ -346,7 +346,7 @@ pub enum Violation {
     },
     /// The busy time of a frame differs from the sum over its results.
     #[error("an answer says that frame {frame} took {answered} ms, but its results took {logged} ms")]
-    Busy {
+    WrongBusyTime {
         /// Frame number.
         frame: u32,
         /// Time according to an answer, in milliseconds.
@@ -356,7 +356,7 @@ pub enum Violation {
     },
     /// An artifact that the log references was removed from the store.
     #[error("{digest} was removed, but the log references it")]
-    Removed {
+    ReferencedArtifactRemoved {
         /// Digest of the artifact.
         digest: Digest,
     },
@@ -364,7 +364,7 @@ pub enum Violation {
     #[error(
         "after garbage collection, {left} artifacts without references are left, and {missing} referenced artifacts are missing"
     )]
-    Garbage {
+    WrongGarbage {
         /// Artifacts without references.
         left: u64,
         /// Artifacts that are referenced and missing.
@@ -372,7 +372,7 @@ pub enum Violation {
     },
     /// A person's upload failed although the store had no fault.
     #[error("an upload was refused although the farm had no fault: {message}")]
-    Upload {
+    UploadRefused {
         /// Message that the person received.
         message: String,
     },
@@ -381,7 +381,7 @@ pub enum Violation {
         "{task} counts under epoch {}, but states {} bytes for {}, which has {bytes}",
         .epoch.0, .stated.bytes, .stated.digest
     )]
-    Size {
+    WrongSize {
         /// The task.
         task: TaskKey,
         /// Epoch of its lease.
@@ -393,7 +393,7 @@ pub enum Violation {
     },
     /// A lease of another farm replaced one of this farm.
     #[error("{task} under epoch {} is held by a worker that brought a lease of another farm", .epoch.0)]
-    TakenOver {
+    ForeignLease {
         /// The task.
         task: TaskKey,
         /// Epoch of the lease.
@@ -401,7 +401,7 @@ pub enum Violation {
     },
     /// A request for an artifact returned wrong bytes.
     #[error("a request for {digest} returned {found}")]
-    Delivered {
+    WrongBytes {
         /// Digest that was requested.
         digest: Digest,
         /// Digest of the received bytes.
@@ -409,7 +409,7 @@ pub enum Violation {
     },
     /// A snapshot was made although the log was short.
     #[error("a snapshot was made after only {records} records")]
-    Snapshot {
+    EarlySnapshot {
         /// Records of the log since the previous snapshot.
         records: usize,
     },
@@ -421,7 +421,7 @@ pub enum Violation {
     },
     /// A coordinator terminated because the log's disk was full.
     #[error("a coordinator terminated because the disk was full: {message}")]
-    Ended {
+    CoordinatorTerminated {
         /// Error of the coordinator.
         message: String,
     },
@@ -430,7 +430,7 @@ pub enum Violation {
         "at {at:.3?} the worker of process {instance} is leased {task}, but already has {count} waiting tasks, which take at least \
          {milliseconds} ms"
     )]
-    Deep {
+    QueueTooDeep {
         /// The worker's process.
         instance: u64,
         /// The task.
@@ -447,7 +447,7 @@ pub enum Violation {
         "at {at:.3?} the worker of process {instance} is leased {task}, {milliseconds} ms after its first pause began; {failures} \
          tasks of the job failed there in a row, so that its pauses are {pause} ms"
     )]
-    Hasty {
+    PauseTooShort {
         /// The worker's process.
         instance: u64,
         /// The task.
@@ -465,7 +465,7 @@ pub enum Violation {
     #[error(
         "at {at:.3?} {task} had waited for {milliseconds} ms, but the worker of process {instance} was leased {other} first"
     )]
-    Starved {
+    JoinStarved {
         /// The task that joins.
         task: TaskKey,
         /// The process of the worker that could take it.
@@ -481,7 +481,7 @@ pub enum Violation {
     #[error(
         "at {at:.3?} the worker of process {instance} has been drained for {milliseconds} ms, but {task} still waits there"
     )]
-    Kept {
+    KeptWhileDrained {
         /// The worker's process.
         instance: u64,
         /// The task that it has not begun.
@@ -496,40 +496,40 @@ pub enum Violation {
     Log(#[from] SnapshotError),
     /// The simulation itself failed.
     #[error("the simulation failed: {0}")]
-    World(String),
+    Simulation(String),
 }
 
 impl Violation {
     /// Turns a violation into a violation of one of many jobs.
-    pub(crate) fn of(self, job: JobId) -> Self {
-        Self::OfJob { job, violation: Box::new(self) }
+    pub(crate) fn in_job(self, job: JobId) -> Self {
+        Self::InJob { job, violation: Box::new(self) }
     }
 }
 
 /// Returns all violations of a run.
 pub(crate) fn audit(state: &State) -> Vec<Violation> {
-    let mut wrong = state.wrong.clone();
-    wrong.extend(settled(state));
-    if state.left > 0 {
-        wrong.push(Violation::Unfinished { jobs: state.left });
+    let mut wrong = state.violations.clone();
+    wrong.extend(check_log(state));
+    if state.waiting_people > 0 {
+        wrong.push(Violation::Unfinished { jobs: state.waiting_people });
     }
     wrong
 }
 
 /// Returns the violations in the current log.
-pub(crate) fn settled(state: &State) -> Vec<Violation> {
+pub(crate) fn check_log(state: &State) -> Vec<Violation> {
     let disk = &state.disk;
-    let logged = log(&disk.history, [&state.accepted, &state.reported], &state.leases);
-    let noted = noted(&disk.history, &disk.notes, disk.tail());
-    [logged, noted].into_iter().flat_map(|found| found.unwrap_or_else(|error| vec![error.into()])).collect()
+    let logged = check_records(&disk.history, [&state.accepted, &state.reported], &state.leases);
+    let attempts = check_attempt_records(&disk.history, &disk.notes, disk.tail());
+    [logged, attempts].into_iter().flat_map(|found| found.unwrap_or_else(|error| vec![error.into()])).collect()
 }
 
 /// Checks that the status of a finished job agrees with its specification.
-pub(crate) fn account(spec: &JobSpec, status: &JobStatus) -> Vec<Violation> {
+pub(crate) fn check_account(spec: &JobSpec, status: &JobStatus) -> Vec<Violation> {
     let mut wrong = Vec::new();
     let mut check = |what, found: u64, expected: u64| {
         if found != expected {
-            wrong.push(Violation::Account { what, found, expected });
+            wrong.push(Violation::WrongAccount { what, found, expected });
         }
     };
     let frames = spec.frames.len() as u64;
@@ -540,9 +540,9 @@ pub(crate) fn account(spec: &JobSpec, status: &JobStatus) -> Vec<Violation> {
 }
 
 /// Checks the records of a log against the leases and the acknowledged results.
-pub(crate) fn log<'a>(
+pub(crate) fn check_records<'a>(
     history: impl IntoIterator<Item = &'a Vec<u8>>,
-    [accepted, reported]: [&Reports; 2],
+    [accepted, reported]: [&ResultSet; 2],
     leases: &Leases,
 ) -> Result<Vec<Violation>, SnapshotError> {
     let mut wrong = Vec::new();
@@ -550,20 +550,20 @@ pub(crate) fn log<'a>(
     let mut counts: BTreeSet<(TaskKey, Epoch)> = BTreeSet::new();
     for record in history {
         let (now, fact) = Fact::decode(record)?;
-        if let Some(result) = counted(&fact) {
+        if let Some(result) = counted_result(&fact) {
             let (task, epoch) = (result.task, result.epoch);
             counts.insert((task, epoch));
-            let units = leases.units(task, epoch);
-            let missing = tally.missing(units, result.leased);
-            wrong.extend(missing.map(|Unit { item, step, .. }| Violation::Missing { task, item, step }));
-            let before = tally.count(&result, units);
-            wrong.extend(before.map(|(_, before)| Violation::Twice { task, epochs: [before, epoch] }));
+            let steps = leases.steps(task, epoch);
+            let missing = tally.missing_input(steps, result.granted);
+            wrong.extend(missing.map(|TaskStep { item, step, .. }| Violation::MissingInput { task, item, step }));
+            let before = tally.count(&result, steps);
+            wrong.extend(before.map(|(_, before)| Violation::CountedTwice { task, epochs: [before, epoch] }));
         }
-        tally.note(&fact, now);
+        tally.apply(&fact, now);
     }
     for &(task, epoch) in accepted.intersection(reported) {
         if !counts.contains(&(task, epoch)) {
-            wrong.push(Violation::Forgotten { task, epoch });
+            wrong.push(Violation::LostResult { task, epoch });
         }
     }
     Ok(wrong)
@@ -572,28 +572,28 @@ pub(crate) fn log<'a>(
 /// Checks that each counted result has exactly one attempt record per count, and that no other attempt record says that its attempt
 /// is done. Expired jobs have no attempt records. After a torn write there may be more: the attempt record is kept while its log
 /// record is lost.
-pub(crate) fn noted<'a>(
+pub(crate) fn check_attempt_records<'a>(
     history: impl IntoIterator<Item = &'a Vec<u8>>,
     notes: &[Note],
     tail: Tail,
 ) -> Result<Vec<Violation>, SnapshotError> {
     // A lost result may be reported again under its lease, and counts again.
-    let (mut counts, mut forgotten) = (BTreeMap::<_, (u64, u64)>::new(), BTreeSet::new());
+    let (mut counts, mut expired) = (BTreeMap::<_, (u64, u64)>::new(), BTreeSet::new());
     for record in history {
         let fact = Fact::decode(record)?.1;
-        if let Some(result) = counted(&fact) {
+        if let Some(result) = counted_result(&fact) {
             let (times, samples) = counts.entry((result.task, result.epoch)).or_default();
             *times += 1;
             *samples += result.result.units;
         }
-        if let Fact::Forgotten { job } = fact {
-            forgotten.insert(job);
+        if let Fact::JobRemoved { job } = fact {
+            expired.insert(job);
         }
     }
-    counts.retain(|(task, _), _| !forgotten.contains(&task.job));
+    counts.retain(|(task, _), _| !expired.contains(&task.job));
     let mut times: BTreeMap<(TaskKey, Epoch), (u64, u64)> = BTreeMap::new();
-    for note in notes.iter().filter(|note| note.subject != ROSTER) {
-        for attempt in decode_attempts(&note.bytes)?.into_iter().filter(|attempt| attempt.ending == Ending::Done) {
+    for note in notes.iter().filter(|note| note.subject != ROSTER_SUBJECT) {
+        for attempt in decode_attempts(&note.bytes)?.into_iter().filter(|attempt| attempt.ending == LeaseEnding::Done) {
             let (times, samples) = times.entry((attempt.task, attempt.epoch)).or_default();
             *times += 1;
             *samples += attempt.samples;
@@ -603,12 +603,12 @@ pub(crate) fn noted<'a>(
     for (&(task, epoch), &(counts, expected)) in &counts {
         let (times, samples) = times.get(&(task, epoch)).copied().unwrap_or_default();
         if times < counts || times > counts && tail == Tail::Whole {
-            wrong.push(Violation::Noted { task, epoch, times });
+            wrong.push(Violation::AttemptRecords { task, epoch, times });
         } else if times == counts && samples != expected {
-            wrong.push(Violation::Account { what: "samples of an attempt", found: samples, expected });
+            wrong.push(Violation::WrongAccount { what: "samples of an attempt", found: samples, expected });
         }
     }
     let for_nothing = times.keys().filter(|key| tail == Tail::Whole && !counts.contains_key(key));
-    wrong.extend(for_nothing.map(|&(task, epoch)| Violation::NotedForNothing { task, epoch }));
+    wrong.extend(for_nothing.map(|&(task, epoch)| Violation::FalseAttemptRecord { task, epoch }));
     Ok(wrong)
 }

@@ -5,16 +5,16 @@ use std::io;
 use std::time::Duration;
 
 use femc_model::{Artifact, Epoch, TaskKey, TaskResult};
-use femc_queue::{Batch, Contents, Note, Page, Queue, QueueError};
-use femc_schedule::{Evidence, Fact, Ledger, SnapshotError};
+use femc_queue::{Batch, LogContents, Note, NotePage, Queue, QueueError};
+use femc_schedule::{DeathEvidence, Fact, Ledger, SnapshotError};
 
-use crate::audit::{Violation, settled};
-use crate::contents::fact_name;
-use crate::promises::Answers;
-use crate::shared::{Shared, State, Trap};
+use crate::audit::{Violation, check_log};
+use crate::requests::RequestHistory;
+use crate::shared::{CrashPoint, Shared, State};
+use crate::shared_stages::shared_fact_name;
 
 /// Longest time that the disk takes before and after a write.
-const SEEK: Duration = Duration::from_millis(6);
+const MAX_SEEK: Duration = Duration::from_millis(6);
 
 /// Tells whether a write was ever torn.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -27,7 +27,7 @@ pub(crate) enum Tail {
 /// Contents of the log's disk.
 #[derive(Debug, Default)]
 pub(crate) struct Disk {
-    pub(crate) contents: Contents,
+    pub(crate) contents: LogContents,
     /// All records ever written, also those that snapshots have replaced.
     pub(crate) history: Vec<Vec<u8>>,
     /// Notes beside the log, oldest first.
@@ -38,14 +38,14 @@ pub(crate) struct Disk {
     /// Number of earlier logs.
     pub(crate) logs: u32,
     /// Host that took the lead last from another host, and the time of that.
-    moved: (usize, Duration),
+    last_takeover: (usize, Duration),
     /// Epoch of the coordinator that may write.
     epoch: i64,
     /// Number of writes that will fail for lack of space.
-    pub(crate) full: u32,
+    pub(crate) failing_writes: u32,
     pub(crate) snapshots: u32,
     /// Most records beside a snapshot at any time.
-    pub(crate) longest: usize,
+    pub(crate) max_records: usize,
 }
 
 impl Disk {
@@ -54,14 +54,14 @@ impl Disk {
     }
 
     /// Checks whether a deposed leader may still answer requests.
-    pub(crate) fn has_ghosts(&self) -> bool {
+    pub(crate) fn may_have_deposed_leader(&self) -> bool {
         /// Longer than a deposed leader continues.
-        const HAUNTS: Duration = Duration::from_secs(12);
+        const MAX_DEPOSED_TIME: Duration = Duration::from_secs(12);
         let now = turmoil::sim_elapsed().unwrap_or_default();
-        self.moved.1 > Duration::ZERO && now.saturating_sub(self.moved.1) < HAUNTS
+        self.last_takeover.1 > Duration::ZERO && now.saturating_sub(self.last_takeover.1) < MAX_DEPOSED_TIME
     }
 
-    fn keep(&mut self, Batch { notes, forgotten, .. }: &Batch<'_>) {
+    fn store_notes(&mut self, Batch { notes, forgotten, .. }: &Batch<'_>) {
         self.notes.retain(|note| !forgotten.contains(&note.subject));
         self.notes.extend_from_slice(notes);
     }
@@ -77,7 +77,7 @@ impl Disk {
     }
 
     /// Checks a snapshot before it replaces the previous one and the records since then.
-    fn judge(&self, snapshot: &[u8]) -> Option<Violation> {
+    fn check_snapshot(&self, snapshot: &[u8]) -> Option<Violation> {
         let compared = Ledger::decode(snapshot).and_then(|ledger| Ok(ledger == self.ledger()?));
         let records = self.contents.records.len();
         match compared {
@@ -89,31 +89,40 @@ impl Disk {
 
 impl State {
     /// Checks that a counted result states the real sizes of its artifacts.
-    fn other_size(&self, task: TaskKey, epoch: Epoch, result: &TaskResult) -> Option<Violation> {
+    fn check_sizes(&self, task: TaskKey, epoch: Epoch, result: &TaskResult) -> Option<Violation> {
         let size = |stated: Artifact| Some((stated, *self.sizes.get(&stated.digest)?));
         let (stated, bytes) = result.artifacts().filter_map(size).find(|(stated, bytes)| stated.bytes != *bytes)?;
-        Some(Violation::Size { task, epoch, stated, bytes })
+        Some(Violation::WrongSize { task, epoch, stated, bytes })
     }
 
     /// Loses the log: reports its violations and begins an empty log. The right to write does not change.
     pub(crate) fn lose_log(&mut self) {
-        let wrong = settled(self);
-        self.wrong.extend(wrong);
-        let Disk { reserved, moved, epoch, logs, snapshots, longest, .. } = std::mem::take(&mut self.disk);
-        self.disk = Disk { reserved, moved, epoch, logs: logs + 1, snapshots, longest, ..Disk::default() };
-        self.leases.anew();
-        self.chronicle.anew();
-        self.shares.anew();
-        self.queues.anew();
-        self.answers = Answers::default();
+        let wrong = check_log(self);
+        self.violations.extend(wrong);
+        let Disk { reserved, last_takeover: moved, epoch, logs, snapshots, max_records: longest, .. } =
+            std::mem::take(&mut self.disk);
+        self.disk = Disk {
+            reserved,
+            last_takeover: moved,
+            epoch,
+            logs: logs + 1,
+            snapshots,
+            max_records: longest,
+            ..Disk::default()
+        };
+        self.leases.reset();
+        self.history.reset();
+        self.charges.reset();
+        self.queues.reset();
+        self.requests = RequestHistory::default();
         self.accepted.clear();
         self.reported.clear();
-        self.robbed.clear();
+        self.damaged_frames.clear();
     }
 }
 
 /// Records of the log after which a coordinator makes a snapshot.
-pub(crate) const SNAPSHOT: usize = 25;
+pub(crate) const SNAPSHOT_RECORDS: usize = 25;
 
 /// The log, opened by one coordinator.
 #[derive(Debug)]
@@ -125,52 +134,52 @@ pub(crate) struct Log {
 
 impl Log {
     /// Takes the lead. The previous leader may not write any more.
-    pub(crate) fn lead(shared: &Shared, host: usize) -> Self {
+    pub(crate) fn take_lead(shared: &Shared, host: usize) -> Self {
         let mut state = shared.lock();
         state.disk.epoch += 1;
-        if state.disk.moved.0 != host {
-            state.disk.moved = (host, turmoil::sim_elapsed().unwrap_or_default());
+        if state.disk.last_takeover.0 != host {
+            state.disk.last_takeover = (host, turmoil::sim_elapsed().unwrap_or_default());
         }
         Self { shared: shared.clone(), host, epoch: state.disk.epoch }
     }
 
     /// Writes, unless another coordinator leads, the disk is full, or the process is killed.
-    async fn write(&self, write: impl FnOnce(&mut State) -> Written) -> Result<(), QueueError> {
-        tokio::time::sleep(self.shared.pause(SEEK)).await;
+    async fn write(&self, write: impl FnOnce(&mut State) -> WriteOutcome) -> Result<(), QueueError> {
+        tokio::time::sleep(self.shared.pause(MAX_SEEK)).await;
         let written = {
             let mut state = self.shared.lock();
-            if self.falls(&mut state, Trap::Before) {
-                Written::Torn
+            if self.crashes_at(&mut state, CrashPoint::Before) {
+                WriteOutcome::Torn
             } else {
-                self.admitted(&mut state)?;
+                self.check_writable(&mut state)?;
                 let written = write(&mut state);
-                if self.falls(&mut state, Trap::After) { Written::Torn } else { written }
+                if self.crashes_at(&mut state, CrashPoint::After) { WriteOutcome::Torn } else { written }
             }
         };
-        if written == Written::Torn {
+        if written == WriteOutcome::Torn {
             pending::<()>().await;
         }
-        tokio::time::sleep(self.shared.pause(SEEK)).await;
+        tokio::time::sleep(self.shared.pause(MAX_SEEK)).await;
         Ok(())
     }
 
     /// Checks that the coordinator leads and that the disk has space.
-    fn admitted(&self, state: &mut State) -> Result<(), QueueError> {
+    fn check_writable(&self, state: &mut State) -> Result<(), QueueError> {
         if state.disk.epoch != self.epoch {
-            state.fired("stale leader refused");
+            state.count_fault("stale leader refused");
             return Err(QueueError::Deposed { epoch: self.epoch });
         }
-        if state.disk.full > 0 {
-            state.disk.full -= 1;
-            state.fired("log full");
+        if state.disk.failing_writes > 0 {
+            state.disk.failing_writes -= 1;
+            state.count_fault("log full");
             return Err(io::Error::from(io::ErrorKind::StorageFull).into());
         }
         Ok(())
     }
 
     /// Checks whether the process is killed at this point.
-    fn falls(&self, state: &mut State, at: Trap) -> bool {
-        match &mut state.trap {
+    fn crashes_at(&self, state: &mut State, at: CrashPoint) -> bool {
+        match &mut state.planned_crash {
             Some((left, trap)) if *trap == at => {
                 *left = left.saturating_sub(1);
                 if *left > 0 {
@@ -179,12 +188,12 @@ impl Log {
             }
             _ => return false,
         }
-        state.trap = None;
-        state.sprung = Some(self.host);
-        state.fired(match at {
-            Trap::Before => "died before a write",
-            Trap::Within => "torn write",
-            Trap::After => "died after a write",
+        state.planned_crash = None;
+        state.crashed = Some(self.host);
+        state.count_fault(match at {
+            CrashPoint::Before => "died before a write",
+            CrashPoint::Within => "torn write",
+            CrashPoint::After => "died after a write",
         });
         true
     }
@@ -192,7 +201,7 @@ impl Log {
 
 /// Tells whether a write was completed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Written {
+enum WriteOutcome {
     Whole,
     /// The process is killed.
     Torn,
@@ -200,7 +209,7 @@ enum Written {
 
 impl Queue for Log {
     /// Reports torn records once, and drops them.
-    async fn load(&mut self) -> Result<Contents, QueueError> {
+    async fn load(&mut self) -> Result<LogContents, QueueError> {
         let contents = &mut self.shared.lock().disk.contents;
         let loaded = contents.clone();
         contents.torn = 0;
@@ -211,42 +220,43 @@ impl Queue for Log {
     async fn append(&mut self, batch: Batch<'_>) -> Result<(), QueueError> {
         let mut records = batch.records.to_vec();
         self.write(|state| {
-            let written = if self.falls(state, Trap::Within) { Written::Torn } else { Written::Whole };
-            if written == Written::Torn {
+            let written =
+                if self.crashes_at(state, CrashPoint::Within) { WriteOutcome::Torn } else { WriteOutcome::Whole };
+            if written == WriteOutcome::Torn {
                 let torn = records.split_off(records.len() / 2);
                 state.disk.contents.torn = torn.len() as u64;
                 state.disk.tail = Tail::Torn;
             }
-            if written == Written::Whole || !records.is_empty() {
-                state.disk.keep(&batch);
+            if written == WriteOutcome::Whole || !records.is_empty() {
+                state.disk.store_notes(&batch);
             }
             let now = turmoil::sim_elapsed().unwrap_or_default();
             for (tick, fact) in records.iter().filter_map(|record| Fact::decode(record).ok()) {
-                let leased = state.leases.judge(&fact);
-                let said = state.chronicle.take(tick, &fact, now, &state.answers.controls);
-                state.wrong.extend(leased.into_iter().chain(said));
-                fact_name(&fact).into_iter().for_each(|name| state.did(name));
-                state.queues.note_record(&fact, now);
-                state.shares.divide(&state.chronicle.payers_of_shared(), now);
+                let leased = state.leases.check_fact(&fact);
+                let recorded = state.history.apply(tick, &fact, now, &state.requests.controls);
+                state.violations.extend(leased.into_iter().chain(recorded));
+                shared_fact_name(&fact).into_iter().for_each(|name| state.count_action(name));
+                state.queues.observe_fact(&fact, now);
+                state.charges.divide(&state.history.payers_of_shared(), now);
                 match &fact {
-                    Fact::Used { owners } => {
-                        let charged = state.shares.judge(owners, now);
-                        state.wrong.extend(charged);
+                    Fact::TimeCharged { owners } => {
+                        let charged = state.charges.check_charges(owners, now);
+                        state.violations.extend(charged);
                     }
                     Fact::Done { task, epoch, result, .. } => {
-                        let other = state.other_size(*task, *epoch, result);
-                        state.wrong.extend(other);
+                        let other = state.check_sizes(*task, *epoch, result);
+                        state.violations.extend(other);
                     }
-                    Fact::Died { task, casualty, .. } if casualty.evidence == Evidence::Journal => {
+                    Fact::WorkerDied { task, death: casualty, .. } if casualty.evidence == DeathEvidence::Journal => {
                         let instance = casualty.instance;
-                        let lives = state.lives.values().any(|&other| other == instance);
-                        state.wrong.extend(lives.then_some(Violation::Alive { instance, task: *task }));
+                        let lives = state.processes.values().any(|&other| other == instance);
+                        state.violations.extend(lives.then_some(Violation::FalseDeath { instance, task: *task }));
                     }
                     _ => {}
                 }
             }
             state.disk.contents.records.extend_from_slice(&records);
-            state.disk.longest = state.disk.longest.max(state.disk.contents.records.len());
+            state.disk.max_records = state.disk.max_records.max(state.disk.contents.records.len());
             for record in &records {
                 state.trace.update(record);
             }
@@ -263,24 +273,24 @@ impl Queue for Log {
         Ok(disk.reserved)
     }
 
-    async fn notes(&mut self, subject: u64, _from: u64) -> Result<Page, QueueError> {
+    async fn notes(&mut self, subject: u64, _from: u64) -> Result<NotePage, QueueError> {
         let state = self.shared.lock();
         let of_subject = state.disk.notes.iter().filter(|note| note.subject == subject);
-        Ok(Page { notes: of_subject.map(|note| note.bytes.clone()).collect(), next: None })
+        Ok(NotePage { notes: of_subject.map(|note| note.bytes.clone()).collect(), next: None })
     }
 
     async fn snapshot(&mut self, snapshot: &[u8]) -> Result<(), QueueError> {
-        let fresh = Contents { snapshot: Some(snapshot.to_vec()), ..Contents::default() };
+        let fresh = LogContents { snapshot: Some(snapshot.to_vec()), ..LogContents::default() };
         self.write(|state| {
-            let wrong = state.disk.judge(snapshot);
-            state.wrong.extend(wrong);
+            let wrong = state.disk.check_snapshot(snapshot);
+            state.violations.extend(wrong);
             let records = state.disk.contents.records.len();
-            if records < SNAPSHOT {
-                state.wrong.push(Violation::Snapshot { records });
+            if records < SNAPSHOT_RECORDS {
+                state.violations.push(Violation::EarlySnapshot { records });
             }
             state.disk.contents = fresh;
             state.disk.snapshots += 1;
-            Written::Whole
+            WriteOutcome::Whole
         })
         .await
     }

@@ -4,41 +4,41 @@ use std::io;
 use std::sync::Arc;
 use std::time::Duration;
 
-use femc_coordinator::{Config, Coordinator, CoordinatorError, Time};
+use femc_coordinator::{Config, Coordinator, CoordinatorError, TimeSource};
 use femc_model::{Assignment, StageKind, TaskKey};
 use femc_queue::QueueError;
 use femc_store::Store;
-use femc_worker::{Fate, Hands, Journal, MemoryOutbox, OutboxPlace, Pace, Worker};
+use femc_worker::{Executor, Journal, MemoryOutbox, OutboxStorage, SimulatedOutcome, TaskSimulation, Worker};
 use rand::RngExt as _;
 use turmoil::Sim;
 
 use crate::audit::Violation;
-use crate::disk::{Log, SNAPSHOT};
-use crate::faults::{COORDINATORS, Hardship, WORKERS};
-use crate::network::{SWITCH, dial, listen, url};
-use crate::paces::{Paces, draw};
-use crate::people::Curse;
+use crate::disk::{Log, SNAPSHOT_RECORDS};
+use crate::faults::{COORDINATORS, RiskyFault, WORKERS};
+use crate::faulty_medium::FaultyMedium;
+use crate::network::{SWITCH, dialer, listen, url};
+use crate::people::InjectedFailure;
 use crate::shared::Shared;
-use crate::shelf::Shelf;
-use crate::stage::CACHE;
 use crate::switch;
-use crate::tasks::renders;
+use crate::task_durations::{TaskDurations, draw_16_bits};
+use crate::tasks::is_rendering;
+use crate::test_jobs::CACHE;
 
 /// Longest latency of a message without faults.
 pub(crate) const LATENCY: Duration = Duration::from_millis(15);
 
 /// Creates a world with all its hosts. It advances in steps of `tick` and lasts at most until `end`. All coordinators use the
 /// settings `scheduler`.
-pub(crate) fn settle(
+pub(crate) fn build_sim(
     seed: u64,
     [tick, end]: [Duration; 2],
     shared: &Shared,
-    shelf: &Shelf,
+    medium: &FaultyMedium,
     scheduler: &femc_schedule::Config,
 ) -> Sim<'static> {
-    let paces = Paces::new(seed, scheduler.grain);
-    shared.lock().queues.world = Some((paces, scheduler.clone()));
-    let store = Store::over("shelf", Arc::new(shelf.clone()));
+    let durations = TaskDurations::new(seed, scheduler.chunk_size);
+    shared.lock().queues.settings = Some((durations, scheduler.clone()));
+    let store = Store::from_object_store("shelf", Arc::new(medium.clone()));
     let mut sim = turmoil::Builder::new()
         .simulation_duration(end)
         .tick_duration(tick)
@@ -57,7 +57,7 @@ pub(crate) fn settle(
     }
     for host in 0..WORKERS {
         let (shared, disk) = (shared.clone(), WorkerDisk::default());
-        sim.host(worker_name(host), move || worker(seed, host, shared.clone(), paces, disk.clone()));
+        sim.host(worker_name(host), move || worker(seed, host, shared.clone(), durations, disk.clone()));
     }
     sim
 }
@@ -78,15 +78,15 @@ impl Default for WorkerDisk {
 
 impl WorkerDisk {
     /// Restarts the machine, which may lose or tear stored results.
-    fn boots(&self, shared: &Shared) {
+    fn restart(&self, shared: &Shared) {
         let mut state = shared.lock();
-        self.memory.harm(|result| {
+        self.memory.damage(|result| {
             let what = match state.rng.random_range(0..8) {
                 0 => "kept result lost",
                 1 => "kept result torn",
                 _ => "kept result survived a restart",
             };
-            state.fired(what);
+            state.count_fault(what);
             if what == "kept result torn" {
                 let length = state.rng.random_range(0..result.len());
                 result.truncate(length);
@@ -97,7 +97,7 @@ impl WorkerDisk {
 }
 
 /// Returns the number of connection ends that the simulated network keeps. Must be called from within the simulation.
-pub(crate) fn ends() -> usize {
+pub(crate) fn connection_ends() -> usize {
     let names = (0..COORDINATORS).map(coordinator_name).chain((0..WORKERS).map(worker_name)).chain([SWITCH.into()]);
     names.map(turmoil::established_tcp_stream_count_on).sum()
 }
@@ -116,15 +116,23 @@ async fn coordinator(host: usize, shared: Shared, store: Store, scheduler: femc_
         while shared.lock().leader != host {
             tokio::time::sleep(Duration::from_millis(50)).await;
         }
-        let log = Log::lead(&shared, host);
+        let log = Log::take_lead(&shared, host);
         let started = tokio::time::Instant::now();
         let clock = shared.clone();
-        let time = move || clock.lock().clocks[host].shows(started.elapsed());
+        let time = move || clock.lock().clocks[host].read(started.elapsed());
         let scheduler = femc_schedule::Config { clock_zero: Some(0), ..scheduler.clone() };
-        let config = Config { scheduler, snapshot: SNAPSHOT, time: Time::by(time), ..Config::default() };
-        shared.note(|| format!("c{host} leads"));
+        let config =
+            Config { scheduler, snapshot: SNAPSHOT_RECORDS, time: TimeSource::from_fn(time), ..Config::default() };
+        shared.trace(|| format!("c{host} leads"));
         let failed = async {
-            match Coordinator::on(listen(&shared, &coordinator_name(host)).await, config, store.clone(), log).await {
+            match Coordinator::start_on_stream(
+                listen(&shared, &coordinator_name(host)).await,
+                config,
+                store.clone(),
+                log,
+            )
+            .await
+            {
                 Ok(mut handle) => (handle.failed().await, true),
                 Err(error) => (error, false),
             }
@@ -139,29 +147,29 @@ async fn coordinator(host: usize, shared: Shared, store: Store, scheduler: femc_
         tokio::select! {
             biased;
             (error, has_led) = failed => {
-                shared.note(|| format!("c{host} fails: {error}"));
+                shared.trace(|| format!("c{host} fails: {error}"));
                 // A leader must wait until the disk has space.
-                if has_led && is_full(&error) && Hardship::FullLog.is_there() {
-                    shared.lock().wrong.push(Violation::Ended { message: error.to_string() });
+                if has_led && is_disk_full(&error) && RiskyFault::FullLog.is_enabled() {
+                    shared.lock().violations.push(Violation::CoordinatorTerminated { message: error.to_string() });
                 }
             }
-            () = dethroned => shared.note(|| format!("c{host} no longer leads")),
+            () = dethroned => shared.trace(|| format!("c{host} no longer leads")),
         }
         tokio::time::sleep(Duration::from_millis(200)).await;
     }
 }
 
-fn is_full(error: &CoordinatorError) -> bool {
-    matches!(error, CoordinatorError::Queue(QueueError::Medium(error)) if error.kind() == io::ErrorKind::StorageFull)
+fn is_disk_full(error: &CoordinatorError) -> bool {
+    matches!(error, CoordinatorError::Queue(QueueError::Io(error)) if error.kind() == io::ErrorKind::StorageFull)
 }
 
-async fn worker(seed: u64, host: usize, shared: Shared, paces: Paces, disk: WorkerDisk) -> turmoil::Result {
-    disk.boots(&shared);
+async fn worker(seed: u64, host: usize, shared: Shared, durations: TaskDurations, disk: WorkerDisk) -> turmoil::Result {
+    disk.restart(&shared);
     let boot = {
         let mut state = shared.lock();
         state.boots += 1;
         let boot = state.boots;
-        state.lives.insert(host, boot);
+        state.processes.insert(host, boot);
         boot
     };
     let fates = shared.clone();
@@ -171,14 +179,14 @@ async fn worker(seed: u64, host: usize, shared: Shared, paces: Paces, disk: Work
         cache: CACHE.clone(),
         instance: boot,
         journal: disk.journal,
-        outbox: Some(OutboxPlace::Memory(disk.memory)),
+        outbox: Some(OutboxStorage::Memory(disk.memory)),
         engine: build(seed, boot).into(),
-        dial: dial(&shared, &worker_name(host)),
-        hands: Hands::Simulated(Pace::fated(move |assignment| {
+        dial: dialer(&shared, &worker_name(host)),
+        executor: Executor::Simulated(TaskSimulation::from_outcomes(move |assignment| {
             let time = {
                 let mut state = fates.lock();
-                state.queues.note_begun(assignment.task, assignment.epoch);
-                paces.time(assignment, state.chronicle.spec(assignment.task.job))
+                state.queues.observe_start(assignment.task, assignment.epoch);
+                durations.duration(assignment, state.history.spec(assignment.task.job))
             };
             (time, fate(seed, host, &fates, assignment))
         })),
@@ -194,33 +202,34 @@ fn build(seed: u64, boot: u64) -> &'static str {
 }
 
 /// Decides the fate of a task according to the curse of its job.
-fn fate(seed: u64, host: usize, shared: &Shared, assignment: &Assignment) -> Fate {
+fn fate(seed: u64, host: usize, shared: &Shared, assignment: &Assignment) -> SimulatedOutcome {
     /// Percentage of failing tasks in a job in which some fail.
-    const OFTEN: u64 = 12;
+    const FAILURE_PERCENT: u64 = 12;
     /// Percentage for the first task of shared stages, high enough that the task is sometimes quarantined.
-    const OFTEN_SHARED: u64 = 60;
+    const SHARED_FAILURE_PERCENT: u64 = 60;
     let TaskKey { job, stage, .. } = assignment.task;
-    if shared.lock().sick == Some(host) {
-        return Fate::Panics;
+    if shared.lock().failing_worker == Some(host) {
+        return SimulatedOutcome::Panic;
     }
-    let (curse, first) = match shared.lock().chronicle.spec(job) {
-        Some(spec) => (Curse::of(spec), spec.frames.first().copied()),
-        None => return Fate::Done,
+    let (injected, first) = match shared.lock().history.spec(job) {
+        Some(spec) => (InjectedFailure::from_spec(spec), spec.frames.first().copied()),
+        None => return SimulatedOutcome::Done,
     };
     let is_the_one = first == Some(stage.frame)
         && assignment.task.index == 0
-        && (renders(assignment) || stage.kind == StageKind::Drill);
+        && (is_rendering(assignment) || stage.kind == StageKind::Drill);
     let is_first = job.is_shared() && (stage.round, stage.number, assignment.task.index) == (0, 0, 0);
-    let often = if is_first { OFTEN_SHARED } else { OFTEN };
-    let is_unlucky = || draw(&format!("{seed} fate {} {}", assignment.task, assignment.epoch.0)) * 100 / 65_536 < often;
-    match curse {
-        Curse::Nothing => Fate::Done,
-        Curse::NowAndThen if is_unlucky() => Fate::Panics,
-        Curse::Always if is_the_one => Fate::Panics,
-        Curse::Deadly if is_the_one => {
+    let percent = if is_first { SHARED_FAILURE_PERCENT } else { FAILURE_PERCENT };
+    let is_unlucky =
+        || draw_16_bits(&format!("{seed} fate {} {}", assignment.task, assignment.epoch.0)) * 100 / 65_536 < percent;
+    match injected {
+        InjectedFailure::Nothing => SimulatedOutcome::Done,
+        InjectedFailure::Sometimes if is_unlucky() => SimulatedOutcome::Panic,
+        InjectedFailure::Always if is_the_one => SimulatedOutcome::Panic,
+        InjectedFailure::KillsWorker if is_the_one => {
             let shared = shared.clone();
-            Fate::Kills(Arc::new(move || shared.lock().struck.push(host)))
+            SimulatedOutcome::KillProcess(Arc::new(move || shared.lock().killed_workers.push(host)))
         }
-        Curse::NowAndThen | Curse::Always | Curse::Deadly => Fate::Done,
+        InjectedFailure::Sometimes | InjectedFailure::Always | InjectedFailure::KillsWorker => SimulatedOutcome::Done,
     }
 }

@@ -7,7 +7,7 @@ use femc_model::{Assignment, Epoch, Failure, JobId, JobSpec, Stage, TaskKey};
 use femc_schedule::Fact;
 
 use crate::audit::Violation;
-use crate::tasks::{Unit, behind, counted, units};
+use crate::tasks::{TaskStep, counted_result, steps_of_lease, transitive_inputs};
 
 /// Number of a session that the switch has relayed.
 pub(crate) type SessionNumber = u64;
@@ -16,19 +16,19 @@ pub(crate) type SessionNumber = u64;
 #[derive(Debug, Default)]
 pub(crate) struct Leases {
     /// All granted leases, with the units that each covers.
-    given: BTreeMap<(TaskKey, Epoch), Vec<Unit>>,
+    granted: BTreeMap<(TaskKey, Epoch), Vec<TaskStep>>,
     /// Latest lease of each unit, and the lease that it copies. Epochs grow with the log.
-    latest: BTreeMap<Unit, (Epoch, Option<Epoch>)>,
+    latest: BTreeMap<TaskStep, (Epoch, Option<Epoch>)>,
     /// Leases that a worker brought along, with the sessions in which they were not revoked.
-    brought: BTreeMap<(TaskKey, Epoch), BTreeSet<SessionNumber>>,
+    carried_over: BTreeMap<(TaskKey, Epoch), BTreeSet<SessionNumber>>,
     /// Units that the log counts under leases that no worker brought along.
-    counted: BTreeMap<Unit, (TaskKey, Epoch)>,
+    counted: BTreeMap<TaskStep, (TaskKey, Epoch)>,
     /// Jobs that are in the log.
     specs: BTreeMap<JobId, Box<JobSpec>>,
     /// Engine build of the worker that holds a lease.
     engines: BTreeMap<(TaskKey, Epoch), String>,
     /// Engine build of a frame.
-    built: BTreeMap<(JobId, u32), String>,
+    frame_builds: BTreeMap<(JobId, u32), String>,
     sessions: SessionNumber,
     /// Task of each epoch.
     epochs: BTreeMap<Epoch, TaskKey>,
@@ -40,76 +40,80 @@ pub(crate) struct Leases {
 
 impl Leases {
     /// Notes that a session of a worker with this build begins and brings these leases along.
-    pub(crate) fn joined(&mut self, engine: &str, held: impl Iterator<Item = (TaskKey, Epoch)>) -> SessionNumber {
+    pub(crate) fn begin_session(
+        &mut self,
+        engine: &str,
+        held: impl Iterator<Item = (TaskKey, Epoch)>,
+    ) -> SessionNumber {
         self.sessions += 1;
         for lease in held {
             self.engines.insert(lease, engine.to_owned());
-            self.brought.entry(lease).or_default().insert(self.sessions);
+            self.carried_over.entry(lease).or_default().insert(self.sessions);
         }
         self.sessions
     }
 
     /// Notes and checks a lease that a coordinator grants to a worker with this build.
-    pub(crate) fn assigned(&mut self, engine: &str, lease: &Assignment) -> Option<Violation> {
-        let (key, units) = ((lease.task, lease.epoch), units(lease));
+    pub(crate) fn grant(&mut self, engine: &str, lease: &Assignment) -> Option<Violation> {
+        let (key, steps) = ((lease.task, lease.epoch), steps_of_lease(lease));
         self.engines.insert(key, engine.to_owned());
-        for unit in &units {
+        for unit in &steps {
             let this = (lease.epoch, lease.copy_of);
             let latest = self.latest.entry(*unit).or_insert(this);
             *latest = this.max(*latest);
         }
-        let wrong = self.superseded(&units);
-        self.given.insert(key, units);
+        let wrong = self.check_superseded(&steps);
+        self.granted.insert(key, steps);
         self.copies.extend(lease.copy_of.map(|original| (key, original)));
         match self.epochs.insert(lease.epoch, lease.task) {
-            Some(before) => Some(Violation::EpochAgain { epoch: lease.epoch, tasks: [before, lease.task] }),
+            Some(before) => Some(Violation::EpochReused { epoch: lease.epoch, tasks: [before, lease.task] }),
             None => wrong,
         }
     }
 
     /// Begins an empty log: earlier results do not count any more.
-    pub(crate) fn anew(&mut self) {
+    pub(crate) fn reset(&mut self) {
         self.counted.clear();
         self.specs.clear();
-        self.built.clear();
+        self.frame_builds.clear();
         self.failures.clear();
     }
 
     /// Notes that a worker reports a task as failed.
-    pub(crate) fn failed(&mut self, task: TaskKey, epoch: Epoch) {
+    pub(crate) fn report_failure(&mut self, task: TaskKey, epoch: Epoch) {
         let attempt = self.copies.get(&(task, epoch)).copied().unwrap_or(epoch);
         self.failures.entry(task).or_default().0.insert(attempt);
     }
 
     /// Returns the units that a granted lease covers.
-    pub(crate) fn units(&self, task: TaskKey, epoch: Epoch) -> &[Unit] {
-        self.given.get(&(task, epoch)).map_or(&[], Vec::as_slice)
+    pub(crate) fn steps(&self, task: TaskKey, epoch: Epoch) -> &[TaskStep] {
+        self.granted.get(&(task, epoch)).map_or(&[], Vec::as_slice)
     }
 
     /// Returns the latest granted leases, with the steps that each covers.
-    pub(crate) fn last_given(&self, count: usize) -> impl Iterator<Item = (TaskKey, Epoch, Range<u32>)> {
+    pub(crate) fn latest_granted(&self, count: usize) -> impl Iterator<Item = (TaskKey, Epoch, Range<u32>)> {
         self.epochs.iter().rev().take(count).filter_map(|(&epoch, &task)| {
-            let units = self.units(task, epoch);
+            let units = self.steps(task, epoch);
             Some((task, epoch, units.first()?.step..units.last()?.step + 1))
         })
     }
 
     /// Notes that a coordinator revokes a lease.
-    pub(crate) fn revoked(&mut self, session: SessionNumber, task: TaskKey, epoch: Epoch) {
-        if let Some(sessions) = self.brought.get_mut(&(task, epoch)) {
+    pub(crate) fn revoke(&mut self, session: SessionNumber, task: TaskKey, epoch: Epoch) {
+        if let Some(sessions) = self.carried_over.get_mut(&(task, epoch)) {
             sessions.remove(&session);
         }
     }
 
     /// Drops this job and all earlier ones. The log must not count any more results of them.
-    pub(crate) fn forget_until(&mut self, job: JobId) {
-        self.given.retain(|(task, _), _| task.job > job);
+    pub(crate) fn drop_until(&mut self, job: JobId) {
+        self.granted.retain(|(task, _), _| task.job > job);
         self.latest.retain(|unit, _| unit.job > job);
-        self.brought.retain(|(task, _), _| task.job > job);
+        self.carried_over.retain(|(task, _), _| task.job > job);
         self.counted.retain(|unit, _| unit.job > job);
         self.specs.retain(|&other, _| other > job);
         self.engines.retain(|(task, _), _| task.job > job);
-        self.built.retain(|&(other, _), _| other > job);
+        self.frame_builds.retain(|&(other, _), _| other > job);
         self.epochs.retain(|_, task| task.job > job);
         self.copies.retain(|(task, _), _| task.job > job);
         self.failures.retain(|task, _| task.job > job);
@@ -118,33 +122,34 @@ impl Leases {
     /// Checks a record that is being written. A result may count only under a valid lease: the latest lease of all its units, the
     /// lease that the latest one copies, or a lease that a worker brought along and that may have been adopted. The worker's build
     /// must be that of the frame.
-    pub(crate) fn judge(&mut self, fact: &Fact) -> Option<Violation> {
+    pub(crate) fn check_fact(&mut self, fact: &Fact) -> Option<Violation> {
         match fact {
             // No task of the simulation stalls.
             Fact::Failed { task, failure: Failure::Stalled { .. }, .. } => {
-                return Some(Violation::Stalled { task: *task });
+                return Some(Violation::FalseStall { task: *task });
             }
             Fact::Failed { task, .. } => {
                 let (reported, counted) = self.failures.entry(*task).or_default();
                 *counted += 1;
                 let [counted, reported] = [*counted, reported.len()];
-                return (counted > reported).then_some(Violation::Failures { task: *task, counted, reported });
+                return (counted > reported).then_some(Violation::TooManyFailures { task: *task, counted, reported });
             }
             Fact::Submitted { job, spec, .. } => {
                 self.specs.insert(*job, spec.clone());
                 return None;
             }
-            Fact::Shared { job, engine, spec, .. } => {
+            Fact::SharedJobBegun { job, engine, spec, .. } => {
                 self.specs.insert(*job, spec.clone());
-                self.built.insert((*job, Stage::OF_JOB), engine.clone());
+                self.frame_builds.insert((*job, Stage::JOB_FRAME), engine.clone());
                 return None;
             }
-            Fact::Lost { task } => {
+            Fact::OutputsLost { task } => {
                 let spec = self.specs.get(&task.job);
-                let mut given = self.given.range((*task, Epoch(0))..);
+                let mut given = self.granted.range((*task, Epoch(0))..);
                 let units = given.next().filter(|((of, _), _)| of == task).map(|(_, units)| units);
                 let item = units.and_then(|units| units.first()).map(|unit| unit.item);
-                let behind = spec.zip(item).map(|(spec, item)| behind(spec, &task.stage, item)).unwrap_or_default();
+                let behind =
+                    spec.zip(item).map(|(spec, item)| transitive_inputs(spec, &task.stage, item)).unwrap_or_default();
                 self.counted.retain(|unit, (by, _)| {
                     by != task
                         && (unit.job != task.job
@@ -156,13 +161,13 @@ impl Leases {
             Fact::Restarted { job, frame } => {
                 self.counted.retain(|unit, _| (unit.job, unit.stage.frame) != (*job, *frame));
                 if !job.is_shared() {
-                    self.built.remove(&(*job, *frame));
+                    self.frame_builds.remove(&(*job, *frame));
                 }
                 return None;
             }
-            Fact::Built { job, frame, engine } => {
-                let before = self.built.insert((*job, *frame), engine.clone());
-                return before.map(|before| Violation::Rebuilt {
+            Fact::BuildAssigned { job, frame, engine } => {
+                let before = self.frame_builds.insert((*job, *frame), engine.clone());
+                return before.map(|before| Violation::BuildChanged {
                     job: *job,
                     frame: *frame,
                     builds: [before, engine.clone()],
@@ -170,28 +175,28 @@ impl Leases {
             }
             _ => {}
         }
-        let result = counted(fact)?;
+        let result = counted_result(fact)?;
         let key = (result.task, result.epoch);
-        let Some(units) = self.given.get(&key) else {
+        let Some(units) = self.granted.get(&key) else {
             return Some(Violation::Unleased { task: key.0, epoch: key.1 });
         };
         let (task, epoch) = key;
-        let [build, frame] = [self.engines.get(&key), self.built.get(&(task.job, task.stage.frame))];
+        let [build, frame] = [self.engines.get(&key), self.frame_builds.get(&(task.job, task.stage.frame))];
         if build != frame {
             let [build, frame] = [build, frame].map(|build| build.cloned().unwrap_or_default());
-            return Some(Violation::Foreign { task, epoch, build, frame });
+            return Some(Violation::ForeignBuild { task, epoch, build, frame });
         }
-        if self.brought.get(&key).is_some_and(|sessions| !sessions.is_empty()) {
+        if self.carried_over.get(&key).is_some_and(|sessions| !sessions.is_empty()) {
             return None;
         }
         self.counted.extend(units.iter().map(|unit| (*unit, key)));
-        self.superseded(units)
+        self.check_superseded(units)
     }
 
     /// Checks that a counted unit is not leased again, except as a copy. The later lease may be observed before or after the
     /// result.
-    fn superseded(&self, units: &[Unit]) -> Option<Violation> {
-        units.iter().find_map(|unit| {
+    fn check_superseded(&self, steps: &[TaskStep]) -> Option<Violation> {
+        steps.iter().find_map(|unit| {
             let (&(task, epoch), &(later, copy_of)) = (self.counted.get(unit)?, self.latest.get(unit)?);
             (later > epoch && copy_of != Some(epoch)).then_some(Violation::Superseded { task, epoch, later })
         })

@@ -11,30 +11,30 @@
 #![deny(missing_docs)]
 
 mod audit;
-mod cast;
-mod chronicle;
-mod contents;
+mod charges;
 mod disk;
 mod drill;
+mod fault_injector;
 mod faults;
+mod faulty_medium;
+mod history;
 mod hosts;
 mod leases;
 mod network;
-mod paces;
 mod people;
-mod promises;
 mod queues;
+mod requests;
 mod shared;
-mod shares;
-mod shelf;
+mod shared_stages;
 mod soak;
-mod stage;
 mod switch;
+mod task_durations;
 mod tasks;
-mod weather;
+mod test_jobs;
+mod workload;
 mod world;
 
 pub use audit::Violation;
-pub use faults::{Fault, Harm, Planned};
-pub use soak::{Gauge, Soak, Soaked};
-pub use world::{Outcome, Tells, run};
+pub use faults::{Damage, Fault, FaultPlan};
+pub use soak::{Gauge, Soak, SoakReport};
+pub use world::{Outcome, RunDetail, run_world};

@@ -1,6 +1,6 @@
 //! `femc-sim`: runs simulated farms, one for each seed, and reports which failed.
 
-mod long;
+mod long_run;
 
 use std::collections::BTreeMap;
 use std::process::{Command, ExitCode, Stdio};
@@ -8,7 +8,7 @@ use std::time::Instant;
 
 use anyhow::Context as _;
 use clap::Parser;
-use femc_sim::{Outcome, Planned, Tells, run};
+use femc_sim::{FaultPlan, Outcome, RunDetail, run_world};
 use serde::{Deserialize, Serialize};
 
 /// Runs the farm in simulated worlds with people and faults and checks its guarantees
@@ -24,7 +24,7 @@ use serde::{Deserialize, Serialize};
 )]
 struct Args {
     #[command(subcommand)]
-    long: Option<long::Long>,
+    long: Option<long_run::LongRun>,
     /// Number of seeds
     #[arg(long, default_value_t = 200)]
     seeds: u64,
@@ -47,7 +47,7 @@ struct Args {
 
 /// Summary of all worlds.
 #[derive(Debug, Default, Serialize, Deserialize)]
-struct Sum {
+struct Summary {
     seeds: u64,
     wrong: BTreeMap<u64, Vec<String>>,
     simulated_seconds: f64,
@@ -58,7 +58,7 @@ struct Sum {
     worlds: BTreeMap<String, u64>,
 }
 
-impl Sum {
+impl Summary {
     fn add(&mut self, other: Self) {
         self.seeds += other.seeds;
         self.wrong.extend(other.wrong);
@@ -82,7 +82,11 @@ fn main() -> anyhow::Result<ExitCode> {
         return long.run();
     }
     let begun = Instant::now();
-    let sum = if args.processes == 1 || args.seeds == 1 || args.story { here(&args)? } else { elsewhere(&args)? };
+    let sum = if args.processes == 1 || args.seeds == 1 || args.story {
+        run_in_process(&args)?
+    } else {
+        run_in_processes(&args)?
+    };
     if args.json {
         println!("{}", serde_json::to_string(&sum)?);
     } else {
@@ -106,16 +110,16 @@ fn main() -> anyhow::Result<ExitCode> {
 }
 
 /// Runs the worlds one after the other in this process.
-fn here(args: &Args) -> anyhow::Result<Sum> {
-    let mut sum = Sum::default();
+fn run_in_process(args: &Args) -> anyhow::Result<Summary> {
+    let mut sum = Summary::default();
     for seed in args.from..args.from + args.seeds {
-        let plan = Planned::of(seed);
-        let tells = if args.story { Tells::Story } else { Tells::Outcome };
-        let outcome = run(seed, &plan, tells)?;
+        let plan = FaultPlan::from_seed(seed);
+        let detail = if args.story { RunDetail::Story } else { RunDetail::Outcome };
+        let outcome = run_world(seed, &plan, detail)?;
         outcome.story.iter().for_each(|line| println!("{line}"));
         let mut wrong: Vec<String> = outcome.violations.iter().map(ToString::to_string).collect();
         if args.twice_each > 0 && seed % args.twice_each == 0 {
-            wrong.extend(difference(&outcome, &run(seed, &plan, tells)?));
+            wrong.extend(difference(&outcome, &run_world(seed, &plan, detail)?));
         }
         if !wrong.is_empty() {
             sum.wrong.insert(seed, wrong);
@@ -123,7 +127,7 @@ fn here(args: &Args) -> anyhow::Result<Sum> {
         let all = outcome.fired.keys().chain(outcome.counts.keys());
         let worlds = all.map(|&what| (what.to_owned(), 1)).collect();
         let fired = outcome.fired.into_iter().map(|(fault, times)| (fault.to_owned(), u64::from(times))).collect();
-        sum.add(Sum {
+        sum.add(Summary {
             seeds: 1,
             wrong: BTreeMap::new(),
             simulated_seconds: outcome.seconds,
@@ -143,7 +147,7 @@ fn difference(first: &Outcome, second: &Outcome) -> Option<String> {
 }
 
 /// Runs the worlds in separate processes, because worlds of one process cannot run in parallel.
-fn elsewhere(args: &Args) -> anyhow::Result<Sum> {
+fn run_in_processes(args: &Args) -> anyhow::Result<Summary> {
     let program = std::env::current_exe()?;
     let share = args.seeds.div_ceil(args.processes);
     let mut children = Vec::new();
@@ -157,7 +161,7 @@ fn elsewhere(args: &Args) -> anyhow::Result<Sum> {
         }
         children.push(child.arg("--json").stdout(Stdio::piped()).spawn()?);
     }
-    let mut sum = Sum::default();
+    let mut sum = Summary::default();
     for child in children {
         let output = child.wait_with_output()?.stdout;
         sum.add(serde_json::from_slice(&output).context("a process did not finish")?);

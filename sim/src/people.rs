@@ -5,62 +5,62 @@ use std::time::Duration;
 use bytes::Bytes;
 use femc_model::{
     Control, Digest, Drain, FrameRecord, Intake, JobId, JobSpec, JobState, JobStatus, Refusal, Role, WorkerId,
-    WorkerName,
+    WorkerSelector,
 };
 use femc_proto::{CallError, Client};
 use rand::RngExt as _;
 use rand::rngs::SmallRng;
 
-use crate::audit::{Violation, account};
+use crate::audit::{Violation, check_account};
 use crate::faults::WORKERS;
+use crate::faulty_medium::{Damage, FaultyMedium};
 use crate::hosts::{coordinator_name, worker_name};
-use crate::network::{dial, url};
-use crate::promises::Asked;
+use crate::network::{dialer, url};
+use crate::requests::RequestTime;
 use crate::shared::Shared;
-use crate::shelf::{Harm, Shelf};
-use crate::stage::Stage;
+use crate::test_jobs::TestJob;
 
 /// Time between two tries.
-const AGAIN: Duration = Duration::from_millis(300);
+const RETRY_INTERVAL: Duration = Duration::from_millis(300);
 
 /// Fault in the tasks of a job. The job's name tells it; the name does not change any pixel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Curse {
+pub(crate) enum InjectedFailure {
     Nothing,
     /// A task panics now and then.
-    NowAndThen,
+    Sometimes,
     /// One task panics each time.
     Always,
     /// One task kills its worker each time.
-    Deadly,
+    KillsWorker,
 }
 
-impl Curse {
-    const ALL: [Self; 4] = [Self::Nothing, Self::NowAndThen, Self::Always, Self::Deadly];
+impl InjectedFailure {
+    const ALL: [Self; 4] = [Self::Nothing, Self::Sometimes, Self::Always, Self::KillsWorker];
 
     pub(crate) const fn name(self) -> &'static str {
         match self {
             Self::Nothing => "haze",
-            Self::NowAndThen => "haze-now-and-then",
+            Self::Sometimes => "haze-now-and-then",
             Self::Always => "haze-always",
-            Self::Deadly => "haze-deadly",
+            Self::KillsWorker => "haze-deadly",
         }
     }
 
     /// Returns the curse of a job.
-    pub(crate) fn of(spec: &JobSpec) -> Self {
+    pub(crate) fn from_spec(spec: &JobSpec) -> Self {
         Self::ALL.into_iter().find(|curse| curse.name() == spec.name).unwrap_or(Self::Nothing)
     }
 
     /// Checks whether a job may fail however often it is retried.
-    pub(crate) fn is_final(self) -> bool {
-        matches!(self, Self::Always | Self::Deadly)
+    pub(crate) fn is_permanent(self) -> bool {
+        matches!(self, Self::Always | Self::KillsWorker)
     }
 }
 
 /// A person's change of mind while a job runs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Whim {
+pub(crate) enum Intervention {
     Nothing,
     PauseAWhile,
     Cancel,
@@ -68,9 +68,9 @@ pub(crate) enum Whim {
     Priority(u8),
 }
 
-impl Whim {
+impl Intervention {
     /// Draws a whim; half of the time, nothing.
-    pub(crate) fn pick(rng: &mut SmallRng) -> Self {
+    pub(crate) fn draw(rng: &mut SmallRng) -> Self {
         match rng.random_range(0..10) {
             0 => Self::PauseAWhile,
             1 => Self::Cancel,
@@ -83,7 +83,7 @@ impl Whim {
 
 /// Permitted end of a job.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Expected {
+enum ExpectedEnd {
     Done,
     Cancelled,
     /// Nobody knows whether the cancellation or the end came first.
@@ -92,115 +92,115 @@ enum Expected {
 
 /// A job that a person wants done.
 #[derive(Debug, Clone)]
-pub(crate) struct Errand {
+pub(crate) struct JobRequest {
     pub(crate) key: String,
     pub(crate) spec: JobSpec,
-    pub(crate) stage: Stage,
-    pub(crate) whim: Whim,
+    pub(crate) test_job: TestJob,
+    pub(crate) intervention: Intervention,
     /// Time until the whim is carried out, and time from then until it is undone.
     pub(crate) pauses: [Duration; 2],
 }
 
 /// Habits of people.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Manner {
+pub(crate) struct Timing {
     /// Time between two status requests.
-    pub(crate) look: Duration,
+    pub(crate) poll_interval: Duration,
     /// Time after which an unfinished job counts as stuck.
-    pub(crate) patience: Duration,
+    pub(crate) timeout: Duration,
 }
 
 /// A person with a job.
 pub(crate) struct Person<'a> {
     pub(crate) shared: &'a Shared,
-    pub(crate) shelf: &'a Shelf,
+    pub(crate) medium: &'a FaultyMedium,
     pub(crate) rng: &'a mut SmallRng,
-    pub(crate) manner: Manner,
+    pub(crate) timing: Timing,
 }
 
 impl Person<'_> {
     /// Submits a job, follows it to its end and fetches its frames. Returns the number of the job at the end.
-    pub(crate) async fn runs(&mut self, errand: &Errand) -> anyhow::Result<JobId> {
+    pub(crate) async fn run_job(&mut self, request: &JobRequest) -> anyhow::Result<JobId> {
         loop {
-            let (asked, job) = self.submits(errand).await;
-            let followed = tokio::time::timeout(self.manner.patience, self.follows(asked, job, errand)).await;
+            let (asked_at, job) = self.submit(request).await;
+            let followed = tokio::time::timeout(self.timing.timeout, self.follow_job(asked_at, job, request)).await;
             // If the log is lost, the job is lost, too.
-            if self.shared.is_over(asked) {
-                self.shared.lock().did("submitted again");
+            if self.shared.is_log_lost(asked_at) {
+                self.shared.lock().count_action("submitted again");
                 continue;
             }
             let wrong = match followed {
                 Ok(wrong) => wrong?,
-                Err(_) => vec![self.stuck(asked, job).await],
+                Err(_) => vec![self.stuck_violation(asked_at, job).await],
             };
-            self.shared.lock().wrong.extend(wrong.into_iter().map(|violation| violation.of(job)));
+            self.shared.lock().violations.extend(wrong.into_iter().map(|violation| violation.in_job(job)));
             if self.rng.random_range(0..4) == 0 {
-                self.comes_again(asked, errand).await;
+                self.resubmit_ended(asked_at, request).await;
             }
             return Ok(job);
         }
     }
 
     /// Submits a job until it is accepted. Sometimes does not wait for the first answer, sometimes submits twice.
-    async fn submits(&mut self, errand: &Errand) -> (Asked, JobId) {
-        let (key, mut spec) = (&errand.key, errand.spec.clone());
+    async fn submit(&mut self, request: &JobRequest) -> (RequestTime, JobId) {
+        let (key, mut spec) = (&request.key, request.spec.clone());
         if self.rng.random_range(0..3) == 0 {
             let patience = Duration::from_millis(self.rng.random_range(1..80));
-            let first = self.submission(key, &spec, &errand.stage.bundle);
+            let first = self.submit_once(key, &spec, &request.test_job.bundle);
             if tokio::time::timeout(patience, first).await.is_err() {
-                self.shared.lock().did("did not wait for an answer");
+                self.shared.lock().count_action("did not wait for an answer");
             }
         }
         loop {
-            let asked = self.shared.asks();
-            let Ok(job) = self.submission(key, &spec, &errand.stage.bundle).await else {
-                tokio::time::sleep(AGAIN).await;
+            let asked_at = self.shared.request_time();
+            let Ok(job) = self.submit_once(key, &spec, &request.test_job.bundle).await else {
+                tokio::time::sleep(RETRY_INTERVAL).await;
                 continue;
             };
-            self.shared.hears_job(asked, key, job);
-            if self.rng.random_range(0..3) > 0 || self.shared.is_over(asked) {
-                return (asked, job);
+            self.shared.check_submission(asked_at, key, job);
+            if self.rng.random_range(0..3) > 0 || self.shared.is_log_lost(asked_at) {
+                return (asked_at, job);
             }
             // The same key means the same job, even if the rest of the submission differs. In half of the cases nothing differs.
             if self.rng.random_range(0..2) == 0 {
                 spec.priority = 100 - spec.priority;
             }
-            let asked_again = self.shared.asks();
-            if let Ok(again) = self.submission(key, &spec, &errand.stage.bundle).await {
-                self.shared.lock().did("submitted twice");
-                self.shared.hears_job(asked_again, key, again);
+            let asked_again_at = self.shared.request_time();
+            if let Ok(again) = self.submit_once(key, &spec, &request.test_job.bundle).await {
+                self.shared.lock().count_action("submitted twice");
+                self.shared.check_submission(asked_again_at, key, again);
             }
-            return (asked, job);
+            return (asked_at, job);
         }
     }
 
     /// Submits an ended job again: its key must still refer to it.
-    async fn comes_again(&self, asked: Asked, errand: &Errand) {
+    async fn resubmit_ended(&self, asked_at: RequestTime, request: &JobRequest) {
         // If jobs expire, this could be a new job that nobody waits for.
-        if self.shared.lock().chronicle.keep_ended.is_some() || self.shared.is_over(asked) {
+        if self.shared.lock().history.keep_ended.is_some() || self.shared.is_log_lost(asked_at) {
             return;
         }
-        let now = self.shared.asks();
-        if let Ok(again) = self.submission(&errand.key, &errand.spec, &errand.stage.bundle).await {
-            self.shared.lock().did("submitted an ended job again");
-            self.shared.hears_job(now, &errand.key, again);
+        let now = self.shared.request_time();
+        if let Ok(again) = self.submit_once(&request.key, &request.spec, &request.test_job.bundle).await {
+            self.shared.lock().count_action("submitted an ended job again");
+            self.shared.check_submission(now, &request.key, again);
         }
     }
 
     /// Submits a running job again: its key must refer to it.
-    async fn asks_twice(&self, asked: Asked, errand: &Errand) {
-        let now = self.shared.asks();
-        if self.shared.is_over(asked) {
+    async fn resubmit_running(&self, asked_at: RequestTime, request: &JobRequest) {
+        let now = self.shared.request_time();
+        if self.shared.is_log_lost(asked_at) {
             return;
         }
-        if let Ok(again) = self.submission(&errand.key, &errand.spec, &errand.stage.bundle).await {
-            self.shared.lock().did("submitted a running job again");
-            self.shared.hears_job(now, &errand.key, again);
+        if let Ok(again) = self.submit_once(&request.key, &request.spec, &request.test_job.bundle).await {
+            self.shared.lock().count_action("submitted a running job again");
+            self.shared.check_submission(now, &request.key, again);
         }
     }
 
-    async fn submission(&self, key: &str, spec: &JobSpec, bundle: &Bytes) -> Result<JobId, Refusal> {
-        answer(self.shared, self.shared.asks(), &async |client: Client| {
+    async fn submit_once(&self, key: &str, spec: &JobSpec, bundle: &Bytes) -> Result<JobId, Refusal> {
+        ask_leader(self.shared, self.shared.request_time(), &async |client: Client| {
             client.put(bundle.clone()).await?;
             client.submit(Some(key.to_owned()), spec.clone()).await
         })
@@ -208,125 +208,131 @@ impl Person<'_> {
     }
 
     /// Follows a job to its end, and returns the violations.
-    async fn follows(&mut self, asked: Asked, job: JobId, errand: &Errand) -> anyhow::Result<Vec<Violation>> {
-        let [first, second] = errand.pauses;
-        if errand.whim != Whim::Nothing {
+    async fn follow_job(
+        &mut self,
+        asked_at: RequestTime,
+        job: JobId,
+        request: &JobRequest,
+    ) -> anyhow::Result<Vec<Violation>> {
+        let [first, second] = request.pauses;
+        if request.intervention != Intervention::Nothing {
             tokio::time::sleep(first).await;
         }
-        let mut expected = self.indulges(asked, job, errand.whim, second).await;
-        let curse = Curse::of(&errand.spec);
+        let mut expected = self.intervene(asked_at, job, request.intervention, second).await;
+        let injected = InjectedFailure::from_spec(&request.spec);
         // A task that fails now and then may fail three times by chance.
-        let mut tries = if curse.is_final() { 1 } else { 20 };
+        let mut tries = if injected.is_permanent() { 1 } else { 20 };
         let mut harms = self.rng.random_range(0..4) == 0;
         let (status, files) = loop {
-            let Some(status) = self.waits(asked, job, errand).await else { return Ok(Vec::new()) };
+            let Some(status) = self.wait_for_end(asked_at, job, request).await else { return Ok(Vec::new()) };
             if status.state != JobState::Failed || tries == 0 {
-                if status.state == JobState::Failed && curse.is_final() {
-                    self.shared.lock().did("failed");
+                if status.state == JobState::Failed && injected.is_permanent() {
+                    self.shared.lock().count_action("failed");
                     return Ok(Vec::new());
                 }
                 if std::mem::take(&mut harms) && status.state == JobState::Done {
-                    self.harms_a_result(asked, job, errand.stage.result).await;
+                    self.damage_result(asked_at, job, request.test_job.result_role).await;
                 }
-                match self.fetches(asked, job, errand.stage.result, status.state).await {
-                    Fetched::Files(files) if files.len() >= status.frames_done as usize => break (status, files),
+                match self.fetch_results(asked_at, job, request.test_job.result_role, status.state).await {
+                    FetchOutcome::Files(files) if files.len() >= status.frames_done as usize => break (status, files),
                     // A damaged result is rendered again.
-                    Fetched::Files(_) | Fetched::Refused => {
-                        tokio::time::sleep(AGAIN).await;
+                    FetchOutcome::Files(_) | FetchOutcome::Refused => {
+                        tokio::time::sleep(RETRY_INTERVAL).await;
                         continue;
                     }
-                    Fetched::Gone => return Ok(Vec::new()),
+                    FetchOutcome::JobGone => return Ok(Vec::new()),
                 }
             }
             tries -= 1;
             // The job may have failed because its scene was lost.
-            let put = async |client: Client| client.put(errand.stage.bundle.clone()).await;
-            let _ = answer(self.shared, asked, &put).await;
-            if self.steer(asked, job, Control::Retry).await.is_ok() {
-                self.shared.lock().did("retried a failed job");
-                if expected == Expected::Cancelled {
-                    expected = Expected::Either;
+            let put = async |client: Client| client.put(request.test_job.bundle.clone()).await;
+            let _ = ask_leader(self.shared, asked_at, &put).await;
+            if self.send_control(asked_at, job, Control::Retry).await.is_ok() {
+                self.shared.lock().count_action("retried a failed job");
+                if expected == ExpectedEnd::Cancelled {
+                    expected = ExpectedEnd::Either;
                 }
             }
         };
-        let mut wrong = ended(&errand.spec, &status, expected);
+        let mut wrong = check_end(&request.spec, &status, expected);
         {
             let mut state = self.shared.lock();
-            state.did(if status.state == JobState::Done { "done" } else { "cancelled" });
+            state.count_action(if status.state == JobState::Done { "done" } else { "cancelled" });
             state.stale += status.stale_messages;
         }
         if files.len() as u64 != u64::from(status.frames_done) {
             let (found, expected) = (files.len() as u64, status.frames_done.into());
-            wrong.push(Violation::Account { what: "frames fetched", found, expected });
+            wrong.push(Violation::WrongAccount { what: "frames fetched", found, expected });
         }
         for (record, file) in files {
             let Some(file) = file else { continue };
-            let found = errand.stage.digest(file)?;
-            let frame = errand.stage.spec.frames.iter().position(|&frame| frame == record.frame).unwrap_or_default();
-            if found != errand.stage.digests[frame] {
-                let expected = errand.stage.digests[frame].clone();
-                wrong.push(Violation::Result { frame, found, expected });
+            let found = request.test_job.digest(file)?;
+            let frame =
+                request.test_job.spec.frames.iter().position(|&frame| frame == record.frame).unwrap_or_default();
+            if found != request.test_job.digests[frame] {
+                let expected = request.test_job.digests[frame].clone();
+                wrong.push(Violation::WrongResult { frame, found, expected });
             }
-            let busy = self.shared.lock().chronicle.busy(job, record.frame);
+            let busy = self.shared.lock().history.busy_seconds(job, record.frame);
             let [answered, logged] = [record.busy_seconds, busy.unwrap_or(record.busy_seconds)];
             if (answered - logged).abs() > 1e-6 {
                 let [answered, logged] = [answered, logged].map(|seconds| (seconds * 1000.0) as u64);
-                wrong.push(Violation::Busy { frame: record.frame, answered, logged });
+                wrong.push(Violation::WrongBusyTime { frame: record.frame, answered, logged });
             }
         }
         Ok(wrong)
     }
 
     /// Waits until the job has ended. Returns `None` if the job has expired or its log is lost.
-    async fn waits(&mut self, asked: Asked, job: JobId, errand: &Errand) -> Option<JobStatus> {
+    async fn wait_for_end(&mut self, asked_at: RequestTime, job: JobId, request: &JobRequest) -> Option<JobStatus> {
         loop {
-            let now = self.shared.asks();
-            let status = answer(self.shared, asked, &async |client: Client| client.status(job).await).await;
-            if self.shared.is_over(asked) {
+            let now = self.shared.request_time();
+            let status = ask_leader(self.shared, asked_at, &async |client: Client| client.status(job).await).await;
+            if self.shared.is_log_lost(asked_at) {
                 return None;
             }
-            self.shared.hears_status(now, job, &status);
+            self.shared.check_status_answer(now, job, &status);
             match status {
                 Ok(status) if status.state.has_ended() => return Some(status),
                 Err(Refusal::NoSuchJob { .. }) => {
-                    self.shared.lock().did("expired before anybody looked");
+                    self.shared.lock().count_action("expired before anybody looked");
                     return None;
                 }
-                Ok(_) | Err(_) => tokio::time::sleep(self.manner.look).await,
+                Ok(_) | Err(_) => tokio::time::sleep(self.timing.poll_interval).await,
             }
             if self.rng.random_range(0..6) == 0 {
-                self.asks_twice(asked, errand).await;
+                self.resubmit_running(asked_at, request).await;
             }
             if self.rng.random_range(0..8) == 0 {
-                let now = self.shared.asks();
-                let all = answer(self.shared, asked, &async |client: Client| client.list().await).await;
-                all.iter().for_each(|all| self.shared.hears_list(now, all));
+                let now = self.shared.request_time();
+                let all = ask_leader(self.shared, asked_at, &async |client: Client| client.list().await).await;
+                all.iter().for_each(|all| self.shared.check_list_answer(now, all));
             }
         }
     }
 
     /// Damages the result of a finished frame.
-    async fn harms_a_result(&mut self, asked: Asked, job: JobId, role: Role) {
-        let frames = answer(self.shared, asked, &async |client: Client| client.frames(job).await).await;
+    async fn damage_result(&mut self, asked_at: RequestTime, job: JobId, role: Role) {
+        let frames = ask_leader(self.shared, asked_at, &async |client: Client| client.frames(job).await).await;
         let Ok(Some(result)) = frames.map(|frames| frames.iter().find_map(|frame| frame.output(role))) else { return };
         let (harm, thousandths) = (self.rng.random_range(0..4), self.rng.random_range(0..1000));
-        let harm = [Harm::Lost, Harm::Flipped, Harm::Short(thousandths), Harm::Zeroed(thousandths)][harm];
-        self.shared.lock().harmed.insert(result.digest);
-        if self.shelf.harm(&result.digest, harm) {
-            self.shared.lock().did("damaged a finished result");
+        let harm = [Damage::Lost, Damage::Flipped, Damage::Short(thousandths), Damage::Zeroed(thousandths)][harm];
+        self.shared.lock().damaged.insert(result.digest);
+        if self.medium.damage(&result.digest, harm) {
+            self.shared.lock().count_action("damaged a finished result");
         }
     }
 
     /// Fetches the files of the job's finished frames. A cancelled job renders nothing again, so damaged files of it have no bytes.
-    async fn fetches(&self, asked: Asked, job: JobId, role: Role, state: JobState) -> Fetched {
-        let is_gone = |digest: &Digest| state == JobState::Cancelled && self.shared.lock().harmed.contains(digest);
+    async fn fetch_results(&self, asked_at: RequestTime, job: JobId, role: Role, state: JobState) -> FetchOutcome {
+        let is_gone = |digest: &Digest| state == JobState::Cancelled && self.shared.lock().damaged.contains(digest);
         let fetch = async |client: Client| {
             let mut files = Vec::new();
             for frame in client.frames(job).await? {
                 let Some(result) = frame.output(role) else { continue };
                 match client.get(&result.digest, result.bytes).await {
                     Ok(file) => {
-                        self.shared.receives(&result.digest, &file);
+                        self.shared.check_download(&result.digest, &file);
                         files.push((frame, Some(file)));
                     }
                     Err(CallError::Refused(_)) if is_gone(&result.digest) => files.push((frame, None)),
@@ -335,155 +341,163 @@ impl Person<'_> {
             }
             Ok(files)
         };
-        match answer(self.shared, asked, &fetch).await {
-            Ok(files) => Fetched::Files(files),
-            Err(_) if self.shared.is_over(asked) || self.shared.lock().chronicle.has_forgotten(job) => Fetched::Gone,
+        match ask_leader(self.shared, asked_at, &fetch).await {
+            Ok(files) => FetchOutcome::Files(files),
+            Err(_) if self.shared.is_log_lost(asked_at) || self.shared.lock().history.has_expired(job) => {
+                FetchOutcome::JobGone
+            }
             Err(refusal) => {
-                self.shared.note(|| format!("person: {refusal}"));
-                Fetched::Refused
+                self.shared.trace(|| format!("person: {refusal}"));
+                FetchOutcome::Refused
             }
         }
     }
 
-    async fn steer(&self, asked: Asked, job: JobId, control: Control) -> Result<(), Refusal> {
-        let now = self.shared.asks();
-        if self.shared.is_over(asked) {
-            return Err(over());
+    async fn send_control(&self, asked_at: RequestTime, job: JobId, control: Control) -> Result<(), Refusal> {
+        let now = self.shared.request_time();
+        if self.shared.is_log_lost(asked_at) {
+            return Err(log_lost());
         }
-        self.shared.steers(job, &control);
+        self.shared.record_control(job, &control);
         let steers = async |client: Client| client.control(job, control.clone()).await;
-        let answered = answer(self.shared, asked, &steers).await;
-        self.shared.hears_steered(now, job, &control, &answered);
+        let answered = ask_leader(self.shared, asked_at, &steers).await;
+        self.shared.check_control_answer(now, job, &control, &answered);
         answered
     }
 
     /// Carries out the person's whim, and returns how the job may end then. A request without an answer may still be on its way.
     /// The pause before the next request is long enough that the next one arrives last.
-    async fn indulges(&self, asked: Asked, job: JobId, whim: Whim, pause: Duration) -> Expected {
-        let did = |what| self.shared.lock().did(what);
-        let steer = async |control| self.steer(asked, job, control).await;
-        match whim {
-            Whim::Nothing => Expected::Done,
-            Whim::PauseAWhile => {
+    async fn intervene(
+        &self,
+        asked_at: RequestTime,
+        job: JobId,
+        intervention: Intervention,
+        pause: Duration,
+    ) -> ExpectedEnd {
+        let did = |what| self.shared.lock().count_action(what);
+        let steer = async |control| self.send_control(asked_at, job, control).await;
+        match intervention {
+            Intervention::Nothing => ExpectedEnd::Done,
+            Intervention::PauseAWhile => {
                 if steer(Control::Pause).await.is_ok() {
                     did("paused");
                 }
                 tokio::time::sleep(pause).await;
                 // A job that has ended meanwhile need not resume.
                 let _ = steer(Control::Resume).await;
-                Expected::Done
+                ExpectedEnd::Done
             }
-            Whim::Cancel => match steer(Control::Cancel).await {
-                Ok(()) => Expected::Cancelled,
-                Err(_) => Expected::Either,
+            Intervention::Cancel => match steer(Control::Cancel).await {
+                Ok(()) => ExpectedEnd::Cancelled,
+                Err(_) => ExpectedEnd::Either,
             },
-            Whim::CancelAndRetry => {
+            Intervention::CancelAndRetry => {
                 // An ended job cannot be cancelled, and a finished job cannot be retried. Both refusals are right.
                 let _ = steer(Control::Cancel).await;
                 tokio::time::sleep(pause).await;
                 if steer(Control::Retry).await.is_ok() {
                     did("retried");
                 }
-                Expected::Done
+                ExpectedEnd::Done
             }
-            Whim::Priority(priority) => {
+            Intervention::Priority(priority) => {
                 if steer(Control::Priority(priority)).await.is_ok() {
                     did("priority changed");
                 }
-                Expected::Done
+                ExpectedEnd::Done
             }
         }
     }
 
     /// Describes a job that does not end.
-    async fn stuck(&self, asked: Asked, job: JobId) -> Violation {
-        let state = match answer(self.shared, asked, &async |client: Client| client.status(job).await).await {
+    async fn stuck_violation(&self, asked_at: RequestTime, job: JobId) -> Violation {
+        let state = match ask_leader(self.shared, asked_at, &async |client: Client| client.status(job).await).await {
             Ok(status) => format!("{:?}, waiting: {:?}", status.state, status.waits),
             Err(refusal) => refusal.to_string(),
         };
-        Violation::Stuck { seconds: self.manner.patience.as_secs(), state }
+        Violation::Stuck { seconds: self.timing.timeout.as_secs(), state }
     }
 }
 
-fn ended(spec: &JobSpec, status: &JobStatus, expected: Expected) -> Vec<Violation> {
+fn check_end(spec: &JobSpec, status: &JobStatus, expected: ExpectedEnd) -> Vec<Violation> {
     match (status.state, expected) {
-        (JobState::Done, Expected::Done | Expected::Either) => account(spec, status),
-        (JobState::Cancelled, Expected::Cancelled | Expected::Either) => Vec::new(),
+        (JobState::Done, ExpectedEnd::Done | ExpectedEnd::Either) => check_account(spec, status),
+        (JobState::Cancelled, ExpectedEnd::Cancelled | ExpectedEnd::Either) => Vec::new(),
         _ => {
             let JobStatus { state, failure, quarantined, .. } = status;
-            vec![Violation::Failed { state: format!("{state:?} ({failure:?}, {quarantined:?})") }]
+            vec![Violation::JobFailed { state: format!("{state:?} ({failure:?}, {quarantined:?})") }]
         }
     }
 }
 
 /// Result of fetching a job's files.
-enum Fetched {
+enum FetchOutcome {
     /// Finished frames, each with its file unless that is damaged.
     Files(Vec<(FrameRecord, Option<Bytes>)>),
     /// A file is missing or damaged.
     Refused,
     /// The job has expired, or its log is lost.
-    Gone,
+    JobGone,
 }
 
 /// Draws at least one and at most `most` of the frames, in their order.
-pub(crate) fn some(frames: &[u32], most: usize, rng: &mut SmallRng) -> Vec<u32> {
+pub(crate) fn choose_frames(frames: &[u32], most: usize, rng: &mut SmallRng) -> Vec<u32> {
     let chosen: Vec<u32> = frames.iter().copied().filter(|_| rng.random_range(0..2) == 0).take(most).collect();
     if chosen.is_empty() { frames.iter().copied().take(most).collect() } else { chosen }
 }
 
-fn over() -> Refusal {
+fn log_lost() -> Refusal {
     Refusal::Unavailable { message: "the log was lost".into() }
 }
 
 /// Sends a request to the leading coordinator until it answers, also with a refusal. Stops when the log of the question is lost.
-pub(crate) async fn answer<T>(
+pub(crate) async fn ask_leader<T>(
     shared: &Shared,
-    asked: Asked,
+    asked_at: RequestTime,
     ask: &impl AsyncFn(Client) -> Result<T, CallError>,
 ) -> Result<T, Refusal> {
-    while !shared.is_over(asked) {
+    while !shared.is_log_lost(asked_at) {
         let leader = url(&coordinator_name(shared.lock().leader));
         let answer = tokio::time::timeout(Duration::from_secs(5), async {
-            let client = Client::connect_by(&dial(shared, "person"), &leader).await?;
+            let client = Client::connect_with(&dialer(shared, "person"), &leader).await?;
             ask(client).await
         });
         match answer.await {
             Ok(Ok(answer)) => return Ok(answer),
             Ok(Err(CallError::Refused(no @ (Refusal::Unavailable { .. } | Refusal::NoRoom { .. })))) => {
-                shared.note(|| format!("person: {no}"));
+                shared.trace(|| format!("person: {no}"));
             }
             Ok(Err(CallError::Refused(refusal))) => return Err(refusal),
-            Ok(Err(error)) => shared.note(|| format!("person: {error}")),
-            Err(_) => shared.note(|| "person: no answer".into()),
+            Ok(Err(error)) => shared.trace(|| format!("person: {error}")),
+            Err(_) => shared.trace(|| "person: no answer".into()),
         }
-        tokio::time::sleep(AGAIN).await;
+        tokio::time::sleep(RETRY_INTERVAL).await;
     }
-    Err(over())
+    Err(log_lost())
 }
 
 /// Drains a worker for a while.
-pub(crate) async fn drain_a_while(shared: &Shared, rng: &mut SmallRng, most: Duration) {
-    let worker = WorkerName::Name(worker_name(rng.random_range(0..WORKERS)));
+pub(crate) async fn drain_random_worker(shared: &Shared, rng: &mut SmallRng, most: Duration) {
+    let worker = WorkerSelector::Name(worker_name(rng.random_range(0..WORKERS)));
     let drain = async |client: Client| client.drain(worker.clone(), Drain::Begin).await;
-    if answer(shared, shared.asks(), &drain).await.is_ok() {
-        shared.lock().did("drained");
+    if ask_leader(shared, shared.request_time(), &drain).await.is_ok() {
+        shared.lock().count_action("drained");
     }
     tokio::time::sleep(Duration::from_millis(rng.random_range(0..most.as_millis() as u64))).await;
-    open_all(shared).await;
+    undrain_all(shared).await;
 }
 
 /// Ends the drain of every connected worker.
-pub(crate) async fn open_all(shared: &Shared) {
+pub(crate) async fn undrain_all(shared: &Shared) {
     let undo = async |client: Client| -> Result<Vec<WorkerId>, CallError> {
         let mut opened = Vec::new();
         for worker in client.workers().await? {
             if worker.intake == Intake::Drained {
-                opened.extend(client.drain(WorkerName::Number(worker.worker), Drain::Undo).await?);
+                opened.extend(client.drain(WorkerSelector::Number(worker.worker), Drain::Undo).await?);
             }
         }
         Ok(opened)
     };
     // A worker may have left in between.
-    let _ = answer(shared, shared.asks(), &undo).await;
+    let _ = ask_leader(shared, shared.request_time(), &undo).await;
 }

@@ -15,18 +15,18 @@ use femc_schedule::{Config, Fact};
 use crate::audit::Violation;
 use crate::faults::Fault;
 use crate::leases::SessionNumber;
-use crate::paces::Paces;
 use crate::shared::State;
-use crate::tasks::job_of;
+use crate::task_durations::TaskDurations;
+use crate::tasks::fact_job;
 
 /// Bits of an epoch that count the leases of one incarnation.
 const LEASE_BITS: u32 = 40;
 /// Failures of different tasks, none done in between, after which a worker pauses.
-const FAILURES: usize = 3;
+const FAILURES_BEFORE_PAUSE: usize = 3;
 /// Expected duration of a task before any task of its stage is done, in milliseconds.
-const FIRST: u64 = 1_000;
+const INITIAL_ESTIMATE: u64 = 1_000;
 /// Time for which grants are kept.
-const MEMORY: Duration = Duration::from_secs(60);
+const GRANT_MEMORY: Duration = Duration::from_secs(60);
 
 type LeaseKey = (Epoch, TaskKey);
 
@@ -35,12 +35,12 @@ fn incarnation(epoch: Epoch) -> u32 {
 }
 
 fn lane(task: &TaskKey) -> Lane {
-    task.stage.kind.row().lane
+    task.stage.kind.properties().lane
 }
 
 /// A lease that a worker holds.
 #[derive(Debug, Clone, Copy)]
-struct Held {
+struct LeaseState {
     /// Shortest duration that its coordinator can expect, in milliseconds.
     least: u64,
     /// Its worker had to pause before this lease.
@@ -51,40 +51,40 @@ struct Held {
     panicked: Option<Duration>,
 }
 
-impl Held {
+impl LeaseState {
     /// A lease of an earlier session.
-    const BROUGHT: Self = Self { least: 0, is_probe: false, is_computed: false, panicked: None };
+    const CARRIED_OVER: Self = Self { least: 0, is_probe: false, is_computed: false, panicked: None };
 }
 
 /// Failures of one job on one worker with no task done in between.
 #[derive(Debug, Default)]
-struct Streak {
+struct FailureStreak {
     tasks: BTreeSet<TaskKey>,
     /// Time of the failure with which the first pause begins.
-    pauses: Option<Duration>,
+    first_pause: Option<Duration>,
     /// Failed leases that were granted after that.
     probes: u32,
 }
 
-impl Streak {
+impl FailureStreak {
     /// Counts a failure. Returns whether the first pause begins with it.
-    fn failed(&mut self, task: TaskKey, is_probe: bool, at: Duration) -> bool {
+    fn add_failure(&mut self, task: TaskKey, is_probe: bool, at: Duration) -> bool {
         self.tasks.insert(task);
-        if self.pauses.is_some() {
+        if self.first_pause.is_some() {
             self.probes += u32::from(is_probe);
             return false;
         }
-        if self.tasks.len() >= FAILURES {
-            self.pauses = Some(at);
+        if self.tasks.len() >= FAILURES_BEFORE_PAUSE {
+            self.first_pause = Some(at);
         }
-        self.pauses.is_some()
+        self.first_pause.is_some()
     }
 
     /// End of the latest pause: no task is leased before. Each pause is twice as long as the one before it.
-    fn ends(&self, limits: &Config) -> Option<Duration> {
-        let pause = |number: u32| limits.rest.saturating_mul(1 << number.min(20)).min(limits.longest_rest);
+    fn pause_end(&self, limits: &Config) -> Option<Duration> {
+        let pause = |number: u32| limits.back_off.saturating_mul(1 << number.min(20)).min(limits.max_back_off);
         let pauses: u64 = (0..=self.probes).map(pause).sum();
-        self.pauses.map(|begun| begun + Duration::from_millis(pauses))
+        self.first_pause.map(|begun| begun + Duration::from_millis(pauses))
     }
 }
 
@@ -94,21 +94,21 @@ struct WorkerSession {
     host: usize,
     instance: u64,
     engine: String,
-    held: BTreeMap<LeaseKey, Held>,
-    streaks: BTreeMap<JobId, Streak>,
+    held: BTreeMap<LeaseKey, LeaseState>,
+    streaks: BTreeMap<JobId, FailureStreak>,
 }
 
 impl WorkerSession {
-    fn held_in(&self, wanted: Lane) -> impl DoubleEndedIterator<Item = (&LeaseKey, &Held)> {
+    fn leases_in(&self, wanted: Lane) -> impl DoubleEndedIterator<Item = (&LeaseKey, &LeaseState)> {
         self.held.iter().filter(move |((_, task), _)| lane(task) == wanted)
     }
 
-    /// Tasks that compute and wait behind the one that runs. A worker computes one task after the other, in the order of their leases:
-    /// when one has begun, all before it are computed.
-    fn waiting<'a>(&'a self, begun: &'a BTreeSet<LeaseKey>) -> impl Iterator<Item = (&'a LeaseKey, &'a Held)> {
-        let last = self.held_in(Lane::Compute).map(|(key, _)| *key).rfind(|key| begun.contains(key));
+    /// Tasks that compute and wait behind the one that runs. A worker computes one task after the other, in the order of their
+    /// leases: when one has begun, all before it are computed.
+    fn waiting<'a>(&'a self, begun: &'a BTreeSet<LeaseKey>) -> impl Iterator<Item = (&'a LeaseKey, &'a LeaseState)> {
+        let last = self.leases_in(Lane::Compute).map(|(key, _)| *key).rfind(|key| begun.contains(key));
         let unfinished = self
-            .held_in(Lane::Compute)
+            .leases_in(Lane::Compute)
             .filter(move |(key, held)| !held.is_computed && last.is_none_or(|last| **key >= last));
         unfinished.skip(1)
     }
@@ -127,20 +127,20 @@ struct Grant {
 
 /// The queues of all workers, by the messages of their sessions.
 #[derive(Debug, Default)]
-pub(crate) struct Queues {
+pub(crate) struct WorkerQueues {
     /// Durations of tasks, and the farm's settings.
-    pub(crate) world: Option<(Paces, Config)>,
+    pub(crate) settings: Option<(TaskDurations, Config)>,
     /// The coordinators' clocks may be wrong.
-    is_untimed: bool,
+    has_wrong_clocks: bool,
     workers: BTreeMap<SessionNumber, WorkerSession>,
     /// Leases whose computation has begun.
     begun: BTreeSet<LeaseKey>,
     /// Stages of jobs of which a coordinator knows a finished task, with the time of that result.
     known: BTreeMap<(u32, JobId, u16), Duration>,
     /// Stages of jobs whose leases outlived a session. A coordinator may expect too little time of their tasks.
-    blurred: BTreeSet<(JobId, u16)>,
+    inexact: BTreeSet<(JobId, u16)>,
     /// Jobs whose tasks failed on a worker, with its process.
-    troubled: BTreeSet<(JobId, u64)>,
+    failed_on: BTreeSet<(JobId, u64)>,
     /// Tasks that have been leased.
     leased: BTreeSet<TaskKey>,
     /// Time of the latest record about a frame of a job.
@@ -151,18 +151,18 @@ pub(crate) struct Queues {
     grants: VecDeque<Grant>,
 }
 
-impl Queues {
+impl WorkerQueues {
     /// Prepares for the faults of a plan.
-    pub(crate) fn expect(&mut self, mut faults: impl Iterator<Item = Fault>) {
+    pub(crate) fn allow_for(&mut self, mut faults: impl Iterator<Item = Fault>) {
         let is_clock = |fault| matches!(fault, Fault::ClockJumps(..) | Fault::ClockDrifts(..));
-        self.is_untimed |= faults.any(is_clock);
+        self.has_wrong_clocks |= faults.any(is_clock);
     }
 
     /// Drops the jobs of a log that is lost.
-    pub(crate) fn anew(&mut self) {
+    pub(crate) fn reset(&mut self) {
         self.known.clear();
-        self.blurred.clear();
-        self.troubled.clear();
+        self.inexact.clear();
+        self.failed_on.clear();
         self.leased.clear();
         self.frames.clear();
         self.jobs.clear();
@@ -171,11 +171,11 @@ impl Queues {
     }
 
     /// Drops this job and all earlier ones.
-    pub(crate) fn forget_until(&mut self, last: JobId) {
+    pub(crate) fn drop_until(&mut self, last: JobId) {
         self.begun.retain(|(_, task)| task.job > last);
         self.known.retain(|(_, job, _), _| *job > last);
-        self.blurred.retain(|(job, _)| *job > last);
-        self.troubled.retain(|(job, _)| *job > last);
+        self.inexact.retain(|(job, _)| *job > last);
+        self.failed_on.retain(|(job, _)| *job > last);
         self.leased.retain(|task| task.job > last);
         self.frames.retain(|(job, _), _| *job > last);
         self.jobs.retain(|job, _| *job > last);
@@ -183,41 +183,42 @@ impl Queues {
 
     /// Notes the start of a session.
     /// - `host`, `instance`: number of the worker's host, and its process.
-    /// - `brought`: leases of an earlier session.
-    pub(crate) fn joined(
+    /// - `carried_over`: leases of an earlier session.
+    pub(crate) fn begin_session(
         &mut self,
         session: SessionNumber,
         [host, instance]: [u64; 2],
         engine: &str,
-        brought: impl Iterator<Item = LeaseKey>,
+        carried_over: impl Iterator<Item = LeaseKey>,
     ) {
-        let held: BTreeMap<LeaseKey, Held> = brought.map(|key| (key, Held::BROUGHT)).collect();
-        self.blurred.extend(held.keys().map(|(_, task)| (task.job, task.stage.number)));
+        let held: BTreeMap<LeaseKey, LeaseState> = carried_over.map(|key| (key, LeaseState::CARRIED_OVER)).collect();
+        self.inexact.extend(held.keys().map(|(_, task)| (task.job, task.stage.number)));
         let engine = engine.to_owned();
         let worker = WorkerSession { host: host as usize, instance, engine, held, streaks: BTreeMap::new() };
         self.workers.insert(session, worker);
     }
 
     /// Notes the end of a session.
-    pub(crate) fn left(&mut self, session: SessionNumber) {
+    pub(crate) fn end_session(&mut self, session: SessionNumber) {
         self.workers.remove(&session);
     }
 
     /// Notes that a worker begins to compute a task.
-    pub(crate) fn note_begun(&mut self, task: TaskKey, epoch: Epoch) {
+    pub(crate) fn observe_start(&mut self, task: TaskKey, epoch: Epoch) {
         self.begun.insert((epoch, task));
     }
 
     /// Notes the time of a record of the log.
-    pub(crate) fn note_record(&mut self, fact: &Fact, now: Duration) {
+    pub(crate) fn observe_fact(&mut self, fact: &Fact, now: Duration) {
         let frame = match fact {
-            Fact::Done { task, .. } | Fact::Failed { task, .. } | Fact::Died { task, .. } | Fact::Lost { task } => {
-                Some((task.job, task.stage.frame))
-            }
-            Fact::Restarted { job, frame } | Fact::Built { job, frame, .. } => Some((*job, *frame)),
+            Fact::Done { task, .. }
+            | Fact::Failed { task, .. }
+            | Fact::WorkerDied { task, .. }
+            | Fact::OutputsLost { task } => Some((task.job, task.stage.frame)),
+            Fact::Restarted { job, frame } | Fact::BuildAssigned { job, frame, .. } => Some((*job, *frame)),
             _ => None,
         };
-        match (frame, job_of(fact)) {
+        match (frame, fact_job(fact)) {
             (Some(frame), _) => drop(self.frames.insert(frame, now)),
             (None, Some(job)) => drop(self.jobs.insert(job, now)),
             (None, None) => {}
@@ -225,7 +226,7 @@ impl Queues {
     }
 
     /// Notes that a lease of a session has ended.
-    pub(crate) fn note_end(&mut self, session: SessionNumber, task: TaskKey, epoch: Epoch) {
+    pub(crate) fn observe_lease_end(&mut self, session: SessionNumber, task: TaskKey, epoch: Epoch) {
         if let Some(worker) = self.workers.get_mut(&session) {
             worker.held.remove(&(epoch, task));
         }
@@ -235,13 +236,13 @@ impl Queues {
 impl State {
     /// Notes a message of a worker. A heartbeat of a drained worker that still has waiting tasks breaks a guarantee: workers send
     /// two heartbeats per second, and the answer to the first one after the drain tells the worker to return its waiting tasks.
-    pub(crate) fn note_message(
+    pub(crate) fn observe_message(
         &mut self,
         session: SessionNumber,
         message: &FromWorker,
         now: Duration,
     ) -> Option<Violation> {
-        let Self { queues, chronicle, late, .. } = self;
+        let Self { queues, history: chronicle, delayed: late, .. } = self;
         let worker = queues.workers.get_mut(&session)?;
         match message {
             FromWorker::Heartbeat { tasks, .. } => {
@@ -253,10 +254,12 @@ impl State {
                 let since = chronicle.drained_since(worker.instance)?;
                 /// Extra time for worlds in which messages of workers may be late, even several heartbeats in a row.
                 const LATE: Duration = Duration::from_secs(20);
-                let slack = if *late > 0 { LATE } else { Duration::ZERO } + chronicle.contents.patience.longest();
+                let slack =
+                    if *late > 0 { LATE } else { Duration::ZERO } + chronicle.shared_stages.propagation_delay.get();
                 let waits = tasks.iter().find(|progress| progress.phase == Phase::Waiting)?;
                 let milliseconds = now.saturating_sub(since).as_millis() as u64;
-                let kept = Violation::Kept { instance: worker.instance, task: waits.task, milliseconds, at: now };
+                let kept =
+                    Violation::KeptWhileDrained { instance: worker.instance, task: waits.task, milliseconds, at: now };
                 (now.saturating_sub(since) > slack).then_some(kept)
             }
             FromWorker::Completed { task, .. } => {
@@ -270,9 +273,9 @@ impl State {
                     held.panicked = matches!(failure, Failure::Panicked { .. }).then_some(now);
                 }
                 if !is_given_back {
-                    queues.troubled.insert((task.job, worker.instance));
+                    queues.failed_on.insert((task.job, worker.instance));
                 } else if chronicle.drained_since(worker.instance).is_some() {
-                    self.did("tasks given back by drained workers");
+                    self.count_action("tasks given back by drained workers");
                 }
                 None
             }
@@ -281,9 +284,9 @@ impl State {
     }
 
     /// Notes that a coordinator has accepted a report, which ends the lease.
-    pub(crate) fn note_accepted(&mut self, session: SessionNumber, task: TaskKey, epoch: Epoch, now: Duration) {
+    pub(crate) fn observe_accepted(&mut self, session: SessionNumber, task: TaskKey, epoch: Epoch, now: Duration) {
         let is_done = self.reported.contains(&(task, epoch));
-        let sick = self.sick;
+        let sick = self.failing_worker;
         let Self { queues, .. } = self;
         let Some(worker) = queues.workers.get_mut(&session) else { return };
         let Some(held) = worker.held.remove(&(epoch, task)) else { return };
@@ -292,45 +295,49 @@ impl State {
             queues.known.entry((incarnation(epoch), task.job, task.stage.number)).or_insert(now);
         }
         if let Some(at) = held.panicked {
-            let pauses = worker.streaks.entry(task.job).or_default().failed(task, held.is_probe, at);
+            let pauses = worker.streaks.entry(task.job).or_default().add_failure(task, held.is_probe, at);
             let is_alone = sick == Some(worker.host);
             if pauses {
-                self.did(if is_alone { "pauses of lone sick workers" } else { "pauses of other sick workers" });
+                self.count_action(if is_alone {
+                    "pauses of lone sick workers"
+                } else {
+                    "pauses of other sick workers"
+                });
             }
         }
     }
 
     /// Notes a new lease, and returns the guarantees that it breaks.
-    pub(crate) fn judge_lease(&mut self, session: SessionNumber, lease: &Assignment, now: Duration) -> Vec<Violation> {
+    pub(crate) fn check_lease(&mut self, session: SessionNumber, lease: &Assignment, now: Duration) -> Vec<Violation> {
         let wrong = [
-            self.judge_pause(session, lease, now),
-            self.judge_depth(session, lease, now),
-            self.judge_order(session, lease),
+            self.check_pause(session, lease, now),
+            self.check_depth(session, lease, now),
+            self.check_order(session, lease),
         ];
-        let patience = self.chronicle.contents.patience.longest();
-        let Self { queues, chronicle, .. } = self;
+        let patience = self.history.shared_stages.propagation_delay.get();
+        let Self { queues, history: chronicle, .. } = self;
         let Some(worker) = queues.workers.get_mut(&session) else { return Vec::new() };
         let (task, key) = (lease.task, (lease.epoch, lease.task));
         let spec = chronicle.spec(task.job);
-        let own = queues.world.as_ref().zip(spec).map_or(0, |((paces, _), spec)| paces.least(lease, spec));
+        let own = queues.settings.as_ref().zip(spec).map_or(0, |((paces, _), spec)| paces.min_duration(lease, spec));
         let known = queues.known.get(&(incarnation(lease.epoch), task.job, task.stage.number));
         let is_known = known.is_some_and(|&since| now.saturating_sub(since) > patience);
-        let least = if queues.blurred.contains(&(task.job, task.stage.number)) {
+        let least = if queues.inexact.contains(&(task.job, task.stage.number)) {
             0
         } else if is_known {
             own
         } else {
-            own.min(FIRST)
+            own.min(INITIAL_ESTIMATE)
         };
-        let is_probe = worker.streaks.get(&task.job).is_some_and(|streak| streak.pauses.is_some());
+        let is_probe = worker.streaks.get(&task.job).is_some_and(|streak| streak.first_pause.is_some());
         if lane(&task) == Lane::Compute && lease.copy_of.is_none() {
-            let (joins, engine) = (worker.held_in(Lane::Join).count(), worker.engine.clone());
+            let (joins, engine) = (worker.leases_in(Lane::Join).count(), worker.engine.clone());
             queues.grants.push_back(Grant { at: now, key, instance: worker.instance, engine, joins });
-            while queues.grants.front().is_some_and(|grant| now.saturating_sub(grant.at) > MEMORY) {
+            while queues.grants.front().is_some_and(|grant| now.saturating_sub(grant.at) > GRANT_MEMORY) {
                 queues.grants.pop_front();
             }
         }
-        worker.held.insert(key, Held { least, is_probe, is_computed: false, panicked: None });
+        worker.held.insert(key, LeaseState { least, is_probe, is_computed: false, panicked: None });
         queues.leased.insert(task);
         wrong.into_iter().flatten().collect()
     }
@@ -341,17 +348,17 @@ impl State {
     ///
     /// The scheduler counts only the failures that it has accepted, so the check begins at the acceptance. Failures of tasks that
     /// waited at the worker when the pause began do not double the pause. Worlds with wrong clocks are left out.
-    fn judge_pause(&self, session: SessionNumber, lease: &Assignment, now: Duration) -> Option<Violation> {
+    fn check_pause(&self, session: SessionNumber, lease: &Assignment, now: Duration) -> Option<Violation> {
         /// The coordinators' clocks count milliseconds.
         const SLACK: Duration = Duration::from_millis(10);
-        let (_, limits) = self.queues.world.as_ref().filter(|_| !self.queues.is_untimed)?;
+        let (_, limits) = self.queues.settings.as_ref().filter(|_| !self.queues.has_wrong_clocks)?;
         let worker = self.queues.workers.get(&session)?;
         let streak = worker.streaks.get(&lease.task.job)?;
-        let (begun, ends) = (streak.pauses?, streak.ends(limits)?);
-        (now + SLACK < ends).then(|| Violation::Hasty {
+        let (begun, ends) = (streak.first_pause?, streak.pause_end(limits)?);
+        (now + SLACK < ends).then(|| Violation::PauseTooShort {
             instance: worker.instance,
             task: lease.task,
-            failures: FAILURES as u32 + streak.probes,
+            failures: FAILURES_BEFORE_PAUSE as u32 + streak.probes,
             milliseconds: now.saturating_sub(begun).as_millis() as u64,
             pause: (ends - begun).as_millis() as u64,
             at: now,
@@ -365,24 +372,24 @@ impl State {
     /// at most one second, because its coordinator knows no pace yet. Two kinds of tasks do not count: tiles that take equally long
     /// whatever their size, and tasks of a stage whose leases outlived a session, because their coordinator has not seen all of
     /// their time. Worlds with wrong clocks are left out.
-    fn judge_depth(&mut self, session: SessionNumber, lease: &Assignment, now: Duration) -> Option<Violation> {
-        let (_, limits) = self.queues.world.as_ref().filter(|_| !self.queues.is_untimed)?;
+    fn check_depth(&mut self, session: SessionNumber, lease: &Assignment, now: Duration) -> Option<Violation> {
+        let (_, limits) = self.queues.settings.as_ref().filter(|_| !self.queues.has_wrong_clocks)?;
         let worker = self.queues.workers.get(&session).filter(|_| lane(&lease.task) == Lane::Compute)?;
         let waiting: Vec<u64> = worker.waiting(&self.queues.begun).map(|(_, held)| held.least).collect();
         let (count, milliseconds) = (waiting.len(), waiting.iter().sum::<u64>());
         let is_too_much = match count {
             0 => false,
             1 => milliseconds > limits.queue,
-            _ => milliseconds >= limits.ahead || count > Config::DEEPEST + limits.prefetch as usize,
+            _ => milliseconds >= limits.ahead || count > Config::MAX_AHEAD + limits.prefetch as usize,
         };
         let (instance, task) = (worker.instance, lease.task);
-        let is_bounded = limits.ahead < FIRST && milliseconds > 0;
+        let is_bounded = limits.ahead < INITIAL_ESTIMATE && milliseconds > 0;
         match count {
-            2.. if is_bounded => self.did("leases of short tasks behind several that wait"),
-            1 if is_bounded => self.did("leases behind one task that waits"),
+            2.. if is_bounded => self.count_action("leases of short tasks behind several that wait"),
+            1 if is_bounded => self.count_action("leases behind one task that waits"),
             _ => {}
         }
-        is_too_much.then_some(Violation::Deep { instance, task, count, milliseconds, at: now })
+        is_too_much.then_some(Violation::QueueTooDeep { instance, task, count, milliseconds, at: now })
     }
 
     /// Order: a task that joins does not wait for tasks that compute. After the last record about its frame, no worker that could
@@ -391,36 +398,36 @@ impl State {
     /// The check looks back at the first lease of each such task. A worker could take it if it has the same build, held at most one
     /// other task that joins, and no task of the job has failed there. The check allows for the longest time until every host knows
     /// what the log says.
-    fn judge_order(&mut self, session: SessionNumber, lease: &Assignment) -> Option<Violation> {
+    fn check_order(&mut self, session: SessionNumber, lease: &Assignment) -> Option<Violation> {
         let queues = &self.queues;
         let TaskKey { job, stage, .. } = lease.task;
         let worker = queues.workers.get(&session)?;
-        let reads_content = self.chronicle.spec(job)?.graph.reads_content(stage.number);
+        let reads_content = self.history.spec(job)?.graph.reads_content(stage.number);
         let is_first = lease.copy_of.is_none() && !queues.leased.contains(&lease.task);
         if lane(&lease.task) != Lane::Join || reads_content || !is_first {
             return None;
         }
         let frame = queues.frames.get(&(job, stage.frame)).copied().unwrap_or_default();
         let since = frame.max(queues.jobs.get(&job).copied().unwrap_or_default());
-        let from = since + self.chronicle.contents.patience.longest();
+        let from = since + self.history.shared_stages.propagation_delay.get();
         let could = |grant: &&Grant| {
             grant.at > from
                 && incarnation(grant.key.0) == incarnation(lease.epoch)
                 && grant.engine == worker.engine
                 && grant.joins <= 1
-                && !queues.troubled.contains(&(job, grant.instance))
+                && !queues.failed_on.contains(&(job, grant.instance))
         };
-        let starved = queues.grants.iter().find(could).map(|grant| Violation::Starved {
+        let starved = queues.grants.iter().find(could).map(|grant| Violation::JoinStarved {
             task: lease.task,
             instance: grant.instance,
             other: grant.key.1,
             milliseconds: grant.at.saturating_sub(since).as_millis() as u64,
             at: grant.at,
         });
-        let owner = |job: JobId| self.chronicle.spec(job).map(|spec| spec.owner.as_str());
+        let owner = |job: JobId| self.history.spec(job).map(|spec| spec.owner.as_str());
         let is_beside = worker.waiting(&queues.begun).any(|((_, task), _)| owner(task.job) != owner(job));
         if is_beside {
-            self.did("joins beside waiting tasks of another owner");
+            self.count_action("joins beside waiting tasks of another owner");
         }
         starved
     }

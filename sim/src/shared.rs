@@ -9,18 +9,18 @@ use rand::rngs::SmallRng;
 use rand::{RngExt as _, SeedableRng as _};
 
 use crate::audit::Violation;
-use crate::chronicle::Chronicle;
+use crate::charges::ChargeAudit;
 use crate::disk::Disk;
 use crate::faults::COORDINATORS;
+use crate::history::History;
 use crate::leases::Leases;
-use crate::network::Reach;
-use crate::promises::Answers;
-use crate::queues::Queues;
-use crate::shares::Shares;
+use crate::network::Reachability;
+use crate::queues::WorkerQueues;
+use crate::requests::RequestHistory;
 
 /// Crash of the writing coordinator at a chosen write.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Trap {
+pub(crate) enum CrashPoint {
     /// Before the batch is on the disk.
     Before,
     /// When half of the batch is on the disk.
@@ -31,16 +31,16 @@ pub(crate) enum Trap {
 
 /// Clock of a machine.
 #[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct Wall {
+pub(crate) struct MachineClock {
     /// Milliseconds that the clock is ahead; negative if it is behind.
     pub(crate) ahead: i64,
     /// Thousandths that the clock is too fast; negative if it is too slow.
     pub(crate) drift: i64,
 }
 
-impl Wall {
+impl MachineClock {
     /// Returns the displayed time after `passed`.
-    pub(crate) fn shows(self, passed: Duration) -> Duration {
+    pub(crate) fn read(self, passed: Duration) -> Duration {
         // The clock does not begin at 0, so that it can jump back.
         const FIRST: i64 = 3_600_000;
         let passed = passed.as_millis() as i64;
@@ -49,7 +49,7 @@ impl Wall {
 }
 
 /// Results, each identified by its lease.
-pub(crate) type Reports = BTreeSet<(TaskKey, Epoch)>;
+pub(crate) type ResultSet = BTreeSet<(TaskKey, Epoch)>;
 
 /// State of a world that all hosts share or that outlives them.
 #[derive(Debug)]
@@ -59,60 +59,60 @@ pub(crate) struct State {
     /// Number of the leading coordinator.
     pub(crate) leader: usize,
     /// Number of writes of the log until the planned crash.
-    pub(crate) trap: Option<(u32, Trap)>,
+    pub(crate) planned_crash: Option<(u32, CrashPoint)>,
     /// Coordinator that the planned crash has hit.
-    pub(crate) sprung: Option<usize>,
+    pub(crate) crashed: Option<usize>,
     /// The coordinators' clocks.
-    pub(crate) clocks: [Wall; COORDINATORS],
+    pub(crate) clocks: [MachineClock; COORDINATORS],
     /// Percentages of the workers' messages that arrive twice, and that arrive late.
-    pub(crate) twice: u32,
-    pub(crate) late: u32,
+    pub(crate) duplicated: u32,
+    pub(crate) delayed: u32,
     /// Percentage of the workers' results that state a wrong size of an artifact.
     pub(crate) misstated: u32,
     /// Percentage of the workers' sessions that begin with a lease of another farm.
-    pub(crate) strays: u32,
+    pub(crate) foreign_leases: u32,
     /// Real sizes of the artifacts whose size was misstated.
     pub(crate) sizes: BTreeMap<Digest, u64>,
     /// Leases as observed between coordinators and workers.
     pub(crate) leases: Leases,
     /// Violations so far.
-    pub(crate) wrong: Vec<Violation>,
+    pub(crate) violations: Vec<Violation>,
     /// Results that workers reported.
-    pub(crate) reported: Reports,
+    pub(crate) reported: ResultSet,
     /// Results that a coordinator acknowledged.
-    pub(crate) accepted: Reports,
+    pub(crate) accepted: ResultSet,
     /// Number of times that each kind of fault took effect.
     pub(crate) fired: BTreeMap<&'static str, u32>,
     /// History according to the log.
-    pub(crate) chronicle: Chronicle,
+    pub(crate) history: History,
     /// Requests of people and the answers to them.
-    pub(crate) answers: Answers,
+    pub(crate) requests: RequestHistory,
     /// Counts of actions of people and of ends of jobs.
     pub(crate) counts: BTreeMap<&'static str, u64>,
     /// Number of people who wait for their jobs.
-    pub(crate) left: usize,
+    pub(crate) waiting_people: usize,
     /// Number of messages about ended jobs that changed nothing.
     pub(crate) stale: u64,
     /// Charges of owners.
-    pub(crate) shares: Shares,
+    pub(crate) charges: ChargeAudit,
     /// Queues of workers.
-    pub(crate) queues: Queues,
+    pub(crate) queues: WorkerQueues,
     /// Worker on which all tasks fail while the others are dead.
-    pub(crate) sick: Option<usize>,
+    pub(crate) failing_worker: Option<usize>,
     /// Latest process of each worker.
-    pub(crate) lives: BTreeMap<usize, u64>,
+    pub(crate) processes: BTreeMap<usize, u64>,
     /// Workers that a task has just killed.
-    pub(crate) struck: Vec<usize>,
+    pub(crate) killed_workers: Vec<usize>,
     pub(crate) trace: blake3::Hasher,
     pub(crate) story: Option<Vec<String>>,
     pub(crate) boots: u64,
     /// Connection ends that the simulated network keeps, including refused and abandoned attempts.
-    pub(crate) ends: usize,
-    pub(crate) reach: Reach,
+    pub(crate) connection_ends: usize,
+    pub(crate) reachability: Reachability,
     /// Artifacts that were damaged in the store.
-    pub(crate) harmed: BTreeSet<Digest>,
+    pub(crate) damaged: BTreeSet<Digest>,
     /// Frames of which an artifact was damaged.
-    pub(crate) robbed: BTreeSet<(JobId, u32)>,
+    pub(crate) damaged_frames: BTreeSet<(JobId, u32)>,
 }
 
 /// Handle of a world's state. Clones share the state.
@@ -120,41 +120,41 @@ pub(crate) struct State {
 pub(crate) struct Shared(Arc<Mutex<State>>);
 
 impl Shared {
-    pub(crate) fn new(seed: u64, tells: bool) -> Self {
+    pub(crate) fn new(seed: u64, keeps_story: bool) -> Self {
         Self(Arc::new(Mutex::new(State {
             rng: SmallRng::seed_from_u64(seed),
             disk: Disk::default(),
             leader: 0,
-            trap: None,
-            sprung: None,
-            clocks: [Wall::default(); COORDINATORS],
-            twice: 0,
-            late: 0,
+            planned_crash: None,
+            crashed: None,
+            clocks: [MachineClock::default(); COORDINATORS],
+            duplicated: 0,
+            delayed: 0,
             misstated: 0,
-            strays: 0,
+            foreign_leases: 0,
             sizes: BTreeMap::new(),
             leases: Leases::default(),
-            wrong: Vec::new(),
+            violations: Vec::new(),
             reported: BTreeSet::new(),
             accepted: BTreeSet::new(),
             fired: BTreeMap::new(),
-            chronicle: Chronicle::default(),
-            answers: Answers::default(),
+            history: History::default(),
+            requests: RequestHistory::default(),
             counts: BTreeMap::new(),
-            left: 0,
+            waiting_people: 0,
             stale: 0,
-            shares: Shares::default(),
-            queues: Queues::default(),
-            sick: None,
-            lives: BTreeMap::new(),
-            struck: Vec::new(),
+            charges: ChargeAudit::default(),
+            queues: WorkerQueues::default(),
+            failing_worker: None,
+            processes: BTreeMap::new(),
+            killed_workers: Vec::new(),
             trace: blake3::Hasher::new(),
-            story: tells.then(Vec::new),
+            story: keeps_story.then(Vec::new),
             boots: 0,
-            ends: 0,
-            reach: Reach::default(),
-            harmed: BTreeSet::new(),
-            robbed: BTreeSet::new(),
+            connection_ends: 0,
+            reachability: Reachability::default(),
+            damaged: BTreeSet::new(),
+            damaged_frames: BTreeSet::new(),
         })))
     }
 
@@ -168,15 +168,15 @@ impl Shared {
     }
 
     /// Adds an event to the trace.
-    pub(crate) fn note(&self, what: impl FnOnce() -> String) {
+    pub(crate) fn trace(&self, event: impl FnOnce() -> String) {
         let now = turmoil::sim_elapsed().unwrap_or_default();
-        self.lock().note(now, &what());
+        self.lock().trace_event(now, &event());
     }
 }
 
 impl State {
-    pub(crate) fn note(&mut self, now: Duration, what: &str) {
-        let line = format!("{:9.3} {what}", now.as_secs_f64());
+    pub(crate) fn trace_event(&mut self, now: Duration, event: &str) {
+        let line = format!("{:9.3} {event}", now.as_secs_f64());
         self.trace.update(line.as_bytes());
         if let Some(story) = &mut self.story {
             story.push(line);
@@ -184,11 +184,11 @@ impl State {
     }
 
     /// Counts an action.
-    pub(crate) fn did(&mut self, what: &'static str) {
-        *self.counts.entry(what).or_default() += 1;
+    pub(crate) fn count_action(&mut self, action: &'static str) {
+        *self.counts.entry(action).or_default() += 1;
     }
 
-    pub(crate) fn fired(&mut self, fault: &'static str) {
+    pub(crate) fn count_fault(&mut self, fault: &'static str) {
         *self.fired.entry(fault).or_default() += 1;
     }
 

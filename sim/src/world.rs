@@ -4,12 +4,12 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use crate::audit::{Violation, audit};
-use crate::cast::Cast;
-use crate::faults::Planned;
+use crate::fault_injector::FaultInjector;
+use crate::faults::FaultPlan;
+use crate::faulty_medium::FaultyMedium;
 use crate::hosts;
 use crate::shared::Shared;
-use crate::shelf::Shelf;
-use crate::weather::Weather;
+use crate::workload::Workload;
 
 /// Step of the simulated time.
 const TICK: Duration = Duration::from_millis(5);
@@ -35,28 +35,28 @@ pub struct Outcome {
     pub stale: u64,
 }
 
-/// Runs the world of this seed and plan. `tells`: whether all messages are kept.
-pub fn run(seed: u64, plan: &Planned, tells: Tells) -> anyhow::Result<Outcome> {
-    let cast = Cast::of(seed)?;
-    line_up()?;
-    let shared = Shared::new(seed, tells == Tells::Story);
-    let (shelf, scheduler) = (Shelf::new(&shared), cast.config());
-    shared.lock().chronicle.keep_ended = scheduler.keep_ended;
-    shared.lock().shares.weights = scheduler.weights.clone();
-    let mut sim = hosts::settle(seed, [TICK, END], &shared, &shelf, &scheduler);
-    sim.client("people", cast.live(shared.clone(), shelf.clone()));
-    let mut weather = Weather::default();
-    weather.storm(Duration::ZERO, plan, &shared);
+/// Runs the world of this seed and plan. `detail`: whether all messages are kept.
+pub fn run_world(seed: u64, plan: &FaultPlan, detail: RunDetail) -> anyhow::Result<Outcome> {
+    let workload = Workload::from_seed(seed)?;
+    align_task_ids()?;
+    let shared = Shared::new(seed, detail == RunDetail::Story);
+    let (medium, scheduler) = (FaultyMedium::new(&shared), workload.config());
+    shared.lock().history.keep_ended = scheduler.keep_ended;
+    shared.lock().charges.weights = scheduler.weights.clone();
+    let mut sim = hosts::build_sim(seed, [TICK, END], &shared, &medium, &scheduler);
+    sim.client("people", workload.run(shared.clone(), medium.clone()));
+    let mut injector = FaultInjector::default();
+    injector.schedule(Duration::ZERO, plan, &shared);
     let broken = loop {
         match sim.step() {
             Ok(true) => break None,
-            Ok(false) => weather.pass(&mut sim, &shared, &shelf),
+            Ok(false) => injector.run_due(&mut sim, &shared, &medium),
             Err(error) => break Some(error.to_string()),
         }
     };
     let state = shared.lock();
     let mut violations = audit(&state);
-    violations.extend(broken.filter(|_| state.left == 0).map(Violation::World));
+    violations.extend(broken.filter(|_| state.waiting_people == 0).map(Violation::Simulation));
     Ok(Outcome {
         violations,
         fired: state.fired.clone(),
@@ -71,7 +71,7 @@ pub fn run(seed: u64, plan: &Planned, tells: Tells) -> anyhow::Result<Outcome> {
 /// Makes task numbers reproducible: every world begins at a number with the same remainder. Tokio numbers the tasks of a process,
 /// and drops the tasks of a crashed host in an order that depends on these numbers. Therefore worlds of one process cannot run in
 /// parallel.
-pub(crate) fn line_up() -> std::io::Result<()> {
+pub(crate) fn align_task_ids() -> std::io::Result<()> {
     const SHARDS: u64 = 64;
     let runtime = tokio::runtime::Builder::new_current_thread().build()?;
     runtime.block_on(async {
@@ -87,7 +87,7 @@ pub(crate) fn line_up() -> std::io::Result<()> {
 
 /// Tells whether the messages of a world are kept.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Tells {
+pub enum RunDetail {
     /// Only the outcome is kept.
     Outcome,
     /// All messages are kept.

@@ -8,26 +8,26 @@
 //! sets, and their difference in standard errors. The standard errors are pooled over all frames: relative to the mean, all frames
 //! have the same error. The exit code is 1 if a change differs by more than 4.5 standard errors.
 
-use femc_pipeline::{Settings, Stop};
-use femc_tests::honesty::{Experiment, Measured, Rule, Shot};
+use femc_pipeline::{Settings, StopCondition};
+use femc_tests::honesty::{Experiment, MeanWithError, Rule, SeedImage};
 use std::error::Error;
 use std::path::Path;
 use std::process::ExitCode;
 use std::sync::Arc;
 
 /// Samples per pixel of the reference frames. These use other seeds.
-const TRUE: u32 = 16;
+const REFERENCE_SPP: u32 = 16;
 
 /// Width and height of a frame in pixels.
 const SIZE: [u32; 2] = [160, 90];
 
 /// Mean of a frame over its seeds.
-struct Shots {
+struct FrameStatistics {
     mean: f64,
     /// Variance of the mean of one seed, relative to the squared mean.
     variance: f64,
     /// Samples drawn per pixel.
-    drawn: f64,
+    drawn_spp: f64,
 }
 
 fn main() -> Result<ExitCode, Box<dyn Error>> {
@@ -41,21 +41,27 @@ fn main() -> Result<ExitCode, Box<dyn Error>> {
     if count < 2 || seeds < 2 {
         return Err("a change takes two frames, and noise two seeds: --frames and --seeds are at least 2".into());
     }
-    let scene = Arc::new(femc_import::load_path(Path::new(file))?.scene);
-    let measure = |frame: u32, stop: Stop, from: u64| -> Result<Shots, Box<dyn Error>> {
+    let scene = Arc::new(femc_import::load_scene_file(Path::new(file))?.scene);
+    let measure = |frame: u32, stop: StopCondition, from: u64| -> Result<FrameStatistics, Box<dyn Error>> {
         let settings = Settings { stop, size: Some(SIZE), ..Settings::default() };
-        let experiment = Experiment::of_frame(&scene, settings, frame)?;
-        let shots: Vec<_> = (from..from + seeds).map(|seed| experiment.shot(seed, Rule::Settings)).collect();
-        let Measured { value, error } = Measured::mean(&shots.iter().map(Shot::mean).collect::<Vec<_>>());
-        let drawn = shots.iter().map(|shot| shot.drawn).sum::<f64>() / seeds as f64;
-        Ok(Shots { mean: value, variance: (error / value).powi(2) * seeds as f64, drawn })
+        let experiment = Experiment::for_frame(&scene, settings, frame)?;
+        let shots: Vec<_> = (from..from + seeds).map(|seed| experiment.render_seed(seed, Rule::Settings)).collect();
+        let MeanWithError { value, error } =
+            MeanWithError::mean(&shots.iter().map(SeedImage::mean).collect::<Vec<_>>());
+        let drawn = shots.iter().map(|shot| shot.drawn_spp).sum::<f64>() / seeds as f64;
+        Ok(FrameStatistics { mean: value, variance: (error / value).powi(2) * seeds as f64, drawn_spp: drawn })
     };
     let mut frames = Vec::new();
     for frame in first..first + count {
-        frames.push((frame, measure(frame, Stop::Error(error), 1)?, measure(frame, Stop::Spp(TRUE), 1001)?));
+        frames.push((
+            frame,
+            measure(frame, StopCondition::Error(error), 1)?,
+            measure(frame, StopCondition::Spp(REFERENCE_SPP), 1001)?,
+        ));
         eprintln!("frame {frame}");
     }
-    let over = |of: fn(&(u32, Shots, Shots)) -> f64| frames.iter().map(of).sum::<f64>() / f64::from(count);
+    let over =
+        |of: fn(&(u32, FrameStatistics, FrameStatistics)) -> f64| frames.iter().map(of).sum::<f64>() / f64::from(count);
     let (noise, noise_of_true) = (over(|it| it.1.variance), over(|it| it.2.variance));
     let sigma = (2.0 * (noise + noise_of_true) / seeds as f64).sqrt();
     println!(
@@ -64,7 +70,7 @@ fn main() -> Result<ExitCode, Box<dyn Error>> {
     );
     let (mut worst, mut squares) = (0f64, 0.0);
     for (at, (frame, found, truth)) in frames.iter().enumerate() {
-        print!("{frame:>12}{:>12.5}{:>12.1}", found.mean, found.drawn);
+        print!("{frame:>12}{:>12.5}{:>12.1}", found.mean, found.drawn_spp);
         if let Some((_, found_before, truth_before)) = at.checked_sub(1).map(|before| &frames[before]) {
             let [change, is_true] = [found.mean / found_before.mean - 1.0, truth.mean / truth_before.mean - 1.0];
             let sigmas = (change - is_true) / sigma;

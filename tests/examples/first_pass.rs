@@ -10,12 +10,15 @@
 //!
 //! `cargo run --release -p femc-tests --example first_pass -- errors`
 
-use femc_pipeline::radiosity::{Options, ROUNDS, solve};
-use femc_pipeline::{Method, Settings, Source, aim, begin, first_pass_world, prepare, settle};
+use femc_pipeline::radiosity::{RAY_ROUNDS, SolveOptions, solve};
+use femc_pipeline::{
+    Method, SceneSource, Settings, apply_first_pass_hits, begin_first_pass, first_pass_world, prepare_first_pass_rays,
+    prepare_frame,
+};
 use femc_tests::clock::processor_seconds;
-use femc_tests::closed_forms::{Case, Solved, all, errors};
-use femc_tests::fog_light::{self, Compared, compare_along, compare_around};
-use femc_tests::furnished::{Kind, furnished};
+use femc_tests::closed_forms::{Case, SolvedScene, all_cases, relative_errors};
+use femc_tests::fog_light::{self, FogComparison, compare_points, compare_rays};
+use femc_tests::generated_scenes::{Kind, generate_scene};
 use std::error::Error;
 use std::path::Path;
 use std::sync::Arc;
@@ -30,15 +33,15 @@ fn main() -> Result<(), Box<dyn Error>> {
         Some("errors") => {
             let errors = numbers(option("--error").unwrap_or("1,0.3,0.1,0.03"))?;
             let word = option("--only").unwrap_or("");
-            table(&all().into_iter().filter(|case| case.name.contains(word)).collect::<Vec<_>>(), &errors);
+            table(&all_cases().into_iter().filter(|case| case.name.contains(word)).collect::<Vec<_>>(), &errors);
         }
         Some("growth") => {
             let faces = numbers(option("--faces").unwrap_or("1000,3000,10000,30000,100000"))?;
             let error = option("--error").unwrap_or("1").parse()?;
             let kind = if option("--kind") == Some("terrain") { Kind::Terrain } else { Kind::Room };
             let memory = option("--memory").map(str::parse::<usize>).transpose()?.map(|megabytes| megabytes << 20);
-            let memory = memory.unwrap_or(Options::default().memory);
-            growth(kind, &faces, Options { error, memory, ..Options::default() });
+            let memory = memory.unwrap_or(SolveOptions::default().memory);
+            growth(kind, &faces, SolveOptions { error, memory, ..SolveOptions::default() });
         }
         Some("steps") => steps(Path::new(args.get(1).ok_or("which scene?")?))?,
         Some("fog") => {
@@ -60,23 +63,23 @@ fn numbers(text: &str) -> Result<Vec<f32>, std::num::ParseFloatError> {
 /// Error estimates of a solution, as fractions of its light.
 const ESTIMATES: [&str; 6] = ["error", "corrected", "|checked-1|", "sum of both", "row sum-1", "error/4"];
 
-fn estimates(error: f32, solved: &Solved) -> [f64; 6] {
+fn estimates(error: f32, solved: &SolvedScene) -> [f64; 6] {
     let report = &solved.report;
     let (corrected, checked) = (f64::from(report.corrected), f64::from((report.checked - 1.0).abs()));
     let error = f64::from(error);
     [error, corrected, checked, corrected + checked, f64::from((report.row_sum - 1.0).abs()), 0.25 * error]
 }
 
-fn table(cases: &[Case], asked: &[f32]) {
+fn table(cases: &[Case], wanted_errors: &[f32]) {
     println!(
         "scene\terror\tseconds\tleaves\trefused\tof the mean\trms\tgreatest\tchecked\tcorrected\trow sum\tresidual"
     );
     let mut ratios: [Vec<f64>; 6] = Default::default();
     for case in cases {
-        for &error in asked {
+        for &error in wanted_errors {
             let start = Instant::now();
             let (solved, pairs) = case.solve(error);
-            let (found, report) = (errors(&pairs), solved.report);
+            let (found, report) = (relative_errors(&pairs), solved.report);
             println!(
                 "{}\t{error}\t{:.1}\t{}\t{}\t{:+.5}\t{:.5}\t{:.5}\t{:.4}\t{:.4}\t{:.4}\t{:.1e}",
                 case.name,
@@ -85,7 +88,7 @@ fn table(cases: &[Case], asked: &[f32]) {
                 report.refused,
                 found.mean,
                 found.rms,
-                found.most,
+                found.max_abs,
                 report.checked,
                 report.corrected,
                 report.row_sum,
@@ -108,20 +111,20 @@ fn table(cases: &[Case], asked: &[f32]) {
 }
 
 fn fog(path: &Path, errors: &[f32], rays: u32, samples: u32) -> Result<(), Box<dyn Error>> {
-    let scene = Arc::new(femc_import::load_path(path)?.scene);
-    let mut prepared = prepare(&Source::new(scene), &Settings::default(), 1, None)?;
+    let scene = Arc::new(femc_import::load_scene_file(path)?.scene);
+    let mut prepared = prepare_frame(&SceneSource::new(scene), &Settings::default(), 1, None)?;
     let start = Instant::now();
-    let along = fog_light::along(&prepared, rays, samples);
-    let around = fog_light::around(&mut prepared, &along, samples);
+    let along = fog_light::trace_rays(&prepared, rays, samples);
+    let around = fog_light::trace_points(&mut prepared, &along, samples);
     println!("{rays} rays and {} points, {samples} paths each: {:.0} s", around.len(), start.elapsed().as_secs_f64());
     println!("error\tseconds\tboxes\twhat\tmean ratio\tits error\trms\trelative rms");
     for &error in errors {
         let start = Instant::now();
-        let options = Options { error, ..Options::default() };
+        let options = SolveOptions { error, ..SolveOptions::default() };
         let solution = solve(&prepared, &options, &AtomicBool::new(false)).map_err(|_| "cancelled")?;
         let (fog, seconds) = (&solution.field.fog, start.elapsed().as_secs_f64());
-        let found = [("along rays", compare_along(fog, &along)), ("around points", compare_around(fog, &around))];
-        for (what, Compared { ratio, rms, relative, error: of_paths }) in found {
+        let found = [("along rays", compare_rays(fog, &along)), ("around points", compare_points(fog, &around))];
+        for (what, FogComparison { ratio, rms, relative, error: of_paths }) in found {
             let boxes = fog.leaves().count();
             println!("{error}\t{seconds:.1}\t{boxes}\t{what}\t{ratio:.4}\t{of_paths:.4}\t{rms:.4}\t{relative:.4}");
         }
@@ -132,7 +135,8 @@ fn fog(path: &Path, errors: &[f32], rays: u32, samples: u32) -> Result<(), Box<d
 /// Prints the cost of each step, in one process.
 fn steps(path: &Path) -> Result<(), Box<dyn Error>> {
     let (settings, cancel) = (Settings { method: Method::Femc, ..Settings::default() }, AtomicBool::new(false));
-    let world = first_pass_world(&Source::new(Arc::new(femc_import::load_path(path)?.scene)), &settings, 1, None)?;
+    let world =
+        first_pass_world(&SceneSource::new(Arc::new(femc_import::load_scene_file(path)?.scene)), &settings, 1, None)?;
     let mut rows: Vec<(&str, f64)> = Vec::new();
     let mut clock = processor_seconds().unwrap_or(0.0);
     let mut took = |what| {
@@ -143,18 +147,19 @@ fn steps(path: &Path) -> Result<(), Box<dyn Error>> {
         }
         clock = now;
     };
-    let mut underway = begin(&world, Method::Femc, &cancel)?;
+    let mut state = begin_first_pass(&world, Method::Femc, &cancel)?;
     took("elements and links");
-    let mut found = Vec::new();
-    for _ in 0..ROUNDS {
-        let aimed = aim(underway, &world, Method::Femc, found);
-        let sights = vec![aimed.cast(&world, 0, 1)];
+    let mut guides = Vec::new();
+    for _ in 0..RAY_ROUNDS {
+        let casting = prepare_first_pass_rays(state, &world, Method::Femc, guides);
+        let hits = vec![casting.cast(&world, 0, 1)];
         took("rays");
-        let settled = settle(&aimed, &world, Method::Femc, sights, &cancel)?.ok_or("rays of other elements")?;
+        let corrected =
+            apply_first_pass_hits(&casting, &world, Method::Femc, hits, &cancel)?.ok_or("rays of other elements")?;
         took("what rays have met is taken in, and portals are found");
-        found = vec![settled.guides(&world, 0, 1)];
+        guides = vec![corrected.guides(&world, 0, 1)];
         took("where light comes from");
-        underway = settled.underway().clone();
+        state = corrected.state().clone();
     }
     let whole: f64 = rows.iter().map(|row| row.1).sum();
     println!("step\tprocessor seconds\tshare");
@@ -162,15 +167,15 @@ fn steps(path: &Path) -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-fn growth(kind: Kind, faces: &[f32], options: Options) {
+fn growth(kind: Kind, faces: &[f32], options: SolveOptions) {
     println!(
         "faces\tseconds\tprocessor seconds\telements\tleaves\tlinks\tlamp links\trefused\trays\tMB\trow sum\tbounded"
     );
     let mut rows: Vec<[f64; 4]> = Vec::new();
     for &wanted in faces {
-        let (text, faces) = furnished(kind, wanted as usize);
-        let source = Source::new(femc_tests::scene(&text));
-        let prepared = prepare(&source, &Settings::default(), 1, None);
+        let (text, faces) = generate_scene(kind, wanted as usize);
+        let source = SceneSource::new(femc_tests::parse_scene(&text));
+        let prepared = prepare_frame(&source, &Settings::default(), 1, None);
         let prepared = prepared.unwrap_or_else(|e| panic!("{e}"));
         let (start, before) = (Instant::now(), processor_seconds());
         let cancel = AtomicBool::new(false);

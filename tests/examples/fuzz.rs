@@ -5,7 +5,7 @@
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
-use femc_tests::fuzz::{Tally, execute, peak, targets};
+use femc_tests::fuzz::{Tally, execute, peak_memory, targets};
 
 fn main() -> ExitCode {
     let (mut seconds, mut seed, mut only) = (60.0, 1u64, None);
@@ -46,7 +46,7 @@ fn main() -> ExitCode {
     }
     let all: u64 = tallies.iter().map(|tally| tally.executions).sum();
     let panics: Vec<_> = tallies.iter().flat_map(|tally| &tally.panics).collect();
-    println!("{all} executions, {} panics, {} MiB at most", panics.len(), peak().unwrap_or(0) >> 20);
+    println!("{all} executions, {} panics, {} MiB at most", panics.len(), peak_memory().unwrap_or(0) >> 20);
     for (name, seed, bytes) in panics.iter().take(10) {
         println!("{name}, seed {seed}: {}", bytes.chars().take(2000).collect::<String>());
     }

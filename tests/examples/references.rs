@@ -3,8 +3,8 @@
 //! `cargo run --release -p femc-tests --example references [-- NAME..]`
 
 use femc_film::Image;
-use femc_tests::brute::Brute;
-use femc_tests::reference::{ROOMS, Reference, digest, rooms};
+use femc_tests::brute::BruteForceTracer;
+use femc_tests::reference::{ROOMS, Reference, rooms_folder, scene_digest};
 use std::error::Error;
 use std::path::Path;
 use std::time::Instant;
@@ -19,21 +19,21 @@ fn main() -> Result<(), Box<dyn Error>> {
 }
 
 fn make(name: &str) -> Result<(), Box<dyn Error>> {
-    let scene = femc_import::load_path(&rooms().join(format!("{name}.mgf")))?.scene;
-    let (brute, start) = (Brute::new(&scene), Instant::now());
-    let halves = [1, 2].map(|seed| brute.image(seed, SPP));
+    let scene = femc_import::load_scene_file(&rooms_folder().join(format!("{name}.mgf")))?.scene;
+    let (brute, start) = (BruteForceTracer::new(&scene), Instant::now());
+    let halves = [1, 2].map(|seed| brute.render(seed, SPP));
     println!("{name}: {:.1} s", start.elapsed().as_secs_f64());
     for (half, image) in ["A", "B"].into_iter().zip(&halves) {
-        write(&rooms().join(format!("{name}_{half}.exr")), image)?;
+        write(&rooms_folder().join(format!("{name}_{half}.exr")), image)?;
     }
     let reference = Reference::new(halves);
     let notes = serde_json::json!({
-        "scene_blake3": digest(&rooms(), &scene).to_string(),
+        "scene_blake3": scene_digest(&rooms_folder(), &scene).to_string(),
         "spp_of_each_half": SPP,
         "mean": reference.mean(),
-        "noise_relmse": reference.noise(),
+        "noise_relmse": reference.noise_relmse(),
     });
-    Ok(std::fs::write(rooms().join(format!("{name}.json")), format!("{notes:#}\n"))?)
+    Ok(std::fs::write(rooms_folder().join(format!("{name}.json")), format!("{notes:#}\n"))?)
 }
 
 fn write(path: &Path, image: &Image) -> exr::error::UnitResult {

@@ -8,7 +8,7 @@
 //!
 //! The exit code is 1 if a line fails. Seeds are fixed, so all runs print the same.
 
-use femc_tests::stress::{Effort, GROUPS, Line, Verdict};
+use femc_tests::stress::{Effort, GROUPS, ResultLine, Verdict};
 use std::process::ExitCode;
 
 /// Output format.
@@ -63,9 +63,9 @@ fn main() -> ExitCode {
     if failed == 0 { ExitCode::SUCCESS } else { ExitCode::FAILURE }
 }
 
-fn print(line: &Line) {
+fn print(line: &ResultLine) {
     let relative = if line.truth == 0.0 { line.error } else { line.error / line.truth };
-    let Line { name, value, truth, samples, seconds, .. } = line;
+    let ResultLine { name, value, truth, samples, seconds, .. } = line;
     let z = line.z();
     let samples = *samples as f64;
     print!("{name:64} {value:>14.8e} {relative:>9.1e} {truth:>14.8e} {z:>+6.1} {samples:>9.1e} {seconds:>7.1}");
@@ -75,7 +75,7 @@ fn print(line: &Line) {
     }
 }
 
-fn json(line: &Line) -> serde_json::Value {
+fn json(line: &ResultLine) -> serde_json::Value {
     let why = match &line.verdict {
         Verdict::Holds => None,
         Verdict::Fails(why) => Some(why),

@@ -6,8 +6,8 @@
 use femc_film::Filter;
 use femc_math::color::luminance;
 use femc_montecarlo::{PathSettings, PixelFilter, Tracer};
-use femc_pipeline::radiosity::{self, Options};
-use femc_pipeline::{Field, Settings, Source, prepare};
+use femc_pipeline::radiosity::{self, SolveOptions};
+use femc_pipeline::{Field, SceneSource, Settings, prepare_frame};
 use femc_prepared::Prepared;
 use femc_tests::clock::processor_seconds;
 use rayon::prelude::*;
@@ -16,9 +16,9 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 #[derive(Clone, Copy)]
-struct Places(Filter);
+struct FilterAdapter(Filter);
 
-impl PixelFilter for Places {
+impl PixelFilter for FilterAdapter {
     fn sample(self, u: [f32; 2]) -> [f32; 2] {
         self.0.sample(u)
     }
@@ -48,13 +48,13 @@ fn main() -> Result<(), Box<dyn Error>> {
         "scene\terror\tfirst pass s\tMB\tpaths s\tguided s\tvariance of paths\tof guided\tratio\tefficiency\tz of the mean\tfield over paths\trelmse of the field"
     );
     for path in scenes {
-        let scene = Arc::new(femc_import::load_path(path.as_ref())?.scene);
+        let scene = Arc::new(femc_import::load_scene_file(path.as_ref())?.scene);
         let settings = Settings { size: Some([size; 2]), ..Settings::default() };
-        let prepared = prepare(&Source::new(scene), &settings, 1, None)?;
+        let prepared = prepare_frame(&SceneSource::new(scene), &settings, 1, None)?;
         let name = std::path::Path::new(&path).file_stem().unwrap_or_default().to_string_lossy().into_owned();
         for &error in &errors {
             let start = processor_seconds().unwrap_or(0.0);
-            let options = Options { error, guides: true, ..Options::default() };
+            let options = SolveOptions { error, guides: true, ..SolveOptions::default() };
             let solution = radiosity::solve(&prepared, &options, &AtomicBool::new(false)).map_err(|_| "cancelled")?;
             let first = processor_seconds().unwrap_or(0.0) - start;
             let [plain, guided, field] = compare(&prepared, &solution.field, size * size, spp);
@@ -87,7 +87,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 
 /// Results of one kind of samples.
 #[derive(Default)]
-struct Measured {
+struct SampleStatistics {
     /// Mean (cd/m2) and variance of one sample, for each pixel.
     pixels: Vec<[f64; 2]>,
     /// Mean over all pixels, and the square of its standard error.
@@ -100,7 +100,7 @@ struct Measured {
 }
 
 /// Computes the relmse of `field` against the mean of the other two, minus their noise.
-fn relmse(field: &Measured, others: [&Measured; 2], spp: u32) -> f64 {
+fn relmse(field: &SampleStatistics, others: [&SampleStatistics; 2], spp: u32) -> f64 {
     let of = |k: usize| {
         let [a, b, c] = [field.pixels[k], others[0].pixels[k], others[1].pixels[k]];
         let mean = 0.5 * (b[0] + c[0]);
@@ -111,10 +111,10 @@ fn relmse(field: &Measured, others: [&Measured; 2], spp: u32) -> f64 {
 }
 
 /// Takes equal numbers of samples from unguided paths, guided paths, and paths that end with the field, in alternation.
-fn compare(prepared: &Prepared, field: &Field, number: u32, spp: u32) -> [Measured; 3] {
+fn compare(prepared: &Prepared, field: &Field, number: u32, spp: u32) -> [SampleStatistics; 3] {
     const TURNS: u32 = 4;
     let mut sums = [(); 3].map(|()| vec![[0.0f64; 2]; number as usize]);
-    let mut out = [(); 3].map(|()| Measured::default());
+    let mut out = [(); 3].map(|()| SampleStatistics::default());
     for turn in 0..TURNS {
         for (which, (sums, out)) in sums.iter_mut().zip(&mut out).enumerate() {
             let samples = turn * spp / TURNS..(turn + 1) * spp / TURNS;
@@ -125,12 +125,12 @@ fn compare(prepared: &Prepared, field: &Field, number: u32, spp: u32) -> [Measur
                 let mut tracer = Tracer::new(prepared, path);
                 tracer = match which {
                     0 => tracer,
-                    1 => tracer.guided_by(field),
+                    1 => tracer.with_guide(field),
                     _ => tracer.with_field(field),
                 };
                 for (k, [sum, squares]) in sums.iter_mut().enumerate() {
                     for sample in samples.clone() {
-                        let drawn = tracer.sample((chunk * 64 + k) as u32, sample, Places(Filter::Box));
+                        let drawn = tracer.sample((chunk * 64 + k) as u32, sample, FilterAdapter(Filter::Box));
                         let value = f64::from(luminance(drawn.color));
                         (*sum, *squares) = (*sum + value, *squares + value * value);
                     }

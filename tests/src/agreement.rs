@@ -1,11 +1,11 @@
 //! Checks that two scene descriptions, or two ways to find light, have the same mean: with independent renderings and a test at a
 //! stated level.
 
-use crate::scene_of;
+use crate::parse_scene_files;
 use femc_film::Filter;
 use femc_math::color::luminance;
 use femc_montecarlo::{PathSettings, Technique, Tracer};
-use femc_pipeline::{Places, Settings, Source, prepare};
+use femc_pipeline::{FilterAdapter, SceneSource, Settings, prepare_frame};
 use femc_scene::Scene;
 use femc_stats::testing::z_test;
 use rayon::prelude::*;
@@ -30,16 +30,16 @@ impl Estimate {
     ///
     /// # Panics
     /// If the scene cannot be prepared, or a sample is not a finite number.
-    pub fn of(scene: &Arc<Scene>, only: Option<Technique>, spp: u32) -> Self {
-        let source = Source::new(scene.clone());
-        let prepared = prepare(&source, &Settings::default(), 1, None).unwrap_or_else(|error| panic!("{error}"));
+    pub fn from_scene(scene: &Arc<Scene>, only: Option<Technique>, spp: u32) -> Self {
+        let source = SceneSource::new(scene.clone());
+        let prepared = prepare_frame(&source, &Settings::default(), 1, None).unwrap_or_else(|error| panic!("{error}"));
         let [width, height] = prepared.camera.film;
         let rendering = |seed: u64| {
             let mut tracer = Tracer::new(&prepared, PathSettings { seed, max_depth: 0, only });
             let mut sum = 0.0;
             for pixel in 0..width * height {
                 for index in 0..spp {
-                    let drawn = tracer.sample(pixel, index, Places(Filter::Box));
+                    let drawn = tracer.sample(pixel, index, FilterAdapter(Filter::Box));
                     let value = luminance(drawn.color);
                     assert!(value.is_finite(), "pixel {pixel}, sample {index}: {value}");
                     sum += f64::from(value);
@@ -55,18 +55,18 @@ impl Estimate {
     }
 
     /// Estimates the mean luminance of a scene given as files. The first file is the scene.
-    pub fn of_files(files: &[(&str, &str)], spp: u32) -> Self {
-        Self::of(&scene_of(files), None, spp)
+    pub fn from_files(files: &[(&str, &str)], spp: u32) -> Self {
+        Self::from_scene(&parse_scene_files(files), None, spp)
     }
 
     /// Multiplies the estimate by `factor`.
-    pub fn times(self, factor: f64) -> Self {
+    pub fn scaled(self, factor: f64) -> Self {
         Self { mean: factor * self.mean, error: factor * self.error }
     }
 
     /// Returns the two-sided level at which the two are equal. Differences up to 1e-5 are ignored: they come from rounding of the
     /// scene and of single precision.
-    pub fn level(self, other: Self) -> f64 {
+    pub fn p_value(self, other: Self) -> f64 {
         let rounding = 1e-5 * self.mean.abs().max(other.mean.abs());
         z_test(self.mean - other.mean, self.error.hypot(other.error).hypot(rounding), 0.0)
     }

@@ -9,7 +9,7 @@
 use crate::rng::Rng;
 use femc_film::Image;
 use femc_math::glam::DVec3;
-use femc_scene::{Camera, Group, Material, Phase, RegionBounds, Scene, Sides, Tinted};
+use femc_scene::{Camera, Group, Material, Phase, RegionBounds, Scene, Sides, TintedScalar};
 use rayon::prelude::*;
 use std::f64::consts::{FRAC_1_PI, TAU};
 
@@ -27,12 +27,12 @@ pub enum Scatterer {
     Fog,
 }
 
-/// A scene prepared for [`Brute::image`].
-pub struct Brute {
+/// A scene prepared for [`BruteForceTracer::render`].
+pub struct BruteForceTracer {
     triangles: Vec<Triangle>,
     surfaces: Vec<Surface>,
     fog: Option<Fog>,
-    eye: Eye,
+    camera: PinholeCamera,
 }
 
 struct Triangle {
@@ -58,7 +58,7 @@ struct Fog {
     phase: Phase,
 }
 
-struct Eye {
+struct PinholeCamera {
     origin: DVec3,
     forward: DVec3,
     /// Steps of one pixel to the right and one down, at distance 1.
@@ -66,7 +66,7 @@ struct Eye {
     film: [u32; 2],
 }
 
-impl Brute {
+impl BruteForceTracer {
     /// Prepares a scene, seen by its first camera.
     ///
     /// # Panics
@@ -75,33 +75,33 @@ impl Brute {
         Self {
             triangles: triangles(&scene.groups[0]),
             surfaces: scene.materials.iter().map(Surface::new).collect(),
-            fog: Fog::of(scene),
-            eye: Eye::new(&scene.cameras[0]),
+            fog: Fog::from_scene(scene),
+            camera: PinholeCamera::new(&scene.cameras[0]),
         }
     }
 
     /// Renders the mean of `spp` samples per pixel. Images of different seeds are independent.
-    pub fn image(&self, seed: u32, spp: u32) -> Image {
-        let [image] = self.classes(seed, spp, |_| [true]);
+    pub fn render(&self, seed: u32, spp: u32) -> Image {
+        let [image] = self.render_classes(seed, spp, |_| [true]);
         image
     }
 
-    /// Like [`Self::image`], but renders one image per class of paths.
-    /// - `of`: classes of a path that hits a lamp, given its scattering events.
-    pub fn classes<const N: usize>(
+    /// Like [`Self::render`], but renders one image per class of paths.
+    /// - `from_scene`: classes of a path that hits a lamp, given its scattering events.
+    pub fn render_classes<const N: usize>(
         &self,
         seed: u32,
         spp: u32,
-        of: impl Fn(&[Scatterer]) -> [bool; N] + Sync,
+        classify: impl Fn(&[Scatterer]) -> [bool; N] + Sync,
     ) -> [Image; N] {
-        let [width, height] = self.eye.film;
+        let [width, height] = self.camera.film;
         let pixel = |index: u32| {
             // Streams begin at random positions of the generator's single sequence.
             let mut rng = Rng::new(Rng::new(u64::from(seed) << 32 | u64::from(index)).bits());
             let corner = [index % width, index / width].map(f64::from);
             let mut sums = [DVec3::ZERO; N];
             let mut found = |path: &[Scatterer], radiance: DVec3| {
-                let classes = sums.iter_mut().zip(of(path)).filter(|(_, belongs)| *belongs);
+                let classes = sums.iter_mut().zip(classify(path)).filter(|(_, belongs)| *belongs);
                 classes.for_each(|(sum, _)| *sum += radiance);
             };
             (0..spp).for_each(|_| self.sample(corner, &mut rng, &mut found));
@@ -116,8 +116,8 @@ impl Brute {
     }
 
     /// Traces a path through a random point of a pixel. Reports the radiance of each lamp that it hits, cd/m2.
-    fn sample(&self, corner: [f64; 2], rng: &mut Rng, found: &mut impl FnMut(&[Scatterer], DVec3)) {
-        let (mut origin, mut dir) = (self.eye.origin, self.eye.direction(corner.map(|x| x + rng.unit())));
+    fn sample(&self, corner: [f64; 2], rng: &mut Rng, on_lamp_hit: &mut impl FnMut(&[Scatterer], DVec3)) {
+        let (mut origin, mut dir) = (self.camera.origin, self.camera.direction(corner.map(|x| x + rng.unit())));
         let (mut throughput, mut path) = (DVec3::ONE, Vec::new());
         loop {
             let hit = self.nearest(origin, dir);
@@ -134,7 +134,7 @@ impl Brute {
             let Some((t, triangle)) = hit else { return };
             let surface = &self.surfaces[triangle.surface];
             if surface.radiance != DVec3::ZERO {
-                found(&path, throughput * surface.radiance);
+                on_lamp_hit(&path, throughput * surface.radiance);
             }
             let normal = triangle.normal * -triangle.normal.dot(dir).signum();
             let Some((wi, weight, by)) = surface.scatter(normal, -dir, rng) else { return };
@@ -150,7 +150,7 @@ impl Brute {
             Sides::One => it.normal.dot(dir) < 0.0,
             Sides::Two => true,
         });
-        seen.filter_map(|it| Some((it.meets(origin, dir)?, it))).min_by(|a, b| a.0.total_cmp(&b.0))
+        seen.filter_map(|it| Some((it.intersect(origin, dir)?, it))).min_by(|a, b| a.0.total_cmp(&b.0))
     }
 
     /// Draws the distance of a collision with the fog, if it is less than `reach`.
@@ -181,7 +181,7 @@ impl Triangle {
     }
 
     /// Returns the distance along a ray, computed with Cramer's rule.
-    fn meets(&self, origin: DVec3, dir: DVec3) -> Option<f64> {
+    fn intersect(&self, origin: DVec3, dir: DVec3) -> Option<f64> {
         let [e1, e2] = self.edges;
         let p = dir.cross(e2);
         let scale = 1.0 / e1.dot(p);
@@ -207,7 +207,7 @@ impl Surface {
             ..Material::default()
         };
         assert_eq!(*material, known, "an opaque material without maps");
-        let color = |tinted: &Tinted| DVec3::from(tinted.color) * tinted.amount;
+        let color = |tinted: &TintedScalar| DVec3::from(tinted.color) * tinted.amount;
         // If a channel would reflect more light than it receives, it is scaled down to 1 (docs/formats.md).
         let limit = (color(&material.rd) + color(&material.rs)).max(DVec3::ONE);
         Self {
@@ -234,7 +234,7 @@ impl Surface {
             Some((wi, self.diffuse / diffuse, Scatterer::Diffuse))
         } else if part < diffuse + glossy {
             let wi = rng.direction(|wi| f64::from(u8::from(wi.dot(normal) > 0.0)));
-            Some((wi, self.glossy / glossy * (TAU * lobe(normal, wo, wi, self.alpha)), Scatterer::Glossy))
+            Some((wi, self.glossy / glossy * (TAU * ggx_lobe(normal, wo, wi, self.alpha)), Scatterer::Glossy))
         } else {
             None
         }
@@ -242,7 +242,7 @@ impl Surface {
 }
 
 /// `D G2 / (4 cos_o cos_i) cos_i`, 1/sr: GGX with height-correlated Smith shadowing, \[heitz2014\].
-fn lobe(normal: DVec3, wo: DVec3, wi: DVec3, alpha: f64) -> f64 {
+fn ggx_lobe(normal: DVec3, wo: DVec3, wi: DVec3, alpha: f64) -> f64 {
     let square = alpha * alpha;
     let (cos_o, cos_i, cos_h) = (wo.dot(normal), wi.dot(normal), (wo + wi).normalize().dot(normal));
     let d = square * FRAC_1_PI / (cos_h * cos_h * (square - 1.0) + 1.0).powi(2);
@@ -251,7 +251,7 @@ fn lobe(normal: DVec3, wo: DVec3, wi: DVec3, alpha: f64) -> f64 {
 }
 
 impl Fog {
-    fn of(scene: &Scene) -> Option<Self> {
+    fn from_scene(scene: &Scene) -> Option<Self> {
         let region = scene.regions.first()?;
         let medium = &scene.media[region.medium.index()];
         assert!(
@@ -275,7 +275,7 @@ impl Fog {
     }
 }
 
-impl Eye {
+impl PinholeCamera {
     fn new(camera: &Camera) -> Self {
         assert!(camera.lens_radius == 0.0 && camera.along.is_none(), "a pinhole camera that does not move");
         let forward = (camera.target - camera.origin).normalize();
@@ -286,8 +286,8 @@ impl Eye {
     }
 
     /// Returns the direction through a point of the film, in pixels from the top left.
-    fn direction(&self, place: [f64; 2]) -> DVec3 {
-        let [x, y] = [0, 1].map(|axis| place[axis] - 0.5 * f64::from(self.film[axis]));
+    fn direction(&self, film_point: [f64; 2]) -> DVec3 {
+        let [x, y] = [0, 1].map(|axis| film_point[axis] - 0.5 * f64::from(self.film[axis]));
         (self.forward + self.steps[0] * x + self.steps[1] * y).normalize()
     }
 }
@@ -315,8 +315,8 @@ impl Rng {
 
 #[cfg(test)]
 mod tests {
-    use super::Brute;
-    use crate::scene;
+    use super::BruteForceTracer;
+    use crate::parse_scene;
 
     #[test]
     fn furnace_has_emittance_over_one_minus_reflectance_in_fog_too() {
@@ -325,7 +325,7 @@ mod tests {
              prism a b c d -2\n";
         let fog = "medium fog =\n sigma_s .8\n phase hg .5\nmglobal fog\n";
         for text in [furnace.to_owned(), format!("{furnace}{fog}")] {
-            let image = Brute::new(&scene(&text)).image(1, 2000);
+            let image = BruteForceTracer::new(&parse_scene(&text)).render(1, 2000);
             let n = image.pixels.len();
             let mean = (0..n).map(|at| f64::from(image.luminance(at))).sum::<f64>() / n as f64;
             // The number of walls hit is geometric, with mean and variance 2. The bound is four standard errors.

@@ -4,8 +4,8 @@ use femc_field::SurfaceSpot;
 use femc_geometry::Hit;
 use femc_math::color::luminance;
 use femc_math::glam::DVec3;
-use femc_pipeline::radiosity::{Options, Report, Solution, solve};
-use femc_pipeline::{Field, Form, Prepared, Settings, Side, Source, prepare};
+use femc_pipeline::radiosity::{Solution, SolveOptions, SolveReport, solve};
+use femc_pipeline::{Field, Form, Prepared, SceneSource, Settings, Side, prepare_frame};
 use std::f64::consts::PI;
 use std::fmt::Write as _;
 use std::sync::atomic::AtomicBool;
@@ -13,12 +13,12 @@ use std::sync::atomic::AtomicBool;
 /// Text of a camera, because every scene needs one.
 pub const CAMERA: &str = "camera main =\n  origin .31 .42 .23\n  target .8 .6 .7\n  fov 90\n  film 24 24\n";
 /// Reflectance of surfaces that only receive light.
-pub const DARK: f64 = 1e-6;
+pub const DARK_REFLECTANCE: f64 = 1e-6;
 /// Points of a surface per axis.
-const EDGE: u32 = 32;
+const POINTS_PER_AXIS: u32 = 32;
 
 /// A scene with its solution.
-pub struct Solved {
+pub struct SolvedScene {
     /// The prepared frame.
     pub prepared: Prepared,
     /// Light field without direct light of lamps.
@@ -26,17 +26,17 @@ pub struct Solved {
     /// Direct light of lamps on the same leaves.
     pub direct: Field,
     /// Report of the solver.
-    pub report: Report,
+    pub report: SolveReport,
 }
 
-impl Solved {
+impl SolvedScene {
     /// Solves a scene.
     ///
     /// # Panics
     /// If the text is not a scene; this is for tests only.
-    pub fn new(text: &str, options: &Options) -> Self {
-        let source = Source::new(crate::scene(text));
-        let prepared = prepare(&source, &Settings::default(), 1, None).unwrap_or_else(|e| panic!("{e}"));
+    pub fn new(text: &str, options: &SolveOptions) -> Self {
+        let source = SceneSource::new(crate::parse_scene(text));
+        let prepared = prepare_frame(&source, &Settings::default(), 1, None).unwrap_or_else(|e| panic!("{e}"));
         let solution = solve(&prepared, options, &AtomicBool::new(false)).unwrap_or_else(|e| panic!("{e:?}"));
         let Solution { field, direct, report } = solution;
         let direct = Field { leaves: direct, ..field.clone() };
@@ -44,46 +44,46 @@ impl Solved {
     }
 
     /// Returns a point of a surface, m in the scene's frame, and the irradiance there, lx: from elements, and directly from lamps.
-    /// - `place`: parameters of the point.
-    pub fn at(&self, surface: usize, place: [f32; 2]) -> (DVec3, [f64; 2]) {
-        let it = &self.field.surfaces[surface];
-        let SurfaceSpot { position, normal, .. } = it.at(place.into());
-        let second = it.primitives[0] != it.primitives[1] && place[0] + place[1] > 1.0;
-        let v = match it.form {
-            Form::Curved { shape, .. } => shape.at_share(f64::from(place[1])) as f32,
-            _ => place[1],
+    /// - `uv`: parameters of the point.
+    pub fn irradiance_at(&self, surface: usize, uv: [f32; 2]) -> (DVec3, [f64; 2]) {
+        let surface = &self.field.surfaces[surface];
+        let SurfaceSpot { position, normal, .. } = surface.at(uv.into());
+        let second = surface.primitives[0] != surface.primitives[1] && uv[0] + uv[1] > 1.0;
+        let v = match surface.form {
+            Form::Curved { shape, .. } => shape.parameter_at_share(f64::from(uv[1])) as f32,
+            _ => uv[1],
         };
-        let primitive = it.primitives[usize::from(second)];
-        let hit = Hit { t: 1.0, instance: it.instance, primitive, u: place[0], v };
+        let primitive = surface.primitives[usize::from(second)];
+        let hit = Hit { t: 1.0, instance: surface.instance, primitive, u: uv[0], v };
         let values = [&self.field, &self.direct]
-            .map(|field| f64::from(luminance(field.irradiance(&hit, it.side, position, normal))));
+            .map(|field| f64::from(luminance(field.irradiance(&hit, surface.side, position, normal))));
         (self.prepared.origin + position.as_dvec3(), values)
     }
 
-    /// Returns points spread evenly over a surface, with the values of [`Solved::at`].
-    pub fn over(&self, surface: usize) -> Vec<(DVec3, [f64; 2])> {
+    /// Returns points spread evenly over a surface, with the values of [`SolvedScene::irradiance_at`].
+    pub fn irradiance_over(&self, surface: usize) -> Vec<(DVec3, [f64; 2])> {
         let is_triangle = matches!(self.field.surfaces[surface].form, Form::Triangle(_));
         let place = |k: u32| {
-            let place = [k % EDGE, k / EDGE].map(|k| (k as f32 + 0.5) / EDGE as f32);
+            let place = [k % POINTS_PER_AXIS, k / POINTS_PER_AXIS].map(|k| (k as f32 + 0.5) / POINTS_PER_AXIS as f32);
             if is_triangle && place[0] + place[1] > 1.0 { place.map(|x| 1.0 - x) } else { place }
         };
-        (0..EDGE * EDGE).map(|k| self.at(surface, place(k))).collect()
+        (0..POINTS_PER_AXIS * POINTS_PER_AXIS).map(|k| self.irradiance_at(surface, place(k))).collect()
     }
 
-    /// Returns the mean irradiance of a surface, with the two parts of [`Solved::at`].
-    pub fn mean(&self, surface: usize) -> [f64; 2] {
-        let over = self.over(surface);
+    /// Returns the mean irradiance of a surface, with the two parts of [`SolvedScene::irradiance_at`].
+    pub fn mean_irradiance(&self, surface: usize) -> [f64; 2] {
+        let over = self.irradiance_over(surface);
         [0, 1].map(|kind| over.iter().map(|(_, values)| values[kind]).sum::<f64>() / over.len() as f64)
     }
 
     /// Returns the surfaces on this side.
-    pub fn sides(&self, side: Side) -> Vec<usize> {
+    pub fn surfaces_on_side(&self, side: Side) -> Vec<usize> {
         (0..self.field.surfaces.len()).filter(|&k| self.field.surfaces[k].side == side).collect()
     }
 
     /// Returns the mean radiance over all directions at a point in fog, without direct light of lamps, cd/m2.
     /// - `point`: m in the scene's frame.
-    pub fn in_fog(&self, point: DVec3) -> f64 {
+    pub fn fog_mean_radiance(&self, point: DVec3) -> f64 {
         f64::from(luminance(self.field.fog.mean_radiance((point - self.prepared.origin).as_vec3a())))
     }
 }
@@ -98,17 +98,17 @@ pub struct Case {
     /// Text of the scene.
     pub text: String,
     /// Function that pairs values of a solution with the known ones.
-    read: Box<dyn Fn(&Solved) -> Pairs>,
+    read: Box<dyn Fn(&SolvedScene) -> Pairs>,
 }
 
 impl Case {
-    fn new(name: String, text: String, read: impl Fn(&Solved) -> Pairs + 'static) -> Self {
+    fn new(name: String, text: String, read: impl Fn(&SolvedScene) -> Pairs + 'static) -> Self {
         Self { name, text, read: Box::new(read) }
     }
 
     /// Solves the scene with links of this error.
-    pub fn solve(&self, error: f32) -> (Solved, Pairs) {
-        let solved = Solved::new(&self.text, &Options { error, ..Options::default() });
+    pub fn solve(&self, error: f32) -> (SolvedScene, Pairs) {
+        let solved = SolvedScene::new(&self.text, &SolveOptions { error, ..SolveOptions::default() });
         let pairs = (self.read)(&solved);
         (solved, pairs)
     }
@@ -122,20 +122,20 @@ pub struct Errors {
     /// Root mean square error.
     pub rms: f64,
     /// Greatest absolute error.
-    pub most: f64,
+    pub max_abs: f64,
 }
 
 /// Computes the errors of pairs.
-pub fn errors(pairs: &[[f64; 2]]) -> Errors {
+pub fn relative_errors(pairs: &[[f64; 2]]) -> Errors {
     let n = pairs.len() as f64;
     let [have, want] = [0, 1].map(|k| pairs.iter().map(|pair| pair[k]).sum::<f64>() / n);
     let squares = pairs.iter().map(|[have, want]| (have - want).powi(2)).sum::<f64>() / n;
     let most = pairs.iter().map(|[have, want]| (have - want).abs()).fold(0.0, f64::max);
-    Errors { mean: have / want - 1.0, rms: squares.sqrt() / want, most: most / want }
+    Errors { mean: have / want - 1.0, rms: squares.sqrt() / want, max_abs: most / want }
 }
 
 /// Appends quadrilateral faces with the current material.
-fn faces(text: &mut String, name: &str, corners: &[[f64; 3]], faces: &[&[usize]]) {
+fn push_faces(text: &mut String, name: &str, corners: &[[f64; 3]], faces: &[&[usize]]) {
     for (k, [x, y, z]) in corners.iter().enumerate() {
         let _ = writeln!(text, "v {name}{k} =\n  p {x} {y} {z}");
     }
@@ -145,7 +145,7 @@ fn faces(text: &mut String, name: &str, corners: &[[f64; 3]], faces: &[&[usize]]
     }
 }
 
-fn corners([x, y, z]: [f64; 3]) -> [[f64; 3]; 8] {
+fn box_corners([x, y, z]: [f64; 3]) -> [[f64; 3]; 8] {
     [[0., 0., 0.], [x, 0., 0.], [x, y, 0.], [0., y, 0.], [0., 0., z], [x, 0., z], [x, y, z], [0., y, z]]
 }
 
@@ -154,7 +154,7 @@ const INWARD: [&[usize]; 6] =
     [&[0, 1, 2, 3], &[7, 6, 5, 4], &[0, 4, 5, 1], &[1, 5, 6, 2], &[2, 6, 7, 3], &[3, 7, 4, 0]];
 
 /// Computes the form factor from a point to a polygon above its horizon, with Lambert's formula.
-/// - `corners`: clockwise as seen from the point.
+/// - `box_corners`: clockwise as seen from the point.
 fn form_factor(point: DVec3, normal: DVec3, corners: &[DVec3]) -> f64 {
     let edge = |k: usize| {
         let [a, b] = [corners[k], corners[(k + 1) % corners.len()]].map(|corner| corner - point);
@@ -167,20 +167,20 @@ fn form_factor(point: DVec3, normal: DVec3, corners: &[DVec3]) -> f64 {
 
 /// A unit cube whose walls emit evenly and whose floor is the only reflector. The other walls receive its light according to their
 /// form factors (Lambert's formula at each point).
-pub fn floor_alone() -> Case {
+pub fn reflecting_floor() -> Case {
     let mut text = String::from(CAMERA);
-    let at = corners([1.0; 3]);
+    let at = box_corners([1.0; 3]);
     for (k, face) in INWARD.into_iter().enumerate() {
-        let reflectance = if k == 0 { 0.5 } else { DARK };
+        let reflectance = if k == 0 { 0.5 } else { DARK_REFLECTANCE };
         let _ = writeln!(text, "m m{k} =\n  sides 1\n  rd {reflectance}\n  ed {PI}");
-        faces(&mut text, &format!("p{k}_"), &at, &[face]);
+        push_faces(&mut text, &format!("p{k}_"), &at, &[face]);
     }
     let floor = [[0., 0.], [1., 0.], [1., 1.], [0., 1.]].map(|[x, y]| DVec3::new(x, y, 0.0));
     Case::new("a cube's floor, from the ceiling and a side".into(), text, move |solved| {
         let of = |surface: usize, normal: DVec3| {
             let pair =
                 move |(point, [have, _]): (DVec3, [f64; 2])| [have / (0.5 * PI), form_factor(point, normal, &floor)];
-            solved.over(surface).into_iter().map(pair)
+            solved.irradiance_over(surface).into_iter().map(pair)
         };
         of(1, DVec3::NEG_Z).chain(of(2, DVec3::Y)).collect()
     })
@@ -188,14 +188,14 @@ pub fn floor_alone() -> Case {
 
 /// A disc of radius `r2` transmits light of a room of luminance 1. A coaxial disc of radius `r1` at distance `h` receives it
 /// (\[howell2010\]).
-pub fn discs(r1: f64, r2: f64, h: f64) -> Case {
+pub fn coaxial_discs(r1: f64, r2: f64, h: f64) -> Case {
     let mut text = format!("{CAMERA}m room =\n  sides 1\n  ed {PI}\n");
-    let at = corners([20.0, 20.0, 10.0]).map(|[x, y, z]| [x - 10.0, y - 10.0, z - 10.0]);
-    faces(&mut text, "p", &at, &[INWARD[0], INWARD[2], INWARD[3], INWARD[4], INWARD[5]]);
+    let at = box_corners([20.0, 20.0, 10.0]).map(|[x, y, z]| [x - 10.0, y - 10.0, z - 10.0]);
+    push_faces(&mut text, "p", &at, &[INWARD[0], INWARD[2], INWARD[3], INWARD[4], INWARD[5]]);
     let _ = write!(
         text,
         "m paper =\n  td .5\nv low =\n  p 0 0 0\n  n 0 0 1\nring low 0 {r2}\n\
-         m plate =\n  sides 1\n  rd {DARK}\nv high =\n  p 0 0 {h}\n  n 0 0 -1\nring high 0 {r1}\n"
+         m plate =\n  sides 1\n  rd {DARK_REFLECTANCE}\nv high =\n  p 0 0 {h}\n  n 0 0 -1\nring high 0 {r1}\n"
     );
     Case::new(format!("discs of {r1}, {r2} at {h}"), text, move |solved| {
         // Sides are in scene order: front and back of the paper, then the plate.
@@ -204,20 +204,20 @@ pub fn discs(r1: f64, r2: f64, h: f64) -> Case {
             let z = h * h + a2 + r2 * r2;
             [have / (0.5 * PI), 0.5 * (1.0 - (h * h + a2 - r2 * r2) / (z * z - 4.0 * a2 * r2 * r2).sqrt())]
         };
-        solved.over(2).into_iter().map(pair).collect()
+        solved.irradiance_over(2).into_iter().map(pair).collect()
     })
 }
 
 /// Form factor of two coaxial discs, from the first to the second (\[howell2010\], C-41).
-pub fn of_discs(r1: f64, r2: f64, h: f64) -> f64 {
+pub fn disc_form_factor(r1: f64, r2: f64, h: f64) -> f64 {
     let s = 1.0 + (h * h + r2 * r2) / (r1 * r1);
     0.5 * (s - (s * s - 4.0 * (r2 / r1).powi(2)).sqrt())
 }
 
 /// A ball of radius 0.5 of evenly bright paper over a plate 1 m below its center: (R / d)^2 times the cosine.
-pub fn ball() -> Case {
-    let mut text = format!("{CAMERA}m plate =\n  sides 1\n  rd {DARK}\n");
-    faces(&mut text, "p", &[[-2., -2., 0.], [2., -2., 0.], [2., 2., 0.], [-2., 2., 0.]], &[&[0, 1, 2, 3]]);
+pub fn ball_over_plate() -> Case {
+    let mut text = format!("{CAMERA}m plate =\n  sides 1\n  rd {DARK_REFLECTANCE}\n");
+    push_faces(&mut text, "p", &[[-2., -2., 0.], [2., -2., 0.], [2., 2., 0.], [-2., 2., 0.]], &[&[0, 1, 2, 3]]);
     text.push_str("m paper =\n  td .5\nv c =\n  p 0 0 1\nsph c .5\nm lamp =\n  sides 1\n  ed 1e4\nsph c .005\n");
     Case::new("a ball over a plate".into(), text, |solved| {
         let radiosity = 0.5 * 1e4 * (0.005f64 / 0.5).powi(2);
@@ -225,7 +225,7 @@ pub fn ball() -> Case {
             let d2 = point.x * point.x + point.y * point.y + 1.0;
             [have / radiosity, 0.25 / d2 / d2.sqrt()]
         };
-        solved.over(0).into_iter().map(pair).collect()
+        solved.irradiance_over(0).into_iter().map(pair).collect()
     })
 }
 
@@ -236,15 +236,15 @@ pub fn furnace(reflectance: f64, scattering: f64) -> Case {
     let fog = format!("medium air =\n  sigma_s {scattering}\nmbox air 0 0 0 1 1 1\n");
     let fog = if scattering > 0.0 { fog } else { String::new() };
     let mut text = format!("{CAMERA}{fog}m wall =\n  sides 1\n  rd {reflectance}\n  ed {PI}\n");
-    faces(&mut text, "p", &corners([1.0; 3]), &INWARD);
+    push_faces(&mut text, "p", &box_corners([1.0; 3]), &INWARD);
     let name = format!("a furnace of {reflectance}, scattering {scattering}");
     Case::new(name, text, move |solved| {
         let want = 1.0 / (1.0 - reflectance);
         (0..6)
-            .flat_map(|surface| solved.over(surface).into_iter().step_by(17))
+            .flat_map(|surface| solved.irradiance_over(surface).into_iter().step_by(17))
             .map(|(point, [have, _])| {
-                let normal = inward(point);
-                [have, PI * want - straight(point, Some(normal), scattering)]
+                let normal = inward_normal(point);
+                [have, PI * want - direct_irradiance(point, Some(normal), scattering)]
             })
             .collect()
     })
@@ -256,13 +256,15 @@ pub fn furnace_fog(reflectance: f64, scattering: f64) -> Case {
     Case::new(format!("{}, in it", walls.name), walls.text, move |solved| {
         let want = 1.0 / (1.0 - reflectance);
         let point = |k: u32| DVec3::from([0, 1, 2].map(|axis| (f64::from(k / 5u32.pow(axis) % 5) + 0.5) / 5.0));
-        let pair = |point: DVec3| [solved.in_fog(point), want - straight(point, None, scattering) / (4.0 * PI)];
+        let pair = |point: DVec3| {
+            [solved.fog_mean_radiance(point), want - direct_irradiance(point, None, scattering) / (4.0 * PI)]
+        };
         (0..125).map(point).map(pair).collect()
     })
 }
 
 /// Returns the inward normal of the unit cube's wall that contains a point.
-fn inward(point: DVec3) -> DVec3 {
+fn inward_normal(point: DVec3) -> DVec3 {
     let from_middle = point - 0.5;
     let axis = (1..3).fold(0, |best, axis| if from_middle[axis].abs() > from_middle[best].abs() { axis } else { best });
     let mut normal = DVec3::ZERO;
@@ -272,7 +274,7 @@ fn inward(point: DVec3) -> DVec3 {
 
 /// Computes the light that arrives at a point through fog directly from the unit cube's walls of luminance 1. With a normal, it is
 /// weighted by the cosine.
-fn straight(point: DVec3, normal: Option<DVec3>, extinction: f64) -> f64 {
+fn direct_irradiance(point: DVec3, normal: Option<DVec3>, extinction: f64) -> f64 {
     let distance = |dir: DVec3| {
         let along = |axis: usize| match dir[axis] {
             d if d > 0.0 => (1.0 - point[axis]) / d,
@@ -318,7 +320,7 @@ pub fn sphere(reflectance: f64, port: f64, absorption: f64) -> Case {
         let first = 1e5 * 0.005f64.powi(2) * (-x).exp();
         let want = first * reflectance * kept / (1.0 - reflectance * kept);
         let is_open = |point: &DVec3| point.z < cut - 0.02 || port == 0.0;
-        let points = solved.over(0).into_iter().filter(|(point, _)| is_open(point));
+        let points = solved.irradiance_over(0).into_iter().filter(|(point, _)| is_open(point));
         points.map(|(_, [have, _])| [have, want]).collect()
     })
 }
@@ -348,18 +350,18 @@ impl Slab {
         for k in 0..lamps * lamps {
             let [x, y] = [k % lamps, k / lamps].map(|k| -reach + step * f64::from(k));
             let at = [[x, y, 1.01], [x, y + step, 1.01], [x + step, y + step, 1.01], [x + step, y, 1.01]];
-            faces(&mut text, &format!("l{k}_"), &at, &[&[0, 1, 2, 3]]);
+            push_faces(&mut text, &format!("l{k}_"), &at, &[&[0, 1, 2, 3]]);
         }
-        let _ = writeln!(text, "m plate =\n  sides 1\n  rd {DARK}");
+        let _ = writeln!(text, "m plate =\n  sides 1\n  rd {DARK_REFLECTANCE}");
         let square = |z: f64| [[-0.005, -0.005, z], [0.005, -0.005, z], [0.005, 0.005, z], [-0.005, 0.005, z]];
-        faces(&mut text, "a", &square(1.0), &[&[3, 2, 1, 0]]);
-        faces(&mut text, "b", &square(0.0), &[&[0, 1, 2, 3]]);
+        push_faces(&mut text, "a", &square(1.0), &[&[3, 2, 1, 0]]);
+        push_faces(&mut text, "b", &square(0.0), &[&[0, 1, 2, 3]]);
         text
     }
 
     /// Returns the reflected light, the transmitted light, and the directly transmitted part.
-    pub fn read(solved: &Solved) -> [f64; 3] {
-        let ([up, _], [down, straight]) = (solved.mean(0), solved.mean(1));
+    pub fn reflected_and_transmitted(solved: &SolvedScene) -> [f64; 3] {
+        let ([up, _], [down, straight]) = (solved.mean_irradiance(0), solved.mean_irradiance(1));
         [up, down + straight, straight].map(|value| value / PI)
     }
 
@@ -368,7 +370,7 @@ impl Slab {
         let straight = 2.0 * third_exponential_integral(self.thickness);
         let name = format!("a slab of {} and albedo {}", self.thickness, self.albedo);
         Case::new(name, self.text(), move |solved| {
-            let [up, down, through] = Self::read(solved);
+            let [up, down, through] = Self::reflected_and_transmitted(solved);
             vec![[up, reflected], [down - through, transmitted - straight]]
         })
     }
@@ -395,7 +397,7 @@ pub fn lamp_in_fog(albedo: f64, reach: f64, walled: bool) -> Case {
         -reach
     );
     if walled {
-        let _ = write!(text, "m far =\n  rd {DARK}\nv f =\n  p {reach} {reach} {reach}\nsph f .1\n");
+        let _ = write!(text, "m far =\n  rd {DARK_REFLECTANCE}\nv f =\n  p {reach} {reach} {reach}\nsph f .1\n");
     }
     Case::new(format!("a lamp in fog of albedo {albedo}"), text, move |solved| {
         let mut pairs = Vec::new();
@@ -405,7 +407,7 @@ pub fn lamp_in_fog(albedo: f64, reach: f64, walled: bool) -> Case {
             for dir in
                 [DVec3::X, DVec3::Y, DVec3::Z, DVec3::NEG_X, DVec3::ONE, DVec3::new(1.0, -1.0, 1.0), DVec3::NEG_ONE]
             {
-                let have = solved.in_fog(dir.normalize() * r) * 4.0 * PI / flux;
+                let have = solved.fog_mean_radiance(dir.normalize() * r) * 4.0 * PI / flux;
                 // All distances have equal weight.
                 pairs.push([have / want, 1.0]);
             }
@@ -426,10 +428,10 @@ pub const SLABS: [(f64, f64, f64, f64); 7] = [
 ];
 
 /// Returns all cases.
-pub fn all() -> Vec<Case> {
-    let mut cases = vec![floor_alone()];
-    cases.extend([(1.0, 1.0, 1.0), (1.0, 2.0, 1.0), (0.5, 1.0, 2.0)].map(|(r1, r2, h)| discs(r1, r2, h)));
-    cases.push(ball());
+pub fn all_cases() -> Vec<Case> {
+    let mut cases = vec![reflecting_floor()];
+    cases.extend([(1.0, 1.0, 1.0), (1.0, 2.0, 1.0), (0.5, 1.0, 2.0)].map(|(r1, r2, h)| coaxial_discs(r1, r2, h)));
+    cases.push(ball_over_plate());
     cases.extend([0.2, 0.5, 0.9].map(|reflectance| furnace(reflectance, 0.0)));
     for scattering in [0.3, 1.0, 3.0] {
         cases.extend([furnace(0.5, scattering), furnace_fog(0.5, scattering)]);

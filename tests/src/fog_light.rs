@@ -2,15 +2,15 @@
 //! directly from light sources.
 
 use crate::rng::Rng;
-use femc_field::{FogTree, Line};
+use femc_field::{FogLine, FogTree};
 use femc_math::color::luminance;
 use femc_math::glam::{DVec3, Vec3A};
 use femc_math::warp;
-use femc_montecarlo::record::{Found, Place, Recording};
+use femc_montecarlo::record::{LightTechnique, Recording, VertexLocation};
 use femc_montecarlo::{PathSettings, PixelFilter, Tracer};
 use femc_prepared::Prepared;
 use femc_prepared::camera::{CameraPose, KernelCamera};
-use femc_prepared::media::{Inside, MediaRay};
+use femc_prepared::media::{MediaRay, MediumStack};
 use rayon::prelude::*;
 
 /// Mean over paths, and its standard error.
@@ -23,7 +23,7 @@ pub struct Estimate {
 }
 
 impl Estimate {
-    fn of(values: impl Iterator<Item = f64>) -> Self {
+    fn from_values(values: impl Iterator<Item = f64>) -> Self {
         let (n, sum, squares) =
             values.fold((0.0, 0.0, 0.0), |(n, sum, squares), x| (n + 1.0, sum + x, squares + x * x));
         let mean: f64 = sum / n;
@@ -33,7 +33,7 @@ impl Estimate {
 
 /// A camera ray, and the luminance that fog on it scatters toward the camera, cd/m2.
 #[derive(Clone, Copy, Debug)]
-pub struct Along {
+pub struct FogRay {
     /// Origin, prepared frame, m.
     pub origin: Vec3A,
     /// Unit direction.
@@ -41,23 +41,23 @@ pub struct Along {
     /// Distance of the surface that it hits, m.
     pub length: f32,
     /// Result of the paths.
-    pub found: Estimate,
+    pub estimate: Estimate,
 }
 
 /// A point in fog, and the mean luminance over all directions, cd/m2.
 #[derive(Clone, Copy, Debug)]
-pub struct Around {
+pub struct FogPoint {
     /// Position, prepared frame, m.
     pub point: Vec3A,
     /// Result of the paths.
-    pub found: Estimate,
+    pub estimate: Estimate,
 }
 
 /// Pixel filter that puts all samples at the center of a pixel.
 #[derive(Clone, Copy)]
-struct Middle;
+struct PixelCenter;
 
-impl PixelFilter for Middle {
+impl PixelFilter for PixelCenter {
     fn sample(self, _: [f32; 2]) -> [f32; 2] {
         [0.0; 2]
     }
@@ -72,39 +72,40 @@ fn settings(seed: u64) -> PathSettings {
 }
 
 /// Traces `samples` paths through each of `count` pixel centers, spread over the film.
-pub fn along(prepared: &Prepared, count: u32, samples: u32) -> Vec<Along> {
+pub fn trace_rays(prepared: &Prepared, count: u32, samples: u32) -> Vec<FogRay> {
     let [width, height] = prepared.camera.film;
-    let of = |k: u32| {
+    let trace_ray = |k: u32| {
         // This lattice fills the film evenly.
         let [x, y] = [0.754_877_666_246_692_7, 0.569_840_290_998_053_3].map(|a| (0.5 + a * f64::from(k)).fract());
         let pixel = (y * f64::from(height)) as u32 * width + (x * f64::from(width)) as u32;
         let ray = prepared.camera.view([0.5; 2], 0.5).ray(prepared.camera.center(pixel));
         let length = prepared.world.intersect(&ray).map_or(f32::INFINITY, |hit| hit.t);
-        let mut tracer = Tracer::recording(prepared, settings(1), Recording::default());
+        let mut tracer = Tracer::with_recorder(prepared, settings(1), Recording::default());
         let values = (0..samples).map(|sample| {
-            tracer.sample(pixel, sample, Middle);
-            scattered_again(&tracer.recorder)
+            tracer.sample(pixel, sample, PixelCenter);
+            multiply_scattered(&tracer.recorder)
         });
-        Along { origin: ray.origin, dir: ray.dir, length, found: Estimate::of(values) }
+        FogRay { origin: ray.origin, dir: ray.dir, length, estimate: Estimate::from_values(values) }
     };
-    (0..count).into_par_iter().map(of).collect()
+    (0..count).into_par_iter().map(trace_ray).collect()
 }
 
 /// Returns the light of a path that fog scatters on the camera's segment after at least one other scattering event.
-fn scattered_again(path: &Recording) -> f64 {
+fn multiply_scattered(path: &Recording) -> f64 {
     let Some(first) = path.steps.first() else { return 0.0 };
-    if !matches!(first.vertex.place, Place::Medium(_)) {
+    if !matches!(first.vertex.location, VertexLocation::Medium(_)) {
         return 0.0;
     }
     let counts = |(part, vertices): &&(femc_montecarlo::record::Contribution, usize)| {
-        let is_straight = part.found == Found::Met && path.source(*vertices).is_some_and(|step| step == first);
+        let is_straight = part.technique == LightTechnique::EmitterHit
+            && path.last_scattering(*vertices).is_some_and(|step| step == first);
         part.bounce > 0 && !is_straight
     };
     path.contributions.iter().filter(counts).map(|(part, _)| f64::from(luminance(part.color))).sum()
 }
 
 /// Draws points where camera rays are scattered, and traces paths in `samples` directions from each.
-pub fn around(prepared: &mut Prepared, rays: &[Along], samples: u32) -> Vec<Around> {
+pub fn trace_points(prepared: &mut Prepared, rays: &[FogRay], samples: u32) -> Vec<FogPoint> {
     let mut media = MediaRay::default();
     let mut rng = Rng::new(3);
     let mut number = move || (rng.bits() >> 40) as f32 / (1u64 << 24) as f32;
@@ -113,10 +114,10 @@ pub fn around(prepared: &mut Prepared, rays: &[Along], samples: u32) -> Vec<Arou
         .filter_map(|ray| {
             // The position is uniform in the fraction of the ray's light that the fog removes.
             let scene = &prepared.media;
-            scene.along(ray.origin, ray.dir, ray.length, &Inside::default(), &mut media).then_some(())?;
+            scene.find_intervals(ray.origin, ray.dir, ray.length, &MediumStack::default(), &mut media).then_some(())?;
             let (first, last) = scene.scattering_range(&media)?;
             let through = |t: f32, media: &mut MediaRay| {
-                scene.along(ray.origin, ray.dir, t, &Inside::default(), media);
+                scene.find_intervals(ray.origin, ray.dir, t, &MediumStack::default(), media);
                 luminance(scene.transmittance(media))
             };
             let end = last.min(first + 1e4);
@@ -131,14 +132,17 @@ pub fn around(prepared: &mut Prepared, rays: &[Along], samples: u32) -> Vec<Arou
         })
         .collect();
     let camera = prepared.camera.clone();
-    let sightings = std::mem::take(&mut prepared.sightings);
-    let found = points.iter().map(|&point| Around { point, found: from_all(prepared, point, samples) }).collect();
-    (prepared.camera, prepared.sightings) = (camera, sightings);
+    let camera_emitters = std::mem::take(&mut prepared.camera_emitters);
+    let found = points
+        .iter()
+        .map(|&point| FogPoint { point, estimate: mean_over_directions(prepared, point, samples) })
+        .collect();
+    (prepared.camera, prepared.camera_emitters) = (camera, camera_emitters);
     found
 }
 
 /// Estimates the mean with cameras at the point, one per direction.
-fn from_all(prepared: &mut Prepared, point: Vec3A, samples: u32) -> Estimate {
+fn mean_over_directions(prepared: &mut Prepared, point: Vec3A, samples: u32) -> Estimate {
     const FILM: u32 = 64;
     let mut rng = Rng::new(u64::from(point.x.to_bits()) << 32 | u64::from(point.y.to_bits()));
     let mut number = move || (rng.bits() >> 40) as f32 / (1u64 << 24) as f32;
@@ -149,20 +153,20 @@ fn from_all(prepared: &mut Prepared, point: Vec3A, samples: u32) -> Estimate {
         let (origin, up) = (point.as_dvec3(), if dir.z.abs() > 0.9 { DVec3::X } else { DVec3::Z });
         let Some(pose) = CameraPose::new(origin, origin + dir.as_dvec3(), up, 1e-4, [1, 1]) else { continue };
         prepared.camera = KernelCamera::new(vec![pose], [1, 1], 0.0, 1.0);
-        let mut tracer = Tracer::recording(prepared, settings(u64::from(sample) + 1), Recording::default());
-        tracer.sample(0, 0, Middle);
+        let mut tracer = Tracer::with_recorder(prepared, settings(u64::from(sample) + 1), Recording::default());
+        tracer.sample(0, 0, PixelCenter);
         let path = &tracer.recorder;
         let counts = |(part, _): &&(femc_montecarlo::record::Contribution, usize)| {
-            part.bounce > 0 || !matches!(part.found, Found::Met | Found::Sight)
+            part.bounce > 0 || !matches!(part.technique, LightTechnique::EmitterHit | LightTechnique::CameraNextEvent)
         };
         values.push(path.contributions.iter().filter(counts).map(|(part, _)| f64::from(luminance(part.color))).sum());
     }
-    Estimate::of(values.into_iter())
+    Estimate::from_values(values.into_iter())
 }
 
 /// Comparison of a fog tree with paths.
 #[derive(Clone, Copy, Debug)]
-pub struct Compared {
+pub struct FogComparison {
     /// Mean of the tree over the mean of the paths.
     pub ratio: f64,
     /// Root mean square of the differences, minus the variance of the paths, relative to the mean.
@@ -174,7 +178,7 @@ pub struct Compared {
     pub error: f64,
 }
 
-fn compared(pairs: &[(f64, Estimate)]) -> Compared {
+fn compare_pairs(pairs: &[(f64, Estimate)]) -> FogComparison {
     let n = pairs.len() as f64;
     let [have, want] =
         [pairs.iter().map(|pair| pair.0).sum::<f64>() / n, pairs.iter().map(|pair| pair.1.mean).sum::<f64>() / n];
@@ -182,21 +186,21 @@ fn compared(pairs: &[(f64, Estimate)]) -> Compared {
     let squares = pairs.iter().map(square).sum::<f64>() / n;
     let relative = pairs.iter().map(|pair| square(pair) / (pair.1.mean + 0.1 * want).powi(2)).sum::<f64>() / n;
     let error = pairs.iter().map(|pair| pair.1.error.powi(2)).sum::<f64>().sqrt() / n / want;
-    Compared { ratio: have / want, rms: squares.max(0.0).sqrt() / want, relative: relative.max(0.0).sqrt(), error }
+    FogComparison { ratio: have / want, rms: squares.max(0.0).sqrt() / want, relative: relative.max(0.0).sqrt(), error }
 }
 
 /// Compares the light along rays.
-pub fn compare_along(fog: &FogTree, rays: &[Along]) -> Compared {
-    let mut line = Line::default();
-    let mut have = |ray: &Along| {
-        fog.line(ray.origin, ray.dir, 0.0, ray.length, &mut line);
+pub fn compare_rays(fog: &FogTree, rays: &[FogRay]) -> FogComparison {
+    let mut line = FogLine::default();
+    let mut have = |ray: &FogRay| {
+        fog.radiance_along(ray.origin, ray.dir, 0.0, ray.length, &mut line);
         f64::from(line.luminance())
     };
-    compared(&rays.iter().map(|ray| (have(ray), ray.found)).collect::<Vec<_>>())
+    compare_pairs(&rays.iter().map(|ray| (have(ray), ray.estimate)).collect::<Vec<_>>())
 }
 
 /// Compares the mean light over all directions at points.
-pub fn compare_around(fog: &FogTree, points: &[Around]) -> Compared {
-    let have = |at: &Around| f64::from(luminance(fog.mean_radiance(at.point)));
-    compared(&points.iter().map(|at| (have(at), at.found)).collect::<Vec<_>>())
+pub fn compare_points(fog: &FogTree, points: &[FogPoint]) -> FogComparison {
+    let have = |at: &FogPoint| f64::from(luminance(fog.mean_radiance(at.point)));
+    compare_pairs(&points.iter().map(|at| (have(at), at.estimate)).collect::<Vec<_>>())
 }

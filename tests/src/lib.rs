@@ -5,8 +5,8 @@ pub mod brute;
 pub mod clock;
 pub mod closed_forms;
 pub mod fog_light;
-pub mod furnished;
 pub mod fuzz;
+pub mod generated_scenes;
 pub mod honesty;
 pub mod irradiance;
 pub mod reference;
@@ -16,24 +16,24 @@ pub mod text;
 pub mod two_rooms;
 
 use femc_film::{Frame, FrameImage};
-use femc_import::{Bundle, load};
-use femc_pipeline::{Settings, Source, Stop, plan, prepare, render_tile};
+use femc_import::{Bundle, load_scene};
+use femc_pipeline::{SceneSource, Settings, StopCondition, plan_job, prepare_frame, render_tile};
 use femc_scene::Scene;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 
 /// Creates a scene from the text of one file.
-pub fn scene(text: &str) -> Arc<Scene> {
-    scene_of(&[("test.mgf", text)])
+pub fn parse_scene(text: &str) -> Arc<Scene> {
+    parse_scene_files(&[("test.mgf", text)])
 }
 
 /// Creates a scene from several files. The first file is the scene itself.
 ///
 /// # Panics
 /// If the text is not a scene; this is for tests only.
-pub fn scene_of(files: &[(&str, &str)]) -> Arc<Scene> {
+pub fn parse_scene_files(files: &[(&str, &str)]) -> Arc<Scene> {
     let contents = files.iter().map(|(name, text)| (name.to_string(), text.as_bytes().to_vec())).collect();
-    let loaded = load(&Bundle(contents), files[0].0).unwrap_or_else(|error| panic!("{error}"));
+    let loaded = load_scene(&Bundle(contents), files[0].0).unwrap_or_else(|error| panic!("{error}"));
     Arc::new(loaded.scene)
 }
 
@@ -41,13 +41,13 @@ pub fn scene_of(files: &[(&str, &str)]) -> Arc<Scene> {
 ///
 /// # Panics
 /// If the plan or the preparation fails; this is for tests only.
-pub fn render(scene: &Arc<Scene>, settings: &Settings, frame: u32) -> FrameImage {
-    let plan = plan(scene, settings, Some(&[frame])).unwrap_or_else(|error| panic!("{error}"));
-    let prepared =
-        prepare(&Source::new(scene.clone()), settings, frame, None).unwrap_or_else(|error| panic!("{error}"));
+pub fn render_frame(scene: &Arc<Scene>, settings: &Settings, frame: u32) -> FrameImage {
+    let plan = plan_job(scene, settings, Some(&[frame])).unwrap_or_else(|error| panic!("{error}"));
+    let prepared = prepare_frame(&SceneSource::new(scene.clone()), settings, frame, None)
+        .unwrap_or_else(|error| panic!("{error}"));
     let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
     let mut film = Frame::new(plan.tiling);
-    let Stop::Spp(spp) = settings.stop else { panic!("tests render a fixed number of samples") };
+    let StopCondition::Spp(spp) = settings.stop else { panic!("tests render a fixed number of samples") };
     for rect in plan.tiling.rects() {
         let done = render_tile(&prepared, settings, rect, 0..spp, &cancel, &progress);
         let tile = done.unwrap_or_else(|error| panic!("{error}")).tile;

@@ -13,7 +13,7 @@ const DARK: f64 = 0.01;
 pub const ROOMS: [&str; 3] = ["box", "glossy", "fog"];
 
 /// Returns the folder of [`ROOMS`].
-pub fn rooms() -> PathBuf {
+pub fn rooms_folder() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("references")
 }
 
@@ -22,7 +22,7 @@ pub fn rooms() -> PathBuf {
 ///
 /// # Panics
 /// If they cannot be read.
-pub fn digest(folder: &Path, scene: &Scene) -> blake3::Hash {
+pub fn scene_digest(folder: &Path, scene: &Scene) -> blake3::Hash {
     let text = |file: &String| std::fs::read(folder.join(file)).unwrap_or_else(|error| panic!("{file}: {error}"));
     blake3::hash(&scene.files.iter().flat_map(text).collect::<Vec<u8>>())
 }
@@ -91,7 +91,7 @@ impl Reference {
     }
 
     /// Returns the relmse of the mean of the halves.
-    pub fn noise(&self) -> f64 {
+    pub fn noise_relmse(&self) -> f64 {
         self.mean_of_channels(|mean, variance, _, _| variance / (mean * mean + DARK))
     }
 
@@ -121,7 +121,7 @@ impl Reference {
         Comparison {
             mean_ratio: self.mean_of_channels(|_, _, at, c| value(at, c)) / self.mean(),
             relmse: self.mean_of_channels(|mean, _, at, c| (value(at, c) - mean).powi(2) / (mean * mean + DARK)),
-            reference_noise: self.noise(),
+            reference_noise: self.noise_relmse(),
             worst_z,
             worst_block: (worst % columns * block, worst / columns * block),
             luminance_z: self.luminance(image).z(),
@@ -170,7 +170,7 @@ impl Reference {
     }
 
     /// Returns the relmse that an image claims, with the reference in the denominator.
-    pub fn claimed(&self, image: &FrameImage) -> f64 {
+    pub fn claimed_relmse(&self, image: &FrameImage) -> f64 {
         self.mean_of_channels(|mean, _, at, c| f64::from(image.variance[at][c]) / (mean * mean + DARK))
     }
 }

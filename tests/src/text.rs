@@ -31,7 +31,7 @@ pub fn block(material: &str, [x0, y0, z0]: [f64; 3], [x1, y1, z1]: [f64; 3]) -> 
 }
 
 /// Returns a horizontal square around (`x`, `y`) at height `z`, which extends `half` to each side and faces up.
-pub fn level(material: &str, [x, y, z]: [f64; 3], half: f64) -> String {
+pub fn horizontal_square(material: &str, [x, y, z]: [f64; 3], half: f64) -> String {
     let corner = |dx: f64, dy: f64| format!("{} {} {z}", x + dx * half, y + dy * half);
     let corners = [corner(-1.0, -1.0), corner(1.0, -1.0), corner(1.0, 1.0), corner(-1.0, 1.0)];
     quad(material, corners.each_ref().map(String::as_str))

@@ -10,9 +10,9 @@ use std::time::Instant;
 
 use femc_coordinator::{Artifacts, Config, Coordinator, Log};
 use femc_film::{Frame, Tiling};
-use femc_import::{Bundle, Disk, Files as _};
+use femc_import::{Bundle, DiskFolder, FileSource as _};
 use femc_model::{Grid, JobNotes, JobSpec};
-use femc_pipeline::{Settings, Stop};
+use femc_pipeline::{Settings, StopCondition};
 use femc_proto::Client;
 use femc_worker::{Parcel, Worker};
 
@@ -29,12 +29,12 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     let path = args.next().ok_or("a scene file")?;
     let spp = args.next().map_or(Ok(64), |text| text.parse())?;
     let side: u32 = args.next().map_or(Ok(256), |text| text.parse())?;
-    let settings = Settings { stop: Stop::Spp(spp), size: Some([side, side]), ..Settings::default() };
-    let scene = Arc::new(femc_import::load_path(Path::new(&path))?.scene);
-    let plan = femc_pipeline::plan(&scene, &settings, Some(&[1]))?;
+    let settings = Settings { stop: StopCondition::Spp(spp), size: Some([side, side]), ..Settings::default() };
+    let scene = Arc::new(femc_import::load_scene_file(Path::new(&path))?.scene);
+    let plan = femc_pipeline::plan_job(&scene, &settings, Some(&[1]))?;
 
     let (begun, before) = (Instant::now(), processor());
-    let prepared = femc_pipeline::prepare(&femc_pipeline::Source::new(scene.clone()), &settings, 1, None)?;
+    let prepared = femc_pipeline::prepare_frame(&femc_pipeline::SceneSource::new(scene.clone()), &settings, 1, None)?;
     let mut frame = Frame::new(Tiling::new(side, side, plan.tiling.edge)?);
     for rect in plan.tiling.rects() {
         let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
@@ -50,9 +50,9 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
         ..Config::default()
     };
     let file = Path::new(&path);
-    let disk = Disk::new(file.parent().unwrap_or(Path::new(".")));
+    let disk = DiskFolder::new(file.parent().unwrap_or(Path::new(".")));
     let entry = file.file_name().ok_or("a scene file")?.to_string_lossy().into_owned();
-    let names = femc_import::load(&disk, &entry)?.files;
+    let names = femc_import::load_scene(&disk, &entry)?.files;
     let files = names.into_iter().map(|name| Ok((name.clone(), disk.read(&name)?))).collect::<std::io::Result<_>>()?;
     let scene = Parcel::pack(&Bundle(files))?;
     let (begun, before) = (Instant::now(), processor());
@@ -66,7 +66,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
         settings: serde_json::to_string(&settings)?,
         frames: vec![1],
         grid: Grid { film: [side, side], tile: plan.tiling.edge },
-        graph: femc_worker::graph(&plan.stages),
+        graph: femc_worker::job_graph(&plan.stages),
         contents: vec![],
         priority: 50,
         owner: "bench".into(),

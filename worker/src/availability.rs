@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use tokio::time::Instant;
 
-use crate::table::Table;
+use crate::task_table::TaskTable;
 
 /// Whether a worker takes tasks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -19,50 +19,50 @@ pub enum Availability {
 
 /// The worker's schedule: says at any time whether the worker takes tasks.
 #[derive(Clone)]
-pub struct Shift(Arc<dyn Fn() -> Availability + Send + Sync>);
+pub struct WorkingHours(Arc<dyn Fn() -> Availability + Send + Sync>);
 
-impl Shift {
-    /// Creates a schedule from `shift`, which is called at every heartbeat.
-    pub fn by(shift: impl Fn() -> Availability + Send + Sync + 'static) -> Self {
-        Self(Arc::new(shift))
+impl WorkingHours {
+    /// Creates a schedule from `availability`, which is called at every heartbeat.
+    pub fn from_fn(availability: impl Fn() -> Availability + Send + Sync + 'static) -> Self {
+        Self(Arc::new(availability))
     }
 
-    pub(crate) fn now(&self) -> Availability {
+    pub(crate) fn availability(&self) -> Availability {
         (self.0)()
     }
 }
 
-impl Default for Shift {
+impl Default for WorkingHours {
     fn default() -> Self {
-        Self::by(|| Availability::Available)
+        Self::from_fn(|| Availability::Available)
     }
 }
 
-impl fmt::Debug for Shift {
+impl fmt::Debug for WorkingHours {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("Shift")
     }
 }
 
 /// Returns when the worker has held no task for `limit`. Without a limit, it never returns.
-pub(crate) async fn idle(table: &Table, limit: Option<Duration>) {
+pub(crate) async fn wait_until_idle_limit(table: &TaskTable, limit: Option<Duration>) {
     /// Polling interval while the worker holds tasks.
-    const LOOK: Duration = Duration::from_millis(100);
+    const POLL_INTERVAL: Duration = Duration::from_millis(100);
     let Some(limit) = limit else { return std::future::pending().await };
     loop {
         match table.idle_since() {
-            None => tokio::time::sleep(LOOK).await,
+            None => tokio::time::sleep(POLL_INTERVAL).await,
             Some(since) if since.elapsed() >= limit => {
                 tracing::info!(?limit, "idle limit reached: stopping");
                 return;
             }
-            Some(since) => tokio::time::sleep_until(far(since, limit)).await,
+            Some(since) => tokio::time::sleep_until(idle_deadline(since, limit)).await,
         }
     }
 }
 
 /// Returns `since + limit`, with `limit` capped at a year so that the sum does not overflow.
-fn far(since: Instant, limit: Duration) -> Instant {
+fn idle_deadline(since: Instant, limit: Duration) -> Instant {
     const YEAR: Duration = Duration::from_secs(31_536_000);
     since + limit.min(YEAR)
 }

@@ -12,25 +12,25 @@
 //! time.
 //!
 //! Scenes, frames and lights are limited by number (2, 3 and 2), because the size of a frame follows from its scene, and frames of
-//! a scene share what does not change. The pieces that scenes are made of are limited by bytes, see [`Pieces`].
+//! a scene share what does not change. The pieces that scenes are made of are limited by bytes, see [`PieceCache`].
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use femc_metrics::{Counter, Page};
 use femc_model::{Artifact, Digest, Failure, JobSpec};
-use femc_pipeline::{Aimed, Field, FrameKey, Layer, LayerPlan, Prepared, Settings, Settled, Source};
+use femc_pipeline::{CastingState, CorrectedState, Field, FrameKey, Layer, LayerPlan, Prepared, SceneSource, Settings};
 use femc_proto::Client;
 use femc_scene::Scene;
 
-use crate::Pieces;
+use crate::PieceCache;
 use crate::bundle::fetch_bundle;
-use crate::fetch::Fetch;
+use crate::fetch::Fetcher;
 
 /// A scene with the job's overrides applied.
 #[derive(Debug)]
-pub(crate) struct Read {
-    source: Source,
+pub(crate) struct LoadedScene {
+    source: SceneSource,
     pub(crate) settings: Settings,
     /// Content hash of the scene.
     pub(crate) digest: String,
@@ -38,7 +38,7 @@ pub(crate) struct Read {
     keys: Mutex<BTreeMap<u32, FrameKey>>,
 }
 
-impl Read {
+impl LoadedScene {
     /// Returns the scene.
     pub(crate) fn scene(&self) -> &Scene {
         self.source.scene()
@@ -58,25 +58,25 @@ impl Read {
 
 /// Cache of scenes and prepared frames. Clones share it.
 #[derive(Debug, Clone)]
-pub struct Cache(Arc<Shelves>);
+pub struct Cache(Arc<CacheInner>);
 
 #[derive(Debug)]
-struct Shelves {
+struct CacheInner {
     /// Scenes as the files describe them, without overrides.
-    sources: Shelf<Digest, Source>,
+    sources: LruCache<Digest, SceneSource>,
     /// Scenes with a job's overrides.
-    scenes: Shelf<Digest, Arc<Read>>,
+    scenes: LruCache<Digest, Arc<LoadedScene>>,
     /// Prepared frames, by frame key and by the digest of the first pass's light (`None` without a first pass).
-    frames: Shelf<(FrameKey, Option<Digest>), Arc<Prepared>>,
+    frames: LruCache<(FrameKey, Option<Digest>), Arc<Prepared>>,
     /// Compiled layers of frames. The tiles of a frame share them.
-    layers: Shelf<(FrameKey, Vec<Layer>), Arc<LayerPlan>>,
+    layers: LruCache<(FrameKey, Vec<Layer>), Arc<LayerPlan>>,
     /// Lights of first passes: `fields` for lamps of brightness 1, `brightened` for the brightness of the frames' lamps.
-    fields: Shelf<Digest, Arc<Field>>,
-    brightened: Shelf<(Digest, u32), Arc<Field>>,
+    fields: LruCache<Digest, Arc<Field>>,
+    scaled_fields: LruCache<(Digest, u32), Arc<Field>>,
     /// Solver states of unfinished first passes, by their input artifacts: `aimed` before the rays, `settled` after them.
-    aimed: Shelf<Digest, Arc<Aimed>>,
-    settled: Shelf<Digest, Arc<Settled>>,
-    pieces: Pieces,
+    states_before_rays: LruCache<Digest, Arc<CastingState>>,
+    states_after_rays: LruCache<Digest, Arc<CorrectedState>>,
+    pieces: PieceCache,
 }
 
 impl Default for Cache {
@@ -97,25 +97,25 @@ impl Cache {
 
     /// Creates a cache of at most `frames` prepared frames. Frames share what does not change between them.
     pub fn new(frames: usize) -> Self {
-        Self::holding(frames, Pieces::memory(Pieces::IN_MEMORY))
+        Self::with_limits(frames, PieceCache::in_memory(PieceCache::DEFAULT_MEMORY_LIMIT))
     }
 
     /// Creates a cache with the default number of frames and the given scene pieces.
-    pub fn with(pieces: Pieces) -> Self {
-        Self::holding(Self::FRAMES, pieces)
+    pub fn with_pieces(pieces: PieceCache) -> Self {
+        Self::with_limits(Self::FRAMES, pieces)
     }
 
-    fn holding(frames: usize, pieces: Pieces) -> Self {
+    fn with_limits(frames: usize, pieces: PieceCache) -> Self {
         let [sources, frames] = [Self::SCENES, frames.max(1)];
-        Self(Arc::new(Shelves {
-            sources: Shelf::new(sources),
-            scenes: Shelf::new(Self::SCENES),
-            frames: Shelf::new(frames),
-            layers: Shelf::new(frames),
-            fields: Shelf::new(Self::FIELDS),
-            brightened: Shelf::new(Self::FIELDS),
-            aimed: Shelf::new(1),
-            settled: Shelf::new(1),
+        Self(Arc::new(CacheInner {
+            sources: LruCache::new(sources),
+            scenes: LruCache::new(Self::SCENES),
+            frames: LruCache::new(frames),
+            layers: LruCache::new(frames),
+            fields: LruCache::new(Self::FIELDS),
+            scaled_fields: LruCache::new(Self::FIELDS),
+            states_before_rays: LruCache::new(1),
+            states_after_rays: LruCache::new(1),
             pieces,
         }))
     }
@@ -126,19 +126,19 @@ impl Cache {
         self.0.scenes.clear();
         self.0.frames.clear();
         self.0.fields.clear();
-        self.0.brightened.clear();
-        self.forget_steps();
+        self.0.scaled_fields.clear();
+        self.drop_solver_states();
     }
 
     /// Drops the solver states of unfinished first passes.
-    fn forget_steps(&self) {
-        self.0.aimed.clear();
-        self.0.settled.clear();
+    fn drop_solver_states(&self) {
+        self.0.states_before_rays.clear();
+        self.0.states_after_rays.clear();
     }
 
     /// Writes the hit and miss counts to the metrics page.
-    pub(crate) fn put(&self, page: &mut Page) {
-        let Shelves { sources, scenes, frames, fields, pieces, .. } = &*self.0;
+    pub(crate) fn write_metrics(&self, page: &mut Page) {
+        let CacheInner { sources, scenes, frames, fields, pieces, .. } = &*self.0;
         let looks = [
             ("files", &sources.hits, &sources.misses),
             ("scenes", &scenes.hits, &scenes.misses),
@@ -148,51 +148,51 @@ impl Cache {
         let help = "Lookups in the caches of prepared data: scene files, scenes, frames, first passes.";
         let family = page.counter("femc_worker_cache_lookups_total", help);
         looks.into_iter().fold(family, |family, (cache, hits, misses)| {
-            let family = family.with(&[("cache", cache), ("outcome", "hit")], hits.get() as f64);
-            family.with(&[("cache", cache), ("outcome", "miss")], misses.get() as f64)
+            let family = family.labeled(&[("cache", cache), ("outcome", "hit")], hits.get() as f64);
+            family.labeled(&[("cache", cache), ("outcome", "miss")], misses.get() as f64)
         });
-        page.gauge("femc_worker_pieces_bytes", "Bytes of scene pieces in the cache.").counts(pieces.bytes());
+        page.gauge("femc_worker_pieces_bytes", "Bytes of scene pieces in the cache.").count(pieces.bytes());
         let help = "Bytes of scene pieces that were not in the cache and were downloaded.";
-        page.counter("femc_worker_pieces_fetched_bytes_total", help).counts(pieces.fetched());
+        page.counter("femc_worker_pieces_fetched_bytes_total", help).count(pieces.fetched());
     }
 
     /// Returns the job's scene, read and with the job's overrides applied.
-    pub(crate) fn scene(&self, spec: &JobSpec, client: &Client, fetch: &Fetch) -> Result<Arc<Read>, Failure> {
-        self.0.scenes.get_or(scene_key(spec), || self.read(spec, client, fetch).map(Arc::new))
+    pub(crate) fn scene(&self, spec: &JobSpec, client: &Client, fetch: &Fetcher) -> Result<Arc<LoadedScene>, Failure> {
+        self.0.scenes.get_or(scene_key(spec), || self.load_scene(spec, client, fetch).map(Arc::new))
     }
 
     /// Returns the frame, ready to render.
-    /// - `light`: output of the first pass of the frame's world; required exactly if the job's method has a first pass.
+    /// - `attach_first_pass`: output of the first pass of the frame's world; required exactly if the job's method has a first pass.
     pub(crate) fn frame(
         &self,
         spec: &JobSpec,
         frame: u32,
         light: Option<Artifact>,
         client: &Client,
-        fetch: &Fetch,
-    ) -> Result<(Arc<Read>, Arc<Prepared>), Failure> {
-        let read = self.scene(spec, client, fetch)?;
-        if read.settings.method.has_first_pass() != light.is_some() {
+        fetch: &Fetcher,
+    ) -> Result<(Arc<LoadedScene>, Arc<Prepared>), Failure> {
+        let loaded = self.scene(spec, client, fetch)?;
+        if loaded.settings.method.has_first_pass() != light.is_some() {
             let message =
                 "invalid job graph: it must have a first-pass stage if, and only if, the method has a first pass";
             return Err(Failure::Settings { message: message.into() });
         }
-        self.prepared(read, frame, light, client, fetch)
+        self.prepared(loaded, frame, light, client, fetch)
     }
 
     /// Returns the compiled layers of a prepared frame; `None` if the job asks for no layers.
     pub(crate) fn layers(
         &self,
-        read: &Read,
+        loaded: &LoadedScene,
         frame: u32,
         prepared: &Prepared,
     ) -> Result<Option<Arc<LayerPlan>>, Failure> {
-        if read.settings.layers.is_empty() {
+        if loaded.settings.layers.is_empty() {
             return Ok(None);
         }
-        let key = (read.frame_key(frame)?, read.settings.layers.clone());
+        let key = (loaded.frame_key(frame)?, loaded.settings.layers.clone());
         let plan = self.0.layers.get_or(key, || {
-            let plan = LayerPlan::of(prepared, &read.settings);
+            let plan = LayerPlan::new(prepared, &loaded.settings);
             plan.map(Arc::new).map_err(|error| Failure::Settings { message: error.to_string() })
         });
         plan.map(Some)
@@ -204,16 +204,17 @@ impl Cache {
         spec: &JobSpec,
         frame: u32,
         client: &Client,
-        fetch: &Fetch,
+        fetch: &Fetcher,
     ) -> Result<Arc<Prepared>, Failure> {
-        let read = self.scene(spec, client, fetch)?;
-        let frame_key = read.frame_key(frame)?;
+        let loaded = self.scene(spec, client, fetch)?;
+        let frame_key = loaded.frame_key(frame)?;
         // No frame's world has this digest, so the key is free for the first pass's world.
         let key = FrameKey { world: frame_key.light, ..frame_key };
         self.0.frames.get_or((key, None), || {
             let previous = self.0.frames.latest(|(other, _)| other.static_digest == frame_key.static_digest);
-            let world = fetch
-                .prepare(|| femc_pipeline::first_pass_world(&read.source, &read.settings, frame, previous.as_deref()));
+            let world = fetch.prepare(|| {
+                femc_pipeline::first_pass_world(&loaded.source, &loaded.settings, frame, previous.as_deref())
+            });
             let mut world = world.map_err(|error| Failure::Scene { message: error.to_string() })?;
             world.field = None;
             Ok(Arc::new(world))
@@ -222,89 +223,91 @@ impl Cache {
 
     fn prepared(
         &self,
-        read: Arc<Read>,
+        loaded: Arc<LoadedScene>,
         frame: u32,
         light: Option<Artifact>,
         client: &Client,
-        fetch: &Fetch,
-    ) -> Result<(Arc<Read>, Arc<Prepared>), Failure> {
-        let frame_key = read.frame_key(frame)?;
+        fetch: &Fetcher,
+    ) -> Result<(Arc<LoadedScene>, Arc<Prepared>), Failure> {
+        let frame_key = loaded.frame_key(frame)?;
         let same_world = || self.0.frames.latest(|(other, _)| other.world == frame_key.world);
         let same_surfaces = || self.0.frames.latest(|(other, _)| other.static_digest == frame_key.static_digest);
         let prepared = self.0.frames.get_or((frame_key, light.map(|light| light.digest)), || {
             let previous = same_world().or_else(same_surfaces);
             let prepared = fetch
-                .prepare(|| femc_pipeline::prepare_world(&read.source, &read.settings, frame, previous.as_deref()));
+                .prepare(|| femc_pipeline::prepare_world(&loaded.source, &loaded.settings, frame, previous.as_deref()));
             let mut prepared = prepared.map_err(|error| Failure::Scene { message: error.to_string() })?;
             prepared.field = None;
             if let Some(light) = light {
                 let field = self.field(light, prepared.brightness, client, fetch)?;
-                fetch.prepare(|| femc_pipeline::light(&mut prepared, field)).map_err(|error| lost(light, &error))?;
+                fetch
+                    .prepare(|| femc_pipeline::attach_first_pass(&mut prepared, field))
+                    .map_err(|error| lost(light, &error))?;
             }
             Ok(Arc::new(prepared))
         })?;
-        Ok((read, prepared))
+        Ok((loaded, prepared))
     }
 
     /// Returns the light of a first pass, scaled to the brightness of the frame's lamps.
-    fn field(&self, light: Artifact, brightness: f32, client: &Client, fetch: &Fetch) -> Result<Arc<Field>, Failure> {
-        self.0.brightened.get_or((light.digest, brightness.to_bits()), || {
-            let field = self.field_of_one(light, client, fetch)?;
-            Ok(fetch.prepare(|| femc_pipeline::brightened(field, brightness)))
+    fn field(&self, light: Artifact, brightness: f32, client: &Client, fetch: &Fetcher) -> Result<Arc<Field>, Failure> {
+        self.0.scaled_fields.get_or((light.digest, brightness.to_bits()), || {
+            let field = self.unit_field(light, client, fetch)?;
+            Ok(fetch.prepare(|| femc_pipeline::scale_field(field, brightness)))
         })
     }
 
-    fn field_of_one(&self, light: Artifact, client: &Client, fetch: &Fetch) -> Result<Arc<Field>, Failure> {
+    fn unit_field(&self, light: Artifact, client: &Client, fetch: &Fetcher) -> Result<Arc<Field>, Failure> {
         self.0.fields.get_or(light.digest, || {
             // The first pass is finished, so its solver states are no longer needed.
-            self.forget_steps();
-            let bytes = fetch.all(client, &[light]).pop().unwrap_or(Err(Failure::Cancelled))?;
+            self.drop_solver_states();
+            let bytes = fetch.fetch_all(client, &[light]).pop().unwrap_or(Err(Failure::Cancelled))?;
             let (field, _) = fetch.prepare(|| Field::decode(&bytes)).map_err(|error| lost(light, &error))?;
             Ok(Arc::new(field))
         })
     }
 
     /// Caches the light of a first pass that this worker solved.
-    pub(crate) fn keep_field(&self, digest: Digest, field: Arc<Field>) {
-        self.forget_steps();
+    pub(crate) fn insert_field(&self, digest: Digest, field: Arc<Field>) {
+        self.drop_solver_states();
         // This cannot fail: the light is either cached already or inserted here.
         let _ = self.0.fields.slot(digest).get_or(|| Ok(field));
     }
 
     /// Returns the state of a first pass before its rays, by the artifacts that it is made of.
-    pub(crate) fn aimed(
+    pub(crate) fn state_before_rays(
         &self,
-        of: &[Artifact],
-        make: impl FnOnce() -> Result<Aimed, Failure>,
-    ) -> Result<Arc<Aimed>, Failure> {
-        self.0.aimed.get_or(all_of(of), || make().map(Arc::new))
+        artifacts: &[Artifact],
+        make: impl FnOnce() -> Result<CastingState, Failure>,
+    ) -> Result<Arc<CastingState>, Failure> {
+        self.0.states_before_rays.get_or(combined_digest(artifacts), || make().map(Arc::new))
     }
 
     /// Returns the state of a first pass after its rays, by the artifacts that it is made of.
-    pub(crate) fn settled(
+    pub(crate) fn state_after_rays(
         &self,
-        of: &[Artifact],
-        make: impl FnOnce() -> Result<Settled, Failure>,
-    ) -> Result<Arc<Settled>, Failure> {
-        self.0.settled.get_or(all_of(of), || make().map(Arc::new))
+        artifacts: &[Artifact],
+        make: impl FnOnce() -> Result<CorrectedState, Failure>,
+    ) -> Result<Arc<CorrectedState>, Failure> {
+        self.0.states_after_rays.get_or(combined_digest(artifacts), || make().map(Arc::new))
     }
 
-    fn read(&self, spec: &JobSpec, client: &Client, fetch: &Fetch) -> Result<Read, Failure> {
+    fn load_scene(&self, spec: &JobSpec, client: &Client, fetch: &Fetcher) -> Result<LoadedScene, Failure> {
         let unfit = |error: &dyn std::fmt::Display| Failure::Settings { message: error.to_string() };
         let settings: Settings = serde_json::from_str(&spec.settings).map_err(|error| unfit(&error))?;
         settings.check().map_err(|error| unfit(&error))?;
         let source = self.source(spec, client, fetch)?;
         let source = fetch.prepare(|| source.variant(&settings.overrides)).map_err(|error| unfit(&error))?;
-        Ok(Read { digest: source.scene().digest().to_string(), source, settings, keys: Mutex::default() })
+        Ok(LoadedScene { digest: source.scene().digest().to_string(), source, settings, keys: Mutex::default() })
     }
 
     /// Returns the scene as its files describe it, without overrides.
-    fn source(&self, spec: &JobSpec, client: &Client, fetch: &Fetch) -> Result<Source, Failure> {
+    fn source(&self, spec: &JobSpec, client: &Client, fetch: &Fetcher) -> Result<SceneSource, Failure> {
         self.0.sources.get_or(files_key(spec), || {
             let bundle = fetch_bundle(&spec.bundle, client, fetch, &self.0.pieces)?;
-            let loaded = fetch.prepare(|| femc_import::load(&bundle, &spec.entry));
+            let loaded = fetch.prepare(|| femc_import::load_scene(&bundle, &spec.entry));
             let scene = loaded.map_err(|error| Failure::Scene { message: error.to_string() })?.scene;
-            Ok(Source::new(Arc::new(scene)))
+            Ok(SceneSource::new(Arc::new(scene)))
         })
     }
 }
@@ -312,8 +315,8 @@ impl Cache {
 #[cfg(test)]
 impl Cache {
     /// Puts a scene that is not read yet into the cache.
-    pub(crate) fn hold_something(&self) {
-        self.0.scenes.slot(Digest::of(b"scene"));
+    pub(crate) fn insert_unread_scene(&self) {
+        self.0.scenes.slot(Digest::compute(b"scene"));
     }
 
     pub(crate) fn is_empty(&self) -> bool {
@@ -326,26 +329,26 @@ fn lost(light: Artifact, error: &dyn std::fmt::Display) -> Failure {
     Failure::LostInputs { digests: vec![light.digest], message: error.to_string() }
 }
 
-fn all_of(artifacts: &[Artifact]) -> Digest {
-    Digest::of(&artifacts.iter().flat_map(|artifact| *artifact.digest.as_bytes()).collect::<Vec<u8>>())
+fn combined_digest(artifacts: &[Artifact]) -> Digest {
+    Digest::compute(&artifacts.iter().flat_map(|artifact| *artifact.digest.as_bytes()).collect::<Vec<u8>>())
 }
 
 fn files_key(spec: &JobSpec) -> Digest {
     let mut bytes = spec.bundle.as_bytes().to_vec();
     bytes.extend(spec.entry.as_bytes());
-    Digest::of(&bytes)
+    Digest::compute(&bytes)
 }
 
 fn scene_key(spec: &JobSpec) -> Digest {
     let mut bytes = files_key(spec).as_bytes().to_vec();
     bytes.extend(spec.settings.as_bytes());
-    Digest::of(&bytes)
+    Digest::compute(&bytes)
 }
 
 /// A least-recently-used cache of a few values.
 #[derive(Debug)]
-struct Shelf<K, V> {
-    most: usize,
+struct LruCache<K, V> {
+    capacity: usize,
     /// Slots in order of use; the last used is at the end.
     slots: Mutex<Vec<(K, Arc<Slot<V>>)>>,
     hits: Counter,
@@ -356,9 +359,9 @@ struct Shelf<K, V> {
 #[derive(Debug)]
 struct Slot<V>(Mutex<Option<V>>);
 
-impl<K: PartialEq, V: Clone> Shelf<K, V> {
-    fn new(most: usize) -> Self {
-        Self { most, slots: Mutex::default(), hits: Counter::default(), misses: Counter::default() }
+impl<K: PartialEq, V: Clone> LruCache<K, V> {
+    fn new(capacity: usize) -> Self {
+        Self { capacity, slots: Mutex::default(), hits: Counter::default(), misses: Counter::default() }
     }
 
     /// Returns the value for `key`; makes it if it is missing.
@@ -379,7 +382,7 @@ impl<K: PartialEq, V: Clone> Shelf<K, V> {
             None => Arc::new(Slot(Mutex::default())),
         };
         slots.push((key, slot.clone()));
-        if slots.len() > self.most {
+        if slots.len() > self.capacity {
             slots.remove(0);
         }
         slot
@@ -419,7 +422,7 @@ mod tests {
 
     #[test]
     fn a_shelf_keeps_the_latest_and_makes_each_once() {
-        let shelf: Shelf<u32, u32> = Shelf::new(2);
+        let shelf: LruCache<u32, u32> = LruCache::new(2);
         let made = std::cell::Cell::new(0);
         let get = |key| {
             let make = || {
@@ -436,7 +439,7 @@ mod tests {
 
     #[test]
     fn failure_is_not_cached_and_unfinished_value_is_not_awaited() {
-        let shelf: Shelf<u32, u32> = Shelf::new(2);
+        let shelf: LruCache<u32, u32> = LruCache::new(2);
         assert_eq!(shelf.slot(1).get_or(|| Err(Failure::Cancelled)), Err(Failure::Cancelled));
         let slot = shelf.slot(1);
         let inside = slot.get_or(|| {

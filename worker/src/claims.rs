@@ -11,78 +11,85 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use femc_model::{Epoch, LeaseLeft, TaskKey};
+use femc_model::{Epoch, LeaseStatus, TaskKey};
 use tokio::time::Instant;
 
 /// The leases of a session.
 #[derive(Debug)]
 pub(crate) struct Claims {
     /// Time when the worker sent the latest message that the coordinator has surely received.
-    heard: Instant,
+    last_contact: Instant,
     /// Longest silence of the coordinator before the session counts as lost.
-    patience: Duration,
+    max_silence: Duration,
     /// Heartbeats not yet answered: number and sending time.
-    sent: BTreeMap<u64, Instant>,
+    unanswered: BTreeMap<u64, Instant>,
     last: u64,
-    until: BTreeMap<(TaskKey, Epoch), Instant>,
+    deadlines: BTreeMap<(TaskKey, Epoch), Instant>,
 }
 
 impl Claims {
     /// Time limit for the coordinator's first message.
-    pub(crate) const INTRODUCTION: Duration = Duration::from_secs(10);
+    pub(crate) const WELCOME_TIMEOUT: Duration = Duration::from_secs(10);
     /// Divisor of the safety margin: the worker does not rely on the last `1 / MARGIN` of a lease.
     const MARGIN: u32 = 16;
 
     /// Creates the claims of a session whose registration is sent at `now`.
     pub(crate) fn new(now: Instant) -> Self {
-        Self { heard: now, patience: Self::INTRODUCTION, sent: BTreeMap::new(), last: 0, until: BTreeMap::new() }
+        Self {
+            last_contact: now,
+            max_silence: Self::WELCOME_TIMEOUT,
+            unanswered: BTreeMap::new(),
+            last: 0,
+            deadlines: BTreeMap::new(),
+        }
     }
 
     /// Records that the coordinator accepted the registration.
     /// - `lease`: lease duration in milliseconds.
-    pub(crate) fn welcomed(&mut self, lease: u64) {
-        self.patience = sure(lease);
+    pub(crate) fn on_welcome(&mut self, lease: u64) {
+        self.max_silence = reliable_part(lease);
     }
 
     /// Records that a heartbeat is sent at `now`; returns the heartbeat's number.
-    pub(crate) fn beat(&mut self, now: Instant) -> u64 {
+    pub(crate) fn next_heartbeat(&mut self, now: Instant) -> u64 {
         self.last += 1;
-        self.sent.insert(self.last, now);
+        self.unanswered.insert(self.last, now);
         self.last
     }
 
     /// Records the answer to a heartbeat: exactly these leases hold.
-    pub(crate) fn renewed(&mut self, heartbeat: u64, leases: &[LeaseLeft]) {
-        let Some(sent) = self.sent.remove(&heartbeat) else { return };
-        self.sent.retain(|&number, _| number > heartbeat);
-        self.heard = self.heard.max(sent);
-        self.until = leases.iter().map(|lease| ((lease.task, lease.epoch), sent + sure(lease.left))).collect();
+    pub(crate) fn on_renewed(&mut self, heartbeat: u64, leases: &[LeaseStatus]) {
+        let Some(sent) = self.unanswered.remove(&heartbeat) else { return };
+        self.unanswered.retain(|&number, _| number > heartbeat);
+        self.last_contact = self.last_contact.max(sent);
+        self.deadlines =
+            leases.iter().map(|lease| ((lease.task, lease.epoch), sent + reliable_part(lease.remaining))).collect();
     }
 
     /// Records a new lease. The coordinator granted it after the worker sent the last answered heartbeat.
     /// - `lease`: lease duration in milliseconds.
-    pub(crate) fn assigned(&mut self, key: (TaskKey, Epoch), lease: u64) {
-        self.until.insert(key, self.heard + sure(lease));
+    pub(crate) fn on_assigned(&mut self, key: (TaskKey, Epoch), lease: u64) {
+        self.deadlines.insert(key, self.last_contact + reliable_part(lease));
     }
 
     /// Drops the claim to a lease that has ended.
-    pub(crate) fn forget(&mut self, key: &(TaskKey, Epoch)) {
-        self.until.remove(key);
+    pub(crate) fn remove(&mut self, key: &(TaskKey, Epoch)) {
+        self.deadlines.remove(key);
     }
 
     /// Checks that the lease surely holds at `now`.
     pub(crate) fn holds(&self, key: &(TaskKey, Epoch), now: Instant) -> bool {
-        self.until.get(key).is_some_and(|until| now < *until)
+        self.deadlines.get(key).is_some_and(|until| now < *until)
     }
 
     /// Returns the time at which all leases count as lost unless the coordinator sends something before.
-    pub(crate) fn end(&self) -> Instant {
-        self.heard + self.patience
+    pub(crate) fn session_deadline(&self) -> Instant {
+        self.last_contact + self.max_silence
     }
 }
 
 /// Returns the part of a lease that the worker relies on.
-fn sure(milliseconds: u64) -> Duration {
+fn reliable_part(milliseconds: u64) -> Duration {
     let whole = Duration::from_millis(milliseconds);
     whole - whole / Claims::MARGIN
 }
@@ -98,9 +105,9 @@ mod tests {
         (TaskKey { job: JobId(1), stage, index }, Epoch(9))
     }
 
-    fn left(index: u32, left: u64) -> LeaseLeft {
+    fn left(index: u32, left: u64) -> LeaseStatus {
         let (task, epoch) = key(index);
-        LeaseLeft { task, epoch, left }
+        LeaseStatus { task, epoch, remaining: left }
     }
 
     #[test]
@@ -108,17 +115,17 @@ mod tests {
         let start = Instant::now();
         let at = |milliseconds| start + Duration::from_millis(milliseconds);
         let mut claims = Claims::new(start);
-        claims.welcomed(1600);
-        claims.assigned(key(1), 1600);
+        claims.on_welcome(1600);
+        claims.on_assigned(key(1), 1600);
         assert!(claims.holds(&key(1), at(1499)) && !claims.holds(&key(1), at(1500)));
-        assert_eq!((claims.beat(at(100)), claims.beat(at(1000))), (1, 2));
+        assert_eq!((claims.next_heartbeat(at(100)), claims.next_heartbeat(at(1000))), (1, 2));
         // The lease counts from the sending time, no matter how late the answer arrives.
-        claims.renewed(1, &[left(1, 1600)]);
+        claims.on_renewed(1, &[left(1, 1600)]);
         assert!(claims.holds(&key(1), at(1599)) && !claims.holds(&key(1), at(1600)));
-        assert_eq!(claims.end(), at(1600));
-        claims.assigned(key(2), 1600);
+        assert_eq!(claims.session_deadline(), at(1600));
+        claims.on_assigned(key(2), 1600);
         assert!(!claims.holds(&key(2), at(1600)), "it may have been granted right after the first heartbeat");
-        claims.renewed(2, &[left(1, 160), left(2, 1600)]);
+        claims.on_renewed(2, &[left(1, 160), left(2, 1600)]);
         assert!(!claims.holds(&key(1), at(1150)), "a task that does not move is not renewed");
         assert!(claims.holds(&key(2), at(2499)));
     }
@@ -127,14 +134,14 @@ mod tests {
     fn unnamed_lease_is_over_and_stale_answers_change_nothing() {
         let start = Instant::now();
         let mut claims = Claims::new(start);
-        claims.assigned(key(1), 1600);
-        let (first, second) = (claims.beat(start), claims.beat(start));
-        claims.renewed(second, &[left(2, 1600)]);
+        claims.on_assigned(key(1), 1600);
+        let (first, second) = (claims.next_heartbeat(start), claims.next_heartbeat(start));
+        claims.on_renewed(second, &[left(2, 1600)]);
         assert!(!claims.holds(&key(1), start) && claims.holds(&key(2), start));
-        claims.renewed(first, &[left(1, 1600)]);
-        claims.renewed(77, &[left(1, 1600)]);
+        claims.on_renewed(first, &[left(1, 1600)]);
+        claims.on_renewed(77, &[left(1, 1600)]);
         assert!(!claims.holds(&key(1), start) && claims.holds(&key(2), start));
-        claims.forget(&key(2));
+        claims.remove(&key(2));
         assert!(!claims.holds(&key(2), start));
     }
 }

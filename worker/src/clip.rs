@@ -19,7 +19,7 @@ use femc_film::{Animation, FilmError, Picture};
 pub const FFMPEG: &str = "ffmpeg";
 
 /// Interval between checks whether ffmpeg has exited.
-const LOOK: Duration = Duration::from_millis(20);
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
 
 /// Error of writing a clip.
 #[derive(Debug, thiserror::Error)]
@@ -39,7 +39,7 @@ pub enum ClipError<E> {
 }
 
 /// Returns the version that the ffmpeg on the PATH reports; `None` if there is no ffmpeg that runs.
-pub fn ffmpeg() -> Option<String> {
+pub fn ffmpeg_version() -> Option<String> {
     let ran = Command::new("ffmpeg").arg("-version").stdin(Stdio::null()).stderr(Stdio::null()).output().ok()?;
     let output = String::from_utf8_lossy(&ran.stdout);
     let version = output.split_whitespace().nth(2).unwrap_or("of unknown version").to_owned();
@@ -68,8 +68,8 @@ pub fn write<E>(
         }
         Err(error) => Err(ClipError::Picture(error)),
     });
-    let Ok(format) = AnimationFormat::of(path) else {
-        return by_ffmpeg(path, [width, height], rate, pictures, is_cancelled);
+    let Ok(format) = AnimationFormat::from_path(path) else {
+        return write_with_ffmpeg(path, [width, height], rate, pictures, is_cancelled);
     };
     let mut bytes = Vec::new();
     let mut animation = Animation::new(&mut bytes, format, (width, height), count, rate)?;
@@ -92,7 +92,7 @@ impl Drop for Encoder {
 }
 
 /// Pipes the raw pictures into ffmpeg.
-fn by_ffmpeg<E>(
+fn write_with_ffmpeg<E>(
     path: &Path,
     [width, height]: [u32; 2],
     rate: f64,
@@ -100,7 +100,7 @@ fn by_ffmpeg<E>(
     is_cancelled: &dyn Fn() -> bool,
 ) -> Result<(), ClipError<E>> {
     let at = |error: &dyn Display| ClipError::Ffmpeg(error.to_string());
-    let version = ffmpeg().ok_or_else(|| at(&"not found on the PATH"))?;
+    let version = ffmpeg_version().ok_or_else(|| at(&"not found on the PATH"))?;
     let comment = format!("comment=femc {}, ffmpeg {version}", env!("CARGO_PKG_VERSION"));
     let mut encoder = Command::new("ffmpeg")
         .args(["-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24"])
@@ -116,7 +116,7 @@ fn by_ffmpeg<E>(
         .map_err(|error| at(&error))?;
     let (pipe, errors) = (encoder.0.stdin.take(), encoder.0.stderr.take());
     // Read the errors while the pictures are written; otherwise the two processes could block each other.
-    let heard = std::thread::spawn(move || {
+    let error_reader = std::thread::spawn(move || {
         let mut text = String::new();
         // Error output that cannot be read counts as empty.
         let _ = errors.map(|mut errors| errors.read_to_string(&mut text));
@@ -135,12 +135,12 @@ fn by_ffmpeg<E>(
         match encoder.0.try_wait().map_err(|error| at(&error))? {
             Some(status) => break status,
             None if is_cancelled() => return Err(ClipError::Cancelled),
-            None => std::thread::sleep(LOOK),
+            None => std::thread::sleep(POLL_INTERVAL),
         }
     };
     // The error output of ffmpeg says more than a broken pipe.
     if !status.success() {
-        return Err(at(&heard.join().unwrap_or_default().trim()));
+        return Err(at(&error_reader.join().unwrap_or_default().trim()));
     }
     fed.map_err(|error| at(&error))
 }

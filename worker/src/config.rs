@@ -7,15 +7,15 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use femc_model::Assignment;
-use femc_proto::{CallError, Dial};
+use femc_proto::{CallError, Dialer};
 
-use crate::{Cache, Journal, MemoryLimit, MemoryOutbox, Metrics, Shift};
+use crate::{Cache, Journal, MemoryLimit, MemoryOutbox, Metrics, WorkingHours};
 
 /// A worker's configuration.
 #[derive(Debug, Clone)]
 pub struct Config {
     /// The coordinator's address, such as `http://127.0.0.1:7878`.
-    pub join: String,
+    pub coordinator: String,
     /// Name shown to people.
     pub name: String,
     /// Number of render threads; 0: as many as the machine runs at once.
@@ -25,28 +25,28 @@ pub struct Config {
     /// Cache of scenes and prepared frames. Workers of one process may share it.
     pub cache: Cache,
     /// Time limit for reconnecting to a coordinator that is away; `None`: no limit.
-    pub patience: Option<Duration>,
+    pub reconnect_limit: Option<Duration>,
     /// Behavior when the worker is asked to stop.
-    pub at_stop: AtStop,
+    pub stop_behavior: StopBehavior,
     /// Number that identifies this run of the worker. It differs from that of all other workers, also from an earlier one with the
     /// same name.
     pub instance: u64,
     /// Engine build that the worker reports to the coordinator. A simulation uses several.
     pub engine: String,
     /// Way to connect to the coordinator.
-    pub dial: Dial,
+    pub dial: Dialer,
     /// Threads that execute the tasks, or a simulation of them.
-    pub hands: Hands,
+    pub executor: Executor,
     /// Storage for results until the coordinator acknowledges them; `None`: in memory.
-    pub outbox: Option<OutboxPlace>,
+    pub outbox: Option<OutboxStorage>,
     /// Record of the tasks being computed.
     pub journal: Journal,
     /// Memory limit above which the worker gives tasks back.
     pub memory: Option<MemoryLimit>,
     /// Niceness of the threads that compute, 0 to 19; `None`: unchanged.
-    pub nice: Option<u8>,
+    pub niceness: Option<u8>,
     /// Hours in which the worker takes tasks.
-    pub shift: Shift,
+    pub working_hours: WorkingHours,
     /// Longest time without a task before the worker stops; `None`: no limit.
     pub idle_limit: Option<Duration>,
     /// Counters of the worker.
@@ -55,7 +55,7 @@ pub struct Config {
 
 /// Storage for results that are not acknowledged yet.
 #[derive(Debug, Clone)]
-pub enum OutboxPlace {
+pub enum OutboxStorage {
     /// On disk.
     Folder(OutboxConfig),
     /// In memory, for simulations.
@@ -70,12 +70,12 @@ pub struct OutboxConfig {
     /// Largest total size of the files, bytes.
     pub limit: u64,
     /// Behavior when another worker uses the folder.
-    pub if_taken: IfTaken,
+    pub on_conflict: OutboxConflict,
 }
 
 /// Behavior when another worker uses the outbox folder.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum IfTaken {
+pub enum OutboxConflict {
     /// The worker does not start.
     Fail,
     /// The worker takes the first free folder of `FOLDER-2`, `FOLDER-3` and so on.
@@ -84,48 +84,50 @@ pub enum IfTaken {
 
 /// Executor of a worker's tasks.
 #[derive(Debug, Clone, Default)]
-pub enum Hands {
+pub enum Executor {
     /// Dedicated threads, separate from those of the asynchronous runtime.
     #[default]
     Threads,
-    /// The runtime itself, with task durations from [`Pace`], for simulations.
-    Simulated(Pace),
+    /// The runtime itself, with task durations from [`TaskSimulation`], for simulations.
+    Simulated(TaskSimulation),
 }
 
 /// Durations and outcomes of tasks in a simulation.
 #[derive(Clone)]
-pub struct Pace(Arc<Fates>);
+pub struct TaskSimulation(Arc<SimulateFn>);
 
-type Fates = dyn Fn(&Assignment) -> (Duration, Fate) + Send + Sync;
+type SimulateFn = dyn Fn(&Assignment) -> (Duration, SimulatedOutcome) + Send + Sync;
 
 /// Outcome of a task in a simulation.
 #[derive(Clone)]
-pub enum Fate {
+pub enum SimulatedOutcome {
     /// The task succeeds.
     Done,
     /// The task's code panics at the end.
-    Panics,
+    Panic,
     /// At the end, the task calls this function, which must end the worker's process, and does nothing more.
-    Kills(Arc<dyn Fn() + Send + Sync>),
+    KillProcess(Arc<dyn Fn() + Send + Sync>),
 }
 
-impl Pace {
-    /// Creates a pace with durations from `pace`. Every task succeeds.
-    pub fn by(pace: impl Fn(&Assignment) -> Duration + Send + Sync + 'static) -> Self {
-        Self::fated(move |assignment| (pace(assignment), Fate::Done))
+impl TaskSimulation {
+    /// Creates a pace with durations from `duration`. Every task succeeds.
+    pub fn from_durations(duration: impl Fn(&Assignment) -> Duration + Send + Sync + 'static) -> Self {
+        Self::from_outcomes(move |assignment| (duration(assignment), SimulatedOutcome::Done))
     }
 
-    /// Creates a pace with durations and outcomes from `fate`.
-    pub fn fated(fate: impl Fn(&Assignment) -> (Duration, Fate) + Send + Sync + 'static) -> Self {
-        Self(Arc::new(fate))
+    /// Creates a pace with durations and outcomes from `outcome`.
+    pub fn from_outcomes(
+        outcome: impl Fn(&Assignment) -> (Duration, SimulatedOutcome) + Send + Sync + 'static,
+    ) -> Self {
+        Self(Arc::new(outcome))
     }
 
-    pub(crate) fn of(&self, assignment: &Assignment) -> (Duration, Fate) {
+    pub(crate) fn simulate(&self, assignment: &Assignment) -> (Duration, SimulatedOutcome) {
         (self.0)(assignment)
     }
 }
 
-impl fmt::Debug for Pace {
+impl fmt::Debug for TaskSimulation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("Pace")
     }
@@ -133,7 +135,7 @@ impl fmt::Debug for Pace {
 
 /// Behavior of a worker that is asked to stop.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum AtStop {
+pub enum StopBehavior {
     /// Gives back all tasks at once.
     GiveBack,
     /// Finishes the running tasks. Gives waiting tasks back at once, and running tasks when the time is over.
@@ -144,25 +146,25 @@ pub enum AtStop {
 }
 
 impl Config {
-    /// Creates the default configuration of a worker for the coordinator at `join`: it uses every thread of the machine.
-    pub fn new(join: impl Into<String>) -> Self {
+    /// Creates the default configuration of a worker for the coordinator at `coordinator`: it uses every thread of the machine.
+    pub fn new(coordinator: impl Into<String>) -> Self {
         Self {
-            join: join.into(),
+            coordinator: coordinator.into(),
             name: "worker".into(),
             threads: 0,
             tags: Vec::new(),
             cache: Cache::default(),
-            patience: None,
-            at_stop: AtStop::GiveBack,
+            reconnect_limit: None,
+            stop_behavior: StopBehavior::GiveBack,
             instance: RandomState::new().hash_one(std::process::id()),
             engine: crate::engine().into(),
-            dial: Dial::tcp(),
-            hands: Hands::Threads,
+            dial: Dialer::tcp(),
+            executor: Executor::Threads,
             outbox: None,
             journal: Journal::default(),
             memory: None,
-            nice: None,
-            shift: Shift::default(),
+            niceness: None,
+            working_hours: WorkingHours::default(),
             idle_limit: None,
             metrics: Metrics::default(),
         }

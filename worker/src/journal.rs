@@ -24,7 +24,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use femc_model::{Death, Digest, HeldLease, JobSpec};
 
-use crate::table::Task;
+use crate::task_table::Task;
 
 const MAGIC: &[u8; 8] = b"FEMCWORK";
 const VERSION: u32 = 3;
@@ -33,17 +33,17 @@ const FRONT: usize = 8 + 4 + 32 + 8;
 
 /// A worker's journal. Clones share it. The default is a file beside the outbox, if the outbox is a folder.
 #[derive(Debug, Clone, Default)]
-pub struct Journal(Arc<Mutex<Book>>);
+pub struct Journal(Arc<Mutex<JournalState>>);
 
 #[derive(Debug, Default)]
-struct Book {
+struct JournalState {
     page: Page,
     /// Boot id of the machine, and the instance of the worker that writes.
     boot: String,
     instance: u64,
     computing: Vec<HeldLease>,
     /// Tasks that an earlier process left, until the coordinator knows them.
-    before: Option<Death>,
+    previous_death: Option<Death>,
     /// Set when tasks are no longer entered.
     is_closed: bool,
     /// Set when an earlier process has died.
@@ -67,10 +67,10 @@ impl Journal {
     /// Creates a journal in memory that outlives its worker, for simulations: the next worker that starts with it finds the
     /// entries.
     pub fn in_memory() -> Self {
-        Self(Arc::new(Mutex::new(Book { page: Page::Memory(Vec::new()), ..Book::default() })))
+        Self(Arc::new(Mutex::new(JournalState { page: Page::Memory(Vec::new()), ..JournalState::default() })))
     }
 
-    fn lock(&self) -> MutexGuard<'_, Book> {
+    fn lock(&self) -> MutexGuard<'_, JournalState> {
         // A panic within the few lines under this lock is harmless: the page is written again.
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -78,10 +78,10 @@ impl Journal {
     /// Opens the journal at the start of a worker and reads the entries of an earlier process.
     /// - `folder`: the outbox folder, which belongs to this worker alone.
     pub(crate) fn open(&self, folder: Option<&Path>, instance: u64) {
-        self.open_after(boot(), folder, instance);
+        self.open_with_boot_id(boot(), folder, instance);
     }
 
-    fn open_after(&self, boot: String, folder: Option<&Path>, instance: u64) {
+    fn open_with_boot_id(&self, boot: String, folder: Option<&Path>, instance: u64) {
         let mut book = self.lock();
         if let (Page::None, Some(folder)) = (&book.page, folder) {
             let path = folder.join(Self::FILE);
@@ -95,21 +95,21 @@ impl Journal {
         let left = book.page.read().and_then(|bytes| decode(&bytes));
         // After a crash of the machine itself, no task is blamed here: the coordinator draws its own conclusions.
         let left = left.filter(|(of, _)| *of == boot).map(|(_, death)| death);
-        book.before = left.filter(|death| !death.computing.is_empty());
-        if let Some(death) = &book.before {
+        book.previous_death = left.filter(|death| !death.computing.is_empty());
+        if let Some(death) = &book.previous_death {
             tracing::warn!(
                 tasks = death.computing.len(),
                 "an earlier process of this worker died while it computed tasks"
             );
         }
         book.boot = boot;
-        (book.instance, book.is_closed, book.is_careful) = (instance, false, book.before.is_some());
+        (book.instance, book.is_closed, book.is_careful) = (instance, false, book.previous_death.is_some());
         book.computing.clear();
     }
 
     /// Returns the tasks that an earlier process was computing when it died, until they are reported.
     pub(crate) fn death(&self) -> Option<Death> {
-        self.lock().before.clone()
+        self.lock().previous_death.clone()
     }
 
     /// Checks whether the worker computes only what its journal names. It does after the death of an earlier process, so that the
@@ -121,7 +121,7 @@ impl Journal {
     /// Records that the coordinator knows of the death.
     pub(crate) fn death_reported(&self) {
         let mut book = self.lock();
-        if book.before.take().is_some() {
+        if book.previous_death.take().is_some() {
             book.write();
         }
     }
@@ -135,7 +135,7 @@ impl Journal {
         let known = book.job.as_ref().filter(|(spec, _)| Arc::ptr_eq(spec, &task.spec)).map(|(_, key)| *key);
         let key = known.unwrap_or_else(|| task.spec.key());
         book.job = Some((task.spec.clone(), key));
-        book.computing.push(task.lease_of(key));
+        book.computing.push(task.lease_with_key(key));
         book.write();
     }
 
@@ -160,7 +160,7 @@ impl Journal {
     }
 }
 
-impl Book {
+impl JournalState {
     fn write(&mut self) {
         let written = encode(&self.boot, self.instance, &self.computing).map_err(io::Error::other);
         if let Err(error) = written.and_then(|bytes| self.page.write(&bytes)) {
@@ -223,7 +223,7 @@ fn encode(boot: &str, instance: u64, computing: &[HeldLease]) -> Result<Vec<u8>,
     let entries = postcard::to_stdvec(&(boot, instance, computing))?;
     let mut page = MAGIC.to_vec();
     page.extend(VERSION.to_le_bytes());
-    page.extend(Digest::of(&entries).as_bytes());
+    page.extend(Digest::compute(&entries).as_bytes());
     page.extend((entries.len() as u64).to_le_bytes());
     page.extend(entries);
     Ok(page)
@@ -237,7 +237,7 @@ fn decode(page: &[u8]) -> Option<(String, Death)> {
     }
     let length = usize::try_from(u64::from_le_bytes(front[44..].try_into().ok()?)).ok()?;
     let entries = page.get(FRONT..FRONT.checked_add(length)?)?;
-    if Digest::of(entries).as_bytes()[..] != front[12..44] {
+    if Digest::compute(entries).as_bytes()[..] != front[12..44] {
         return None;
     }
     let (boot, instance, computing) = postcard::from_bytes(entries).ok()?;
@@ -285,7 +285,7 @@ mod tests {
         let place = tempfile::tempdir().unwrap();
         let open = |boot: &str, instance| {
             let journal = Journal::default();
-            journal.open_after(boot.into(), Some(place.path()), instance);
+            journal.open_with_boot_id(boot.into(), Some(place.path()), instance);
             journal
         };
         let first = task(1, b"first").await;

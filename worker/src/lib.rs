@@ -16,31 +16,34 @@ mod clock;
 mod config;
 mod execute;
 mod fetch;
-mod finish;
 mod journal;
 mod log;
 mod memory;
 mod meter;
 mod metrics;
-mod nice;
+mod niceness;
 mod outbox;
+mod outcome;
 mod parcel;
-mod pieces;
+mod piece_cache;
 mod plan;
 mod session;
 mod simulated;
 mod sums;
-mod table;
+mod task_table;
 #[cfg(feature = "testing")]
 pub mod testing;
 mod threads;
 mod upload;
 mod worker;
 
-pub use availability::{Availability, Shift};
+pub use availability::{Availability, WorkingHours};
 pub use cache::Cache;
-pub use config::{AtStop, Config, Fate, Hands, IfTaken, OutboxConfig, OutboxPlace, Pace, WorkerError};
-pub use execute::{Painting, Video, Wish, drill_key};
+pub use config::{
+    Config, Executor, OutboxConfig, OutboxConflict, OutboxStorage, SimulatedOutcome, StopBehavior, TaskSimulation,
+    WorkerError,
+};
+pub use execute::{ExtraOutputs, Painting, Video, drill_key};
 pub use journal::Journal;
 pub use log::{TASK_LOG_LEVEL, TaskLogs};
 pub use memory::MemoryLimit;
@@ -48,12 +51,12 @@ pub use meter::process_time;
 pub use metrics::Metrics;
 pub use outbox::MemoryOutbox;
 pub use parcel::{Parcel, ParcelError};
-pub use pieces::Pieces;
-pub use plan::{FEATURES, FIRST_PASS, FIRST_PASS_BLOCKS, LAYERS, PAINTING, STATISTICS, graph};
+pub use piece_cache::PieceCache;
+pub use plan::{FEATURES, FIRST_PASS, FIRST_PASS_BLOCKS, LAYERS, PAINTING, STATISTICS, job_graph};
 pub use sums::decode as decode_sums;
 pub use worker::Worker;
 
 /// Returns the build of the engine that this program's workers render with.
 pub fn engine() -> &'static str {
-    femc_fault::pretended(femc_fault::Pretense::Engine).unwrap_or(femc_pipeline::BUILD)
+    femc_fault::pretended_value(femc_fault::PretendedValue::Engine).unwrap_or(femc_pipeline::BUILD)
 }

@@ -1,7 +1,7 @@
 //! Logs of tasks: each log collects the events of the thread that executes the task.
 //!
-//! [`TaskLogs`] is a layer of the program's tracing subscriber. A thread marks its work for a task with [`TaskLog::hear`], and the
-//! layer writes that thread's events to the task's log. Events of other threads go to no task log. Without the layer, a log
+//! [`TaskLogs`] is a layer of the program's tracing subscriber. A thread marks its work for a task with [`TaskLog::record_during`],
+//! and the layer writes that thread's events to the task's log. Events of other threads go to no task log. Without the layer, a log
 //! consists of its header alone.
 
 use std::cell::RefCell;
@@ -27,7 +27,7 @@ impl<S: Subscriber> Layer<S> for TaskLogs {
     fn on_event(&self, event: &Event<'_>, _: Context<'_, S>) {
         CURRENT.with_borrow(|current| {
             if let Some(log) = current {
-                log.note(event);
+                log.append_event(event);
             }
         });
     }
@@ -65,28 +65,28 @@ impl TaskLog {
     }
 
     /// Runs `work` and collects this thread's events in the task's log meanwhile.
-    pub(crate) fn hear<T>(&self, work: impl FnOnce() -> T) -> T {
+    pub(crate) fn record_during<T>(&self, work: impl FnOnce() -> T) -> T {
         /// Restores the previous log on drop, even if the work panics.
-        struct Back(Option<TaskLog>);
-        impl Drop for Back {
+        struct RestorePrevious(Option<TaskLog>);
+        impl Drop for RestorePrevious {
             fn drop(&mut self) {
                 CURRENT.set(self.0.take());
             }
         }
-        let _back = Back(CURRENT.replace(Some(self.clone())));
+        let _back = RestorePrevious(CURRENT.replace(Some(self.clone())));
         work()
     }
 
-    fn note(&self, event: &Event<'_>) {
+    fn append_event(&self, event: &Event<'_>) {
         let mut lines = self.lock();
         let level = event.metadata().level();
         let mut line = format!("{:>10.3} s {level:>5} ", lines.began.map_or(0.0, Stopwatch::seconds));
-        event.record(&mut Line(&mut line));
-        lines.put(cut(&line.replace('\n', "\n             "), Self::LINE).to_owned());
+        event.record(&mut EventWriter(&mut line));
+        lines.put(truncate(&line.replace('\n', "\n             "), Self::LINE).to_owned());
     }
 
     /// Returns the header and the lines in at most `limit` bytes. Lines that do not fit are left out in the middle.
-    pub(crate) fn text(&self, header: &str, limit: usize) -> String {
+    pub(crate) fn render(&self, header: &str, limit: usize) -> String {
         let lines = self.lock();
         let all: Vec<&String> = lines.first.iter().chain(&lines.last).collect();
         let room = limit.saturating_sub(header.len() + 64);
@@ -97,7 +97,7 @@ impl TaskLog {
             tail = all.len() - fitting(all[head..].iter().rev().copied(), room - whole(&all[..head]));
         }
         let left_out = lines.left_out + (tail - head) as u64;
-        let mut text = cut(header, limit.saturating_sub(64)).to_owned();
+        let mut text = truncate(header, limit.saturating_sub(64)).to_owned();
         all[..head].iter().for_each(|line| text.extend([line.as_str(), "\n"]));
         if left_out > 0 {
             let _ = writeln!(text, "             ... {left_out} lines left out");
@@ -140,14 +140,14 @@ fn fitting<'a>(lines: impl Iterator<Item = &'a String>, mut room: usize) -> usiz
 }
 
 /// Returns a prefix of whole characters with at most `most` bytes.
-pub(crate) fn cut(text: &str, most: usize) -> &str {
+pub(crate) fn truncate(text: &str, most: usize) -> &str {
     &text[..text.floor_char_boundary(most)]
 }
 
 /// Visitor that writes an event's message, then its fields.
-struct Line<'a>(&'a mut String);
+struct EventWriter<'a>(&'a mut String);
 
-impl Visit for Line<'_> {
+impl Visit for EventWriter<'_> {
     fn record_debug(&mut self, field: &Field, value: &dyn fmt::Debug) {
         // Writing to a string cannot fail.
         let _ = match field.name() {
@@ -172,20 +172,20 @@ mod tests {
         one.begin();
         tracing::subscriber::with_default(tracing_subscriber::registry().with(TaskLogs), || {
             tracing::info!("nobody's");
-            one.hear(|| {
+            one.record_during(|| {
                 tracing::info!(tiles = 3, "united");
-                other.hear(|| tracing::warn!("the other's"));
+                other.record_during(|| tracing::warn!("the other's"));
                 tracing::error!("two\nlines");
             });
             tracing::info!("nobody's again");
         });
-        let text = one.text("header\n", 1000);
+        let text = one.render("header\n", 1000);
         let mut lines = text.lines();
         assert_eq!(lines.next(), Some("header"));
         assert!(lines.next().is_some_and(|line| line.contains("INFO") && line.ends_with("united tiles=3")), "{text}");
         assert!(lines.next().is_some_and(|line| line.contains("ERROR") && line.ends_with("two")), "{text}");
         assert_eq!((lines.next().map(str::trim), lines.next()), (Some("lines"), None), "{text}");
-        assert!(other.text("", 1000).contains("the other's") && one.seconds().is_some() && other.seconds().is_none());
+        assert!(other.render("", 1000).contains("the other's") && one.seconds().is_some() && other.seconds().is_none());
     }
 
     #[test]
@@ -195,14 +195,14 @@ mod tests {
             log.lock().put(format!("line {number}"));
         }
         for limit in [200, 2 << 10, 64 << 10] {
-            let text = log.text("header\n", limit);
+            let text = log.render("header\n", limit);
             assert!(text.len() <= limit, "{} of {limit}", text.len());
             assert!(text.starts_with("header\nline 0\n") && text.ends_with("line 9999\n"), "{text}");
             assert!(text.contains("lines left out"));
         }
         log.lock().put("ä".repeat(40_000));
-        let (text, header) = (log.text("header\n", 500), "ü".repeat(600));
+        let (text, header) = (log.render("header\n", 500), "ü".repeat(600));
         assert!(text.len() <= 500 && text.contains("left out"));
-        assert!(log.text(&header, 500).len() <= 500);
+        assert!(log.render(&header, 500).len() <= 500);
     }
 }

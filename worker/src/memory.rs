@@ -10,7 +10,7 @@ use std::fmt;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use femc_model::{Failure, Near, StageKind};
+use femc_model::{Affinity, Failure, StageKind};
 
 use crate::Cache;
 
@@ -29,7 +29,7 @@ impl fmt::Debug for MemoryLimit {
 
 impl MemoryLimit {
     /// Creates a limit of `bytes` for this process; `None` if the system does not report a process's size.
-    pub fn of_process(bytes: u64) -> Option<Self> {
+    pub fn for_process(bytes: u64) -> Option<Self> {
         resident()?;
         Some(Self { bytes, resident: Arc::new(resident) })
     }
@@ -40,13 +40,13 @@ fn resident() -> Option<u64> {
     kilobytes("VmRSS:")
 }
 
-/// Returns the peak resident size of this process since [`forget_peak`] in bytes, if the system reports it.
+/// Returns the peak resident size of this process since [`reset_peak`] in bytes, if the system reports it.
 pub(crate) fn peak() -> Option<u64> {
     kilobytes("VmHWM:")
 }
 
 /// Resets the peak where the system can. Otherwise [`peak`] counts from the start of the process.
-pub(crate) fn forget_peak() {
+pub(crate) fn reset_peak() {
     // 5 is the kernel's code for resetting the peak.
     let _ = std::fs::write("/proc/self/clear_refs", "5");
 }
@@ -78,7 +78,7 @@ fn kilobytes_of(file: &str, field: &str) -> Option<u64> {
 
 /// Enforces the limit; does nothing without one.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Memory(Option<Arc<Watch>>);
+pub(crate) struct MemoryGuard(Option<Arc<Watch>>);
 
 #[derive(Debug)]
 struct Watch {
@@ -88,20 +88,20 @@ struct Watch {
 }
 
 /// A running task whose growth is measured.
-pub(crate) struct Measured {
+pub(crate) struct GrowthMeasurement {
     watch: Option<(Arc<Watch>, usize)>,
     before: u64,
 }
 
-impl Memory {
+impl MemoryGuard {
     pub(crate) fn new(limit: Option<MemoryLimit>) -> Self {
         Self(limit.map(|limit| Arc::new(Watch { limit, largest: Default::default() })))
     }
 
-    /// Makes room for a task. Call [`Measured::end`] on the returned value when the task is done.
-    pub(crate) fn begin(&self, kind: StageKind, cache: &Cache) -> Result<Measured, Failure> {
-        let Some(watch) = &self.0 else { return Ok(Measured { watch: None, before: 0 }) };
-        let kind = kind.place();
+    /// Makes room for a task. Call [`GrowthMeasurement::finish`] on the returned value when the task is done.
+    pub(crate) fn admit(&self, kind: StageKind, cache: &Cache) -> Result<GrowthMeasurement, Failure> {
+        let Some(watch) = &self.0 else { return Ok(GrowthMeasurement { watch: None, before: 0 }) };
+        let kind = kind.index();
         let estimate = watch.largest[kind].load(Ordering::Relaxed);
         let fits = |resident: u64| resident.saturating_add(estimate) <= watch.limit.bytes;
         if !fits(watch.resident()) {
@@ -120,13 +120,13 @@ impl Memory {
                 });
             }
         }
-        Ok(Measured { watch: Some((watch.clone(), kind)), before: watch.resident() })
+        Ok(GrowthMeasurement { watch: Some((watch.clone(), kind)), before: watch.resident() })
     }
 
     /// Fails if something needs more memory than there is, because the system would kill the worker in the middle of it.
-    /// - `needs`: lower bound of the bytes needed.
+    /// - `needed`: lower bound of the bytes needed.
     /// - `what`: its name for the message.
-    pub(crate) fn holds(&self, needs: u64, what: &str) -> Result<(), Failure> {
+    pub(crate) fn check_room(&self, needed: u64, what: &str) -> Result<(), Failure> {
         let (room, who) = match &self.0 {
             Some(watch) => {
                 (Some(watch.limit.bytes.saturating_sub(watch.resident())), "the worker's limit (--memory) leaves")
@@ -135,8 +135,8 @@ impl Memory {
         };
         let mega = |bytes: u64| bytes.div_ceil(1 << 20);
         match room {
-            Some(room) if needs > room => Err(Failure::Resources {
-                message: format!("{what} needs at least {} MiB, but {who} {} MiB", mega(needs), mega(room)),
+            Some(room) if needed > room => Err(Failure::Resources {
+                message: format!("{what} needs at least {} MiB, but {who} {} MiB", mega(needed), mega(room)),
             }),
             _ => Ok(()),
         }
@@ -145,8 +145,8 @@ impl Memory {
     /// Checks that there is room to prepare something that is not needed yet.
     pub(crate) fn has_room_ahead(&self) -> bool {
         let fits = |watch: &Arc<Watch>| {
-            let kinds = StageKind::ALL.into_iter().filter(|kind| kind.row().near == Near::Frame);
-            let estimate = kinds.map(|kind| watch.largest[kind.place()].load(Ordering::Relaxed)).max();
+            let kinds = StageKind::ALL.into_iter().filter(|kind| kind.properties().affinity == Affinity::Frame);
+            let estimate = kinds.map(|kind| watch.largest[kind.index()].load(Ordering::Relaxed)).max();
             watch.resident().saturating_add(estimate.unwrap_or(0)) <= watch.limit.bytes
         };
         self.0.as_ref().is_none_or(fits)
@@ -159,9 +159,9 @@ impl Watch {
     }
 }
 
-impl Measured {
+impl GrowthMeasurement {
     /// Records the growth at the end of the task. Call it while the task's result still exists.
-    pub(crate) fn end(self) {
+    pub(crate) fn finish(self) {
         if let Some((watch, kind)) = self.watch {
             let added = watch.resident().saturating_sub(self.before);
             watch.largest[kind].fetch_max(added, Ordering::Relaxed);
@@ -174,11 +174,11 @@ mod tests {
     use super::*;
 
     /// Returns a limit of 100 MiB, and the simulated size of the process in MiB.
-    fn memory() -> (Memory, Arc<AtomicU64>) {
+    fn memory() -> (MemoryGuard, Arc<AtomicU64>) {
         let size = Arc::new(AtomicU64::new(0));
         let seen = size.clone();
         let resident = Arc::new(move || Some(seen.load(Ordering::Relaxed) << 20));
-        (Memory::new(Some(MemoryLimit { bytes: 100 << 20, resident })), size)
+        (MemoryGuard::new(Some(MemoryLimit { bytes: 100 << 20, resident })), size)
     }
 
     #[test]
@@ -186,38 +186,40 @@ mod tests {
         let ((memory, size), cache) = (memory(), Cache::default());
         let set = |megabytes| size.store(megabytes, Ordering::Relaxed);
         set(60);
-        let first = memory.begin(StageKind::Render, &cache).unwrap();
+        let first = memory.admit(StageKind::Render, &cache).unwrap();
         set(95);
-        first.end();
-        let refused = memory.begin(StageKind::Render, &cache).err();
+        first.finish();
+        let refused = memory.admit(StageKind::Render, &cache).err();
         assert!(
             matches!(&refused, Some(Failure::Resources { message }) if message.contains("95 MiB") && message.contains("35 MiB")),
             "{refused:?}"
         );
         assert!(!memory.has_room_ahead());
-        assert!(memory.begin(StageKind::Image, &cache).is_ok(), "images have added nothing so far");
+        assert!(memory.admit(StageKind::Image, &cache).is_ok(), "images have added nothing so far");
         set(65);
-        assert!(memory.begin(StageKind::Render, &cache).is_ok() && memory.has_room_ahead());
+        assert!(memory.admit(StageKind::Render, &cache).is_ok() && memory.has_room_ahead());
         set(101);
-        assert!(memory.begin(StageKind::Image, &cache).is_err(), "above the limit nothing begins");
+        assert!(memory.admit(StageKind::Image, &cache).is_err(), "above the limit nothing begins");
     }
 
     #[test]
     fn what_takes_more_than_there_is_is_refused_before_it_begins() {
         let (memory, size) = memory();
         size.store(60, Ordering::Relaxed);
-        assert!(memory.holds(40 << 20, "it").is_ok());
-        let refused = memory.holds((40 << 20) + 1, "a first pass").err();
+        assert!(memory.check_room(40 << 20, "it").is_ok());
+        let refused = memory.check_room((40 << 20) + 1, "a first pass").err();
         assert!(
             matches!(&refused, Some(Failure::Resources { message })
                 if message == "a first pass needs at least 41 MiB, but the worker's limit (--memory) leaves 40 MiB"),
             "{refused:?}"
         );
-        let memory = Memory::default();
-        assert!(memory.holds(1, "it").is_ok());
+        let memory = MemoryGuard::default();
+        assert!(memory.check_room(1, "it").is_ok());
         if cfg!(target_os = "linux") {
             assert!(
-                memory.holds(1 << 60, "it").is_err_and(|error| error.to_string().contains("this machine has only"))
+                memory
+                    .check_room(1 << 60, "it")
+                    .is_err_and(|error| error.to_string().contains("this machine has only"))
             );
         }
     }
@@ -226,19 +228,19 @@ mod tests {
     fn a_task_begins_when_letting_go_of_the_caches_has_made_room() {
         // The cache holds all the memory that is in use.
         let cache = Cache::default();
-        cache.hold_something();
+        cache.insert_unread_scene();
         let held = cache.clone();
         let resident = Arc::new(move || Some(if held.is_empty() { 10 << 20 } else { 200 << 20 }));
-        let memory = Memory::new(Some(MemoryLimit { bytes: 100 << 20, resident }));
+        let memory = MemoryGuard::new(Some(MemoryLimit { bytes: 100 << 20, resident }));
         assert!(!memory.has_room_ahead() && !cache.is_empty());
-        assert!(memory.begin(StageKind::Render, &cache).is_ok());
+        assert!(memory.admit(StageKind::Render, &cache).is_ok());
         assert!(cache.is_empty() && memory.has_room_ahead());
     }
 
     #[test]
     fn tasks_begin_without_memory_limit_and_process_size_is_known() {
-        let memory = Memory::default();
-        assert!(memory.begin(StageKind::Render, &Cache::default()).is_ok() && memory.has_room_ahead());
+        let memory = MemoryGuard::default();
+        assert!(memory.admit(StageKind::Render, &Cache::default()).is_ok() && memory.has_room_ahead());
         if cfg!(target_os = "linux") {
             assert!(resident().unwrap() > 1 << 20 && peak().unwrap() >= resident().unwrap() / 2);
         }

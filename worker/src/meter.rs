@@ -17,18 +17,18 @@ use crate::memory;
 
 /// Current activity of a task, in rising order. The tasks with the highest activity share the processor time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) enum Doing {
+pub(crate) enum Activity {
     /// Waiting for its turn or for a thread.
-    Waits,
+    Waiting,
     /// Downloading inputs or uploading the result.
-    Moves,
+    Transferring,
     /// Computing.
-    Computes,
+    Computing,
 }
 
 /// Account of a task's usage. Dropping it closes it: the task keeps the time charged so far.
 #[derive(Debug)]
-pub(crate) struct Account {
+pub(crate) struct UsageAccount {
     meter: Meter,
     number: u64,
     /// Nanoseconds of processor time.
@@ -42,26 +42,26 @@ pub(crate) struct Account {
     peak: AtomicU64,
 }
 
-impl Account {
-    pub(crate) fn doing(&self, doing: Doing) {
-        self.meter.0.lock().enter(self.number, doing);
+impl UsageAccount {
+    pub(crate) fn set_activity(&self, doing: Activity) {
+        self.meter.0.lock().set_activity(self.number, doing);
     }
 
     /// Runs `work`, which waits for the network. The task computes before and after it.
-    pub(crate) fn moving<T>(&self, work: impl FnOnce() -> T) -> T {
-        self.doing(Doing::Moves);
+    pub(crate) fn transfer<T>(&self, work: impl FnOnce() -> T) -> T {
+        self.set_activity(Activity::Transferring);
         let done = work();
-        self.doing(Doing::Computes);
+        self.set_activity(Activity::Computing);
         done
     }
 
     /// Records that the task begins to compute.
     pub(crate) fn begin(&self) {
-        let mut books = self.meter.0.lock();
-        if self.meter.0.clock.is_some() && books.computing() == 0 {
-            memory::forget_peak();
+        let mut state = self.meter.0.lock();
+        if self.meter.0.clock.is_some() && state.computing_count() == 0 {
+            memory::reset_peak();
         }
-        books.enter(self.number, Doing::Computes);
+        state.set_activity(self.number, Activity::Computing);
     }
 
     /// Records that the task has a result or a failure.
@@ -69,10 +69,10 @@ impl Account {
         if self.meter.0.clock.is_some() {
             self.peak.store(memory::peak().unwrap_or(0), Ordering::Relaxed);
         }
-        self.doing(Doing::Moves);
+        self.set_activity(Activity::Transferring);
     }
 
-    pub(crate) fn prepared(&self, after: Duration) {
+    pub(crate) fn set_preparation(&self, after: Duration) {
         self.preparation.store(u64::try_from(after.as_nanos()).unwrap_or(u64::MAX), Ordering::Relaxed);
     }
 
@@ -83,7 +83,7 @@ impl Account {
 
     /// Returns the processor seconds until now.
     pub(crate) fn cpu(&self) -> f64 {
-        self.meter.0.lock().settle();
+        self.meter.0.lock().charge_elapsed();
         Duration::from_nanos(self.cpu.load(Ordering::Relaxed)).as_secs_f64()
     }
 
@@ -93,11 +93,11 @@ impl Account {
     }
 }
 
-impl Drop for Account {
+impl Drop for UsageAccount {
     fn drop(&mut self) {
-        let mut books = self.meter.0.lock();
-        books.settle();
-        books.open.remove(&self.number);
+        let mut state = self.meter.0.lock();
+        state.charge_elapsed();
+        state.accounts.remove(&self.number);
     }
 }
 
@@ -108,86 +108,86 @@ pub(crate) struct Meter(Arc<Shared>);
 #[derive(Debug)]
 struct Shared {
     clock: Option<fn() -> Duration>,
-    books: Mutex<Books>,
+    state: Mutex<MeterState>,
 }
 
 #[derive(Debug, Default)]
-struct Books {
+struct MeterState {
     clock: Option<fn() -> Duration>,
     read: Duration,
     numbers: u64,
     /// Processor time while no account was open.
     idle: Duration,
-    open: BTreeMap<u64, (Doing, Arc<AtomicU64>)>,
+    accounts: BTreeMap<u64, (Activity, Arc<AtomicU64>)>,
 }
 
 impl Meter {
     /// Returns the meter of this process.
-    pub(crate) fn of_process() -> Self {
-        static METER: LazyLock<Meter> = LazyLock::new(|| Meter::by(Some(process_time)));
+    pub(crate) fn for_process() -> Self {
+        static METER: LazyLock<Meter> = LazyLock::new(|| Meter::with_clock(Some(process_time)));
         METER.clone()
     }
 
     /// Creates a meter without processor time, so that a simulation gives the same result every time.
-    pub(crate) fn none() -> Self {
-        Self::by(None)
+    pub(crate) fn without_clock() -> Self {
+        Self::with_clock(None)
     }
 
-    fn by(clock: Option<fn() -> Duration>) -> Self {
-        Self(Arc::new(Shared { clock, books: Mutex::new(Books { clock, ..Books::default() }) }))
+    fn with_clock(clock: Option<fn() -> Duration>) -> Self {
+        Self(Arc::new(Shared { clock, state: Mutex::new(MeterState { clock, ..MeterState::default() }) }))
     }
 
     /// Returns the processor time so far during which the process had no task. It includes the start of the process.
     pub(crate) fn idle(&self) -> Duration {
-        let mut books = self.0.lock();
-        books.settle();
-        books.idle
+        let mut state = self.0.lock();
+        state.charge_elapsed();
+        state.idle
     }
 
     /// Opens the account of a task that waits for its turn.
-    pub(crate) fn open(&self) -> Account {
+    pub(crate) fn open_account(&self) -> UsageAccount {
         let cpu = Arc::new(AtomicU64::new(0));
-        let mut books = self.0.lock();
-        books.numbers += 1;
-        let number = books.numbers;
-        books.settle();
-        books.open.insert(number, (Doing::Waits, cpu.clone()));
+        let mut state = self.0.lock();
+        state.numbers += 1;
+        let number = state.numbers;
+        state.charge_elapsed();
+        state.accounts.insert(number, (Activity::Waiting, cpu.clone()));
         let [fetched, sent, rays, preparation, peak] = [const { AtomicU64::new(0) }; 5];
-        Account { meter: self.clone(), number, cpu, fetched, sent, rays, preparation, peak }
+        UsageAccount { meter: self.clone(), number, cpu, fetched, sent, rays, preparation, peak }
     }
 }
 
 impl Shared {
-    fn lock(&self) -> MutexGuard<'_, Books> {
+    fn lock(&self) -> MutexGuard<'_, MeterState> {
         // A panic within the few lines under this lock leaves the state consistent.
-        self.books.lock().unwrap_or_else(PoisonError::into_inner)
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-impl Books {
-    fn computing(&self) -> usize {
-        self.open.values().filter(|(doing, _)| *doing == Doing::Computes).count()
+impl MeterState {
+    fn computing_count(&self) -> usize {
+        self.accounts.values().filter(|(doing, _)| *doing == Activity::Computing).count()
     }
 
-    fn enter(&mut self, number: u64, doing: Doing) {
-        self.settle();
-        if let Some((known, _)) = self.open.get_mut(&number) {
-            *known = doing;
+    fn set_activity(&mut self, number: u64, activity: Activity) {
+        self.charge_elapsed();
+        if let Some((known, _)) = self.accounts.get_mut(&number) {
+            *known = activity;
         }
     }
 
     /// Shares out the time since the last reading.
-    fn settle(&mut self) {
+    fn charge_elapsed(&mut self) {
         let Some(clock) = self.clock else { return };
         let now = clock();
         let passed = now.saturating_sub(self.read);
         self.read = now;
-        let Some(most) = self.open.values().map(|(doing, _)| *doing).max() else {
+        let Some(most) = self.accounts.values().map(|(doing, _)| *doing).max() else {
             self.idle += passed;
             return;
         };
         let passed = passed.as_nanos() as u64;
-        let shares: Vec<_> = self.open.values().filter(|(doing, _)| *doing == most).collect();
+        let shares: Vec<_> = self.accounts.values().filter(|(doing, _)| *doing == most).collect();
         let (share, rest) = (passed / shares.len() as u64, passed % shares.len() as u64);
         for (place, (_, cpu)) in shares.into_iter().enumerate() {
             cpu.fetch_add(share + u64::from((place as u64) < rest), Ordering::Relaxed);
@@ -223,20 +223,20 @@ mod tests {
     }
 
     fn meter() -> Meter {
-        Meter::by(Some(|| Duration::from_secs(TIME.get())))
+        Meter::with_clock(Some(|| Duration::from_secs(TIME.get())))
     }
 
     #[test]
     fn time_goes_to_computing_else_moving_else_waiting_tasks() {
         let meter = meter();
         passes(100);
-        let (one, two, three) = (meter.open(), meter.open(), meter.open());
+        let (one, two, three) = (meter.open_account(), meter.open_account(), meter.open_account());
         passes(3);
-        one.doing(Doing::Moves);
+        one.set_activity(Activity::Transferring);
         passes(4);
-        two.doing(Doing::Computes);
+        two.set_activity(Activity::Computing);
         passes(10);
-        three.doing(Doing::Computes);
+        three.set_activity(Activity::Computing);
         passes(10);
         assert_eq!([one.cpu(), two.cpu(), three.cpu()], [5.0, 16.0, 6.0], "before there was any task, nobody's");
     }
@@ -244,12 +244,12 @@ mod tests {
     #[test]
     fn the_sum_is_what_passed_and_what_is_closed_gets_no_more() {
         let meter = meter();
-        let (one, two) = (meter.open(), meter.open());
-        one.doing(Doing::Computes);
-        two.doing(Doing::Computes);
+        let (one, two) = (meter.open_account(), meter.open_account());
+        one.set_activity(Activity::Computing);
+        two.set_activity(Activity::Computing);
         passes(7);
         let first = one.cpu();
-        one.moving(|| passes(2));
+        one.transfer(|| passes(2));
         drop(one);
         passes(5);
         assert_eq!((first, two.cpu()), (3.5, 10.5));
@@ -259,20 +259,20 @@ mod tests {
     fn tasks_and_idleness_together_are_the_process_s_time() {
         let meter = meter();
         passes(5);
-        let one = meter.open();
+        let one = meter.open_account();
         passes(3);
         assert_eq!((one.cpu(), meter.idle()), (3.0, Duration::from_secs(5)));
         passes(2);
         drop(one);
         passes(7);
-        let two = meter.open();
+        let two = meter.open_account();
         passes(1);
         assert_eq!((two.cpu(), meter.idle()), (1.0, Duration::from_secs(5 + 7)), "of 18 s, a closed account has 5");
     }
 
     #[test]
     fn a_simulation_takes_no_processor_time() {
-        let account = Meter::none().open();
+        let account = Meter::without_clock().open_account();
         account.begin();
         account.end();
         assert_eq!((account.cpu(), account.peak()), (0.0, None));

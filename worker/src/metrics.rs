@@ -3,14 +3,14 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 
-use femc_metrics::{Counter, Health, Page, Report, Seconds, Tally, process};
+use femc_metrics::{Counter, Health, Page, ProcessReport, Seconds, Tally, write_process_metrics};
 use femc_model::{Failure, StageKind};
 use femc_proto::PROTOCOL;
 
 use crate::Cache;
 use crate::meter::Meter;
-use crate::table::{Table, Task};
-use crate::threads::LeftBehind;
+use crate::task_table::{Task, TaskTable};
+use crate::threads::AbandonedThreads;
 
 /// Counters of a worker. Clones share them.
 #[derive(Debug, Clone, Default)]
@@ -19,19 +19,19 @@ pub struct Metrics(Arc<Inner>);
 #[derive(Debug)]
 struct Inner {
     /// Set when the worker starts.
-    parts: OnceLock<(Arc<Table>, Cache, Meter, LeftBehind)>,
+    sources: OnceLock<(Arc<TaskTable>, Cache, Meter, AbandonedThreads)>,
     is_connected: AtomicBool,
     sessions: Counter,
     done: Tally<&'static str>,
     failures: Tally<&'static str>,
     refused: Counter,
     revoked: Counter,
-    used: Used,
+    used: UsageTotals,
 }
 
 /// Total usage of tasks.
 #[derive(Debug, Default)]
-struct Used {
+struct UsageTotals {
     wall: Seconds,
     waited: Seconds,
     prepared: Seconds,
@@ -45,54 +45,54 @@ struct Used {
 impl Default for Inner {
     fn default() -> Self {
         Self {
-            parts: OnceLock::new(),
+            sources: OnceLock::new(),
             is_connected: AtomicBool::new(false),
-            done: Tally::of(StageKind::ALL.map(StageKind::name)),
-            failures: Tally::of(Failure::CAUSES),
+            done: Tally::with_keys(StageKind::ALL.map(StageKind::name)),
+            failures: Tally::with_keys(Failure::CAUSES),
             sessions: Counter::default(),
             refused: Counter::default(),
             revoked: Counter::default(),
-            used: Used::default(),
+            used: UsageTotals::default(),
         }
     }
 }
 
 impl Metrics {
-    pub(crate) fn watch(&self, table: &Arc<Table>, cache: &Cache, meter: &Meter, left_behind: &LeftBehind) {
+    pub(crate) fn attach(&self, table: &Arc<TaskTable>, cache: &Cache, meter: &Meter, left_behind: &AbandonedThreads) {
         // If a second worker shares these counters, the page shows only the first one's table, cache and meter.
-        let _ = self.0.parts.set((table.clone(), cache.clone(), meter.clone(), left_behind.clone()));
+        let _ = self.0.sources.set((table.clone(), cache.clone(), meter.clone(), left_behind.clone()));
     }
 
-    pub(crate) fn connected(&self) {
+    pub(crate) fn on_connected(&self) {
         self.0.sessions.add(1);
         self.0.is_connected.store(true, Ordering::Relaxed);
     }
 
-    pub(crate) fn disconnected(&self) {
+    pub(crate) fn on_disconnected(&self) {
         self.0.is_connected.store(false, Ordering::Relaxed);
     }
 
     /// Counts a task whose report the coordinator accepted.
-    pub(crate) fn accepted(&self, task: &Task) {
+    pub(crate) fn on_accepted(&self, task: &Task) {
         match task.outcome() {
             Some(Ok(_)) => self.0.done.add(task.assignment.task.stage.kind.name(), 1),
             Some(Err(failure)) => self.0.failures.add(failure.cause(), 1),
             None => {}
         }
-        self.used(task);
+        self.add_usage(task);
     }
 
-    pub(crate) fn refused(&self, task: &Task) {
+    pub(crate) fn on_refused(&self, task: &Task) {
         self.0.refused.add(1);
-        self.used(task);
+        self.add_usage(task);
     }
 
-    pub(crate) fn revoked(&self, task: &Task) {
+    pub(crate) fn on_revoked(&self, task: &Task) {
         self.0.revoked.add(1);
-        self.used(task);
+        self.add_usage(task);
     }
 
-    fn used(&self, task: &Task) {
+    fn add_usage(&self, task: &Task) {
         let Some(usage) = task.usage() else { return };
         self.0.used.wall.add(usage.wall);
         self.0.used.waited.add(usage.wait);
@@ -105,11 +105,11 @@ impl Metrics {
     }
 
     /// Returns the worker's health and its metrics page.
-    pub fn report(&self) -> Report {
+    pub fn report(&self) -> ProcessReport {
         let is_connected = self.0.is_connected.load(Ordering::Relaxed);
         let health = match is_connected {
             true => Health::Ready,
-            false => Health::Waits { message: "the worker is connecting to its coordinator".into() },
+            false => Health::Waiting { message: "the worker is connecting to its coordinator".into() },
         };
         let mut page = Page::default();
         let labels = [
@@ -119,60 +119,60 @@ impl Metrics {
             ("engine", crate::engine()),
         ];
         page.gauge("femc_build_info", "Version, protocol, role and engine of this program; always 1.")
-            .with(&labels, 1.0);
+            .labeled(&labels, 1.0);
         let help = "Whether the worker has a session with a coordinator.";
-        page.gauge("femc_worker_connected", help).is(u8::from(is_connected));
+        page.gauge("femc_worker_connected", help).value(u8::from(is_connected));
         self.put_tasks(&mut page);
         self.put_usage(&mut page);
-        if let Some((table, cache, meter, left_behind)) = self.0.parts.get() {
+        if let Some((table, cache, meter, left_behind)) = self.0.sources.get() {
             let help = "Processor time without a task, including startup, in seconds.";
-            page.counter("femc_worker_idle_cpu_seconds_total", help).is(meter.idle().as_secs_f64());
+            page.counter("femc_worker_idle_cpu_seconds_total", help).value(meter.idle().as_secs_f64());
             put_held(&mut page, table);
             let help = "Threads of cancelled tasks that still run because nothing can interrupt them.";
-            page.gauge("femc_worker_threads_left_behind", help).counts(left_behind.count() as u64);
-            cache.put(&mut page);
+            page.gauge("femc_worker_threads_left_behind", help).count(left_behind.count() as u64);
+            cache.write_metrics(&mut page);
         }
-        process(&mut page);
-        Report { health, page: page.finish() }
+        write_process_metrics(&mut page);
+        ProcessReport { health, page: page.finish() }
     }
 
     fn put_tasks(&self, page: &mut Page) {
         let Inner { sessions, done, failures, refused, revoked, .. } = &*self.0;
-        page.counter("femc_worker_sessions_total", "Sessions with coordinators.").counts(sessions.get());
+        page.counter("femc_worker_sessions_total", "Sessions with coordinators.").count(sessions.get());
         let help = "Results that the coordinator has made durable, by kind of stage.";
-        page.counter("femc_worker_tasks_done_total", help).each("stage", done.get());
-        page.counter("femc_worker_failures_total", "Failed tasks, by cause.").each("cause", failures.get());
+        page.counter("femc_worker_tasks_done_total", help).each_label("stage", done.get());
+        page.counter("femc_worker_failures_total", "Failed tasks, by cause.").each_label("cause", failures.get());
         let help = "Results that arrived after their lease had expired and have no effect.";
-        page.counter("femc_worker_refused_total", help).counts(refused.get());
-        page.counter("femc_worker_revoked_total", "Tasks whose lease was revoked.").counts(revoked.get());
+        page.counter("femc_worker_refused_total", help).count(refused.get());
+        page.counter("femc_worker_revoked_total", "Tasks whose lease was revoked.").count(revoked.get());
     }
 
     fn put_usage(&self, page: &mut Page) {
-        let Used { wall, waited, prepared, cpu, samples, rays, fetched, sent } = &self.0.used;
+        let UsageTotals { wall, waited, prepared, cpu, samples, rays, fetched, sent } = &self.0.used;
         let help = "Time from the start of tasks to their results, in seconds.";
-        page.counter("femc_worker_task_seconds_total", help).is(wall.get());
+        page.counter("femc_worker_task_seconds_total", help).value(wall.get());
         let help = "Time from the arrival of tasks to their start, in seconds.";
-        page.counter("femc_worker_wait_seconds_total", help).is(waited.get());
+        page.counter("femc_worker_wait_seconds_total", help).value(waited.get());
         let help = "Part of the task seconds before the inputs were ready.";
-        page.counter("femc_worker_preparation_seconds_total", help).is(prepared.get());
+        page.counter("femc_worker_preparation_seconds_total", help).value(prepared.get());
         let help = "Processor time of tasks, in seconds.";
-        page.counter("femc_worker_cpu_seconds_total", help).is(cpu.get());
-        page.counter("femc_worker_samples_total", "Pixel samples taken.").counts(samples.get());
-        page.counter("femc_worker_rays_total", "Rays traced.").counts(rays.get());
+        page.counter("femc_worker_cpu_seconds_total", help).value(cpu.get());
+        page.counter("femc_worker_samples_total", "Pixel samples taken.").count(samples.get());
+        page.counter("femc_worker_rays_total", "Rays traced.").count(rays.get());
         let help = "Bytes of artifacts that tasks downloaded.";
-        page.counter("femc_worker_fetched_bytes_total", help).counts(fetched.get());
+        page.counter("femc_worker_fetched_bytes_total", help).count(fetched.get());
         let help = "Bytes of artifacts that results uploaded.";
-        page.counter("femc_worker_sent_bytes_total", help).counts(sent.get());
+        page.counter("femc_worker_sent_bytes_total", help).count(sent.get());
     }
 }
 
-fn put_held(page: &mut Page, table: &Table) {
+fn put_held(page: &mut Page, table: &TaskTable) {
     let held = table.held();
     let results: Vec<u64> = held.iter().filter_map(|task| task.result_bytes()).collect();
     let waiting = held.iter().filter(|task| !task.is_begun()).count();
-    page.gauge("femc_worker_tasks_held", "Tasks that the worker holds.").counts(held.len() as u64);
-    page.gauge("femc_worker_tasks_waiting", "Held tasks that have not begun.").counts(waiting as u64);
+    page.gauge("femc_worker_tasks_held", "Tasks that the worker holds.").count(held.len() as u64);
+    page.gauge("femc_worker_tasks_waiting", "Held tasks that have not begun.").count(waiting as u64);
     let help = "Results in the outbox: the coordinator has not acknowledged them.";
-    page.gauge("femc_worker_outbox_results", help).counts(results.len() as u64);
-    page.gauge("femc_worker_outbox_bytes", "Bytes of the results in the outbox.").counts(results.iter().sum());
+    page.gauge("femc_worker_outbox_results", help).count(results.len() as u64);
+    page.gauge("femc_worker_outbox_bytes", "Bytes of the results in the outbox.").count(results.iter().sum());
 }

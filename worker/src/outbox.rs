@@ -23,30 +23,30 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 
 use bytes::Bytes;
-use femc_model::{Assignment, Digest, Epoch, JobSpec, TaskKey, TaskResult, Usage};
+use femc_model::{Assignment, Digest, Epoch, JobSpec, ResourceUsage, TaskKey, TaskResult};
 use serde::{Deserialize, Serialize};
 
-use crate::config::{IfTaken, OutboxConfig, OutboxPlace, WorkerError};
+use crate::config::{OutboxConfig, OutboxConflict, OutboxStorage, WorkerError};
 use crate::execute::Product;
-use crate::table::{Table, Task};
+use crate::task_table::{Task, TaskTable};
 
 const MAGIC: &[u8; 8] = b"FEMCDONE";
 const VERSION: u32 = 6;
 /// Bytes before the head.
 const FRONT: usize = 8 + 4 + 32 + 8;
 /// Largest number of results that wait to be written.
-const LONGEST: usize = 256;
+const MAX_QUEUED: usize = 256;
 /// Number of folders to try when folders are taken.
 const FOLDERS: u32 = 1000;
 
 /// A result from before the restart.
 #[derive(Debug)]
-pub(crate) struct Restored {
+pub(crate) struct RestoredResult {
     pub(crate) assignment: Assignment,
     pub(crate) spec: JobSpec,
     pub(crate) product: Product,
     /// Usage of the task, without the upload of the result.
-    pub(crate) usage: Option<Usage>,
+    pub(crate) usage: Option<ResourceUsage>,
     /// Duration of the task in seconds, and the log's text.
     pub(crate) log: Option<(f64, String)>,
 }
@@ -57,7 +57,7 @@ struct Head {
     assignment: Assignment,
     spec: JobSpec,
     result: TaskResult,
-    usage: Option<Usage>,
+    usage: Option<ResourceUsage>,
     log: Option<(f64, String)>,
     lengths: Vec<u64>,
 }
@@ -66,7 +66,7 @@ struct Head {
 #[derive(Debug, Clone, Default)]
 pub(crate) enum Outbox {
     #[default]
-    Nothing,
+    Disabled,
     Folder(Arc<WriteQueue>),
     /// The memory, and the engine build that its results come from.
     Memory(MemoryOutbox, Arc<str>),
@@ -82,11 +82,11 @@ impl MemoryOutbox {
     }
 
     /// Simulates damage: `change` may change the bytes of each result and returns whether to keep the result.
-    pub fn harm(&self, mut change: impl FnMut(&mut Vec<u8>) -> bool) {
+    pub fn damage(&self, mut change: impl FnMut(&mut Vec<u8>) -> bool) {
         self.lock().retain(|_, bytes| change(bytes));
     }
 
-    fn read_all(&self, engine: &str) -> Vec<Restored> {
+    fn read_all(&self, engine: &str) -> Vec<RestoredResult> {
         let mut restored = Vec::new();
         self.lock().retain(|_, bytes| {
             let result = decode(&Bytes::copy_from_slice(bytes), engine);
@@ -97,7 +97,7 @@ impl MemoryOutbox {
         restored
     }
 
-    fn keep(&self, task: &Task, engine: &str) {
+    fn store(&self, task: &Task, engine: &str) {
         let mut kept = self.lock();
         if let Some(Ok(product)) = task.outcome().filter(|_| !task.is_cancelled())
             && let Ok(bytes) = encode(task, product, engine)
@@ -110,9 +110,9 @@ impl MemoryOutbox {
 #[derive(Debug)]
 pub(crate) struct WriteQueue {
     folder: PathBuf,
-    line: Mutex<Line>,
+    pending: Mutex<PendingWrites>,
     /// Signaled when the line gets an entry or is closed.
-    called: Condvar,
+    wakeup: Condvar,
     writer: Mutex<Option<JoinHandle<()>>>,
 }
 
@@ -121,43 +121,43 @@ type Key = (TaskKey, Epoch);
 
 /// Queue of the writer thread. It is bounded, and answered results leave it.
 #[derive(Debug, Default)]
-struct Line {
+struct PendingWrites {
     /// Results that wait to be written, oldest first.
-    keeps: VecDeque<Arc<Task>>,
+    to_write: VecDeque<Arc<Task>>,
     /// Results that are on disk or being written.
-    there: BTreeSet<Key>,
+    on_disk: BTreeSet<Key>,
     /// Results to remove from disk, because the coordinator has answered.
-    forgets: VecDeque<Key>,
+    to_remove: VecDeque<Key>,
     closed: bool,
 }
 
 /// Next action of the writer.
-enum Order {
-    Keep(Arc<Task>),
-    Forget(Key),
+enum WriterAction {
+    Write(Arc<Task>),
+    Remove(Key),
 }
 
-impl Line {
+impl PendingWrites {
     /// Takes the next action. Removals come first, because they make room.
-    fn next(&mut self) -> Option<Order> {
-        if let Some(key) = self.forgets.pop_front() {
-            return Some(Order::Forget(key));
+    fn next(&mut self) -> Option<WriterAction> {
+        if let Some(key) = self.to_remove.pop_front() {
+            return Some(WriterAction::Remove(key));
         }
-        let task = self.keeps.pop_front()?;
-        self.there.insert(task.key());
-        Some(Order::Keep(task))
+        let task = self.to_write.pop_front()?;
+        self.on_disk.insert(task.key());
+        Some(WriterAction::Write(task))
     }
 }
 
 impl WriteQueue {
-    fn line(&self) -> MutexGuard<'_, Line> {
+    fn pending(&self) -> MutexGuard<'_, PendingWrites> {
         // A panic within the few lines under this lock leaves the state consistent.
-        self.line.lock().unwrap_or_else(PoisonError::into_inner)
+        self.pending.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Waits for the next action. Returns `None` when the line is closed and empty.
-    fn next(&self) -> Option<Order> {
-        let mut line = self.line();
+    fn next(&self) -> Option<WriterAction> {
+        let mut line = self.pending();
         loop {
             if let Some(order) = line.next() {
                 return Some(order);
@@ -165,7 +165,7 @@ impl WriteQueue {
             if line.closed {
                 return None;
             }
-            line = self.called.wait(line).unwrap_or_else(PoisonError::into_inner);
+            line = self.wakeup.wait(line).unwrap_or_else(PoisonError::into_inner);
         }
     }
 }
@@ -173,35 +173,35 @@ impl WriteQueue {
 impl Outbox {
     /// Opens the outbox and reads the results that an earlier worker left there.
     /// - `engine`: this worker's engine build; results of other builds are dropped.
-    pub(crate) async fn open(place: OutboxPlace, engine: &str) -> Result<(Self, Vec<Restored>), WorkerError> {
+    pub(crate) async fn open(storage: OutboxStorage, engine: &str) -> Result<(Self, Vec<RestoredResult>), WorkerError> {
         let engine: Arc<str> = engine.into();
-        match place {
-            OutboxPlace::Folder(config) => tokio::task::spawn_blocking(move || Self::open_folder(&config, engine))
+        match storage {
+            OutboxStorage::Folder(config) => tokio::task::spawn_blocking(move || Self::open_folder(&config, engine))
                 .await
                 .map_err(|error| WorkerError::Threads(error.to_string()))?,
-            OutboxPlace::Memory(memory) => {
+            OutboxStorage::Memory(memory) => {
                 let restored = memory.read_all(&engine);
                 Ok((Self::Memory(memory, engine), restored))
             }
         }
     }
 
-    fn open_folder(config: &OutboxConfig, engine: Arc<str>) -> Result<(Self, Vec<Restored>), WorkerError> {
+    fn open_folder(config: &OutboxConfig, engine: Arc<str>) -> Result<(Self, Vec<RestoredResult>), WorkerError> {
         let fault = |folder: &Path, error: io::Error| WorkerError::Outbox {
             folder: folder.to_owned(),
             message: error.to_string(),
         };
-        let (folder, lock) = claim(config)?;
+        let (folder, lock) = lock_folder(config)?;
         let (files, restored) = read_all(&folder, &engine).map_err(|error| fault(&folder, error))?;
         if !restored.is_empty() {
             tracing::info!(results = restored.len(), folder = %folder.display(), "restored undelivered results of an earlier run");
         }
-        let line = Line { there: files.keys().copied().collect(), ..Line::default() };
+        let line = PendingWrites { on_disk: files.keys().copied().collect(), ..PendingWrites::default() };
         let place = folder.clone();
         let queue = Arc::new(WriteQueue {
             folder: place,
-            line: Mutex::new(line),
-            called: Condvar::new(),
+            pending: Mutex::new(line),
+            wakeup: Condvar::new(),
             writer: Mutex::default(),
         });
         let mut writer =
@@ -212,12 +212,12 @@ impl Outbox {
             .spawn(move || {
                 while let Some(order) = orders.next() {
                     match order {
-                        Order::Keep(task) => {
-                            if !writer.keep(&task) {
-                                orders.line().there.remove(&task.key());
+                        WriterAction::Write(task) => {
+                            if !writer.store(&task) {
+                                orders.pending().on_disk.remove(&task.key());
                             }
                         }
-                        Order::Forget(key) => writer.forget(&key),
+                        WriterAction::Remove(key) => writer.remove(&key),
                     }
                 }
             })
@@ -230,45 +230,45 @@ impl Outbox {
     pub(crate) fn folder(&self) -> Option<&Path> {
         match self {
             Self::Folder(queue) => Some(&queue.folder),
-            Self::Nothing | Self::Memory(..) => None,
+            Self::Disabled | Self::Memory(..) => None,
         }
     }
 
     /// Queues a finished task's result for writing. If the coordinator answers before its turn, the result is not written.
-    pub(crate) fn keep(&self, task: &Arc<Task>) {
+    pub(crate) fn store(&self, task: &Arc<Task>) {
         let queue = match self {
             Self::Folder(queue) => queue,
-            Self::Memory(memory, engine) => return memory.keep(task, engine),
-            Self::Nothing => return,
+            Self::Memory(memory, engine) => return memory.store(task, engine),
+            Self::Disabled => return,
         };
-        let mut line = queue.line();
+        let mut line = queue.pending();
         // Check under the lock: an answer that arrives after this check finds the task in the line.
         if !matches!(task.outcome(), Some(Ok(_))) || task.is_cancelled() || line.closed {
             return;
         }
-        if line.keeps.len() >= LONGEST {
+        if line.to_write.len() >= MAX_QUEUED {
             tracing::warn!(task = %task.assignment.task, "the outbox writes too slowly: a result is in memory only");
             return;
         }
-        line.keeps.push_back(task.clone());
-        queue.called.notify_one();
+        line.to_write.push_back(task.clone());
+        queue.wakeup.notify_one();
     }
 
     /// Drops the task and its stored result, because the coordinator has answered or the lease is over. The task is dropped first,
     /// so that nothing stores its result afterwards.
-    pub(crate) fn answered(&self, table: &Table, key: &Key) -> Option<Arc<Task>> {
-        let task = table.drop_task(key);
+    pub(crate) fn remove_answered(&self, table: &TaskTable, key: &Key) -> Option<Arc<Task>> {
+        let task = table.remove(key);
         match self {
             Self::Folder(queue) => {
-                let mut line = queue.line();
-                line.keeps.retain(|task| task.key() != *key);
-                if line.there.remove(key) {
-                    line.forgets.push_back(*key);
-                    queue.called.notify_one();
+                let mut line = queue.pending();
+                line.to_write.retain(|task| task.key() != *key);
+                if line.on_disk.remove(key) {
+                    line.to_remove.push_back(*key);
+                    queue.wakeup.notify_one();
                 }
             }
             Self::Memory(memory, _) => drop(memory.lock().remove(key)),
-            Self::Nothing => {}
+            Self::Disabled => {}
         }
         task
     }
@@ -276,8 +276,8 @@ impl Outbox {
     /// Waits until the writer has emptied its queue.
     pub(crate) fn close(&self) {
         let Self::Folder(queue) = self else { return };
-        queue.line().closed = true;
-        queue.called.notify_one();
+        queue.pending().closed = true;
+        queue.wakeup.notify_one();
         let writer = queue.writer.lock().unwrap_or_else(PoisonError::into_inner).take();
         if writer.is_some_and(|writer| writer.join().is_err()) {
             tracing::warn!("the outbox's thread panicked");
@@ -286,7 +286,7 @@ impl Outbox {
 }
 
 /// Locks the folder, or the next free one. The lock ends with the process.
-fn claim(config: &OutboxConfig) -> Result<(PathBuf, File), WorkerError> {
+fn lock_folder(config: &OutboxConfig) -> Result<(PathBuf, File), WorkerError> {
     for number in 1..=FOLDERS {
         let mut folder = config.folder.clone();
         if number > 1 {
@@ -296,10 +296,10 @@ fn claim(config: &OutboxConfig) -> Result<(PathBuf, File), WorkerError> {
         let fault = |message: String| WorkerError::Outbox { folder: folder.clone(), message };
         fs::create_dir_all(&folder).map_err(|error| fault(error.to_string()))?;
         let lock = File::create(folder.join("lock")).map_err(|error| fault(error.to_string()))?;
-        match (lock.try_lock(), config.if_taken) {
+        match (lock.try_lock(), config.on_conflict) {
             (Ok(()), _) => return Ok((folder, lock)),
-            (Err(TryLockError::WouldBlock), IfTaken::NextFree) => {}
-            (Err(TryLockError::WouldBlock), IfTaken::Fail) => {
+            (Err(TryLockError::WouldBlock), OutboxConflict::NextFree) => {}
+            (Err(TryLockError::WouldBlock), OutboxConflict::Fail) => {
                 return Err(fault("another worker uses this folder".into()));
             }
             (Err(TryLockError::Error(error)), _) => return Err(fault(error.to_string())),
@@ -312,7 +312,7 @@ type Files = BTreeMap<Key, u64>;
 
 /// Reads all complete results and returns them with their file sizes. Removes damaged results, those of other builds, and temporary
 /// files.
-fn read_all(folder: &Path, engine: &str) -> io::Result<(Files, Vec<Restored>)> {
+fn read_all(folder: &Path, engine: &str) -> io::Result<(Files, Vec<RestoredResult>)> {
     let (mut files, mut restored) = (Files::new(), Vec::new());
     let mut paths: Vec<PathBuf> = fs::read_dir(folder)?.map(|entry| Ok(entry?.path())).collect::<io::Result<_>>()?;
     paths.sort();
@@ -359,7 +359,7 @@ fn encode(task: &Task, product: &Product, engine: &str) -> Result<Vec<u8>, postc
         spec: (*task.spec).clone(),
         result: product.result.clone(),
         usage: task.usage(),
-        log: task.written_log().cloned(),
+        log: task.final_log().cloned(),
         lengths: product.artifacts.iter().map(|bytes| bytes.len() as u64).collect(),
     };
     let head = postcard::to_stdvec(&head)?;
@@ -368,16 +368,16 @@ fn encode(task: &Task, product: &Product, engine: &str) -> Result<Vec<u8>, postc
     product.artifacts.iter().for_each(|bytes| body.extend_from_slice(bytes));
     let mut file = MAGIC.to_vec();
     file.extend(VERSION.to_le_bytes());
-    file.extend(Digest::of(&body).as_bytes());
+    file.extend(Digest::compute(&body).as_bytes());
     file.extend(body);
     Ok(file)
 }
 
 /// Decodes a file of [`encode`] from the same engine build; `None` for anything else.
-pub(crate) fn decode(file: &Bytes, engine: &str) -> Option<Restored> {
+pub(crate) fn decode(file: &Bytes, engine: &str) -> Option<RestoredResult> {
     let front = file.get(..FRONT)?;
     let is_ours = front[..8] == *MAGIC && front[8..12] == VERSION.to_le_bytes();
-    if !is_ours || Digest::of(&file[44..]).as_bytes()[..] != front[12..44] {
+    if !is_ours || Digest::compute(&file[44..]).as_bytes()[..] != front[12..44] {
         return None;
     }
     let length = usize::try_from(u64::from_le_bytes(front[44..].try_into().ok()?)).ok()?;
@@ -394,7 +394,13 @@ pub(crate) fn decode(file: &Bytes, engine: &str) -> Option<Restored> {
         artifacts.push(file.slice(at..end));
         at = end;
     }
-    (at == file.len()).then_some(Restored { assignment, spec, product: Product { result, artifacts }, usage, log })
+    (at == file.len()).then_some(RestoredResult {
+        assignment,
+        spec,
+        product: Product { result, artifacts },
+        usage,
+        log,
+    })
 }
 
 /// State of the writer thread.
@@ -409,7 +415,7 @@ struct ResultWriter {
 
 impl ResultWriter {
     /// Writes the task's result; returns whether it is on disk.
-    fn keep(&mut self, task: &Task) -> bool {
+    fn store(&mut self, task: &Task) -> bool {
         let (key, Some(Ok(product))) = (task.key(), task.outcome()) else { return false };
         if self.files.contains_key(&key) {
             return true;
@@ -449,13 +455,13 @@ impl ResultWriter {
         let written =
             write(&new, &bytes).and_then(|()| fs::rename(&new, &path)).and_then(|()| sync_folder(&self.folder));
         if let Err(error) = written {
-            self.used += [new, path].iter().map(|path| left_of(path)).sum::<u64>();
+            self.used += [new, path].iter().map(|path| remove_leftover(path)).sum::<u64>();
             return Err(error);
         }
         Ok(bytes.len() as u64)
     }
 
-    fn forget(&mut self, key: &Key) {
+    fn remove(&mut self, key: &Key) {
         let Some(bytes) = self.files.remove(key) else { return };
         match fs::remove_file(self.path(key)) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => {
@@ -482,7 +488,7 @@ fn write(path: &Path, bytes: &[u8]) -> io::Result<()> {
 }
 
 /// Removes a useless file; returns its size if it cannot be removed, else 0.
-fn left_of(path: &Path) -> u64 {
+fn remove_leftover(path: &Path) -> u64 {
     match fs::symlink_metadata(path) {
         Ok(data) if data.is_file() => fs::remove_file(path).map_or(data.len(), |()| 0),
         // There is no file, or it is not one of the outbox's.
@@ -499,7 +505,9 @@ fn sync_folder(folder: &Path) -> io::Result<()> {
 pub(crate) mod tests {
     use std::sync::Arc;
 
-    use femc_model::{Artifact, Graph, Grid, JobId, JobNotes, More, Output, Role, Stage, StageKind, Taken, Work};
+    use femc_model::{
+        Artifact, Graph, Grid, JobId, JobNotes, NextRound, Output, Role, Stage, StageKind, StepsTaken, TaskSpec,
+    };
     use femc_proto::Client;
 
     use super::*;
@@ -508,7 +516,7 @@ pub(crate) mod tests {
     fn spec() -> JobSpec {
         JobSpec {
             name: "fog".into(),
-            bundle: Digest::of(b"bundle"),
+            bundle: Digest::compute(b"bundle"),
             entry: "fog.mgf".into(),
             settings: "{}".into(),
             frames: vec![1],
@@ -526,35 +534,43 @@ pub(crate) mod tests {
     pub(crate) async fn task(index: u32, bytes: &'static [u8]) -> Arc<Task> {
         let stage = Stage { frame: 1, round: 0, number: 0, kind: StageKind::Render };
         let task = TaskKey { job: JobId(3), stage, index };
-        let (inputs, taken, more) = (Vec::new(), Taken::default(), More::Last);
-        let work =
-            Work { item: index, steps: 0..4, inputs, hints: Vec::new(), taken, more, elapsed: 0, busy_seconds: 0.0 };
-        let assignment = Assignment { task, epoch: Epoch(9), lease: 5000, copy_of: None, work };
-        let dial = femc_proto::Dial::by(|_, _| {
+        let (inputs, taken, more) = (Vec::new(), StepsTaken::default(), NextRound::Impossible);
+        let work = TaskSpec {
+            item: index,
+            steps: 0..4,
+            inputs,
+            hints: Vec::new(),
+            steps_taken: taken,
+            next_round: more,
+            elapsed: 0,
+            busy_seconds: 0.0,
+        };
+        let assignment = Assignment { task, epoch: Epoch(9), lease: 5000, copy_of: None, spec: work };
+        let dial = femc_proto::Dialer::from_fn(|_, _| {
             let (near, far) = tokio::io::duplex(1 << 16);
             // The other end never answers and never closes the connection.
             std::mem::forget(far);
-            Box::pin(async { Ok(femc_proto::Link::new(near)) })
+            Box::pin(async { Ok(femc_proto::ByteStream::new(near)) })
         });
-        let client = Client::connect_by(&dial, "http://nobody:1").await.unwrap();
-        let task = Task::new(assignment, Arc::new(spec()), client, &Meter::none());
-        let output = Output { role: Role::Tile, artifact: Artifact::of(bytes) };
+        let client = Client::connect_with(&dial, "http://nobody:1").await.unwrap();
+        let task = Task::new(assignment, Arc::new(spec()), client, &Meter::without_clock());
+        let output = Output { role: Role::Tile, artifact: Artifact::from_bytes(bytes) };
         let result = TaskResult { outputs: vec![output], units: 4, seconds: 0.5, ..TaskResult::default() };
         task.begin();
-        task.write_log(0.5, "done".into());
-        task.settle(Ok(Product { result, artifacts: vec![Bytes::from_static(bytes)] }));
+        task.set_final_log(0.5, "done".into());
+        task.set_outcome(Ok(Product { result, artifacts: vec![Bytes::from_static(bytes)] }));
         Arc::new(task)
     }
 
-    fn open(config: &OutboxConfig) -> Result<(Outbox, Vec<Restored>), WorkerError> {
+    fn open(config: &OutboxConfig) -> Result<(Outbox, Vec<RestoredResult>), WorkerError> {
         Outbox::open_folder(config, crate::engine().into())
     }
 
     fn config(folder: &Path) -> OutboxConfig {
-        OutboxConfig { folder: folder.join("box"), limit: 10_000, if_taken: IfTaken::Fail }
+        OutboxConfig { folder: folder.join("box"), limit: 10_000, on_conflict: OutboxConflict::Fail }
     }
 
-    fn indices(restored: &[Restored]) -> Vec<(u32, &[u8])> {
+    fn indices(restored: &[RestoredResult]) -> Vec<(u32, &[u8])> {
         restored.iter().map(|r| (r.assignment.task.index, &r.product.artifacts[0][..])).collect()
     }
 
@@ -564,9 +580,9 @@ pub(crate) mod tests {
         let (outbox, restored) = open(&config(place.path())).unwrap();
         assert!(restored.is_empty());
         let (first, second) = (task(1, b"first").await, task(2, b"second").await);
-        outbox.keep(&first);
-        outbox.keep(&second);
-        outbox.answered(&Table::default(), &first.key());
+        outbox.store(&first);
+        outbox.store(&second);
+        outbox.remove_answered(&TaskTable::default(), &first.key());
         outbox.close();
         let (outbox, restored) = open(&config(place.path())).unwrap();
         assert_eq!(indices(&restored), [(2, &b"second"[..])]);
@@ -575,7 +591,7 @@ pub(crate) mod tests {
             (restored[0].usage.map(|usage| usage.wall), &restored[0].log),
             (Some(0.5), &Some((0.5, "done".into())))
         );
-        outbox.answered(&Table::default(), &second.key());
+        outbox.remove_answered(&TaskTable::default(), &second.key());
         outbox.close();
         assert!(open(&config(place.path())).unwrap().1.is_empty());
     }
@@ -585,7 +601,7 @@ pub(crate) mod tests {
         let place = tempfile::tempdir().unwrap();
         let (outbox, _) = open(&config(place.path())).unwrap();
         for index in 1..=3 {
-            outbox.keep(&task(index, b"tile").await);
+            outbox.store(&task(index, b"tile").await);
         }
         outbox.close();
         let folder = place.path().join("box");
@@ -611,12 +627,12 @@ pub(crate) mod tests {
         let (outbox, _) = open(&small).unwrap();
         let taken = open(&small).unwrap_err();
         assert!(taken.to_string().contains("another worker"), "{taken}");
-        let next = OutboxConfig { if_taken: IfTaken::NextFree, ..small.clone() };
+        let next = OutboxConfig { on_conflict: OutboxConflict::NextFree, ..small.clone() };
         let (second, _) = open(&next).unwrap();
         assert!(place.path().join("box-2").is_dir());
         static LARGE: [u8; 600] = [7; 600];
-        outbox.keep(&task(1, &LARGE).await);
-        outbox.keep(&task(2, &LARGE).await);
+        outbox.store(&task(1, &LARGE).await);
+        outbox.store(&task(2, &LARGE).await);
         outbox.close();
         second.close();
         let (_, restored) = open(&small).unwrap();
@@ -628,13 +644,13 @@ pub(crate) mod tests {
         let place = tempfile::tempdir().unwrap();
         let (outbox, _) = open(&config(place.path())).unwrap();
         let kept = task(1, b"tile").await;
-        outbox.keep(&kept);
+        outbox.store(&kept);
         outbox.close();
         let folder = place.path().join("box");
         fs::rename(folder.join("3-1.0-render.0-1.9.done"), folder.join("3-1.0-render-1.9.done")).unwrap();
         let (outbox, restored) = open(&config(place.path())).unwrap();
         assert_eq!(indices(&restored), [(1, &b"tile"[..])]);
-        outbox.answered(&Table::default(), &kept.key());
+        outbox.remove_answered(&TaskTable::default(), &kept.key());
         outbox.close();
         assert_eq!(files(place.path()), ["lock"]);
     }
@@ -653,8 +669,8 @@ pub(crate) mod tests {
         // A folder blocks the first result's path, so that its rename fails as on a full disk.
         let taken = "3-1.0-render.0-1.9.done";
         fs::create_dir(place.path().join("box").join(taken)).unwrap();
-        outbox.keep(&task(1, b"first").await);
-        outbox.keep(&task(2, b"second").await);
+        outbox.store(&task(1, b"first").await);
+        outbox.store(&task(2, b"second").await);
         outbox.close();
         assert_eq!(files(place.path()), [taken, "3-1.0-render.0-2.9.done", "lock"]);
         let (_, restored) = open(&config(place.path())).unwrap();
@@ -670,7 +686,7 @@ pub(crate) mod tests {
         let config = OutboxConfig { limit: 2 * size, ..config(place.path()) };
         let (outbox, _) = open(&config).unwrap();
         for index in 1..=3 {
-            outbox.keep(&task(index, b"first").await);
+            outbox.store(&task(index, b"first").await);
         }
         outbox.close();
         assert_eq!(files(place.path()).len(), 2 + 1, "two results and the lock");
@@ -690,21 +706,21 @@ pub(crate) mod tests {
             _lock: lock,
         };
         let tasks = [task(1, b"first").await, task(2, b"second").await];
-        assert!(tasks.iter().all(|task| writer.keep(task)));
+        assert!(tasks.iter().all(|task| writer.store(task)));
         let sizes = tasks.each_ref().map(|task| fs::metadata(writer.path(&task.key())).unwrap().len());
         assert_eq!(writer.used, sizes.iter().sum::<u64>());
         // A folder cannot be removed as a file.
         let stuck = writer.path(&tasks[0].key());
         fs::remove_file(&stuck).unwrap();
         fs::create_dir(&stuck).unwrap();
-        writer.forget(&tasks[0].key());
+        writer.remove(&tasks[0].key());
         assert_eq!(writer.used, sizes.iter().sum::<u64>());
-        writer.forget(&tasks[1].key());
+        writer.remove(&tasks[1].key());
         assert_eq!(writer.used, sizes[0]);
         // The remains of a failed write count only if they cannot be removed.
         let left = place.path().join("left.new");
         fs::write(&left, [0; 100]).unwrap();
-        assert_eq!((left_of(&left), left.exists(), left_of(&left)), (0, false, 0));
+        assert_eq!((remove_leftover(&left), left.exists(), remove_leftover(&left)), (0, false, 0));
     }
 
     #[tokio::test]
@@ -714,27 +730,27 @@ pub(crate) mod tests {
         let Outbox::Folder(queue) = outbox.clone() else { panic!("a folder") };
         let tasks = [task(1, b"first").await, task(2, b"second").await];
         // Simulate a slow disk: the writer has the first result and is still writing.
-        let mut line = Line::default();
-        tasks.iter().for_each(|task| line.keeps.push_back(task.clone()));
-        assert!(matches!(line.next(), Some(Order::Keep(task)) if task.key() == tasks[0].key()));
-        *queue.line() = line;
+        let mut line = PendingWrites::default();
+        tasks.iter().for_each(|task| line.to_write.push_back(task.clone()));
+        assert!(matches!(line.next(), Some(WriterAction::Write(task)) if task.key() == tasks[0].key()));
+        *queue.pending() = line;
         for task in &tasks {
-            outbox.answered(&Table::default(), &task.key());
+            outbox.remove_answered(&TaskTable::default(), &task.key());
         }
         {
-            let line = queue.line();
-            assert!(line.keeps.is_empty(), "what was answered is not written any more");
+            let line = queue.pending();
+            assert!(line.to_write.is_empty(), "what was answered is not written any more");
             // The first result is on disk. The second is too if the writer took it before its answer arrived.
             assert!(
-                line.there.is_empty() && line.forgets.len() <= tasks.len(),
+                line.on_disk.is_empty() && line.to_remove.len() <= tasks.len(),
                 "what may be on the disk goes: {line:?}"
             );
         }
         let many = task(3, b"third").await;
-        queue.line().keeps = std::iter::repeat_n(many.clone(), LONGEST).collect();
-        outbox.keep(&many);
-        assert!(queue.line().keeps.len() <= LONGEST);
-        outbox.answered(&Table::default(), &many.key());
+        queue.pending().to_write = std::iter::repeat_n(many.clone(), MAX_QUEUED).collect();
+        outbox.store(&many);
+        assert!(queue.pending().to_write.len() <= MAX_QUEUED);
+        outbox.remove_answered(&TaskTable::default(), &many.key());
         outbox.close();
     }
 
@@ -742,15 +758,15 @@ pub(crate) mod tests {
     async fn answer_during_handover_of_result_leaves_no_file() {
         let place = tempfile::tempdir().unwrap();
         let (outbox, _) = open(&config(place.path())).unwrap();
-        let (table, first) = (Arc::new(Table::default()), task(1, b"first").await);
-        table.keep(first.clone());
+        let (table, first) = (Arc::new(TaskTable::default()), task(1, b"first").await);
+        table.insert_finished(first.clone());
         let Outbox::Folder(queue) = outbox.clone() else { panic!("a folder") };
         let answering = {
             // While the line is locked, the answer is blocked just before it.
-            let _line = queue.line();
+            let _line = queue.pending();
             let answering = std::thread::spawn({
                 let (outbox, table, key) = (outbox.clone(), table.clone(), first.key());
-                move || outbox.answered(&table, &key).is_some()
+                move || outbox.remove_answered(&table, &key).is_some()
             });
             for _ in 0..1000 {
                 if first.is_cancelled() {
@@ -762,7 +778,7 @@ pub(crate) mod tests {
             answering
         };
         assert!(answering.join().unwrap());
-        outbox.keep(&first);
+        outbox.store(&first);
         outbox.close();
         assert_eq!(files(place.path()), ["lock"]);
     }

@@ -9,7 +9,7 @@ use std::io::Read as _;
 
 use bytes::Bytes;
 use femc_import::Bundle;
-use femc_model::{Artifact, Digest, Extent, Manifest, ManifestError, Piece};
+use femc_model::{Artifact, BundlePiece, Digest, FileExtent, Manifest, ManifestError};
 
 /// Smallest size in bytes of a file that is a piece of its own.
 const LARGE: usize = 256 << 10;
@@ -53,10 +53,12 @@ impl Parcel {
         let mut seal = |content: &[u8], files: &mut Vec<(&String, u64)>| {
             let piece = Bytes::from(zstd::bulk::compress(content, LEVEL).map_err(ParcelError::Compression)?);
             let (index, mut offset) = (manifest.pieces.len() as u32, 0);
-            manifest.pieces.push(Piece { artifact: Artifact::of(&piece), unpacked: content.len() as u64 });
+            manifest
+                .pieces
+                .push(BundlePiece { artifact: Artifact::from_bytes(&piece), unpacked: content.len() as u64 });
             pieces.push(piece);
             for (path, bytes) in files.drain(..) {
-                manifest.files.insert(path.clone(), Extent { piece: index, offset, bytes });
+                manifest.files.insert(path.clone(), FileExtent { piece: index, offset, bytes });
                 offset += bytes;
             }
             Ok::<_, ParcelError>(())
@@ -73,7 +75,7 @@ impl Parcel {
             }
             pack.extend_from_slice(content);
             packed.push((path, size));
-            if Digest::of(path.as_bytes()).as_bytes()[0].is_multiple_of(PATHS) {
+            if Digest::compute(path.as_bytes()).as_bytes()[0].is_multiple_of(PATHS) {
                 seal(&std::mem::take(&mut pack), &mut packed)?;
             }
         }
@@ -85,7 +87,7 @@ impl Parcel {
 
     /// Returns the manifest's digest, the value of a job's `bundle`.
     pub fn digest(&self) -> Digest {
-        Digest::of(&self.manifest)
+        Digest::compute(&self.manifest)
     }
 
     /// Returns all artifacts. The manifest comes last, so that it is in the store only if its pieces are.
@@ -102,7 +104,7 @@ impl Parcel {
 /// Unpacks the files of `manifest` from `pieces`, which are in the manifest's order.
 pub(crate) fn unpack(manifest: &Manifest, pieces: &[Bytes]) -> Result<Bundle, ParcelError> {
     let mut contents = Vec::with_capacity(pieces.len());
-    for (Piece { artifact, unpacked }, bytes) in manifest.pieces.iter().zip(pieces) {
+    for (BundlePiece { artifact, unpacked }, bytes) in manifest.pieces.iter().zip(pieces) {
         contents.push(content(bytes, *unpacked).ok_or(ParcelError::Piece { digest: artifact.digest })?);
     }
     let mut files = BTreeMap::new();
@@ -190,14 +192,14 @@ mod tests {
     fn a_bomb_is_not_unpacked() {
         let bomb = Bytes::from(zstd::bulk::compress(&vec![0; 1 << 28], LEVEL).unwrap());
         let manifest = |unpacked| Manifest {
-            pieces: vec![Piece { artifact: Artifact::of(&bomb), unpacked }],
-            files: BTreeMap::from([("a".to_owned(), Extent { piece: 0, offset: 0, bytes: unpacked })]),
+            pieces: vec![BundlePiece { artifact: Artifact::from_bytes(&bomb), unpacked }],
+            files: BTreeMap::from([("a".to_owned(), FileExtent { piece: 0, offset: 0, bytes: unpacked })]),
         };
         for unpacked in [0, 1, 1 << 20, (1 << 28) - 1] {
             assert!(unpack(&manifest(unpacked), std::slice::from_ref(&bomb)).is_err(), "{unpacked}");
         }
-        assert!(matches!(manifest(Manifest::MOST_UNPACKED + 1).encode(), Err(ManifestError::TooLarge { .. })));
-        let shared = Extent { piece: 0, offset: 0, bytes: 1 << 28 };
+        assert!(matches!(manifest(Manifest::MAX_UNPACKED + 1).encode(), Err(ManifestError::TooLarge { .. })));
+        let shared = FileExtent { piece: 0, offset: 0, bytes: 1 << 28 };
         let files = (0..100).map(|n| (n.to_string(), shared)).collect();
         let many = Manifest { files, ..manifest(1 << 28) };
         assert!(matches!(many.encode(), Err(ManifestError::TooLarge { .. })), "one piece as many files");

@@ -1,6 +1,6 @@
 //! Translates the engine's plan into the farm's job graph.
 
-use femc_model::{Graph, Loop, Need, Reach, Role, Round, Scope, StageKind, Template};
+use femc_model::{Graph, Loop, Need, Reach, Role, Round, Scope, StageKind, StageTemplate};
 use femc_pipeline as engine;
 
 /// Tag of workers that support first passes. Workers of earlier versions cannot read the graph of a job with a first pass, so all
@@ -23,7 +23,7 @@ pub const FEATURES: &str = "features";
 pub const PAINTING: &str = "painting";
 
 /// Translates the stages of a plan into a job's graph.
-pub fn graph(stages: &[engine::Stage]) -> Graph {
+pub fn job_graph(stages: &[engine::Stage]) -> Graph {
     let has_first_pass = stages.iter().any(|stage| stage.kind == engine::StageKind::FirstPass);
     let has_blocks = stages.iter().any(|stage| stage.kind == engine::StageKind::FirstPassBlock);
     let has_statistics = stages.iter().any(|stage| stage.makes.contains(&engine::Role::Statistics));
@@ -39,9 +39,9 @@ pub fn graph(stages: &[engine::Stage]) -> Graph {
     Graph { stages: stages.iter().map(|stage| template(stage).tags(&tags)).collect() }
 }
 
-fn template(stage: &engine::Stage) -> Template {
+fn template(stage: &engine::Stage) -> StageTemplate {
     let engine::Stage { kind, scope, sizes, steps, needs, makes, closes } = stage;
-    Template {
+    StageTemplate {
         kind: match kind {
             engine::StageKind::Render => StageKind::Render,
             engine::StageKind::Reduce => StageKind::Reduce,
@@ -59,7 +59,7 @@ fn template(stage: &engine::Stage) -> Template {
         steps: steps.clone(),
         needs: needs.iter().map(need).collect(),
         hints: Vec::new(),
-        makes: makes.iter().map(role).collect(),
+        outputs: makes.iter().map(role).collect(),
         closes: closes.map(|engine::Loop { first, rounds }| Loop { first, rounds }),
         options: String::new(),
         tags: Vec::new(),
@@ -78,7 +78,7 @@ fn need(need: &engine::Need) -> Need {
         },
         round: match round {
             engine::Round::Same => Round::Same,
-            engine::Round::Before => Round::Before,
+            engine::Round::Before => Round::Previous,
             engine::Round::Every => Round::Every,
         },
         gaps: false,
@@ -123,20 +123,20 @@ mod tests {
                 for fan in [1, 3, 4, 1000].map(|fan| NonZeroU32::new(fan).unwrap()) {
                     let tiling = Tiling::new(film[0], film[1], 16).unwrap();
                     for method in [engine::Method::Pt, engine::Method::Fem] {
-                        let stages = engine::stages(&tiling, rounds, fan, method);
-                        let with_statistics = graph(&engine::with_statistics(stages.clone()));
+                        let stages = engine::job_stages(&tiling, rounds, fan, method);
+                        let with_statistics = job_graph(&engine::with_statistics_stages(stages.clone()));
                         assert_eq!(with_statistics.check(), Ok(()), "{film:?} {rounds:?} {fan} {method:?}");
-                        let has_tag = |stage: &Template| stage.tags.iter().any(|tag| tag == STATISTICS);
+                        let has_tag = |stage: &StageTemplate| stage.tags.iter().any(|tag| tag == STATISTICS);
                         assert!(with_statistics.stages.iter().all(has_tag));
                         for count in [1, 20] {
-                            let with_layers = graph(&engine::with_layers(stages.clone(), &tiling, count));
+                            let with_layers = job_graph(&engine::with_layer_stages(stages.clone(), &tiling, count));
                             assert_eq!(with_layers.check(), Ok(()), "{film:?} {rounds:?} {fan} {method:?}");
                             assert!(with_layers.stages.iter().all(|stage| stage.tags.iter().any(|tag| tag == LAYERS)));
                         }
-                        let cut = graph(&engine::in_blocks(stages.clone(), method, 5));
-                        let graph = graph(&stages);
+                        let cut = job_graph(&engine::split_first_pass(stages.clone(), method, 5));
+                        let graph = job_graph(&stages);
                         assert_eq!(graph.check(), Ok(()), "{film:?} {rounds:?} {fan} {method:?}");
-                        let (number, main) = graph.main().unwrap();
+                        let (number, main) = graph.main_stage().unwrap();
                         assert_eq!((&main.sizes, &main.steps[..]), (&Grid { film, tile: 16 }.sizes(), rounds));
                         assert_eq!(graph.reads_content(number), method.has_first_pass());
                         let tags: &[&str] = if method.has_first_pass() { &[FIRST_PASS] } else { &[] };
@@ -145,7 +145,7 @@ mod tests {
                             assert_eq!(cut.check(), Ok(()), "{film:?} {rounds:?} {fan} {method:?}");
                             let tags = [FIRST_PASS, FIRST_PASS_BLOCKS];
                             assert!(cut.stages.iter().all(|stage| stage.tags == tags), "{method:?}");
-                            assert!(cut.main().is_some_and(|(number, _)| cut.reads_content(number)));
+                            assert!(cut.main_stage().is_some_and(|(number, _)| cut.reads_content(number)));
                         }
                     }
                 }

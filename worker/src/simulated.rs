@@ -6,38 +6,43 @@ use std::sync::{Arc, mpsc};
 
 use femc_model::{Failure, Lane, Phase};
 
-use crate::config::{Fate, Pace};
+use crate::config::{SimulatedOutcome, TaskSimulation};
 use crate::execute::{Product, Tools, execute};
-use crate::finish::Finish;
-use crate::table::{Table, Task};
-use crate::threads::Ahead;
+use crate::outcome::OutcomeHandler;
+use crate::task_table::{Task, TaskTable};
+use crate::threads::UpcomingFrame;
 
 /// Number of progress steps per task.
 const STEPS: u32 = 8;
 
 /// Starts the executors. They end when the table is closed. They prepare no frames ahead.
-pub(crate) fn start(pace: &Pace, tools: &Tools, table: &Arc<Table>, finish: &Finish) -> mpsc::Sender<Ahead> {
+pub(crate) fn start(
+    simulation: &TaskSimulation,
+    tools: &Tools,
+    table: &Arc<TaskTable>,
+    outcomes: &OutcomeHandler,
+) -> mpsc::Sender<UpcomingFrame> {
     for lane in Lane::ALL {
-        let (pace, tools, table, finish) = (pace.clone(), tools.clone(), table.clone(), finish.clone());
+        let (pace, tools, table, finish) = (simulation.clone(), tools.clone(), table.clone(), outcomes.clone());
         tokio::spawn(async move {
-            while let Some(task) = table.taken(lane).await {
+            while let Some(task) = table.take_async(lane).await {
                 tools.journal.begin(&task);
                 let outcome = work(&task, &pace, &tools).await;
                 tools.journal.end(&task);
-                finish.done(&task, outcome);
+                finish.handle(&task, outcome);
             }
         });
     }
     mpsc::channel().0
 }
 
-async fn work(task: &Arc<Task>, pace: &Pace, tools: &Tools) -> Result<Product, Failure> {
+async fn work(task: &Arc<Task>, simulation: &TaskSimulation, tools: &Tools) -> Result<Product, Failure> {
     task.begin();
-    task.enter(Phase::Preparing);
-    let inputs: Vec<_> = task.assignment.work.artifacts().chain(task.assignment.work.hinted()).collect();
-    let fetch = tools.fetch.collect(task, &inputs).await;
-    task.enter(Phase::Working);
-    let ((whole, fate), units) = (pace.of(&task.assignment), units(task));
+    task.set_phase(Phase::Preparing);
+    let inputs: Vec<_> = task.assignment.spec.artifacts().chain(task.assignment.spec.hint_artifacts()).collect();
+    let fetch = tools.fetch.prefetch(task, &inputs).await;
+    task.set_phase(Phase::Working);
+    let ((whole, fate), units) = (simulation.simulate(&task.assignment), units(task));
     for step in 1..=STEPS {
         tokio::time::sleep(whole / STEPS).await;
         task.units.store(units * u64::from(step) / u64::from(STEPS), Ordering::Relaxed);
@@ -46,9 +51,9 @@ async fn work(task: &Arc<Task>, pace: &Pace, tools: &Tools) -> Result<Product, F
         }
     }
     match fate {
-        Fate::Done => {}
-        Fate::Panics => return Err(Failure::Panicked { message: "simulated panic of the task".into() }),
-        Fate::Kills(kill) => {
+        SimulatedOutcome::Done => {}
+        SimulatedOutcome::Panic => return Err(Failure::Panicked { message: "simulated panic of the task".into() }),
+        SimulatedOutcome::KillProcess(kill) => {
             kill();
             pending::<()>().await;
         }
@@ -62,7 +67,7 @@ async fn work(task: &Arc<Task>, pace: &Pace, tools: &Tools) -> Result<Product, F
 
 /// Returns the task's units of work; for a task that is not cut into units, the number of simulation steps.
 fn units(task: &Task) -> u64 {
-    let (stage, work) = (task.assignment.task.stage, &task.assignment.work);
-    let size = task.spec.graph.stage(stage.number).map_or(0, |stage| stage.sizes.of(work.item));
-    if stage.kind.is_cut() { size * work.steps.len() as u64 } else { u64::from(STEPS) }
+    let (stage, work) = (task.assignment.task.stage, &task.assignment.spec);
+    let size = task.spec.graph.stage(stage.number).map_or(0, |stage| stage.sizes.units(work.item));
+    if stage.kind.is_divided() { size * work.steps.len() as u64 } else { u64::from(STEPS) }
 }

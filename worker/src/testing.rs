@@ -6,7 +6,7 @@ use femc_model::Manifest;
 use crate::{outbox, parcel};
 
 /// Checks that bytes decode as a result in the outbox.
-pub fn is_kept_result(bytes: &[u8]) -> bool {
+pub fn is_stored_result(bytes: &[u8]) -> bool {
     outbox::decode(&Bytes::copy_from_slice(bytes), crate::engine()).is_some()
 }
 

@@ -12,7 +12,7 @@ use std::sync::{Arc, Mutex, PoisonError, mpsc};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use femc_fault::{Point, pass};
+use femc_fault::{Point, pass_point};
 use femc_model::{Epoch, Failure, JobSpec, Lane, TaskKey};
 use femc_proto::Client;
 use rayon::{ThreadPool, ThreadPoolBuilder};
@@ -20,12 +20,12 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 use crate::clock::Stopwatch;
 use crate::config::WorkerError;
 use crate::execute::{Tools, execute};
-use crate::finish::Finish;
-use crate::nice::Nice;
-use crate::table::{Outcome, Table, Task};
+use crate::niceness::Niceness;
+use crate::outcome::OutcomeHandler;
+use crate::task_table::{Outcome, Task, TaskTable};
 
 /// A frame that will be needed soon.
-pub(crate) struct Ahead {
+pub(crate) struct UpcomingFrame {
     pub(crate) spec: Arc<JobSpec>,
     pub(crate) frame: u32,
     pub(crate) client: Client,
@@ -37,49 +37,49 @@ pub(crate) struct Ahead {
 pub(crate) fn start(
     name: &str,
     tools: &Tools,
-    table: &Arc<Table>,
-    finish: &Finish,
-) -> Result<mpsc::Sender<Ahead>, WorkerError> {
+    table: &Arc<TaskTable>,
+    outcomes: &OutcomeHandler,
+) -> Result<mpsc::Sender<UpcomingFrame>, WorkerError> {
     for lane in Lane::ALL {
-        let (table, finish, name) = (table.clone(), finish.clone(), format!("{name} {}", lane.name()));
-        let mut runner = Runner::new(name.clone(), lane, tools.clone())?;
+        let (table, finish, name) = (table.clone(), outcomes.clone(), format!("{name} {}", lane.name()));
+        let mut runner = LaneRunner::new(name.clone(), lane, tools.clone())?;
         spawn(name, move || {
             while let Some(task) = table.take(lane) {
                 if let Some(outcome) = runner.work(&task) {
-                    finish.done(&task, outcome);
+                    finish.handle(&task, outcome);
                 }
             }
         })?;
     }
-    let (ahead, frames) = mpsc::channel::<Ahead>();
+    let (upcoming_frames, frames) = mpsc::channel::<UpcomingFrame>();
     let (Tools { cache, fetch, memory, nice, .. }, table) =
-        (tools.preparing_alone(&format!("{name} ahead"))?, table.clone());
+        (tools.with_own_pool(&format!("{name} ahead"))?, table.clone());
     spawn(format!("{name} prepare"), move || {
         nice.apply();
-        for Ahead { spec, frame, client, task } in frames {
+        for UpcomingFrame { spec, frame, client, task } in frames {
             let Some(task) = table.get(&task).filter(|_| memory.has_room_ahead()) else { continue };
-            let fetch = fetch.of(&task);
+            let fetch = fetch.for_task(&task);
             // Errors are ignored here: the task itself fails in the same way and reports it.
             let prepare = || drop(cache.frame(&spec, frame, task.light(), &client, &fetch));
             let _ = std::panic::catch_unwind(std::panic::AssertUnwindSafe(prepare));
         }
     })?;
-    Ok(ahead)
+    Ok(upcoming_frames)
 }
 
 /// Executes the tasks of a lane one after the other.
-struct Runner {
+struct LaneRunner {
     name: String,
     lane: Lane,
     tools: Tools,
-    hand: Hand,
+    thread: TaskThread,
 }
 
 /// Abandoned hands: threads whose tasks were cancelled but still run. Clones share the list.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct LeftBehind(Arc<Mutex<Vec<JoinHandle<()>>>>);
+pub(crate) struct AbandonedThreads(Arc<Mutex<Vec<JoinHandle<()>>>>);
 
-impl LeftBehind {
+impl AbandonedThreads {
     /// Returns the number of abandoned hands that still run.
     pub(crate) fn count(&self) -> usize {
         let mut threads = self.0.lock().unwrap_or_else(PoisonError::into_inner);
@@ -93,45 +93,45 @@ impl LeftBehind {
 }
 
 /// A thread that executes tasks.
-struct Hand {
+struct TaskThread {
     tasks: mpsc::Sender<Arc<Task>>,
     outcomes: mpsc::Receiver<Outcome>,
-    thread: JoinHandle<()>,
+    handle: JoinHandle<()>,
 }
 
-impl Runner {
+impl LaneRunner {
     /// Interval between checks whether a task is cancelled.
-    const LOOK: Duration = Duration::from_millis(50);
+    const POLL_INTERVAL: Duration = Duration::from_millis(50);
     /// Time that a cancelled task may continue before its hand is abandoned.
     const GRACE: Duration = Duration::from_millis(250);
     /// Largest number of abandoned hands that run at the same time.
-    const MOST: usize = 3;
+    const MAX_ABANDONED: usize = 3;
 
     fn new(name: String, lane: Lane, tools: Tools) -> Result<Self, WorkerError> {
-        Ok(Self { hand: Hand::new(&name, lane, &tools)?, name, lane, tools })
+        Ok(Self { thread: TaskThread::new(&name, lane, &tools)?, name, lane, tools })
     }
 
     /// Executes the task; `None` if it was cancelled and does not end.
     fn work(&mut self, task: &Arc<Task>) -> Option<Outcome> {
         let died = || Some(Err(Failure::Panicked { message: "the thread of the task died".into() }));
-        if self.hand.tasks.send(task.clone()).is_err() {
-            self.replace_hand();
+        if self.thread.tasks.send(task.clone()).is_err() {
+            self.replace_thread();
             return died();
         }
         let mut cancelled: Option<Stopwatch> = None;
         loop {
-            match self.hand.outcomes.recv_timeout(Self::LOOK) {
+            match self.thread.outcomes.recv_timeout(Self::POLL_INTERVAL) {
                 Ok(outcome) => return Some(outcome),
                 Err(mpsc::RecvTimeoutError::Disconnected) => {
                     self.tools.journal.end(task);
-                    self.replace_hand();
+                    self.replace_thread();
                     return died();
                 }
                 Err(mpsc::RecvTimeoutError::Timeout) if task.is_cancelled() => {
                     let since = cancelled.get_or_insert_with(Stopwatch::start);
                     if since.elapsed() >= Self::GRACE
-                        && self.tools.left_behind.count() < Self::MOST
-                        && self.replace_hand()
+                        && self.tools.abandoned_threads.count() < Self::MAX_ABANDONED
+                        && self.replace_thread()
                     {
                         tracing::info!(
                             task = %task.key().0,
@@ -140,16 +140,16 @@ impl Runner {
                         return None;
                     }
                 }
-                Err(mpsc::RecvTimeoutError::Timeout) => pass(Point::WorkerInTask),
+                Err(mpsc::RecvTimeoutError::Timeout) => pass_point(Point::WorkerInTask),
             }
         }
     }
 
     /// Starts a new hand; returns whether that succeeded. If not, the lane keeps the old one.
-    fn replace_hand(&mut self) -> bool {
-        match Hand::new(&self.name, self.lane, &self.tools) {
+    fn replace_thread(&mut self) -> bool {
+        match TaskThread::new(&self.name, self.lane, &self.tools) {
             Ok(hand) => {
-                self.tools.left_behind.push(std::mem::replace(&mut self.hand, hand).thread);
+                self.tools.abandoned_threads.push(std::mem::replace(&mut self.thread, hand).handle);
                 true
             }
             Err(error) => {
@@ -160,12 +160,12 @@ impl Runner {
     }
 }
 
-impl Hand {
+impl TaskThread {
     /// Starts a thread. After the hand is dropped, the thread ends with its current task.
     fn new(name: &str, lane: Lane, tools: &Tools) -> Result<Self, WorkerError> {
         let (tasks, line) = mpsc::channel::<Arc<Task>>();
         let (done, outcomes) = mpsc::channel();
-        let tools = tools.preparing_alone(name)?.computing_in(lane);
+        let tools = tools.with_own_pool(name)?.for_lane(lane);
         let thread = spawn(format!("{name} hand"), move || {
             tools.nice.apply();
             for task in line {
@@ -177,19 +177,19 @@ impl Hand {
                 }
             }
         })?;
-        Ok(Self { tasks, outcomes, thread })
+        Ok(Self { tasks, outcomes, handle: thread })
     }
 }
 
 impl Tools {
     /// Returns a copy of the tools with a separate pool to prepare scenes and frames.
-    fn preparing_alone(&self, name: &str) -> Result<Self, WorkerError> {
+    fn with_own_pool(&self, name: &str) -> Result<Self, WorkerError> {
         let pool = pool(format!("{name} prepare"), self.pool.current_num_threads(), self.nice)?;
         Ok(Self { fetch: self.fetch.with_pool(pool), ..self.clone() })
     }
 
     /// Returns the tools with the pool on which tasks of `lane` compute.
-    fn computing_in(self, lane: Lane) -> Self {
+    fn for_lane(self, lane: Lane) -> Self {
         match lane {
             Lane::Compute => self,
             Lane::Join => Self { pool: self.fetch.pool().clone(), ..self },
@@ -199,7 +199,7 @@ impl Tools {
 
 /// Creates a pool of compute threads.
 /// - `threads`: number of threads; 0: as many as the machine runs at once.
-pub(crate) fn pool(name: String, threads: usize, nice: Nice) -> Result<Arc<ThreadPool>, WorkerError> {
+pub(crate) fn pool(name: String, threads: usize, nice: Niceness) -> Result<Arc<ThreadPool>, WorkerError> {
     let pool = ThreadPoolBuilder::new()
         .num_threads(threads)
         .thread_name(move |index| format!("{name} {index}"))

@@ -6,24 +6,24 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use femc_model::{Refusal, Registration};
-use femc_proto::{CallError, Client, Why};
+use femc_proto::{CallError, Client, UnreachableCause};
 use tokio::runtime::Handle;
 use tokio::sync::mpsc;
 use tracing::Instrument as _;
 
 use crate::clock::Stopwatch;
-use crate::config::{Config, Hands, WorkerError};
+use crate::config::{Config, Executor, WorkerError};
 use crate::execute::Tools;
-use crate::fetch::Fetch;
-use crate::finish::Finish;
-use crate::memory::Memory;
+use crate::fetch::Fetcher;
+use crate::memory::MemoryGuard;
 use crate::meter::Meter;
-use crate::nice::Nice;
+use crate::niceness::Niceness;
 use crate::outbox::Outbox;
+use crate::outcome::OutcomeHandler;
 use crate::plan::{FEATURES, FIRST_PASS, FIRST_PASS_BLOCKS, LAYERS, PAINTING, STATISTICS};
-use crate::session::{End, Session};
-use crate::table::{Table, Task};
-use crate::threads::LeftBehind;
+use crate::session::{Session, SessionEnd};
+use crate::task_table::{Task, TaskTable};
+use crate::threads::AbandonedThreads;
 use crate::{availability, simulated, threads};
 
 /// A farm machine.
@@ -53,7 +53,7 @@ impl Worker {
     }
 
     async fn work(config: Config, stop: Pin<Box<dyn Future<Output = ()> + Send + '_>>) -> Result<(), WorkerError> {
-        let nice = Nice::tried(config.nice)?;
+        let nice = Niceness::try_new(config.niceness)?;
         let pool = threads::pool(config.name.clone(), config.threads, nice)?;
         let registration = Registration {
             name: config.name.clone(),
@@ -61,41 +61,41 @@ impl Worker {
             engine: config.engine.clone(),
             threads: pool.current_num_threads() as u32,
             slots: 1,
-            tags: offered(&config.tags),
+            tags: offered_tags(&config.tags),
             held: Vec::new(),
-            died: None,
+            death: None,
         };
         let tools = Tools {
             pool: pool.clone(),
             cache: config.cache.clone(),
-            fetch: Fetch::blocking(Handle::current(), pool),
-            memory: Memory::new(config.memory.clone()),
+            fetch: Fetcher::blocking(Handle::current(), pool),
+            memory: MemoryGuard::new(config.memory.clone()),
             nice,
             journal: config.journal.clone(),
-            left_behind: LeftBehind::default(),
+            abandoned_threads: AbandonedThreads::default(),
         };
-        let table = Arc::new(Table::default());
+        let table = Arc::new(TaskTable::default());
         let (done, mut finished) = mpsc::unbounded_channel();
         let (outbox, mut restored) = match config.outbox.clone() {
             None => (Outbox::default(), Vec::new()),
-            Some(place) => Outbox::open(place, &config.engine).await?,
+            Some(storage) => Outbox::open(storage, &config.engine).await?,
         };
         config.journal.open(outbox.folder(), config.instance);
-        let meter = match config.hands {
-            Hands::Threads => Meter::of_process(),
-            Hands::Simulated(_) => Meter::none(),
+        let meter = match config.executor {
+            Executor::Threads => Meter::for_process(),
+            Executor::Simulated(_) => Meter::without_clock(),
         };
-        config.metrics.watch(&table, &config.cache, &meter, &tools.left_behind);
-        let finish = Finish { done, outbox: outbox.clone(), worker: Arc::from(config.name.as_str()) };
-        let ahead = match &config.hands {
-            Hands::Threads => threads::start(&config.name, &tools, &table, &finish)?,
-            Hands::Simulated(pace) => simulated::start(pace, &tools, &table, &finish),
+        config.metrics.attach(&table, &config.cache, &meter, &tools.abandoned_threads);
+        let outcomes = OutcomeHandler { done, outbox: outbox.clone(), worker: Arc::from(config.name.as_str()) };
+        let upcoming_frames = match &config.executor {
+            Executor::Threads => threads::start(&config.name, &tools, &table, &outcomes)?,
+            Executor::Simulated(pace) => simulated::start(pace, &tools, &table, &outcomes),
         };
         let mut stop = std::pin::pin!(async {
             tokio::select! {
                 biased;
                 () = stop => config.journal.close(),
-                () = availability::idle(&table, config.idle_limit) => {}
+                () = availability::wait_until_idle_limit(&table, config.idle_limit) => {}
             }
         });
         let mut pause = Self::FIRST_PAUSE;
@@ -104,43 +104,43 @@ impl Worker {
             let session = async {
                 let client = tokio::select! {
                     biased;
-                    client = Client::connect_by(&config.dial, &config.join) => client?,
-                    () = &mut stop => return Ok(End::Stopped),
+                    client = Client::connect_with(&config.dial, &config.coordinator) => client?,
+                    () = &mut stop => return Ok(SessionEnd::Stopped),
                 };
                 pause = Self::FIRST_PAUSE;
-                let kept = restored.drain(..).map(|restored| Task::restored(restored, client.clone(), &meter));
-                kept.for_each(|task| table.keep(Arc::new(task)));
-                let session = Session::new(client, &table, &outbox, &ahead, &mut finished, &config, &meter);
+                let kept = restored.drain(..).map(|restored| Task::from_restored(restored, client.clone(), &meter));
+                kept.for_each(|task| table.insert_finished(Arc::new(task)));
+                let session = Session::new(client, &table, &outbox, &upcoming_frames, &mut finished, &config, &meter);
                 let held = table.held().iter().map(|task| task.lease()).collect();
                 let died = config.journal.death();
-                session.run(Registration { held, died, ..registration.clone() }, stop.as_mut()).await
+                session.run(Registration { held, death: died, ..registration.clone() }, stop.as_mut()).await
             };
             // `worker` is the number that the coordinator assigns.
             let span = tracing::info_span!("session", worker = tracing::field::Empty, machine = config.name);
             let ended = session.instrument(span).await;
-            config.metrics.disconnected();
+            config.metrics.on_disconnected();
             let is_gone = match ended {
-                Ok(End::Stopped) => break Ok(()),
-                Ok(End::Lost) => {
+                Ok(SessionEnd::Stopped) => break Ok(()),
+                Ok(SessionEnd::Lost) => {
                     away = Stopwatch::start();
                     CallError::Unreachable {
-                        url: config.join.clone(),
+                        url: config.coordinator.clone(),
                         message: "the session ended".into(),
-                        why: Why::Away,
+                        cause: UnreachableCause::Connection,
                     }
                 }
                 Err(
                     error @ (CallError::Refused(Refusal::Forbidden { .. } | Refusal::Unauthenticated { .. })
                     | CallError::Address { .. }
                     | CallError::NoIdentity { .. }
-                    | CallError::OpenToken { .. }
+                    | CallError::InsecureToken { .. }
                     | CallError::NoAuthority { .. }
                     | CallError::Answer(_)
                     | CallError::Status { .. }),
                 ) => break Err(error.into()),
                 Err(error @ (CallError::Unreachable { .. } | CallError::Refused(_))) => error,
             };
-            if config.patience.is_some_and(|patience| away.elapsed() > patience) {
+            if config.reconnect_limit.is_some_and(|patience| away.elapsed() > patience) {
                 break Err(is_gone.into());
             }
             tracing::info!(error = %is_gone, ?pause, "coordinator unreachable; trying again after a pause");
@@ -159,7 +159,7 @@ impl Worker {
 }
 
 /// Returns the tags that a worker offers: the configured ones and those that this version supports.
-fn offered(tags: &[String]) -> Vec<String> {
+fn offered_tags(tags: &[String]) -> Vec<String> {
     let mut tags = tags.to_vec();
     for known in [FIRST_PASS, FIRST_PASS_BLOCKS, STATISTICS, LAYERS, FEATURES, PAINTING] {
         if !tags.iter().any(|tag| tag == known) {

@@ -1,7 +1,7 @@
 use crate::exit::{Failure, usage};
 use clap::Args;
 use femc_model::JobSpec;
-use femc_worker::{Video, Wish};
+use femc_worker::{ExtraOutputs, Video};
 use std::path::{Path, PathBuf};
 
 /// Outputs that are made of all frames of a run, under one exposure. Every command that renders, submits or plans takes these
@@ -31,25 +31,25 @@ impl ExtrasArgs {
 
     /// Returns the outputs as a farm job needs them: file names without folders, because `femc fetch` chooses the folder.
     /// - `rate`: frames per second of a clip.
-    pub fn wish(&self, rate: f64) -> Result<Wish, Failure> {
+    pub fn requested_outputs(&self, rate: f64) -> Result<ExtraOutputs, Failure> {
         self.check()?;
-        let sheet = self.contact_sheet.as_deref().map(|path| name("--contact-sheet", path)).transpose()?;
-        let video = self.video.as_deref().map(|path| name("--video", path)).transpose()?;
+        let sheet = self.contact_sheet.as_deref().map(|path| bare_file_name("--contact-sheet", path)).transpose()?;
+        let video = self.video.as_deref().map(|path| bare_file_name("--video", path)).transpose()?;
         let video = video.map(|name| Video { name, rate });
         if let Some(Video { name, .. }) = video.as_ref().filter(|video| !video.is_sound()) {
             let formats = "the file extension sets the clip's format; give FILE.png, FILE.gif or FILE.mp4";
             return Err(usage(format!("--video {name}: {formats}")));
         }
-        let wish = Wish { stills: self.preview, sheet, video, painting: None };
+        let outputs = ExtraOutputs { stills: self.preview, sheet, video, painting: None };
         let clash =
             || usage("--contact-sheet: the name must end in .png and differ from the clip's name; give FILE.png");
-        if wish.is_sound() { Ok(wish) } else { Err(clash()) }
+        if outputs.is_sound() { Ok(outputs) } else { Err(clash()) }
     }
 }
 
 /// Returns a file name that contains no folder.
-fn name(flag: &str, path: &Path) -> Result<String, Failure> {
-    let name = path.to_str().filter(|name| JobSpec::names_files(name));
+fn bare_file_name(flag: &str, path: &Path) -> Result<String, Failure> {
+    let name = path.to_str().filter(|name| JobSpec::is_valid_name(name));
     let wrong = || {
         usage(format!(
             "{flag} {}: give a file name without a folder; `femc fetch -o DIR` chooses the folder",

@@ -10,14 +10,14 @@ mod values;
 pub use extras::ExtrasArgs;
 pub use metrics::MetricsArgs;
 pub use notes::{NotesArgs, job_name};
-pub use select::{SelectArgs, fits};
-pub use settings::{SettingsArgs, Stats};
+pub use select::{SelectArgs, glob_match};
+pub use settings::{SettingsArgs, StatsMode};
 pub use values::{Filter, Method};
 
 use crate::exit::{Failure, failed};
 use clap::{ArgAction, Args, ValueEnum};
-use femc_proto::Dial;
-use femc_trust::{Identity, Pass};
+use femc_proto::Dialer;
+use femc_trust::{Identity, TokenFile};
 use std::path::{Path, PathBuf};
 
 /// Flags of every command.
@@ -96,18 +96,18 @@ pub struct IdentityArgs {
 
 impl IdentityArgs {
     /// Returns the way to connect to a coordinator with these credentials.
-    pub fn dial(&self) -> Result<Dial, Failure> {
+    pub fn dial(&self) -> Result<Dialer, Failure> {
         let dial = match &self.identity {
-            None => Dial::tcp(),
-            Some(path) => Dial::tcp().with(identity(path)?),
+            None => Dialer::tcp(),
+            Some(path) => Dialer::tcp().with_identity(read_identity(path)?),
         };
         let Some(path) = &self.token_file else { return Ok(dial) };
-        let pass = Pass::read(path).map_err(|error| failed(format!("--token-file: {error}")))?;
-        Ok(dial.bearing(pass))
+        let pass = TokenFile::read(path).map_err(|error| failed(format!("--token-file: {error}")))?;
+        Ok(dial.with_token(pass))
     }
 }
 
 /// Reads an identity file.
-pub fn identity(path: &Path) -> Result<Identity, Failure> {
+pub fn read_identity(path: &Path) -> Result<Identity, Failure> {
     Identity::read(path).map_err(|error| failed(format!("--identity: {error}")))
 }

@@ -21,7 +21,7 @@ pub struct NotesArgs {
 
 impl NotesArgs {
     /// Merges the notes of the command line into the notes of a job file. The command line wins.
-    pub fn over(&self, file: JobNotes) -> Result<JobNotes, Failure> {
+    pub fn merge_over(&self, file: JobNotes) -> Result<JobNotes, Failure> {
         let mut notes = file;
         if let Some(comment) = &self.comment {
             notes.comment.clone_from(comment);
@@ -46,7 +46,7 @@ pub fn job_name(text: &str) -> Result<String, String> {
     if text.len() > JobSpec::MAX_NAME {
         return Err(format!("a name has at most {} bytes", JobSpec::MAX_NAME));
     }
-    if !JobSpec::names_files(text) {
+    if !JobSpec::is_valid_name(text) {
         return Err(
             "it becomes part of file names; it must not be empty or contain /, \\, : or control characters".into()
         );

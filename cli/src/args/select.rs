@@ -25,18 +25,18 @@ impl SelectArgs {
     }
 
     /// Returns whether a job fits all conditions.
-    pub fn holds(&self, job: &JobStatus) -> bool {
+    pub fn matches(&self, job: &JobStatus) -> bool {
         self.owner.as_ref().is_none_or(|owner| *owner == job.owner)
-            && self.name.as_ref().is_none_or(|name| fits(name, &job.name))
+            && self.name.as_ref().is_none_or(|name| glob_match(name, &job.name))
             && self
                 .labels
                 .iter()
-                .all(|(name, value)| job.notes.labels.get(name).is_some_and(|other| fits(value, other)))
+                .all(|(name, value)| job.notes.labels.get(name).is_some_and(|other| glob_match(value, other)))
     }
 }
 
 /// Returns whether a text matches a pattern, in which each * matches any text.
-pub fn fits(pattern: &str, text: &str) -> bool {
+pub fn glob_match(pattern: &str, text: &str) -> bool {
     let Some((head, mut rest)) = pattern.split_once('*') else { return pattern == text };
     let Some(mut text) = text.strip_prefix(head) else { return false };
     while let Some((part, next)) = rest.split_once('*') {
@@ -50,17 +50,17 @@ pub fn fits(pattern: &str, text: &str) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use super::fits;
+    use super::glob_match;
 
     #[test]
     fn a_star_is_any_text() {
         for (pattern, text) in
             [("fog", "fog"), ("*", ""), ("fog-*", "fog-12"), ("*-12", "fog-12"), ("f*g*2", "fog-12"), ("a*a", "aa")]
         {
-            assert!(fits(pattern, text), "{pattern} {text}");
+            assert!(glob_match(pattern, text), "{pattern} {text}");
         }
         for (pattern, text) in [("fog", "fog-1"), ("fog-*", "fo"), ("*-12", "fog-1"), ("a*a", "a"), ("a*b*a", "aba-")] {
-            assert!(!fits(pattern, text), "{pattern} {text}");
+            assert!(!glob_match(pattern, text), "{pattern} {text}");
         }
     }
 }

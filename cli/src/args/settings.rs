@@ -1,12 +1,12 @@
 use super::{Filter, Method};
-use crate::values::{Budget, Frames, Override, Size};
+use crate::values::{DurationArg, Frames, Override, Size};
 use clap::{Args, ValueEnum};
 use femc_pipeline::Layer;
 use std::path::PathBuf;
 
 /// Samples that the histograms contain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Stats {
+pub enum StatsMode {
     /// Samples whose paths are recorded
     Some,
     /// All samples
@@ -42,7 +42,7 @@ pub struct SettingsArgs {
     /// and cost. Their number depends on the clock, so the file records how they were distributed, and `femc render --replay FILE`
     /// renders the same pixels again.
     #[arg(long, value_name = "DURATION", group = "stop")]
-    pub time: Option<Budget>,
+    pub time: Option<DurationArg>,
     /// Path tracing alone, the first pass alone, both, or the one that a pilot finds faster [default: auto]
     #[arg(long, value_enum)]
     pub method: Option<Method>,
@@ -73,7 +73,7 @@ pub struct SettingsArgs {
     /// (`femc paths`, `femc bottlenecks`). With `--stats=full` the histograms of each attribute contain all samples instead of the
     /// recorded ones; that takes about 50 % longer.
     #[arg(long, value_enum, value_name = "HOW", num_args = 0..=1, require_equals = true, default_missing_value = "some")]
-    pub stats: Option<Stats>,
+    pub stats: Option<StatsMode>,
     /// Also write a layer of the light into FRAME.layers.exr: a name and a light path expression, like direct=CDL (repeatable)
     ///
     /// Also write a layer of the light into FRAME.layers.exr, beside the frame: a name and a light path expression in the grammar
@@ -89,7 +89,7 @@ pub struct SettingsArgs {
 impl SettingsArgs {
     /// Merges the settings of a job file into these typed settings. The typed settings win. Overrides of the scene are kept from
     /// both.
-    pub fn over(self, job: Self) -> Self {
+    pub fn merge_over(self, job: Self) -> Self {
         let typed_stop = self.spp.is_some() || self.error.is_some() || self.time.is_some();
         let (spp, error, time) =
             if typed_stop { (self.spp, self.error, self.time) } else { (job.spp, job.error, job.time) };
@@ -155,7 +155,7 @@ mod tests {
     #[test]
     fn typed_flags_and_stopping_rules_override_the_job_file() {
         let job = typed("femc --spp 64 --seed 3 --size 8x8 --set a.b.c=1").expect("settings");
-        let both = typed("femc --error 0.2 --seed 4 --set a.b.c=2").expect("settings").over(job);
+        let both = typed("femc --error 0.2 --seed 4 --set a.b.c=2").expect("settings").merge_over(job);
         assert_eq!((both.spp, both.error, both.seed), (None, Some(0.2), Some(4)));
         assert_eq!(both.size, Some(Size { width: 8, height: 8 }));
         assert_eq!(both.set.iter().map(|o| o.value).collect::<Vec<_>>(), [1.0, 2.0]);

@@ -1,9 +1,9 @@
 //! `femc backup DIR`: copies a running farm.
 
-use super::client::{self, Farm};
+use super::client::{self, FarmClient};
 use crate::args::ServerArgs;
 use crate::exit::{Exit, Failure, failed};
-use crate::output::{Say, human};
+use crate::output::{Printer, human};
 use clap::Args;
 use femc_model::Artifact;
 use femc_store::Store;
@@ -34,26 +34,27 @@ pub struct BackupArgs {
 }
 
 /// Artifacts that are fetched at the same time.
-const AT_ONCE: usize = 4;
+const MAX_CONCURRENT: usize = 4;
 
 /// Runs `femc backup`.
-pub fn run(args: &BackupArgs, say: Say) -> Result<Exit, Failure> {
+pub fn run(args: &BackupArgs, printer: Printer) -> Result<Exit, Failure> {
     let fault = |e| failed(format!("{}: {e}; give a folder that can be written", args.folder.display()));
     std::fs::create_dir_all(&args.folder).map_err(fault)?;
     client::block_on(&args.server, async |farm| {
-        let artifacts = log(farm, &args.folder).await?;
-        let list: String = artifacts.iter().map(|artifact| format!("{}\n", path(artifact))).collect();
+        let artifacts = copy_log(farm, &args.folder).await?;
+        let list: String = artifacts.iter().map(|artifact| format!("{}\n", store_path(artifact))).collect();
         std::fs::write(args.folder.join("artifacts.txt"), list).map_err(fault)?;
         let bytes: u64 = artifacts.iter().map(|artifact| artifact.bytes).sum();
-        let all = format!("{}, {}B", human::count(artifacts.len() as u64, "artifact"), human::quantity(bytes as f64));
+        let all =
+            format!("{}, {}B", human::counted_noun(artifacts.len() as u64, "artifact"), human::quantity(bytes as f64));
         if args.log_only {
-            say.result(format!("copied the log; artifacts.txt lists {all}"));
+            printer.result(format!("copied the log; artifacts.txt lists {all}"));
             return Ok(());
         }
-        let (fetched, gone) = fetch(farm, &args.folder.join("artifacts"), &artifacts).await?;
-        say.result(format!("copied the log, which refers to {all}; {fetched} were new here"));
+        let (fetched, gone) = fetch_missing(farm, &args.folder.join("artifacts"), &artifacts).await?;
+        printer.result(format!("copied the log, which refers to {all}; {fetched} were new here"));
         if gone > 0 {
-            say.note(format!("{} skipped: no longer needed", human::count(gone, "artifact")));
+            printer.note(format!("{} skipped: no longer needed", human::counted_noun(gone, "artifact")));
         }
         Ok(())
     })?;
@@ -61,15 +62,15 @@ pub fn run(args: &BackupArgs, say: Say) -> Result<Exit, Failure> {
 }
 
 /// Copies the log atomically and returns the artifacts that it refers to.
-async fn log(farm: &Farm, folder: &Path) -> Result<Vec<Artifact>, Failure> {
+async fn copy_log(farm: &FarmClient, folder: &Path) -> Result<Vec<Artifact>, Failure> {
     let (new, path) = (folder.join("farm.db.new"), folder.join("farm.db"));
     let fault = |e| failed(format!("{}: {e}; give a folder that can be written", new.display()));
     let mut file = tokio::fs::File::create(&new).await.map_err(fault)?;
     let artifacts = farm.backup(&mut file).await?;
     file.sync_all().await.map_err(fault)?;
-    for beside in ["farm.db-wal", "farm.db-shm", "farm.db-mark"] {
+    for sidecar in ["farm.db-wal", "farm.db-shm", "farm.db-mark"] {
         // These files belong to an earlier copy on which a coordinator ran, not to this one.
-        match std::fs::remove_file(folder.join(beside)) {
+        match std::fs::remove_file(folder.join(sidecar)) {
             Err(error) if error.kind() != std::io::ErrorKind::NotFound => return Err(fault(error)),
             Ok(()) | Err(_) => {}
         }
@@ -79,44 +80,44 @@ async fn log(farm: &Farm, folder: &Path) -> Result<Vec<Artifact>, Failure> {
 }
 
 /// Fetches the missing artifacts. Returns how many were fetched, and how many the farm no longer has.
-async fn fetch(farm: &Farm, folder: &Path, artifacts: &[Artifact]) -> Result<(u64, u64), Failure> {
-    let store = Store::folder(folder).map_err(failed)?;
+async fn fetch_missing(farm: &FarmClient, folder: &Path, artifacts: &[Artifact]) -> Result<(u64, u64), Failure> {
+    let store = Store::open_folder(folder).map_err(failed)?;
     let (mut fetched, mut gone, mut running) = (0, 0, JoinSet::new());
     let mut left = artifacts.iter();
     loop {
-        while running.len() < AT_ONCE
+        while running.len() < MAX_CONCURRENT
             && let Some(&artifact) = left.next()
         {
             let (farm, store) = (farm.clone(), store.clone());
-            running.spawn(async move { one(&farm, &store, &artifact).await });
+            running.spawn(async move { fetch_one(&farm, &store, &artifact).await });
         }
         match running.join_next().await {
             None => return Ok((fetched, gone)),
-            Some(Ok(came)) => match came? {
-                Came::New => fetched += 1,
-                Came::Before => {}
-                Came::Gone => gone += 1,
+            Some(Ok(outcome)) => match outcome? {
+                FetchOutcome::Fetched => fetched += 1,
+                FetchOutcome::Present => {}
+                FetchOutcome::Missing => gone += 1,
             },
             Some(Err(panic)) => return Err(failed(panic)),
         }
     }
 }
 
-enum Came {
-    New,
-    Before,
-    Gone,
+enum FetchOutcome {
+    Fetched,
+    Present,
+    Missing,
 }
 
-async fn one(farm: &Farm, store: &Store, artifact: &Artifact) -> Result<Came, Failure> {
+async fn fetch_one(farm: &FarmClient, store: &Store, artifact: &Artifact) -> Result<FetchOutcome, Failure> {
     if store.size(&artifact.digest).await.map_err(failed)? == Some(artifact.bytes) {
-        return Ok(Came::Before);
+        return Ok(FetchOutcome::Present);
     }
-    let Some(bytes) = farm.get_if_there(artifact).await? else { return Ok(Came::Gone) };
+    let Some(bytes) = farm.get_if_present(artifact).await? else { return Ok(FetchOutcome::Missing) };
     store.put(bytes.into()).await.map_err(failed)?;
-    Ok(Came::New)
+    Ok(FetchOutcome::Fetched)
 }
 
-fn path(artifact: &Artifact) -> String {
-    femc_store::place(&artifact.digest).to_string()
+fn store_path(artifact: &Artifact) -> String {
+    femc_store::artifact_path(&artifact.digest).to_string()
 }

@@ -3,10 +3,10 @@
 
 use crate::args::FormatArgs;
 use crate::exit::{Exit, Failure};
-use crate::output::{Say, json};
+use crate::output::{Printer, json};
 use clap::{Args, ValueEnum};
-use femc_reports::attempts::{Column, csv, human};
-use femc_reports::light::{self, Report, bottleneck_table as table};
+use femc_reports::attempts::{Column, csv, text_table};
+use femc_reports::light::{self, BottleneckReport, bottleneck_table as table};
 use std::path::PathBuf;
 
 /// List the objects, materials and lamps that make frames noisy, and those that make paths long
@@ -30,10 +30,10 @@ pub struct BottlenecksArgs {
     files: Vec<PathBuf>,
     /// Subject of a line; without it, findings and their parts are listed
     #[arg(long, value_enum, value_name = "WHAT")]
-    of: Option<Of>,
+    of: Option<RowSubject>,
     /// Sort key of the lines
-    #[arg(long, value_enum, default_value_t = Order::Noise, value_name = "WHAT")]
-    by: Order,
+    #[arg(long, value_enum, default_value_t = SortKey::Noise, value_name = "WHAT")]
+    by: SortKey,
     /// Number of lines in the table
     #[arg(long, value_name = "N", default_value_t = 15)]
     lines: usize,
@@ -46,7 +46,7 @@ pub struct BottlenecksArgs {
 
 /// Subject of a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Of {
+pub enum RowSubject {
     /// A combination of object, material and interaction
     Parts,
     /// An object
@@ -61,7 +61,7 @@ pub enum Of {
 
 /// Sort key of the lines.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Order {
+pub enum SortKey {
     /// The most noise
     Noise,
     /// The most light
@@ -72,58 +72,58 @@ pub enum Order {
     Deep,
 }
 
-impl From<Order> for light::Order {
-    fn from(order: Order) -> Self {
-        match order {
-            Order::Noise => Self::Noise,
-            Order::Light => Self::Light,
-            Order::Work => Self::Work,
-            Order::Deep => Self::Deep,
+impl From<SortKey> for light::SortKey {
+    fn from(key: SortKey) -> Self {
+        match key {
+            SortKey::Noise => Self::Noise,
+            SortKey::Light => Self::Light,
+            SortKey::Work => Self::Work,
+            SortKey::Deep => Self::Deep,
         }
     }
 }
 
 /// Runs `femc bottlenecks`.
-pub fn run(args: &BottlenecksArgs, say: Say) -> Result<Exit, Failure> {
-    let report = Report::read(&args.files, args.by.into())?;
+pub fn run(args: &BottlenecksArgs, printer: Printer) -> Result<Exit, Failure> {
+    let report = BottleneckReport::read(&args.files, args.by.into())?;
     if args.format.json {
-        json::print(say, &report)?;
+        json::print(printer, &report)?;
         return Ok(Exit::Done);
     }
     if args.csv {
-        say.result(match args.of.unwrap_or(Of::Parts) {
-            Of::Parts => csv(&table::parts(), &report.parts),
-            Of::Objects => csv(&table::objects(), &report.objects),
-            Of::Materials => csv(&table::materials(), &report.materials),
-            Of::Lamps => csv(&table::lamps(), &report.lamps),
-            Of::Fireflies => csv(&table::fireflies(), &report.fireflies),
+        printer.result(match args.of.unwrap_or(RowSubject::Parts) {
+            RowSubject::Parts => csv(&table::part_columns(), &report.parts),
+            RowSubject::Objects => csv(&table::object_columns(), &report.objects),
+            RowSubject::Materials => csv(&table::material_columns(), &report.materials),
+            RowSubject::Lamps => csv(&table::lamp_columns(), &report.lamps),
+            RowSubject::Fireflies => csv(&table::firefly_columns(), &report.fireflies),
         });
         return Ok(Exit::Done);
     }
     let lines = args.lines;
     match args.of {
-        Some(Of::Parts) => show(say, &table::parts(), &report.parts, lines),
-        Some(Of::Objects) => show(say, &table::objects(), &report.objects, lines),
-        Some(Of::Materials) => show(say, &table::materials(), &report.materials, lines),
-        Some(Of::Lamps) => show(say, &table::lamps(), &report.lamps, lines),
-        Some(Of::Fireflies) => show(say, &table::fireflies(), &report.fireflies, lines),
+        Some(RowSubject::Parts) => print_table(printer, &table::part_columns(), &report.parts, lines),
+        Some(RowSubject::Objects) => print_table(printer, &table::object_columns(), &report.objects, lines),
+        Some(RowSubject::Materials) => print_table(printer, &table::material_columns(), &report.materials, lines),
+        Some(RowSubject::Lamps) => print_table(printer, &table::lamp_columns(), &report.lamps, lines),
+        Some(RowSubject::Fireflies) => print_table(printer, &table::firefly_columns(), &report.fireflies, lines),
         None => {
-            report.findings.iter().for_each(|finding| say.result(finding));
-            say.result("");
-            show(say, &table::parts(), &report.parts, lines);
+            report.findings.iter().for_each(|finding| printer.result(finding));
+            printer.result("");
+            print_table(printer, &table::part_columns(), &report.parts, lines);
         }
     }
     Ok(Exit::Done)
 }
 
 /// Prints a table for people.
-fn show<R>(say: Say, columns: &[Column<R>], rows: &[R], lines: usize) {
+fn print_table<R>(printer: Printer, columns: &[Column<R>], rows: &[R], lines: usize) {
     if rows.is_empty() {
-        say.note("no such records");
+        printer.note("no such records");
         return;
     }
-    say.result(human(columns, &rows[..rows.len().min(lines)]));
+    printer.result(text_table(columns, &rows[..rows.len().min(lines)]));
     if rows.len() > lines {
-        say.note(format!("and {} more; --lines, --csv and --json list them", rows.len() - lines));
+        printer.note(format!("and {} more; --lines, --csv and --json list them", rows.len() - lines));
     }
 }

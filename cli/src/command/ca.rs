@@ -2,9 +2,9 @@
 
 use crate::args::FormatArgs;
 use crate::exit::{Exit, Failure, failed, usage};
-use crate::output::{Say, human, json};
+use crate::output::{Printer, human, json};
 use clap::{Args, Subcommand, ValueEnum};
-use femc_trust::{Authority, Holder, Issue, Issued, Role, TrustError, browser_fingerprint};
+use femc_trust::{Authority, CertificateRequest, Holder, IssuedCertificate, Role, TrustError, browser_fingerprint};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
@@ -53,8 +53,8 @@ enum Action {
     /// Issue a token, for clients that cannot have an identity
     ///
     /// Issue a token, for clients that cannot have an identity. Its owner needs only the token file. The authority does not keep
-    /// the token itself, only its digest, in the file `tokens` of its folder, which coordinators read (--token-file): one line with
-    /// name, role, digest and end. Everybody who copies a token can use it until it expires, or until its line is removed with
+    /// the token itself, only its digest, in the file `tokens_path` of its folder, which coordinators read (--token-file): one line
+    /// with name, role, digest and end. Everybody who copies a token can use it until it expires, or until its line is removed with
     /// `femc ca revoke`.
     #[command(after_help = "Examples:\n  \
         femc ca token user build --role submitter --days 30 -o build.token\n  \
@@ -105,7 +105,7 @@ struct FolderArgs {
 #[derive(Debug, Args)]
 struct IssueArgs {
     /// Kind of holder
-    kind: Kind,
+    kind: HolderKind,
     /// Name of the holder: letters, digits, and . _ -
     name: String,
     /// Role of a user. viewer: sees everything; submitter: submits jobs and controls its own; operator: controls every job and
@@ -128,7 +128,7 @@ struct IssueArgs {
 #[derive(Debug, Args)]
 struct TokenArgs {
     /// Kind of holder
-    kind: Bearer,
+    kind: TokenHolderKind,
     /// Name of the holder: letters, digits, and . _ -
     name: String,
     /// Role of a user, as with `femc ca issue`
@@ -146,40 +146,40 @@ struct TokenArgs {
 
 /// Kinds of token holders.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Bearer {
+enum TokenHolderKind {
     Worker,
     User,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Kind {
+enum HolderKind {
     Coordinator,
     Worker,
     User,
 }
 
 /// Runs `femc ca`.
-pub fn run(args: CaArgs, say: Say) -> Result<Exit, Failure> {
+pub fn run(args: CaArgs, printer: Printer) -> Result<Exit, Failure> {
     match args.action {
         Action::Init { name, folder } => {
             Authority::init(&folder.folder, &name).map_err(|error| map_trust_error(&error))?;
-            say.note(format!(
+            printer.note(format!(
                 "{} is now the farm's authority; keep it private and back it up",
                 folder.folder.display()
             ));
         }
-        Action::Issue(args) => issue(args, say)?,
-        Action::Token(args) => token(args, say)?,
-        Action::List { folder, format } => list(&folder.folder, format, say)?,
-        Action::Export { output, folder } => export(&output, &folder.folder, say)?,
+        Action::Issue(args) => issue(args, printer)?,
+        Action::Token(args) => token(args, printer)?,
+        Action::List { folder, format } => list(&folder.folder, format, printer)?,
+        Action::Export { output, folder } => export(&output, &folder.folder, printer)?,
         Action::Revoke { name, folder } => {
             let authority = open(&folder.folder)?;
             let count = authority.revoke(&name).map_err(|error| map_trust_error(&error))?;
-            let list = authority.revoked();
-            say.note(format!(
+            let list = authority.revocation_list_path();
+            printer.note(format!(
                 "{name}: {count} revoked; coordinators read {} (--revoked) and {} (--token-file): copy both files to other machines",
                 list.display(),
-                authority.tokens().display()
+                authority.tokens_path().display()
             ));
         }
     }
@@ -187,10 +187,10 @@ pub fn run(args: CaArgs, say: Say) -> Result<Exit, Failure> {
 }
 
 fn open(folder: &Path) -> Result<Authority, Failure> {
-    Authority::open(folder).map_err(|error| not_there(folder, &error))
+    Authority::open(folder).map_err(|error| map_open_error(folder, &error))
 }
 
-fn not_there(folder: &Path, error: &TrustError) -> Failure {
+fn map_open_error(folder: &Path, error: &TrustError) -> Failure {
     match error {
         TrustError::File { error: cause, .. } if cause.kind() == std::io::ErrorKind::NotFound => usage(format!(
             "--dir {}: the folder contains no authority; create one with `femc ca init`",
@@ -201,58 +201,59 @@ fn not_there(folder: &Path, error: &TrustError) -> Failure {
 }
 
 /// Writes the authority's certificate, and prints how to check it.
-fn export(output: &Path, folder: &Path, say: Say) -> Result<(), Failure> {
-    let path = free(Some(output.into()), String::new())?;
-    let certificate = Authority::certificate(folder).map_err(|error| not_there(folder, &error))?;
+fn export(output: &Path, folder: &Path, printer: Printer) -> Result<(), Failure> {
+    let path = unused_path(Some(output.into()), String::new())?;
+    let certificate = Authority::read_certificate(folder).map_err(|error| map_open_error(folder, &error))?;
     let fingerprint = browser_fingerprint(&certificate).map_err(|error| map_trust_error(&error))?;
     std::fs::write(&path, certificate).map_err(|error| failed(format!("{}: {error}", path.display())))?;
-    say.result(path.display());
-    say.note(format!(
+    printer.result(path.display());
+    printer.note(format!(
         "import it into browsers as the certificate of an authority, after you have compared its SHA-256 fingerprint: {fingerprint}"
     ));
     Ok(())
 }
 
-fn issue(args: IssueArgs, say: Say) -> Result<(), Failure> {
+fn issue(args: IssueArgs, printer: Printer) -> Result<(), Failure> {
     let IssueArgs { kind, name, role, host, days, output, folder } = args;
-    if kind != Kind::Coordinator && !host.is_empty() {
+    if kind != HolderKind::Coordinator && !host.is_empty() {
         return Err(usage("--host: only coordinators have host names"));
     }
-    let path = free(output, format!("{name}.pem"))?;
+    let path = unused_path(output, format!("{name}.pem"))?;
     let holder = holder(kind, name, role)?;
-    let issue = Issue { holder, hosts: host, days };
+    let issue = CertificateRequest { holder, hosts: host, days };
     let identity = open(&folder.folder)?.issue(&issue).map_err(|error| map_trust_error(&error))?;
     identity.write(&path).map_err(|error| map_trust_error(&error))?;
-    say.result(path.display());
+    printer.result(path.display());
     Ok(())
 }
 
-fn token(args: TokenArgs, say: Say) -> Result<(), Failure> {
+fn token(args: TokenArgs, printer: Printer) -> Result<(), Failure> {
     let TokenArgs { kind, name, role, days, output, folder } = args;
-    let path = free(output, format!("{name}.token"))?;
+    let path = unused_path(output, format!("{name}.token"))?;
     let kind = match kind {
-        Bearer::Worker => Kind::Worker,
-        Bearer::User => Kind::User,
+        TokenHolderKind::Worker => HolderKind::Worker,
+        TokenHolderKind::User => HolderKind::User,
     };
-    let pass = open(&folder.folder)?.token(holder(kind, name, role)?, days).map_err(|error| map_trust_error(&error))?;
+    let pass =
+        open(&folder.folder)?.issue_token(holder(kind, name, role)?, days).map_err(|error| map_trust_error(&error))?;
     pass.write(&path).map_err(|error| map_trust_error(&error))?;
-    say.result(path.display());
+    printer.result(path.display());
     Ok(())
 }
 
-fn holder(kind: Kind, name: String, role: Option<Role>) -> Result<Holder, Failure> {
+fn holder(kind: HolderKind, name: String, role: Option<Role>) -> Result<Holder, Failure> {
     match (kind, role) {
-        (Kind::Coordinator, None) => Ok(Holder::Coordinator { name }),
-        (Kind::Worker, None) => Ok(Holder::Worker { name }),
-        (Kind::User, Some(role)) => Ok(Holder::User { name, role }),
-        (Kind::User, None) => Err(usage("--role: a user needs a role: viewer, submitter, operator or admin")),
-        (Kind::Coordinator | Kind::Worker, Some(_)) => Err(usage("--role: only users have a role")),
+        (HolderKind::Coordinator, None) => Ok(Holder::Coordinator { name }),
+        (HolderKind::Worker, None) => Ok(Holder::Worker { name }),
+        (HolderKind::User, Some(role)) => Ok(Holder::User { name, role }),
+        (HolderKind::User, None) => Err(usage("--role: a user needs a role: viewer, submitter, operator or admin")),
+        (HolderKind::Coordinator | HolderKind::Worker, Some(_)) => Err(usage("--role: only users have a role")),
     }
 }
 
 /// Returns the path to write to. Fails if it exists.
-fn free(output: Option<PathBuf>, or: String) -> Result<PathBuf, Failure> {
-    let path = output.unwrap_or_else(|| or.into());
+fn unused_path(output: Option<PathBuf>, default: String) -> Result<PathBuf, Failure> {
+    let path = output.unwrap_or_else(|| default.into());
     if path.exists() {
         return Err(failed(format!("{} exists and is not overwritten; give another -o", path.display())));
     }
@@ -272,16 +273,17 @@ struct Line {
     revoked: bool,
 }
 
-fn list(folder: &Path, format: FormatArgs, say: Say) -> Result<(), Failure> {
+fn list(folder: &Path, format: FormatArgs, printer: Printer) -> Result<(), Failure> {
     let authority = open(folder)?;
-    let revoked = femc_trust::Revoked::open(authority.revoked()).map_err(|error| map_trust_error(&error))?;
-    let line = |issued: Issued| {
+    let revoked =
+        femc_trust::RevocationList::open(authority.revocation_list_path()).map_err(|error| map_trust_error(&error))?;
+    let line = |issued: IssuedCertificate| {
         let (revoked, days_left) = (issued.is_revoked(&revoked), issued.days_left());
-        let Issued { holder, name, fingerprint, until } = issued;
+        let IssuedCertificate { holder, name, fingerprint, until } = issued;
         let (until, days_left) = (Some(until), Some(days_left));
         Line { kind: "certificate", name, holder, fingerprint, until, days_left, revoked }
     };
-    let issued = authority.issued().map_err(|error| map_trust_error(&error))?.into_iter().map(line);
+    let issued = authority.issued_certificates().map_err(|error| map_trust_error(&error))?.into_iter().map(line);
     let tokens = authority.token_lines().map_err(|error| map_trust_error(&error))?.into_iter().map(|line| Line {
         kind: "token",
         name: line.holder.name().into(),
@@ -293,12 +295,12 @@ fn list(folder: &Path, format: FormatArgs, say: Say) -> Result<(), Failure> {
     });
     let lines: Vec<Line> = issued.chain(tokens).collect();
     if format.json {
-        return json::print(say, &lines);
+        return json::print(printer, &lines);
     }
     if lines.is_empty() {
-        say.note("nothing was issued yet; issue an identity with `femc ca issue`");
+        printer.note("nothing was issued yet; issue an identity with `femc ca issue`");
     } else {
-        say.result(human::table(
+        printer.result(human::table(
             &["kind", "holder", "state", "fingerprint"],
             &lines.iter().map(row).collect::<Vec<_>>(),
         ));
@@ -330,7 +332,7 @@ pub fn map_trust_error(error: &TrustError) -> Failure {
         | TrustError::Random { .. }
         | TrustError::Exists { .. }
         | TrustError::Malformed { .. }
-        | TrustError::Readable { .. }
+        | TrustError::InsecurePermissions { .. }
         | TrustError::Holder { .. }
         | TrustError::Certificate(_) => failed(error),
     }

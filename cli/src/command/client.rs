@@ -3,45 +3,48 @@
 use crate::args::ServerArgs;
 use crate::clock::Clock;
 use crate::exit::{Failure, failed, unreachable, usage};
-use crate::request::Asked;
+use crate::request::ResolvedRequest;
 use femc_model::{
-    Artifact, Attempts, Control, Crew, Digest, Drain, FrameParts, FrameRecord, Grid, JobId, JobSpec, JobStatus,
-    LogRecord, OwnerUsage, Refusal, Stage, Tick, WorkerId, WorkerName,
+    Artifact, Attempts, Control, Digest, Drain, FrameParts, FrameRecord, Grid, JobId, JobSpec, JobStatus, LogRecord,
+    OwnerUsage, Refusal, Stage, Tick, WorkerId, WorkerList, WorkerSelector,
 };
-use femc_proto::{BackupError, CallError, Client, CollectMode, Collected, Dial, Found, JobShape, Listing, Why};
+use femc_proto::{
+    BackupError, CallError, Client, CollectMode, CollectReport, Dialer, JobList, JobShape, ProbeResult,
+    UnreachableCause,
+};
 use femc_worker::Parcel;
 use std::time::Duration;
 
 /// Time that a call waits for a coordinator that has gone away.
-pub const PATIENCE: Duration = Duration::from_secs(60);
+pub const RECONNECT_TIMEOUT: Duration = Duration::from_secs(60);
 /// Time that one of several coordinators may take to become the leader. A leader that froze is replaced only after `--silence`.
-const TAKE_OVER: Duration = Duration::from_secs(10);
+const FAILOVER_TIMEOUT: Duration = Duration::from_secs(10);
 /// Number of repeated uploads of a scene that the store has lost meanwhile.
-const UPLOADS: usize = 2;
+const MAX_REUPLOADS: usize = 2;
 /// Pause between two attempts.
-const RETRY: Duration = Duration::from_millis(500);
+const RETRY_INTERVAL: Duration = Duration::from_millis(500);
 
 /// A connection to a coordinator. Its errors are converted into failures of this program.
 #[derive(Clone, Debug)]
-pub struct Farm {
+pub struct FarmClient {
     client: Client,
 }
 
 /// Options of client commands that set the coordinator's address.
-pub const SERVER: &str = "--server or FEMC_SERVER";
+pub const SERVER_OPTIONS: &str = "--server or FEMC_SERVER";
 
 /// A failed connection to a coordinator.
 #[derive(Debug)]
-pub struct Unmet {
+pub struct ConnectFailure {
     /// Reason, address and advice.
     pub failure: Failure,
     /// Whether a coordinator may still start there.
-    pub may_come: MayCome,
+    pub retryable: Retryable,
 }
 
 /// Whether waiting may help.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum MayCome {
+pub enum Retryable {
     /// Nothing answers there yet: a coordinator may be about to start.
     Yes,
     /// Something answers, and it cannot be used.
@@ -49,10 +52,13 @@ pub enum MayCome {
 }
 
 /// Runs `work` with the coordinator at `--server`.
-pub fn block_on<T>(server: &ServerArgs, work: impl AsyncFnOnce(&Farm) -> Result<T, Failure>) -> Result<T, Failure> {
+pub fn block_on<T>(
+    server: &ServerArgs,
+    work: impl AsyncFnOnce(&FarmClient) -> Result<T, Failure>,
+) -> Result<T, Failure> {
     runtime()?.block_on(async {
         let dial = server.identity.dial()?;
-        let farm = Farm::connect(&dial, &server.server, SERVER).await.map_err(|unmet| unmet.failure)?;
+        let farm = FarmClient::connect(&dial, &server.server, SERVER_OPTIONS).await.map_err(|unmet| unmet.failure)?;
         work(&farm).await
     })
 }
@@ -66,26 +72,26 @@ pub fn runtime() -> Result<tokio::runtime::Runtime, Failure> {
         .map_err(|e| failed(format!("cannot start threads: {e}")))
 }
 
-impl Farm {
+impl FarmClient {
     /// Connects, and checks that a coordinator answers. If there are several addresses, it waits for another coordinator to take
     /// over.
     /// - `option`: option that the address comes from.
-    pub async fn connect(dial: &Dial, url: &str, option: &str) -> Result<Self, Unmet> {
+    pub async fn connect(dial: &Dialer, url: &str, option: &str) -> Result<Self, ConnectFailure> {
         let begun = Clock.now();
         loop {
-            match Self::introduced(dial, url).await {
-                Err(CallError::Unreachable { .. }) if url.contains(',') && Clock.since(begun) < TAKE_OVER => {
-                    tokio::time::sleep(RETRY).await;
+            match Self::connect_and_probe(dial, url).await {
+                Err(CallError::Unreachable { .. }) if url.contains(',') && Clock.since(begun) < FAILOVER_TIMEOUT => {
+                    tokio::time::sleep(RETRY_INTERVAL).await;
                 }
                 Ok(client) => return Ok(Self { client }),
-                Err(error) => return Err(unmet(error, option).await),
+                Err(error) => return Err(diagnose_connection(error, option).await),
             }
         }
     }
 
     /// Connects and makes a first call: a connection alone does not show that the other end answers.
-    async fn introduced(dial: &Dial, url: &str) -> Result<Client, CallError> {
-        let client = Client::connect_by(dial, url).await?;
+    async fn connect_and_probe(dial: &Dialer, url: &str) -> Result<Client, CallError> {
+        let client = Client::connect_with(dial, url).await?;
         client.missing(&[]).await?;
         Ok(client)
     }
@@ -96,7 +102,7 @@ impl Farm {
     }
 
     /// Uploads the artifacts of a scene that the farm's store lacks. Returns the number of bytes sent.
-    async fn put(&self, scene: &Parcel) -> Result<u64, Failure> {
+    async fn upload(&self, scene: &Parcel) -> Result<u64, Failure> {
         self.client.put_all(&scene.artifacts()).await.map_err(map_call_error)
     }
 
@@ -104,12 +110,12 @@ impl Farm {
     /// a second submission with the same key is the same job, so the call is repeated if the coordinator goes away before it
     /// answers.
     pub async fn submit(&self, scene: &Parcel, key: Digest, spec: JobSpec) -> Result<(JobId, u64), Failure> {
-        let mut sent = self.put(scene).await?;
-        let submit = || patiently(|| self.client.submit(Some(key.to_string()), spec.clone()));
-        for _ in 0..UPLOADS {
+        let mut sent = self.upload(scene).await?;
+        let submit = || with_retry(|| self.client.submit(Some(key.to_string()), spec.clone()));
+        for _ in 0..MAX_REUPLOADS {
             match submit().await {
                 // The artifacts were removed between upload and submission.
-                Err(CallError::Refused(Refusal::MissingArtifacts { .. })) => sent += self.put(scene).await?,
+                Err(CallError::Refused(Refusal::MissingArtifacts { .. })) => sent += self.upload(scene).await?,
                 submitted => return Ok((submitted.map_err(map_call_error)?, sent)),
             }
         }
@@ -122,7 +128,7 @@ impl Farm {
     }
 
     /// Returns an artifact's bytes, or `None` if the artifact is gone or damaged.
-    pub async fn get_if_there(&self, artifact: &Artifact) -> Result<Option<Vec<u8>>, Failure> {
+    pub async fn get_if_present(&self, artifact: &Artifact) -> Result<Option<Vec<u8>>, Failure> {
         match self.client.get_exactly(artifact).await {
             Ok(bytes) => Ok(Some(bytes.to_vec())),
             Err(CallError::Refused(Refusal::NoSuchArtifact { .. } | Refusal::DigestMismatch { .. })) => Ok(None),
@@ -136,13 +142,13 @@ impl Farm {
     }
 
     /// Returns all jobs, and what needs attention.
-    pub async fn listing(&self) -> Result<Listing, Failure> {
+    pub async fn listing(&self) -> Result<JobList, Failure> {
         self.client.listing().await.map_err(map_call_error)
     }
 
     /// Returns all jobs. Waits for a coordinator that is away for a while.
-    pub async fn patient_jobs(&self) -> Result<Vec<JobStatus>, Failure> {
-        patiently(|| self.client.list()).await.map_err(map_call_error)
+    pub async fn jobs_with_retry(&self) -> Result<Vec<JobStatus>, Failure> {
+        with_retry(|| self.client.list()).await.map_err(map_call_error)
     }
 
     /// Returns the status of one job.
@@ -151,19 +157,23 @@ impl Farm {
     }
 
     /// Returns the status of one job. Waits for a coordinator that is away for a while.
-    pub async fn patient_status(&self, job: JobId) -> Result<JobStatus, Failure> {
-        self.status_unless_away(job, |_| {}).await
+    pub async fn status_with_retry(&self, job: JobId) -> Result<JobStatus, Failure> {
+        self.status_reporting_outage(job, |_| {}).await
     }
 
-    /// Like [`Self::patient_status`], but calls `away` repeatedly with the time that the coordinator has been away.
-    pub async fn status_unless_away(&self, job: JobId, away: impl FnMut(Duration)) -> Result<JobStatus, Failure> {
-        patiently_telling(|| self.client.status(job), away).await.map_err(map_call_error)
+    /// Like [`Self::status_with_retry`], but calls `on_outage` repeatedly with the time that the coordinator has been away.
+    pub async fn status_reporting_outage(
+        &self,
+        job: JobId,
+        on_outage: impl FnMut(Duration),
+    ) -> Result<JobStatus, Failure> {
+        with_retry_reporting(|| self.client.status(job), on_outage).await.map_err(map_call_error)
     }
 
     /// Returns the finished frames of a job, ascending, without the outputs of the job as a whole.
     pub async fn frames(&self, job: JobId) -> Result<Vec<FrameRecord>, Failure> {
         let mut frames = self.client.frames(job).await.map_err(map_call_error)?;
-        frames.retain(|record| record.frame != Stage::OF_JOB);
+        frames.retain(|record| record.frame != Stage::JOB_FRAME);
         Ok(frames)
     }
 
@@ -178,15 +188,15 @@ impl Farm {
     }
 
     /// Returns the finished outputs of a job as a whole; `None`: none yet.
-    pub async fn whole(&self, job: JobId) -> Result<Option<FrameRecord>, Failure> {
+    pub async fn job_outputs(&self, job: JobId) -> Result<Option<FrameRecord>, Failure> {
         let records = self.client.frames(job).await.map_err(map_call_error)?;
-        Ok(records.into_iter().find(|record| record.frame == Stage::OF_JOB))
+        Ok(records.into_iter().find(|record| record.frame == Stage::JOB_FRAME))
     }
 
     /// Returns the image of a finished frame, or `None` if it is damaged or gone.
     pub async fn image(&self, frame: &FrameRecord) -> Result<Option<Vec<u8>>, Failure> {
         match frame.image() {
-            Some(image) => self.get_if_there(&image).await,
+            Some(image) => self.get_if_present(&image).await,
             None => Ok(None),
         }
     }
@@ -194,7 +204,7 @@ impl Farm {
     /// Returns the finished parts of a job's frames in progress, ascending.
     pub async fn parts(&self, job: JobId) -> Result<Vec<FrameParts>, Failure> {
         let mut frames = self.client.parts(job).await.map_err(map_call_error)?;
-        frames.retain(|parts| parts.frame != Stage::OF_JOB);
+        frames.retain(|parts| parts.frame != Stage::JOB_FRAME);
         Ok(frames)
     }
 
@@ -214,7 +224,7 @@ impl Farm {
     }
 
     /// Drains workers, or ends the draining. Returns the sessions concerned.
-    pub async fn drain(&self, worker: WorkerName, drain: Drain) -> Result<Vec<WorkerId>, Failure> {
+    pub async fn drain(&self, worker: WorkerSelector, drain: Drain) -> Result<Vec<WorkerId>, Failure> {
         self.client.drain(worker, drain).await.map_err(map_call_error)
     }
 
@@ -224,8 +234,8 @@ impl Farm {
     }
 
     /// Returns the current and the former workers.
-    pub async fn crew(&self) -> Result<Crew, Failure> {
-        self.client.crew().await.map_err(map_call_error)
+    pub async fn workers(&self) -> Result<WorkerList, Failure> {
+        self.client.all_workers().await.map_err(map_call_error)
     }
 
     /// Copies the log into a file. Returns the artifacts that the log refers to and that the store has.
@@ -237,33 +247,33 @@ impl Farm {
     }
 
     /// Removes garbage from the store, or only reports it.
-    pub async fn collect(&self, mode: CollectMode, grace: Duration) -> Result<Collected, Failure> {
+    pub async fn collect(&self, mode: CollectMode, grace: Duration) -> Result<CollectReport, Failure> {
         self.client.collect(mode, grace).await.map_err(map_call_error)
     }
 }
 
 /// Repeats a call while the coordinator is away.
-async fn patiently<T>(call: impl AsyncFn() -> Result<T, CallError>) -> Result<T, CallError> {
-    patiently_telling(call, |_| {}).await
+async fn with_retry<T>(call: impl AsyncFn() -> Result<T, CallError>) -> Result<T, CallError> {
+    with_retry_reporting(call, |_| {}).await
 }
 
-/// Like [`patiently`], but calls `away` with the time that the coordinator has been away.
-async fn patiently_telling<T>(
+/// Like [`with_retry`], but calls `on_outage` with the time that the coordinator has been away.
+async fn with_retry_reporting<T>(
     call: impl AsyncFn() -> Result<T, CallError>,
-    mut away: impl FnMut(Duration),
+    mut on_outage: impl FnMut(Duration),
 ) -> Result<T, CallError> {
     let begun = Clock.now();
-    let mut is_told = false;
+    let mut is_logged = false;
     loop {
         match call().await {
             Err(error @ (CallError::Unreachable { .. } | CallError::Refused(Refusal::Unavailable { .. })))
-                if Clock.since(begun) < PATIENCE =>
+                if Clock.since(begun) < RECONNECT_TIMEOUT =>
             {
-                if matches!(error, CallError::Refused(_)) && !std::mem::replace(&mut is_told, true) {
-                    tracing::error!("{error}; retrying for {} s", PATIENCE.as_secs());
+                if matches!(error, CallError::Refused(_)) && !std::mem::replace(&mut is_logged, true) {
+                    tracing::error!("{error}; retrying for {} s", RECONNECT_TIMEOUT.as_secs());
                 }
-                away(Clock.since(begun));
-                tokio::time::sleep(RETRY).await;
+                on_outage(Clock.since(begun));
+                tokio::time::sleep(RETRY_INTERVAL).await;
             }
             answer => return answer,
         }
@@ -271,54 +281,54 @@ async fn patiently_telling<T>(
 }
 
 /// Converts a failed first call. Looks at the address to find out what answers there.
-async fn unmet(error: CallError, option: &str) -> Unmet {
-    let CallError::Unreachable { ref url, why: Why::Away, .. } = error else {
+async fn diagnose_connection(error: CallError, option: &str) -> ConnectFailure {
+    let CallError::Unreachable { ref url, cause: UnreachableCause::Connection, .. } = error else {
         let may_come = match &error {
-            CallError::Refused(Refusal::Unavailable { .. }) => MayCome::Yes,
-            _ => MayCome::No,
+            CallError::Refused(Refusal::Unavailable { .. }) => Retryable::Yes,
+            _ => Retryable::No,
         };
-        return Unmet { failure: map_call_error(error), may_come };
+        return ConnectFailure { failure: map_call_error(error), retryable: may_come };
     };
     let nobody = format!("start one with `femc coordinator`, or give its address with {option}");
     if url.contains(',') {
-        return Unmet { failure: unreachable(format!("{error}; {nobody}")), may_come: MayCome::Yes };
+        return ConnectFailure { failure: unreachable(format!("{error}; {nobody}")), retryable: Retryable::Yes };
     }
     let is_https = url.starts_with("https:");
-    let (message, may_come) = match femc_proto::look(url).await {
-        Found::Nobody { message } => {
-            (format!("cannot connect to a coordinator at {url} ({message}); {nobody}"), MayCome::Yes)
+    let (message, may_come) = match femc_proto::probe_address(url).await {
+        ProbeResult::Unreachable { message } => {
+            (format!("cannot connect to a coordinator at {url} ({message}); {nobody}"), Retryable::Yes)
         }
-        Found::Encrypted if !is_https => (
+        ProbeResult::Tls if !is_https => (
             format!(
                 "{url} is encrypted; write https:// instead of http:// in {option}, and give --identity or --token-file"
             ),
-            MayCome::No,
+            Retryable::No,
         ),
-        Found::Open if is_https => (
+        ProbeResult::PlainHttp2 if is_https => (
             format!(
                 "{url} is not encrypted: the coordinator there has no identity (`femc coordinator --identity`); \
                  write http:// instead of https:// in {option} if this is intended"
             ),
-            MayCome::No,
+            Retryable::No,
         ),
-        Found::Silent => (
+        ProbeResult::Silent => (
             format!(
                 "{url} accepts connections but does not answer: the coordinator there is stopped, overloaded or still starting, or \
                  a tunnel or proxy leads nowhere; retry when it is up, or give another address with {option}"
             ),
-            MayCome::Yes,
+            Retryable::Yes,
         ),
-        Found::Other => (
+        ProbeResult::OtherProtocol => (
             format!(
                 "the server at {url} is not a coordinator: it uses another protocol; give the coordinator's address with {option}"
             ),
-            MayCome::No,
+            Retryable::No,
         ),
-        Found::Open | Found::Encrypted => {
-            (format!("{error}; a server listens there: retry, or give another address with {option}"), MayCome::Yes)
+        ProbeResult::PlainHttp2 | ProbeResult::Tls => {
+            (format!("{error}; a server listens there: retry, or give another address with {option}"), Retryable::Yes)
         }
     };
-    Unmet { failure: unreachable(message), may_come }
+    ConnectFailure { failure: unreachable(message), retryable: may_come }
 }
 
 /// Converts a failed call into a failure of this program.
@@ -328,20 +338,20 @@ pub fn map_call_error(error: CallError) -> Failure {
         CallError::NoIdentity { .. } => {
             usage(format!("{error}; give it with --identity or FEMC_IDENTITY, --token-file or FEMC_TOKEN_FILE"))
         }
-        CallError::OpenToken { .. } => usage(format!("{error}; give an address that begins with https://")),
+        CallError::InsecureToken { .. } => usage(format!("{error}; give an address that begins with https://")),
         CallError::NoAuthority { .. } => {
             usage(format!("{error}; `femc ca token` writes token files with this certificate"))
         }
-        CallError::Unreachable { why: Why::TheirCertificate, .. } => unreachable(format!(
+        CallError::Unreachable { cause: UnreachableCause::ServerCertificate, .. } => unreachable(format!(
             "{error}; this coordinator belongs to another farm than the given identity or token: \
              give one that this coordinator's farm has issued, or the address of your farm"
         )),
-        CallError::Unreachable { why: Why::OurCertificate, .. } => unreachable(format!(
+        CallError::Unreachable { cause: UnreachableCause::ClientCertificate, .. } => unreachable(format!(
             "{error}; the coordinator refuses this identity: another farm's authority has issued it, or it has expired; \
              give one that this farm has issued (`femc ca issue`)"
         )),
         // A coordinator answered here before, so the address is not examined again.
-        CallError::Unreachable { why: Why::Away, .. } => {
+        CallError::Unreachable { cause: UnreachableCause::Connection, .. } => {
             unreachable(format!("{error}; it answered before: retry when it is back"))
         }
         CallError::Refused(refusal) => match refusal {
@@ -369,33 +379,33 @@ pub fn map_call_error(error: CallError) -> Failure {
 }
 
 /// Returns the farm's specification of a job of `frames`.
-pub fn job_spec(asked: &Asked, scene: &Parcel, frames: Vec<u32>) -> Result<JobSpec, Failure> {
+pub fn job_spec(resolved: &ResolvedRequest, scene: &Parcel, frames: Vec<u32>) -> Result<JobSpec, Failure> {
     Ok(JobSpec {
-        name: asked.name(),
+        name: resolved.name(),
         bundle: scene.digest(),
-        entry: asked.entry(),
-        settings: serde_json::to_string(&asked.settings).map_err(failed)?,
-        contents: contents(asked, &frames)?,
+        entry: resolved.entry(),
+        settings: serde_json::to_string(&resolved.settings).map_err(failed)?,
+        contents: first_pass_keys(resolved, &frames)?,
         frames,
-        grid: Grid { film: asked.film(), tile: asked.plan.tiling.edge },
-        graph: femc_worker::graph(&asked.plan.stages),
-        priority: asked.priority.unwrap_or(DEFAULT_PRIORITY),
-        owner: user(),
-        tags: asked.tags.clone(),
-        notes: asked.notes.clone(),
+        grid: Grid { film: resolved.film(), tile: resolved.plan.tiling.edge },
+        graph: femc_worker::job_graph(&resolved.plan.stages),
+        priority: resolved.priority.unwrap_or(DEFAULT_PRIORITY),
+        owner: login_name(),
+        tags: resolved.tags.clone(),
+        notes: resolved.notes.clone(),
     })
 }
 
 /// Returns the keys of the frames' first passes, in runs of frames that share one; empty if the method has no first pass.
-pub fn contents(asked: &Asked, frames: &[u32]) -> Result<Vec<(u32, Digest)>, Failure> {
-    if !asked.plan.method.has_first_pass() {
+pub fn first_pass_keys(resolved: &ResolvedRequest, frames: &[u32]) -> Result<Vec<(u32, Digest)>, Failure> {
+    if !resolved.plan.method.has_first_pass() {
         return Ok(Vec::new());
     }
-    let blocks = femc_pipeline::blocks_of(&asked.plan.stages);
+    let blocks = femc_pipeline::planned_first_pass_blocks(&resolved.plan.stages);
     let mut runs: Vec<(u32, Digest)> = Vec::new();
     for (place, &frame) in (1..).zip(frames) {
-        let frame_key = femc_pipeline::frame_key(&asked.source, &asked.settings, frame).map_err(failed)?;
-        let key = Digest::from_bytes(femc_pipeline::first_pass_key(&frame_key, asked.plan.method, blocks));
+        let frame_key = femc_pipeline::frame_key(&resolved.source, &resolved.settings, frame).map_err(failed)?;
+        let key = Digest::from_bytes(femc_pipeline::first_pass_key(&frame_key, resolved.plan.method, blocks));
         match runs.last_mut() {
             Some((end, other)) if *other == key => *end = place,
             _ => runs.push((place, key)),
@@ -408,6 +418,6 @@ pub fn contents(asked: &Asked, frames: &[u32]) -> Result<Vec<(u32, Digest)>, Fai
 pub const DEFAULT_PRIORITY: u8 = 50;
 
 /// Returns the user's login name.
-fn user() -> String {
+fn login_name() -> String {
     ["USER", "LOGNAME", "USERNAME"].iter().find_map(|name| std::env::var(name).ok()).unwrap_or_else(|| "nobody".into())
 }

@@ -6,15 +6,15 @@ use super::metrics;
 use super::site::site;
 use crate::args::MetricsArgs;
 use crate::exit::{Exit, Failure, failed, usage};
-use crate::output::Say;
-use crate::values::{Budget, Volume};
+use crate::output::Printer;
+use crate::values::{ByteSize, DurationArg};
 use clap::Args;
 use femc_coordinator::{
-    Announce, Artifacts, Config, Coordinator, CoordinatorError, Entrance, Exposure, Handle, Log, Loss, Metrics,
-    NotifyKey, Postgres, QueueError, Standing, UrlPrefix,
+    AccessControl, Artifacts, Config, Coordinator, CoordinatorError, Exposure, Handle, Leadership, Log, LossPolicy,
+    Metrics, NotifyConfig, NotifyKey, Postgres, QueueError, UrlPrefix,
 };
-use femc_metrics::Report;
-use femc_trust::{Audit, Holder, Identity, Revoked, Tokens, browser_fingerprint};
+use femc_metrics::ProcessReport;
+use femc_trust::{Audit, Holder, Identity, RevocationList, Tokens, browser_fingerprint};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::pin::Pin;
@@ -61,7 +61,7 @@ pub struct CoordinatorArgs {
     /// Size limit of the shared-result cache: the latest results are kept for later jobs; results that a job waits for are always
     /// kept
     #[arg(long, value_name = "SIZE", default_value = "16GiB")]
-    keep_shared: Volume,
+    keep_shared: ByteSize,
     /// Store of scenes, tiles and images: a folder, s3://BUCKET/PREFIX (keys, region and endpoint come from AWS_ACCESS_KEY_ID,
     /// AWS_SECRET_ACCESS_KEY, AWS_REGION, AWS_ENDPOINT_URL, AWS_ALLOW_HTTP), or memory (lost at the end); several coordinators
     /// share one
@@ -70,7 +70,7 @@ pub struct CoordinatorArgs {
     /// Free space to keep on the disks of the log and of the artifacts, like 256MiB: below it, no new jobs are accepted and running
     /// jobs continue; below four times this size the coordinator warns
     #[arg(long, value_name = "SIZE", default_value = "256MiB")]
-    keep_free: Volume,
+    keep_free: ByteSize,
     /// Open a log that has lost acknowledged records, and continue with the rest; such a log is not opened otherwise. A backup
     /// (`femc backup`) may have more: check it first
     #[arg(long)]
@@ -123,15 +123,15 @@ fn store(text: &str) -> Result<Log, String> {
 }
 
 fn silence(text: &str) -> Result<Duration, String> {
-    within(text, 3600.0, "1s to 1h")
+    parse_duration_within(text, 3600.0, "1s to 1h")
 }
 
 fn lease(text: &str) -> Result<Duration, String> {
-    within(text, 600.0, "1s to 10m")
+    parse_duration_within(text, 600.0, "1s to 10m")
 }
 
 fn keep_ended(text: &str) -> Result<Duration, String> {
-    let Budget { seconds } = text.parse::<Budget>().map_err(|error| error.to_string())?;
+    let DurationArg { seconds } = text.parse::<DurationArg>().map_err(|error| error.to_string())?;
     // Clients that wait for the end of a job must still find the job.
     if seconds < 60.0 {
         return Err("give 1m or more".to_owned());
@@ -140,8 +140,8 @@ fn keep_ended(text: &str) -> Result<Duration, String> {
 }
 
 /// Parses a duration from one second to `most`; `range` describes this range in the error.
-fn within(text: &str, most: f64, range: &str) -> Result<Duration, String> {
-    let Budget { seconds } = text.parse::<Budget>().map_err(|error| error.to_string())?;
+fn parse_duration_within(text: &str, most: f64, range: &str) -> Result<Duration, String> {
+    let DurationArg { seconds } = text.parse::<DurationArg>().map_err(|error| error.to_string())?;
     if (1.0..=most).contains(&seconds) { Ok(Duration::from_secs_f64(seconds)) } else { Err(format!("give {range}")) }
 }
 
@@ -165,7 +165,7 @@ fn share(text: &str) -> Result<(String, u32), String> {
 }
 
 /// Runs `femc coordinator`.
-pub fn run(args: CoordinatorArgs, say: Say) -> Result<Exit, Failure> {
+pub fn run(args: CoordinatorArgs, printer: Printer) -> Result<Exit, Failure> {
     if let Log::Sqlite(path) = &args.store
         && let Some(folder) = path.parent().filter(|folder| *folder != Path::new(""))
     {
@@ -180,7 +180,7 @@ pub fn run(args: CoordinatorArgs, say: Say) -> Result<Exit, Failure> {
         Log::Postgres { database, .. } => Log::Postgres { database, silence: args.silence },
         log => log,
     };
-    let entrance = entrance(args.identity.as_deref(), args.revoked, args.token_file.as_deref())?;
+    let entrance = access_control(args.identity.as_deref(), args.revoked, args.token_file.as_deref())?;
     if args.token_file.is_some() && args.identity.is_none() && !args.listen.ip().is_loopback() {
         return Err(usage(format!(
             "--token-file: {} is reachable from other machines, and tokens would cross the network unencrypted; give \
@@ -189,17 +189,17 @@ pub fn run(args: CoordinatorArgs, say: Say) -> Result<Exit, Failure> {
         )));
     }
     let warning = entrance.as_ref().and_then(|entrance| browser_warning(entrance.identity.as_ref()?));
-    let audit = audit(args.audit, &log)?;
+    let audit = open_audit(args.audit, &log)?;
     let exposure = if args.insecure { Exposure::Anybody } else { Exposure::Loopback };
     if args.insecure && !args.listen.ip().is_loopback() {
-        say.warning(format!(
+        printer.warning(format!(
             "{} is reachable from other machines; everybody who can reach it can submit jobs and read images",
             args.listen
         ));
     }
     let key = args.notify_key.as_deref().map(NotifyKey::read).transpose();
     let key = key.map_err(|error| failed(format!("--notify-key: {error}")))?;
-    let announce = Announce { allowed: args.notify_allow, key, on_end: args.on_end };
+    let announce = NotifyConfig { allowed: args.notify_allow, key, on_end: args.on_end };
     let config = Config {
         announce,
         listen: args.listen,
@@ -217,61 +217,62 @@ pub fn run(args: CoordinatorArgs, say: Say) -> Result<Exit, Failure> {
         },
         snapshot: args.compact as usize,
         keep_free: args.keep_free.0,
-        loss: if args.accept_loss { Loss::Accepted } else { Loss::Refused },
+        loss: if args.accept_loss { LossPolicy::Accept } else { LossPolicy::Refuse },
         ..Config::default()
     };
-    let counted = config.metrics.clone();
-    super::files::raise_limit();
+    let service_metrics = config.metrics.clone();
+    super::open_files::raise_limit();
     runtime()?.block_on(async {
         let mut interrupt = Interrupt::listen()?;
         let mut coordinator = Coordinator::start(config).await.map_err(|e| map_coordinator_error(&e))?;
-        let (mut news, url) = (coordinator.standing(), coordinator.url());
-        metrics::show(args.metrics.metrics, reporter(counted, &coordinator), say).await?;
+        let (mut standing, url) = (coordinator.leadership(), coordinator.url());
+        metrics::start_page(args.metrics.metrics, reporter(service_metrics, &coordinator), printer).await?;
         loop {
-            tell(say, &news.borrow_and_update(), &url, warning.as_deref());
+            print_standing(printer, &standing.borrow_and_update(), &url, warning.as_deref());
             tokio::select! {
                 error = coordinator.failed() => return Err(map_coordinator_error(&error)),
                 () = interrupt.wait() => break,
-                Ok(()) = news.changed() => {}
+                Ok(()) = standing.changed() => {}
             }
         }
         coordinator.stop().await.map_err(|e| map_coordinator_error(&e))?;
-        say.note("stopped; start it again with the same --store and --artifacts to resume");
+        printer.note("stopped; start it again with the same --store and --artifacts to resume");
         Ok(Exit::Done)
     })
 }
 
 /// Returns a function that reports the coordinator's metrics.
 fn reporter(
-    counted: Metrics,
+    service_metrics: Metrics,
     coordinator: &Handle,
-) -> impl Fn() -> Pin<Box<dyn Future<Output = Report> + Send>> + Clone + Send + Sync + 'static {
-    let standing = coordinator.standing();
+) -> impl Fn() -> Pin<Box<dyn Future<Output = ProcessReport> + Send>> + Clone + Send + Sync + 'static {
+    let standing = coordinator.leadership();
     move || {
-        let (counted, standing) = (counted.clone(), standing.borrow().clone());
-        Box::pin(async move { counted.report(&standing).await })
+        let (service_metrics, standing) = (service_metrics.clone(), standing.borrow().clone());
+        Box::pin(async move { service_metrics.report(&standing).await })
     }
 }
 
-fn entrance(
+fn access_control(
     identity: Option<&Path>,
     revoked: Option<PathBuf>,
     tokens: Option<&Path>,
-) -> Result<Option<Entrance>, Failure> {
-    let identity = identity.map(own).transpose()?;
-    let revoked = revoked.map(Revoked::open).transpose().map_err(|error| failed(format!("--revoked: {error}")))?;
+) -> Result<Option<AccessControl>, Failure> {
+    let identity = identity.map(coordinator_identity).transpose()?;
+    let revoked =
+        revoked.map(RevocationList::open).transpose().map_err(|error| failed(format!("--revoked: {error}")))?;
     let tokens = tokens.map(Tokens::open).transpose().map_err(|error| {
         failed(format!(
             "--token-file: {error}; `femc ca token` makes tokens and the file `tokens` in the authority's folder"
         ))
     })?;
     let is_open = identity.is_none() && tokens.is_none();
-    Ok((!is_open).then_some(Entrance { identity, revoked, tokens }))
+    Ok((!is_open).then_some(AccessControl { identity, revoked, tokens }))
 }
 
 /// Reads an identity file. Fails if the identity is not a coordinator's.
-fn own(path: &Path) -> Result<Identity, Failure> {
-    let identity = crate::args::identity(path)?;
+fn coordinator_identity(path: &Path) -> Result<Identity, Failure> {
+    let identity = crate::args::read_identity(path)?;
     if !matches!(identity.holder(), Holder::Coordinator { .. }) {
         let what = "is not for a coordinator; issue one with `femc ca issue coordinator NAME`";
         return Err(failed(format!("--identity {}: the identity of {} {what}", path.display(), identity.holder())));
@@ -280,12 +281,12 @@ fn own(path: &Path) -> Result<Identity, Failure> {
 }
 
 /// Opens the audit log at the requested path, or beside the log of jobs if that is a file.
-fn audit(asked: Option<PathBuf>, log: &Log) -> Result<Option<Audit>, Failure> {
-    let beside = match log {
+fn open_audit(requested: Option<PathBuf>, log: &Log) -> Result<Option<Audit>, Failure> {
+    let default_path = match log {
         Log::Sqlite(path) => Some(path.with_file_name("audit.jsonl")),
         Log::Memory | Log::Postgres { .. } => None,
     };
-    let audit = asked.or(beside).map(|path| Audit::open(&path)).transpose();
+    let audit = requested.or(default_path).map(|path| Audit::open(&path)).transpose();
     audit.map_err(|error| failed(format!("--audit: {error}; give a file that can be written")))
 }
 
@@ -298,18 +299,18 @@ fn browser_warning(identity: &Identity) -> Option<String> {
     ))
 }
 
-fn tell(say: Say, standing: &Standing, url: &str, warning: Option<&str>) {
+fn print_standing(printer: Printer, standing: &Leadership, url: &str, warning: Option<&str>) {
     match standing {
-        Standing::Leads => {
-            say.result(format!("listening on {url}"));
+        Leadership::Leader => {
+            printer.result(format!("listening on {url}"));
             if !site().files.is_empty() {
-                say.note(format!("the farm in a browser: {url}/"));
-                warning.into_iter().for_each(|warning| say.note(warning));
+                printer.note(format!("the farm in a browser: {url}/"));
+                warning.into_iter().for_each(|warning| printer.note(warning));
             }
         }
-        Standing::StandsBy { leader: Some(leader) } => say.note(format!("standing by; {leader} leads")),
-        Standing::StandsBy { leader: None } => {}
-        Standing::Seeks { message } => say.warning(format!("{message}; retrying until it is back")),
+        Leadership::Standby { leader: Some(leader) } => printer.note(format!("standing by; {leader} leads")),
+        Leadership::Standby { leader: None } => {}
+        Leadership::Disconnected { message } => printer.warning(format!("{message}; retrying until it is back")),
     }
 }
 
@@ -319,7 +320,7 @@ fn map_coordinator_error(error: &CoordinatorError) -> Failure {
         CoordinatorError::Exposed { .. } => {
             usage(format!("--listen: {error}; use 127.0.0.1, or give --identity (`femc ca --help`) or --insecure"))
         }
-        CoordinatorError::Queue(QueueError::Away { .. }) => {
+        CoordinatorError::Queue(QueueError::Unreachable { .. }) => {
             failed(format!("--store: {error}; check that PostgreSQL runs there and listens on that port"))
         }
         CoordinatorError::Queue(QueueError::Rejected { .. }) => {
@@ -328,16 +329,16 @@ fn map_coordinator_error(error: &CoordinatorError) -> Failure {
         CoordinatorError::Queue(QueueError::ForeignTables { .. }) => {
             failed(format!("--store: {error}; nothing was changed: give another database"))
         }
-        CoordinatorError::Queue(QueueError::Lost { .. } | QueueError::Unsure { .. } | QueueError::Damaged { .. }) => {
-            failed(format!(
-                "--store: {error}; nothing was changed: restore a copy (`femc backup --help`), or continue with the remaining records: \
+        CoordinatorError::Queue(
+            QueueError::MissingRecords { .. } | QueueError::Unverifiable { .. } | QueueError::Damaged { .. },
+        ) => failed(format!(
+            "--store: {error}; nothing was changed: restore a copy (`femc backup --help`), or continue with the remaining records: \
                  --accept-loss"
-            ))
-        }
+        )),
         CoordinatorError::Queue(QueueError::DamagedSnapshot) => {
             failed(format!("--store: {error}; nothing was changed: restore a copy (`femc backup --help`)"))
         }
-        CoordinatorError::Queue(QueueError::Full { .. }) => failed(format!(
+        CoordinatorError::Queue(QueueError::OutOfSpace { .. }) => failed(format!(
             "--store: {error}; all acknowledged records are kept: free disk space and start the coordinator again"
         )),
         CoordinatorError::Queue(_) | CoordinatorError::Ledger(_) => failed(format!("--store: {error}")),

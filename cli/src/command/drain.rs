@@ -3,9 +3,9 @@
 use super::client;
 use crate::args::ServerArgs;
 use crate::exit::{Exit, Failure};
-use crate::output::Say;
+use crate::output::Printer;
 use clap::Args;
-use femc_model::{Drain, WorkerId, WorkerName};
+use femc_model::{Drain, WorkerId, WorkerSelector};
 
 /// Give a worker no more tasks; it finishes its current tasks and stays connected
 #[derive(Debug, Args)]
@@ -27,15 +27,15 @@ pub struct DrainArgs {
 }
 
 /// Runs `femc drain`.
-pub fn run(args: &DrainArgs, say: Say) -> Result<Exit, Failure> {
+pub fn run(args: &DrainArgs, printer: Printer) -> Result<Exit, Failure> {
     let worker = match args.worker.parse() {
-        Ok(number) => WorkerName::Number(WorkerId(number)),
-        Err(_) => WorkerName::Name(args.worker.clone()),
+        Ok(number) => WorkerSelector::Number(WorkerId(number)),
+        Err(_) => WorkerSelector::Name(args.worker.clone()),
     };
     let drain = if args.undo { Drain::Undo } else { Drain::Begin };
     let workers = client::block_on(&args.server, async |farm| farm.drain(worker, drain).await)?;
     for worker in workers {
-        say.note(match drain {
+        printer.note(match drain {
             Drain::Begin => format!("worker {worker} gets no new tasks; `femc drain {worker} --undo` ends the drain"),
             Drain::Undo => format!("worker {worker} gets tasks again"),
         });

@@ -1,13 +1,13 @@
 //! A farm in this process: the coordinator and the workers of `femc coordinator` and `femc worker`, on a loopback port that the
 //! system chooses. It costs one copy of every result through a socket. In return there is only one way to render.
 
-use super::client::{self, Farm};
+use super::client::{self, FarmClient};
 use super::site::site;
 use crate::exit::{Failure, failed};
-use crate::output::Say;
+use crate::output::Printer;
 use femc_coordinator::{Artifacts, Config, Coordinator, Handle, Log};
-use femc_proto::Dial;
-use femc_worker::{Cache, Pieces, Worker, WorkerError};
+use femc_proto::Dialer;
+use femc_worker::{Cache, PieceCache, Worker, WorkerError};
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
 use tokio::sync::watch;
@@ -15,7 +15,7 @@ use tokio::task::JoinSet;
 
 /// Configuration of the farm.
 #[derive(Clone, Debug)]
-pub struct Plan {
+pub struct EmbeddedConfig {
     /// SQLite file of the log.
     pub log: PathBuf,
     /// Folder of the artifacts.
@@ -27,18 +27,18 @@ pub struct Plan {
 }
 
 /// A running farm.
-pub struct Embedded {
+pub struct EmbeddedFarm {
     coordinator: Handle,
     workers: JoinSet<Result<(), WorkerError>>,
     stop: watch::Sender<()>,
 }
 
-impl Embedded {
+impl EmbeddedFarm {
     /// Starts the farm, and connects to it.
-    pub async fn start(plan: Plan) -> Result<(Self, Farm), Failure> {
+    pub async fn start(settings: EmbeddedConfig) -> Result<(Self, FarmClient), Failure> {
         let config = Config {
-            log: Log::Sqlite(plan.log),
-            artifacts: Artifacts::Folder(plan.artifacts),
+            log: Log::Sqlite(settings.log),
+            artifacts: Artifacts::Folder(settings.artifacts),
             site: site(),
             // The workers stop together with the coordinator, so there are none to wait for after a restart.
             scheduler: femc_schedule::Config { regroup: 0, ..femc_schedule::Config::default() },
@@ -47,11 +47,11 @@ impl Embedded {
         let coordinator = Coordinator::start(config).await.map_err(failed)?;
         let (stop, stopped) = watch::channel(());
         // No cache is needed: the store is on the same disk.
-        let (mut workers, cache) = (JoinSet::new(), Cache::with(Pieces::memory(0)));
-        for number in 1..=plan.workers {
+        let (mut workers, cache) = (JoinSet::new(), Cache::with_pieces(PieceCache::in_memory(0)));
+        for number in 1..=settings.workers {
             let config = femc_worker::Config {
                 name: format!("worker {number}"),
-                threads: plan.threads.map_or(0, |threads| threads as usize),
+                threads: settings.threads.map_or(0, |threads| threads as usize),
                 cache: cache.clone(),
                 ..femc_worker::Config::new(coordinator.url())
             };
@@ -61,21 +61,22 @@ impl Embedded {
                 let _ = stopped.changed().await;
             }));
         }
-        let client =
-            Farm::connect(&Dial::tcp(), &coordinator.url(), client::SERVER).await.map_err(|unmet| unmet.failure)?;
+        let client = FarmClient::connect(&Dialer::tcp(), &coordinator.url(), client::SERVER_OPTIONS)
+            .await
+            .map_err(|unmet| unmet.failure)?;
         Ok((Self { coordinator, workers, stop }, client))
     }
 
     /// Prints the farm's address for browsers, and opens a browser if there is a desktop.
-    pub fn show(&self, say: Say) {
+    pub fn show_in_browser(&self, printer: Printer) {
         let page = format!("{}/", self.coordinator.url());
         if site().files.is_empty() {
-            say.warning(format!(
+            printer.warning(format!(
                 "--watch: this femc was built without its web page; {page}api/v1/feed has the same data as JSON"
             ));
             return;
         }
-        say.note(format!("the run in a browser: {page}"));
+        printer.note(format!("the run in a browser: {page}"));
         let has_desktop = ["DISPLAY", "WAYLAND_DISPLAY"].iter().any(|name| std::env::var_os(name).is_some());
         let opener = if cfg!(target_os = "macos") { "open" } else { "xdg-open" };
         if has_desktop || cfg!(target_os = "macos") {
@@ -89,7 +90,7 @@ impl Embedded {
     }
 
     /// Waits until a part of the farm ends by itself, which happens only after an error.
-    pub async fn broken(&mut self) -> Failure {
+    pub async fn wait_for_failure(&mut self) -> Failure {
         tokio::select! {
             error = self.coordinator.failed() => failed(error),
             Some(worker) = self.workers.join_next() => match worker {

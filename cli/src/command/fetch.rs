@@ -1,16 +1,16 @@
 //! `femc fetch JOB -o DIR`: writes the finished frames of a job as files.
 
-use super::client::{self, Farm};
-use super::lookout::Views;
-use super::preview::Partial;
-use super::render::{frame_name, layers_of, painted_name, statistics_of, still_name};
-use super::watch::{Words, follow};
+use super::client::{self, FarmClient};
+use super::live_preview::PreviewTargets;
+use super::preview::PreviewFrame;
+use super::render::{frame_name, layers_path, painted_name, statistics_path, still_name};
+use super::watch::{FollowMessages, follow};
 use crate::args::{FormatArgs, ServerArgs};
 use crate::exit::{Exit, Failure, failed};
-use crate::output::{Say, human, job as show, json};
+use crate::output::{Printer, human, job as show, json};
 use clap::Args;
 use femc_model::{Artifact, Digest, JobId, JobSpec, JobState, JobStatus, Role};
-use femc_worker::Wish;
+use femc_worker::ExtraOutputs;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
@@ -43,21 +43,21 @@ pub struct FetchArgs {
 }
 
 #[derive(Serialize)]
-struct Report {
+struct FetchReport {
     job: u64,
     state: &'static str,
     frames: u32,
     files: Vec<String>,
     partial: Vec<String>,
     #[serde(flatten)]
-    shown: Shown,
+    outputs: JobOutputs,
     /// Frames whose image is damaged or gone.
     lost: Vec<u32>,
 }
 
 /// Files that are made of all frames.
 #[derive(Clone, Debug, Default, Serialize)]
-struct Shown {
+struct JobOutputs {
     /// PNG files beside the frames.
     previews: Vec<String>,
     /// Painted pictures of the frames.
@@ -70,27 +70,28 @@ struct Shown {
 }
 
 /// Runs `femc fetch`.
-pub fn run(args: &FetchArgs, say: Say) -> Result<Exit, Failure> {
-    let (status, files, partial, shown, lost) = client::block_on(&args.server, async |farm| {
+pub fn run(args: &FetchArgs, printer: Printer) -> Result<Exit, Failure> {
+    let (status, files, partial, outputs, lost) = client::block_on(&args.server, async |farm| {
         let status = farm.status(JobId(args.job)).await?;
-        if !JobSpec::names_files(&status.name) {
+        if !JobSpec::is_valid_name(&status.name) {
             return Err(failed(format!(
                 "job {} is named {:?}, which cannot be part of a file name",
                 args.job, status.name
             )));
         }
-        let status = if args.wait { ended(args, farm, say).await? } else { status };
+        let status = if args.wait { wait_until_ended(args, farm, printer).await? } else { status };
         let (mut files, mut lost) = (Vec::new(), Vec::new());
         for frame in farm.frames(JobId(args.job)).await? {
             let path = args.out.join(frame_name(&status.name, frame.frame));
-            let mut beside = true;
-            for (artifact, path) in [(frame.statistics(), statistics_of(&path)), (frame.layers(), layers_of(&path))] {
+            let mut has_sidecars = true;
+            for (artifact, path) in [(frame.statistics(), statistics_path(&path)), (frame.layers(), layers_path(&path))]
+            {
                 if let Some(artifact) = artifact {
-                    beside &= file(farm, &artifact, &path).await?;
+                    has_sidecars &= fetch_file(farm, &artifact, &path).await?;
                 }
             }
             match frame.image() {
-                Some(image) if beside && file(farm, &image, &path).await? => files.push(path),
+                Some(image) if has_sidecars && fetch_file(farm, &image, &path).await? => files.push(path),
                 _ => lost.push(frame.frame),
             }
         }
@@ -98,35 +99,38 @@ pub fn run(args: &FetchArgs, say: Say) -> Result<Exit, Failure> {
         let status = if lost.is_empty() { status } else { farm.status(JobId(args.job)).await? };
         for &frame in &lost {
             let name = frame_name(&status.name, frame);
-            say.warning(format!(
+            printer.warning(format!(
                 "frame {frame} of job {} ({name}): its image is damaged or missing in the farm's store; {}",
                 args.job,
-                what_follows(&status)
+                describe_recovery(&status)
             ));
         }
         let mut partial = Vec::new();
         for parts in if args.partial { farm.parts(JobId(args.job)).await? } else { Vec::new() } {
             let path = args.out.join(format!("{}.{:04}.partial.exr", status.name, parts.frame));
-            let mut there = Partial::new(&parts)?;
-            if there.take(farm, &parts).await? {
+            let mut there = PreviewFrame::new(&parts)?;
+            if there.add_parts(farm, &parts).await? {
                 there.write(&path)?;
                 partial.push(path);
             }
         }
-        let shown = shown(farm, &status, &args.out, say).await?;
-        Ok((status, files, partial, shown, lost))
+        let outputs = fetch_job_outputs(farm, &status, &args.out, printer).await?;
+        Ok((status, files, partial, outputs, lost))
     })?;
     if args.format.json {
         let names = |paths: &[PathBuf]| paths.iter().map(|path| path.display().to_string()).collect();
         let (files, partial) = (names(&files), names(&partial));
         let (state, frames) = (status.state.name(), status.frames_total);
-        json::print(say, &Report { job: args.job, state, frames, files, partial, shown: shown.clone(), lost })?;
+        json::print(
+            printer,
+            &FetchReport { job: args.job, state, frames, files, partial, outputs: outputs.clone(), lost },
+        )?;
     } else {
-        let frames = human::count(files.len() as u64, "frame");
-        say.result(format!("{frames} in {}", args.out.display()));
-        shown.contact_sheet.iter().for_each(|path| say.result(format!("contact sheet: {path}")));
-        shown.video.iter().for_each(|path| say.result(format!("clip: {path}")));
-        partial.iter().for_each(|path| say.result(format!("partial: {}", path.display())));
+        let frames = human::counted_noun(files.len() as u64, "frame");
+        printer.result(format!("{frames} in {}", args.out.display()));
+        outputs.contact_sheet.iter().for_each(|path| printer.result(format!("contact sheet: {path}")));
+        outputs.video.iter().for_each(|path| printer.result(format!("clip: {path}")));
+        partial.iter().for_each(|path| printer.result(format!("partial: {}", path.display())));
     }
     if files.len() < status.frames_total as usize {
         return Err(failed(format!(
@@ -137,8 +141,8 @@ pub fn run(args: &FetchArgs, say: Say) -> Result<Exit, Failure> {
             status.state.name()
         )));
     }
-    if shown.missing > 0 {
-        let what = human::count(shown.missing, "picture or clip");
+    if outputs.missing > 0 {
+        let what = human::counted_noun(outputs.missing, "picture or clip");
         return Err(failed(format!(
             "{what} of job {} cannot be fetched yet; fetch again later: fetched files are kept",
             args.job
@@ -148,17 +152,17 @@ pub fn run(args: &FetchArgs, say: Say) -> Result<Exit, Failure> {
 }
 
 /// Waits until the job has ended and returns its status.
-async fn ended(args: &FetchArgs, farm: &Farm, say: Say) -> Result<JobStatus, Failure> {
+async fn wait_until_ended(args: &FetchArgs, farm: &FarmClient, printer: Printer) -> Result<JobStatus, Failure> {
     let again = format!("`femc fetch {} -o {} --wait` waits again", args.job, args.out.display());
-    let no_pictures = |_| Views { drawn: false, file: None };
-    let words = Words { who: "the fetch", again };
-    let status = follow(farm, JobId(args.job), &words, None, no_pictures, say).await?;
-    show::trouble(&status).iter().for_each(|line| say.warning(line));
+    let no_pictures = |_| PreviewTargets { on_terminal: false, file: None };
+    let messages = FollowMessages { activity: "the fetch", resume_hint: again };
+    let status = follow(farm, JobId(args.job), &messages, None, no_pictures, printer).await?;
+    show::failure_lines(&status).iter().for_each(|line| printer.warning(line));
     Ok(status)
 }
 
 /// Describes what happens to a frame whose image is lost.
-fn what_follows(status: &JobStatus) -> String {
+fn describe_recovery(status: &JobStatus) -> String {
     let job = status.job;
     match status.state {
         JobState::Queued | JobState::Running => "it is rendered again".to_owned(),
@@ -170,20 +174,25 @@ fn what_follows(status: &JobStatus) -> String {
 }
 
 /// Writes the outputs that are made of all frames, as far as they are finished.
-async fn shown(farm: &Farm, job: &JobStatus, folder: &Path, say: Say) -> Result<Shown, Failure> {
+async fn fetch_job_outputs(
+    farm: &FarmClient,
+    job: &JobStatus,
+    folder: &Path,
+    printer: Printer,
+) -> Result<JobOutputs, Failure> {
     let spec = farm.spec(job.job).await?;
-    let (wish, mut shown) = (Wish::of(&spec.graph), Shown::default());
-    let stills = spec.frames.iter().filter(|_| wish.stills);
+    let (requested, mut outputs) = (ExtraOutputs::from_graph(&spec.graph), JobOutputs::default());
+    let stills = spec.frames.iter().filter(|_| requested.stills);
     let stills = stills.map(|&frame| (Role::Still, still_name(&job.name, frame)));
-    let sheet = wish.sheet.map(|name| (Role::Sheet, name));
-    let video = wish.video.map(|video| (Role::Clip, video.name));
-    let painted = spec.frames.iter().filter(|_| wish.painting.is_some());
+    let sheet = requested.sheet.map(|name| (Role::Sheet, name));
+    let video = requested.video.map(|video| (Role::Clip, video.name));
+    let painted = spec.frames.iter().filter(|_| requested.painting.is_some());
     let painted = painted.map(|&frame| (Role::Painted, painted_name(&job.name, frame)));
     let wanted: Vec<(Role, String)> = stills.chain(painted).chain(sheet).chain(video).collect();
     if wanted.is_empty() {
-        return Ok(shown);
+        return Ok(outputs);
     }
-    let made = farm.whole(job.job).await?.map(|record| record.outputs).unwrap_or_default();
+    let made = farm.job_outputs(job.job).await?.map(|record| record.outputs).unwrap_or_default();
     let of = |role: Role| made.iter().filter(move |output| output.role == role).map(|output| output.artifact);
     // The farm lists stills and painted pictures in the order of the frames.
     let (mut all_stills, mut all_painted) = (of(Role::Still), of(Role::Painted));
@@ -195,31 +204,32 @@ async fn shown(farm: &Farm, job: &JobStatus, folder: &Path, say: Say) -> Result<
             _ => of(role).next(),
         };
         let is_there = match &found {
-            Some(artifact) => file(farm, artifact, &path).await?,
+            Some(artifact) => fetch_file(farm, artifact, &path).await?,
             None => false,
         };
         if !is_there {
-            shown.missing += 1;
+            outputs.missing += 1;
             if found.is_some() {
-                say.warning(format!("{name} is damaged or missing in the farm's store; {}", what_follows(job)));
+                printer
+                    .warning(format!("{name} is damaged or missing in the farm's store; {}", describe_recovery(job)));
             }
             continue;
         }
         let path = path.display().to_string();
         match role {
-            Role::Still => shown.previews.push(path),
-            Role::Painted => shown.painted.push(path),
-            Role::Sheet => shown.contact_sheet = Some(path),
-            _ => shown.video = Some(path),
+            Role::Still => outputs.previews.push(path),
+            Role::Painted => outputs.painted.push(path),
+            Role::Sheet => outputs.contact_sheet = Some(path),
+            _ => outputs.video = Some(path),
         }
     }
-    Ok(shown)
+    Ok(outputs)
 }
 
 /// Writes one artifact, unless the file already has its bytes. Returns false if the artifact is damaged or gone.
-async fn file(farm: &Farm, artifact: &Artifact, path: &Path) -> Result<bool, Failure> {
-    if !std::fs::read(path).is_ok_and(|bytes| Digest::of(&bytes) == artifact.digest) {
-        let Some(bytes) = farm.get_if_there(artifact).await? else { return Ok(false) };
+async fn fetch_file(farm: &FarmClient, artifact: &Artifact, path: &Path) -> Result<bool, Failure> {
+    if !std::fs::read(path).is_ok_and(|bytes| Digest::compute(&bytes) == artifact.digest) {
+        let Some(bytes) = farm.get_if_present(artifact).await? else { return Ok(false) };
         femc_film::file::write_atomic(path, &bytes).map_err(failed)?;
     }
     Ok(true)

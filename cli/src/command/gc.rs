@@ -3,10 +3,10 @@
 use super::client;
 use crate::args::{FormatArgs, ServerArgs};
 use crate::exit::{Exit, Failure};
-use crate::output::{Say, human, json};
-use crate::values::Budget;
+use crate::output::{Printer, human, json};
+use crate::values::DurationArg;
 use clap::Args;
-use femc_proto::{CollectMode, Collected, Volume};
+use femc_proto::{ArtifactTotals, CollectMode, CollectReport};
 use serde::Serialize;
 use std::time::Duration;
 
@@ -25,7 +25,7 @@ pub struct GcArgs {
     dry_run: bool,
     /// Keep artifacts younger than this, because they may belong to a running submission or upload; at least 60s
     #[arg(long, value_name = "DURATION", default_value = "1h")]
-    grace: Budget,
+    grace: DurationArg,
     #[command(flatten)]
     format: FormatArgs,
     #[command(flatten)]
@@ -38,14 +38,14 @@ struct VolumeJson {
     bytes: u64,
 }
 
-impl From<Volume> for VolumeJson {
-    fn from(Volume { artifacts, bytes }: Volume) -> Self {
+impl From<ArtifactTotals> for VolumeJson {
+    fn from(ArtifactTotals { artifacts, bytes }: ArtifactTotals) -> Self {
         Self { artifacts, bytes }
     }
 }
 
 #[derive(Serialize)]
-struct Report {
+struct GcReport {
     dry_run: bool,
     referenced: VolumeJson,
     young: VolumeJson,
@@ -54,25 +54,29 @@ struct Report {
 }
 
 /// Runs `femc gc`.
-pub fn run(args: &GcArgs, say: Say) -> Result<Exit, Failure> {
+pub fn run(args: &GcArgs, printer: Printer) -> Result<Exit, Failure> {
     let mode = if args.dry_run { CollectMode::DryRun } else { CollectMode::Remove };
     let grace = Duration::try_from_secs_f64(args.grace.seconds).unwrap_or(Duration::MAX);
     let collected = client::block_on(&args.server, async |farm| farm.collect(mode, grace).await)?;
-    let Collected { referenced, young, garbage, names } = collected;
+    let CollectReport { referenced, young, garbage, names } = collected;
     if args.format.json {
         let names = names.iter().map(|artifact| artifact.digest.to_string()).collect();
         let [referenced, young, garbage] = [referenced, young, garbage].map(VolumeJson::from);
-        json::print(say, &Report { dry_run: args.dry_run, referenced, young, garbage, names })?;
+        json::print(printer, &GcReport { dry_run: args.dry_run, referenced, young, garbage, names })?;
         return Ok(Exit::Done);
     }
-    let volume_text = |volume: Volume| {
-        format!("{}, {}B", human::count(volume.artifacts, "artifact"), human::quantity(volume.bytes as f64))
+    let volume_text = |volume: ArtifactTotals| {
+        format!("{}, {}B", human::counted_noun(volume.artifacts, "artifact"), human::quantity(volume.bytes as f64))
     };
     let what = match mode {
         CollectMode::DryRun => "would be removed",
         CollectMode::Remove => "removed",
     };
-    say.result(format!("{what}: {}", volume_text(garbage)));
-    say.note(format!("kept: {} in use by jobs; {} younger than --grace", volume_text(referenced), volume_text(young)));
+    printer.result(format!("{what}: {}", volume_text(garbage)));
+    printer.note(format!(
+        "kept: {} in use by jobs; {} younger than --grace",
+        volume_text(referenced),
+        volume_text(young)
+    ));
     Ok(Exit::Done)
 }

@@ -4,11 +4,11 @@ use super::client;
 use crate::args::{FormatArgs, SelectArgs, ServerArgs};
 use crate::exit::{Exit, Failure};
 use crate::output::job::{JobJson, table};
-use crate::output::{Say, json};
+use crate::output::{Printer, json};
 use clap::Args;
 use clap::builder::PossibleValuesParser;
 use femc_model::JobStatus;
-use femc_proto::Listing;
+use femc_proto::JobList;
 
 /// List the farm's jobs
 #[derive(Debug, Args)]
@@ -32,22 +32,22 @@ pub struct JobsArgs {
 const STATES: [&str; 6] = ["queued", "running", "paused", "done", "failed", "cancelled"];
 
 /// Runs `femc jobs`.
-pub fn run(args: &JobsArgs, say: Say) -> Result<Exit, Failure> {
-    let Listing { jobs, warnings } = client::block_on(&args.server, async |farm| farm.listing().await)?;
+pub fn run(args: &JobsArgs, printer: Printer) -> Result<Exit, Failure> {
+    let JobList { jobs, warnings } = client::block_on(&args.server, async |farm| farm.listing().await)?;
     for warning in warnings {
-        say.warning(warning);
+        printer.warning(warning);
     }
     let has_any = !jobs.is_empty();
     let is_wanted = |job: &JobStatus| args.state.is_empty() || args.state.iter().any(|name| name == job.state.name());
-    let jobs: Vec<JobStatus> = jobs.into_iter().filter(|job| args.select.holds(job) && is_wanted(job)).collect();
+    let jobs: Vec<JobStatus> = jobs.into_iter().filter(|job| args.select.matches(job) && is_wanted(job)).collect();
     if args.format.json {
-        json::print(say, &jobs.iter().map(JobJson::from).collect::<Vec<_>>())?;
+        json::print(printer, &jobs.iter().map(JobJson::from).collect::<Vec<_>>())?;
     } else if jobs.is_empty() && has_any {
-        say.note("no job with this owner, name and state");
+        printer.note("no job with this owner, name and state");
     } else if jobs.is_empty() {
-        say.note("no jobs; queue one with `femc submit SCENE`");
+        printer.note("no jobs; queue one with `femc submit SCENE`");
     } else {
-        say.result(table(&jobs));
+        printer.result(table(&jobs));
     }
     Ok(Exit::Done)
 }

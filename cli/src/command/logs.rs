@@ -1,13 +1,13 @@
 //! `femc logs JOB [TASK]`: prints the logs of a job's tasks.
 
-use super::client::{self, Farm};
+use super::client::{self, FarmClient};
 use super::interrupt::Interrupt;
 use crate::args::{FormatArgs, ServerArgs};
 use crate::exit::{Exit, Failure, interrupted, usage};
-use crate::output::{Say, human, json};
-use crate::values::{JobTasks, Tasks};
+use crate::output::{Printer, human, json};
+use crate::values::{JobTaskSelector, TaskSelector};
 use clap::Args;
-use femc_model::{Attempt, Epoch, LogRecord, LogText, TaskKey, Tick};
+use femc_model::{AttemptOutcome, Epoch, LogRecord, LogText, TaskKey, Tick};
 use femc_service::view::LogJson;
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -29,10 +29,10 @@ use std::time::Duration;
 pub struct LogsArgs {
     /// Job number, or a task with its job, like 7/12.0/render.0/3
     #[arg(value_name = "JOB")]
-    job: JobTasks,
+    job: JobTaskSelector,
     /// A frame, or a task: 12, 12.0/image, 12.0/render.0/3
     #[arg(value_name = "TASK")]
-    task: Option<Tasks>,
+    task: Option<TaskSelector>,
     /// Only attempts that failed
     #[arg(long)]
     failed: bool,
@@ -46,26 +46,26 @@ pub struct LogsArgs {
 }
 
 /// Interval between two calls.
-const EVERY: Duration = Duration::from_millis(500);
+const POLL_INTERVAL: Duration = Duration::from_millis(500);
 
 /// Runs `femc logs`.
-pub fn run(args: &LogsArgs, say: Say) -> Result<Exit, Failure> {
-    if args.task.is_some() && args.job.tasks != Tasks::default() {
+pub fn run(args: &LogsArgs, printer: Printer) -> Result<Exit, Failure> {
+    if args.task.is_some() && args.job.tasks != TaskSelector::default() {
         return Err(usage("TASK: the task is named twice; write JOB TASK, or JOB/TASK"));
     }
     client::block_on(&args.server, async |farm| {
         let mut interrupt = Interrupt::listen()?;
-        let mut seen = Seen::default();
+        let mut printed = PrintedLogs::default();
         loop {
             // The status is read before the logs, so that records from before the end are not missed.
-            let has_ended = !args.follow || farm.patient_status(args.job.job).await?.state.has_ended();
-            let records = seen.fresh(farm.logs(args.job.job, seen.since).await?);
-            show(args, farm, &records, say).await?;
+            let has_ended = !args.follow || farm.status_with_retry(args.job.job).await?.state.has_ended();
+            let records = printed.take_new(farm.logs(args.job.job, printed.since).await?);
+            print_logs(args, farm, &records, printer).await?;
             if has_ended {
                 return Ok(Exit::Done);
             }
             tokio::select! {
-                () = tokio::time::sleep(EVERY) => {}
+                () = tokio::time::sleep(POLL_INTERVAL) => {}
                 () = interrupt.wait() => return Err(interrupted("stopped following; the job continues")),
             }
         }
@@ -74,24 +74,29 @@ pub fn run(args: &LogsArgs, say: Say) -> Result<Exit, Failure> {
 
 /// Records that have been printed.
 #[derive(Default)]
-struct Seen {
+struct PrintedLogs {
     since: Tick,
     attempts: BTreeSet<(TaskKey, Epoch)>,
 }
 
-impl Seen {
+impl PrintedLogs {
     /// Returns the new logs among `records`.
-    fn fresh(&mut self, records: Vec<LogRecord>) -> Vec<LogRecord> {
-        self.since = records.last().map_or(self.since, |record| record.at);
+    fn take_new(&mut self, records: Vec<LogRecord>) -> Vec<LogRecord> {
+        self.since = records.last().map_or(self.since, |record| record.reported_at);
         let attempts = &mut self.attempts;
         records.into_iter().filter(|record| attempts.insert((record.task, record.epoch))).collect()
     }
 }
 
-async fn show(args: &LogsArgs, farm: &Farm, records: &[LogRecord], say: Say) -> Result<(), Failure> {
+async fn print_logs(
+    args: &LogsArgs,
+    farm: &FarmClient,
+    records: &[LogRecord],
+    printer: Printer,
+) -> Result<(), Failure> {
     let wanted = |record: &&LogRecord| {
-        let is_named = args.task.unwrap_or(args.job.tasks).hold(&record.task);
-        is_named && (!args.failed || record.log.attempt == Attempt::Failed)
+        let is_named = args.task.unwrap_or(args.job.tasks).matches(&record.task);
+        is_named && (!args.failed || record.log.outcome == AttemptOutcome::Failed)
     };
     let mut all = Vec::new();
     for record in records.iter().filter(wanted) {
@@ -103,29 +108,33 @@ async fn show(args: &LogsArgs, farm: &Farm, records: &[LogRecord], say: Say) -> 
             },
         };
         if args.format.json && args.follow {
-            json::line(say, &LogJson::new(record, text))?;
+            json::print_line(printer, &LogJson::new(record, text))?;
         } else if args.format.json {
             all.push(LogJson::new(record, text));
         } else {
-            say.result(heading(record, say));
-            say.result(human::shown(&text));
+            printer.result(heading(record, printer));
+            printer.result(human::escape_controls(&text));
         }
     }
     if args.format.json && !args.follow {
-        json::print(say, &all)?;
+        json::print(printer, &all)?;
     } else if records.is_empty() && !args.follow {
-        say.note("no attempt of this job has a log yet");
+        printer.note("no attempt of this job has a log yet");
     } else if !args.follow && !records.iter().any(|record| wanted(&record)) {
-        let others = human::count(records.len() as u64, "log");
-        say.note(format!("no requested attempt has a log; the job has {others} of other attempts"));
+        let others = human::counted_noun(records.len() as u64, "log");
+        printer.note(format!("no requested attempt has a log; the job has {others} of other attempts"));
     }
     Ok(())
 }
 
-fn heading(record: &LogRecord, say: Say) -> String {
+fn heading(record: &LogRecord, printer: Printer) -> String {
     let seconds = human::seconds(record.log.seconds);
-    match record.log.attempt {
-        Attempt::Done => say.heading(&format!("== {} on {}: done, {seconds}", record.task, record.worker)),
-        Attempt::Failed => say.bad(&format!("== {} on {}: FAILED, {seconds}", record.task, record.worker)),
+    match record.log.outcome {
+        AttemptOutcome::Done => {
+            printer.style_heading(&format!("== {} on {}: done, {seconds}", record.task, record.worker))
+        }
+        AttemptOutcome::Failed => {
+            printer.style_error(&format!("== {} on {}: FAILED, {seconds}", record.task, record.worker))
+        }
     }
 }

@@ -14,14 +14,14 @@ pub mod drain;
 mod embedded;
 pub mod fetch;
 pub mod field;
-mod files;
 pub mod fireflies;
 pub mod gc;
 mod interrupt;
 pub mod jobs;
+mod live_preview;
 pub mod logs;
-mod lookout;
 mod metrics;
+mod open_files;
 #[cfg(feature = "openjd")]
 pub mod openjd;
 mod outbox;
@@ -44,7 +44,7 @@ pub mod workers;
 
 use crate::args::CommonArgs;
 use crate::exit::{Exit, Failure};
-use crate::output::Say;
+use crate::output::Printer;
 use clap::{CommandFactory, Parser, Subcommand};
 use clap_complete::Shell;
 use femc_model::Control;
@@ -107,13 +107,13 @@ pub enum Command {
     Ca(ca::CaArgs),
     /// Pause jobs: running tasks finish, no new ones start
     #[command(after_help = "Examples:\n  femc pause 7\n  femc pause --owner ann")]
-    Pause(control::JobsArgs),
+    Pause(control::ControlArgs),
     /// Resume paused jobs
     #[command(after_help = "Examples:\n  femc resume 7 8")]
-    Resume(control::JobsArgs),
+    Resume(control::ControlArgs),
     /// Cancel jobs at once; their finished frames stay
     #[command(after_help = "Examples:\n  femc cancel 7\n  femc cancel 5 6 7\n  femc cancel --owner ann --name 'fog-*'")]
-    Cancel(control::JobsArgs),
+    Cancel(control::ControlArgs),
     /// Retry failed tasks of jobs, or the unfinished tasks of cancelled jobs
     #[command(after_help = "Examples:\n  femc retry 7\n  femc retry 7 --frames 3,7..9\n\n\
         The images of jobs that are done, and of frames given with --frames, are read: frames whose image is damaged or missing are\n\
@@ -122,7 +122,7 @@ pub enum Command {
     /// Delete jobs that have ended, with their frames and logs
     #[command(after_help = "Examples:\n  femc delete 7\n  femc delete --owner ann --name 'test-*'\n\n\
         `femc gc` later removes files that no other job uses. `femc usage` still counts deleted jobs.")]
-    Delete(control::JobsArgs),
+    Delete(control::ControlArgs),
     /// Change a job's priority
     Priority(control::PriorityArgs),
     /// Print a completion script for a shell
@@ -153,43 +153,43 @@ impl Command {
 }
 
 /// Runs the command.
-pub fn run(cli: Cli, say: Say) -> Result<Exit, Failure> {
+pub fn run(cli: Cli, printer: Printer) -> Result<Exit, Failure> {
     match cli.command {
-        Command::Render(args) => render::run(args, say),
-        Command::Plan(args) => plan::run(args, say),
-        Command::Check(args) => check::run(&args, say),
-        Command::Bench(args) => bench::run(&args, say),
-        Command::Compare(args) => compare::run(&args, say),
-        Command::Fireflies(args) => fireflies::run(&args, say),
-        Command::Field(args) => field::run(args, say),
-        Command::Paths(args) => paths::run(&args, say),
-        Command::Bottlenecks(args) => bottlenecks::run(&args, say),
-        Command::Stylize(args) => stylize::run(&args, say),
-        Command::Coordinator(args) => coordinator::run(args, say),
-        Command::Worker(args) => worker::run(args, say),
-        Command::Submit(args) => submit::run(args, say),
-        Command::Sweep(args) => sweep::run(&args, say),
+        Command::Render(args) => render::run(args, printer),
+        Command::Plan(args) => plan::run(args, printer),
+        Command::Check(args) => check::run(&args, printer),
+        Command::Bench(args) => bench::run(&args, printer),
+        Command::Compare(args) => compare::run(&args, printer),
+        Command::Fireflies(args) => fireflies::run(&args, printer),
+        Command::Field(args) => field::run(args, printer),
+        Command::Paths(args) => paths::run(&args, printer),
+        Command::Bottlenecks(args) => bottlenecks::run(&args, printer),
+        Command::Stylize(args) => stylize::run(&args, printer),
+        Command::Coordinator(args) => coordinator::run(args, printer),
+        Command::Worker(args) => worker::run(args, printer),
+        Command::Submit(args) => submit::run(args, printer),
+        Command::Sweep(args) => sweep::run(&args, printer),
         #[cfg(feature = "openjd")]
-        Command::Openjd(args) => openjd::run(&args, say),
-        Command::Jobs(args) => jobs::run(&args, say),
-        Command::Status(args) => status::run(&args, say),
-        Command::Watch(args) => watch::run(&args, say),
-        Command::Fetch(args) => fetch::run(&args, say),
-        Command::Usage(args) => usage::run(&args, say),
-        Command::Workers(args) => workers::run(&args, say),
-        Command::Report(args) => report::run(&args, say),
-        Command::Stats(args) => stats::run(&args, say),
-        Command::Logs(args) => logs::run(&args, say),
-        Command::Drain(args) => drain::run(&args, say),
-        Command::Gc(args) => gc::run(&args, say),
-        Command::Backup(args) => backup::run(&args, say),
-        Command::Ca(args) => ca::run(args, say),
-        Command::Pause(args) => control::run(&args, &Control::Pause, say),
-        Command::Resume(args) => control::run(&args, &Control::Resume, say),
-        Command::Cancel(args) => control::run(&args, &Control::Cancel, say),
-        Command::Retry(args) => control::retry(&args, say),
-        Command::Delete(args) => control::run(&args, &Control::Delete, say),
-        Command::Priority(args) => control::prioritize(&args, say),
+        Command::Openjd(args) => openjd::run(&args, printer),
+        Command::Jobs(args) => jobs::run(&args, printer),
+        Command::Status(args) => status::run(&args, printer),
+        Command::Watch(args) => watch::run(&args, printer),
+        Command::Fetch(args) => fetch::run(&args, printer),
+        Command::Usage(args) => usage::run(&args, printer),
+        Command::Workers(args) => workers::run(&args, printer),
+        Command::Report(args) => report::run(&args, printer),
+        Command::Stats(args) => stats::run(&args, printer),
+        Command::Logs(args) => logs::run(&args, printer),
+        Command::Drain(args) => drain::run(&args, printer),
+        Command::Gc(args) => gc::run(&args, printer),
+        Command::Backup(args) => backup::run(&args, printer),
+        Command::Ca(args) => ca::run(args, printer),
+        Command::Pause(args) => control::run(&args, &Control::Pause, printer),
+        Command::Resume(args) => control::run(&args, &Control::Resume, printer),
+        Command::Cancel(args) => control::run(&args, &Control::Cancel, printer),
+        Command::Retry(args) => control::retry(&args, printer),
+        Command::Delete(args) => control::run(&args, &Control::Delete, printer),
+        Command::Priority(args) => control::prioritize(&args, printer),
         Command::Completions { shell } => completions::run(shell, Cli::command()),
     }
 }

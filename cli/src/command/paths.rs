@@ -2,16 +2,16 @@
 
 use crate::args::FormatArgs;
 use crate::exit::{Exit, Failure, usage};
-use crate::output::{Say, human as words, json};
+use crate::output::{Printer, human as words, json};
 use clap::{Args, ValueEnum};
 use femc_pipeline::paths::octree::Root;
-use femc_pipeline::paths::query::{Condition, Query, is_in, is_known};
-use femc_pipeline::paths::represent::{Bins, Target, rarest, representative};
+use femc_pipeline::paths::query::{Condition, Query, is_known_name, is_within};
+use femc_pipeline::paths::represent::{PathBins, Target, choose_representative, rarest_paths};
 use femc_pipeline::paths::schema::path_bins;
-use femc_pipeline::paths::{Kind, Path as LightPath, Statistics};
-use femc_reports::attempts::{Column, Json, csv, human, write_parquet};
-use femc_reports::light::path_table::{self as table, Frame, Match};
-use femc_reports::light::{self, Unit};
+use femc_pipeline::paths::{LightPath, LightStatistics, NameKind};
+use femc_reports::attempts::{Column, RowsAsJson, csv, text_table, write_parquet};
+use femc_reports::light::path_table::{self as table, Match, QueriedFrame};
+use femc_reports::light::{self, FrameSet};
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 
@@ -111,45 +111,47 @@ enum Table {
 }
 
 /// Runs `femc paths`.
-pub fn run(args: &PathsArgs, say: Say) -> Result<Exit, Failure> {
-    let mut units = light::units(&args.files)?;
+pub fn run(args: &PathsArgs, printer: Printer) -> Result<Exit, Failure> {
+    let mut sets = light::read_all(&args.files)?;
     if args.union || args.out.is_some() {
-        units = vec![light::united(units)?];
+        sets = vec![light::merge(sets)?];
     }
-    if let (Some(out), [unit]) = (&args.out, &units[..]) {
-        let (paths, bytes) = light::write(out, unit)?;
-        say.note(format!("{}: {} frames, {paths} paths, {bytes} bytes", out.display(), unit.frames.len()));
+    if let (Some(out), [set]) = (&args.out, &sets[..]) {
+        let (paths, bytes) = light::write(out, set)?;
+        printer.note(format!("{}: {} frames, {paths} paths, {bytes} bytes", out.display(), set.frames.len()));
         return Ok(Exit::Done);
     }
     let minus = args.minus.as_deref().map(light::read).transpose()?;
-    if minus.is_some() && (args.table != Table::Voxels || units.len() > 1) {
+    if minus.is_some() && (args.table != Table::Voxels || sets.len() > 1) {
         return Err(usage("--minus: give --table voxels and one file; --union combines several files"));
     }
-    let query = query(args, &units)?;
-    let found: Vec<Frame<'_>> = units.iter().flat_map(|unit| found(args, unit, &query, say)).collect();
-    let out = Out { args, say };
+    let query = query(args, &sets)?;
+    let frames: Vec<QueriedFrame<'_>> = sets.iter().flat_map(|unit| run_query(args, unit, &query, printer)).collect();
+    let out = TableWriter { args, printer };
     match args.table {
-        Table::Paths => out.put(&table::paths(), &rows(&found, table::path_rows))?,
-        Table::Intersections => out.put(&table::intersections(), &rows(&found, table::intersection_rows))?,
-        Table::Lights => out.put(&table::lights(), &rows(&found, table::light_rows))?,
+        Table::Paths => out.write(&table::path_columns(), &rows(&frames, table::path_rows))?,
+        Table::Intersections => out.write(&table::intersection_columns(), &rows(&frames, table::intersection_rows))?,
+        Table::Lights => out.write(&table::light_columns(), &rows(&frames, table::light_rows))?,
         Table::Histograms => {
-            let rows: Vec<_> = units.iter().flat_map(table::bin_rows).collect();
-            out.put(&table::histograms(), &rows)?;
+            let rows: Vec<_> = sets.iter().flat_map(table::bin_rows).collect();
+            out.write(&table::bin_columns(), &rows)?;
         }
-        Table::Pairs => out.put(&table::pairs(), &units.iter().flat_map(table::pair_rows).collect::<Vec<_>>())?,
-        Table::Pixels => out.put(&table::pixels(), &rows(&found, table::pixel_rows))?,
+        Table::Pairs => {
+            out.write(&table::pair_columns(), &sets.iter().flat_map(table::pair_rows).collect::<Vec<_>>())?;
+        }
+        Table::Pixels => out.write(&table::pixel_columns(), &rows(&frames, table::pixel_rows))?,
         Table::Voxels => {
-            let all = units.iter().chain(&minus).flat_map(|unit| &unit.frames);
+            let all = sets.iter().chain(&minus).flat_map(|unit| &unit.frames);
             let root = root(all);
-            let by_unit: Vec<&[Frame<'_>]> = found.chunk_by(|a, b| a.file == b.file).collect();
+            let by_unit: Vec<&[QueriedFrame<'_>]> = frames.chunk_by(|a, b| a.file == b.file).collect();
             match &minus {
                 None => {
                     let rows: Vec<_> = by_unit.iter().flat_map(|frames| table::voxel_rows(frames, root)).collect();
-                    out.put(&table::voxels(), &rows)?;
+                    out.write(&table::voxel_columns(), &rows)?;
                 }
                 Some(minus) => {
-                    let others = self::found(args, minus, &query, say);
-                    out.put(&table::differences(), &table::difference_rows(&found, &others, root))?;
+                    let others = run_query(args, minus, &query, printer);
+                    out.write(&table::difference_columns(), &table::difference_rows(&frames, &others, root))?;
                 }
             }
         }
@@ -157,40 +159,40 @@ pub fn run(args: &PathsArgs, say: Say) -> Result<Exit, Failure> {
     Ok(Exit::Done)
 }
 
-fn rows<'a, R>(frames: &'a [Frame<'a>], of: impl Fn(&'a Frame<'a>) -> Vec<R>) -> Vec<R> {
+fn rows<'a, R>(frames: &'a [QueriedFrame<'a>], of: impl Fn(&'a QueriedFrame<'a>) -> Vec<R>) -> Vec<R> {
     frames.iter().flat_map(of).collect()
 }
 
 /// Returns the cube around the boxes of all frames. Voxels are parts of it, so all frames have the same voxels.
-fn root<'a>(all: impl Iterator<Item = &'a Statistics>) -> Root {
+fn root<'a>(all: impl Iterator<Item = &'a LightStatistics>) -> Root {
     let (mut lower, mut upper) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
-    for Statistics { scope, .. } in all {
+    for LightStatistics { scope, .. } in all {
         for axis in 0..3 {
             lower[axis] = lower[axis].min(scope.lower[axis]);
             upper[axis] = upper[axis].max(scope.upper[axis]);
         }
     }
-    Root::around(lower, upper, table::LEVELS)
+    Root::around(lower, upper, table::OCTREE_LEVELS)
 }
 
-fn query(args: &PathsArgs, all: &[Unit]) -> Result<Query, Failure> {
+fn query(args: &PathsArgs, all: &[FrameSet]) -> Result<Query, Failure> {
     let condition = args.condition.as_deref().map(Condition::parse).transpose();
     let condition = condition.map_err(|error| usage(format!("--where: {error}")))?;
     let objects: Vec<String> = args.object.iter().chain(&args.then).cloned().collect();
-    objects.iter().try_for_each(|object| known(object, all))?;
-    let within = args.within.as_deref().map(|within| corners(within, all)).transpose()?;
+    objects.iter().try_for_each(|object| check_object(object, all))?;
+    let within = args.within.as_deref().map(|within| parse_box(within, all)).transpose()?;
     Ok(Query { condition, objects, within })
 }
 
 /// Checks that some path intersects an object.
-fn known(object: &str, all: &[Unit]) -> Result<(), Failure> {
+fn check_object(object: &str, all: &[FrameSet]) -> Result<(), Failure> {
     let frames = || all.iter().flat_map(|unit| &unit.frames);
-    if frames().any(|all| is_known(&all.names, object)) {
+    if frames().any(|all| is_known_name(&all.names, object)) {
         return Ok(());
     }
     let names = frames().flat_map(|all| all.names.values());
     let known: BTreeSet<&str> =
-        names.filter(|(kind, _)| *kind == Kind::Object).map(|(_, name)| name.as_str()).collect();
+        names.filter(|(kind, _)| *kind == NameKind::Object).map(|(_, name)| name.as_str()).collect();
     let some: Vec<&str> = known.iter().copied().take(12).collect();
     let more = if known.len() > some.len() { ", ..." } else { "" };
     let files: Vec<&str> = all.iter().map(|unit| unit.file.as_str()).collect();
@@ -202,7 +204,7 @@ fn known(object: &str, all: &[Unit]) -> Result<(), Failure> {
 }
 
 /// Parses six numbers, or returns the box of the intersections with an object.
-fn corners(within: &str, all: &[Unit]) -> Result<[[f64; 3]; 2], Failure> {
+fn parse_box(within: &str, all: &[FrameSet]) -> Result<[[f64; 3]; 2], Failure> {
     let numbers: Result<Vec<f64>, _> = within.split(',').map(|number| number.trim().parse::<f64>()).collect();
     match numbers.as_deref() {
         Ok(&[a, b, c, d, e, f]) if [a, b, c, d, e, f].iter().all(|x| x.is_finite()) && a <= d && b <= e && c <= f => {
@@ -215,11 +217,11 @@ fn corners(within: &str, all: &[Unit]) -> Result<[[f64; 3]; 2], Failure> {
             ));
         }
     }
-    known(within, all)?;
+    check_object(within, all)?;
     let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
     for all in all.iter().flat_map(|unit| &unit.frames) {
         for it in all.paths.values().flat_map(|path| &path.intersections) {
-            if is_in(&all.names, it.object, within) {
+            if is_within(&all.names, it.object, within) {
                 for axis in 0..3 {
                     low[axis] = low[axis].min(it.position[axis]);
                     high[axis] = high[axis].max(it.position[axis]);
@@ -234,8 +236,8 @@ fn corners(within: &str, all: &[Unit]) -> Result<[[f64; 3]; 2], Failure> {
 }
 
 /// Returns the matching paths, by frame, in the order of the file; with `--rarest`, the rarest paths of a frame come first.
-fn found<'a>(args: &PathsArgs, unit: &'a Unit, query: &Query, say: Say) -> Vec<Frame<'a>> {
-    let of_frame = |all: &'a Statistics| -> Vec<&'a LightPath> {
+fn run_query<'a>(args: &PathsArgs, set: &'a FrameSet, query: &Query, printer: Printer) -> Vec<QueriedFrame<'a>> {
+    let of_frame = |all: &'a LightStatistics| -> Vec<&'a LightPath> {
         match (args.brightest, args.deepest) {
             (true, _) => all.fireflies(),
             (_, true) => all.bottlenecks(),
@@ -243,7 +245,7 @@ fn found<'a>(args: &PathsArgs, unit: &'a Unit, query: &Query, say: Say) -> Vec<F
         }
     };
     // Paths are numbered across all frames of a file.
-    let paths: Vec<(usize, &LightPath)> = unit
+    let paths: Vec<(usize, &LightPath)> = set
         .frames
         .iter()
         .enumerate()
@@ -251,27 +253,29 @@ fn found<'a>(args: &PathsArgs, unit: &'a Unit, query: &Query, say: Say) -> Vec<F
         .collect();
     let all = || (0..paths.len() as u32).map(|number| (number, None)).collect();
     let chosen: Vec<(u32, Option<f64>)> = match (args.few, args.rarest) {
-        (Some(few), _) => representatives(unit, few as usize, say),
-        (None, Some(most)) => rarest(&bins(unit), most as usize).into_iter().map(|number| (number, None)).collect(),
+        (Some(few), _) => representatives(set, few as usize, printer),
+        (None, Some(most)) => {
+            rarest_paths(&bins(set), most as usize).into_iter().map(|number| (number, None)).collect()
+        }
         (None, None) => all(),
     };
-    let mut frames: Vec<Frame<'a>> =
-        unit.frames.iter().map(|all| Frame { file: &unit.file, all, found: Vec::new() }).collect();
+    let mut frames: Vec<QueriedFrame<'a>> =
+        set.frames.iter().map(|all| QueriedFrame { file: &set.file, statistics: all, matches: Vec::new() }).collect();
     let mut count = 0;
     for (number, weight) in chosen {
         let Some(&(frame, path)) = paths.get(number as usize) else { continue };
-        let Frame { all, found, .. } = &mut frames[frame];
+        let QueriedFrame { statistics: all, matches: found, .. } = &mut frames[frame];
         if let Some(places) = query.matches(&all.scope, &all.names, path) {
-            found.push(Match { number, path, places, weight });
+            found.push(Match { number, path, positions: places, weight });
             count += 1;
         }
     }
-    note(args, unit, (count, paths.len()), say);
+    print_counts(args, set, (count, paths.len()), printer);
     frames
 }
 
 /// Prints how many paths match, and how many there are.
-fn note(args: &PathsArgs, unit: &Unit, (count, of): (usize, usize), say: Say) {
+fn print_counts(args: &PathsArgs, set: &FrameSet, (count, total): (usize, usize), printer: Printer) {
     let what = match (args.brightest, args.deepest) {
         (true, _) => "brightest",
         (_, true) => "deepest",
@@ -279,40 +283,40 @@ fn note(args: &PathsArgs, unit: &Unit, (count, of): (usize, usize), say: Say) {
     };
     let is_fair = !args.brightest && !args.deepest && args.few.is_none() && args.rarest.is_none();
     // All frames of a file have the same share.
-    let share = unit.frames.first().map_or(1.0, Statistics::share);
-    let samples: u64 = unit.frames.iter().map(Statistics::samples).sum();
+    let share = set.frames.first().map_or(1.0, LightStatistics::share);
+    let samples: u64 = set.frames.iter().map(LightStatistics::samples).sum();
     let about = if is_fair {
         format!(", about {} samples", words::quantity(count as f64 / share.max(f64::MIN_POSITIVE)))
     } else {
         String::new()
     };
-    let frames = if unit.frames.len() == 1 { String::new() } else { format!(" of {} frames", unit.frames.len()) };
-    say.note(format!(
-        "{count} of {of} {what} paths{about}; {} % of {} samples{frames} are recorded",
+    let frames = if set.frames.len() == 1 { String::new() } else { format!(" of {} frames", set.frames.len()) };
+    printer.note(format!(
+        "{count} of {total} {what} paths{about}; {} % of {} samples{frames} are recorded",
         words::number(100.0 * share),
         words::quantity(samples as f64)
     ));
 }
 
-fn bins(unit: &Unit) -> Vec<Bins> {
-    let paths = unit.frames.iter().flat_map(|all| all.paths.values().map(|path| path_bins(&all.scope, path)));
+fn bins(set: &FrameSet) -> Vec<PathBins> {
+    let paths = set.frames.iter().flat_map(|all| all.paths.values().map(|path| path_bins(&all.scope, path)));
     paths.collect()
 }
 
 /// Returns the numbers of representative paths, ascending, and their weights. With these weights, the histogram of every attribute
 /// is right.
-fn representatives(unit: &Unit, few: usize, say: Say) -> Vec<(u32, Option<f64>)> {
-    let bins = bins(unit);
-    let candidates = candidates(unit, few.saturating_mul(8));
-    let own: Vec<Bins> = candidates.iter().map(|number| bins[*number as usize]).collect();
-    let found = representative(&own, &Target::of(&bins), few);
-    say.note(format!(
+fn representatives(set: &FrameSet, few: usize, printer: Printer) -> Vec<(u32, Option<f64>)> {
+    let bins = bins(set);
+    let candidates = candidates(set, few.saturating_mul(8));
+    let own: Vec<PathBins> = candidates.iter().map(|number| bins[*number as usize]).collect();
+    let found = choose_representative(&own, &Target::from_paths(&bins), few);
+    printer.note(format!(
         "{} paths represent {}: D = {:.4}, DJ = {:.3}; their weights make them equivalent to {:.0} paths of equal weight",
         found.chosen.len(),
         bins.len(),
         found.distance.single,
         found.distance.joint,
-        found.effective
+        found.effective_size
     ));
     let numbers = found.chosen.into_iter().map(|place| candidates[place as usize]);
     let mut chosen: Vec<_> = numbers.zip(found.weights.into_iter().map(Some)).collect();
@@ -321,32 +325,32 @@ fn representatives(unit: &Unit, few: usize, say: Say) -> Vec<(u32, Option<f64>)>
 }
 
 /// Returns the numbers of the paths with the smallest hashes, in the order of the hashes.
-fn candidates(unit: &Unit, most: usize) -> Vec<u32> {
-    let hashes = unit.frames.iter().flat_map(|all| all.paths.keys());
+fn candidates(set: &FrameSet, most: usize) -> Vec<u32> {
+    let hashes = set.frames.iter().flat_map(|all| all.paths.keys());
     let mut all: Vec<_> = hashes.copied().zip(0u32..).collect();
     all.sort_unstable();
     all.into_iter().take(most).map(|(_, number)| number).collect()
 }
 
-struct Out<'a> {
+struct TableWriter<'a> {
     args: &'a PathsArgs,
-    say: Say,
+    printer: Printer,
 }
 
-impl Out<'_> {
-    fn put<R>(&self, columns: &[Column<R>], rows: &[R]) -> Result<(), Failure> {
-        let Self { args, say } = *self;
+impl TableWriter<'_> {
+    fn write<R>(&self, columns: &[Column<R>], rows: &[R]) -> Result<(), Failure> {
+        let Self { args, printer } = *self;
         if let Some(path) = &args.parquet {
             write_parquet(path, columns, rows)?;
-            say.note(format!("{}: {} rows", path.display(), rows.len()));
+            printer.note(format!("{}: {} rows", path.display(), rows.len()));
         } else if args.format.json {
-            json::print(say, &Json(columns, rows))?;
+            json::print(printer, &RowsAsJson(columns, rows))?;
         } else if args.csv {
-            say.result(csv(columns, rows));
+            printer.result(csv(columns, rows));
         } else if !rows.is_empty() {
-            say.result(human(columns, &rows[..rows.len().min(args.lines)]));
+            printer.result(text_table(columns, &rows[..rows.len().min(args.lines)]));
             if rows.len() > args.lines {
-                say.note(format!(
+                printer.note(format!(
                     "and {} more; --lines, --csv, --json and --parquet list them",
                     rows.len() - args.lines
                 ));

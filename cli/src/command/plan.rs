@@ -2,17 +2,17 @@
 
 use crate::args::{ExtrasArgs, FormatArgs, SettingsArgs};
 use crate::clock::Clock;
-use crate::command::render::{PaintingArgs, ask_for_layers};
+use crate::command::render::{PaintingArgs, request_painting_layers};
 use crate::command::{client, sweep};
 use crate::exit::{Exit, Failure, failed, usage};
-use crate::output::{Say, human, json};
-use crate::request::{Asked, JobFile, is_job};
+use crate::output::{Printer, human, json};
+use crate::request::{JobFile, ResolvedRequest, is_job_file};
 use crate::threads;
 use clap::Args;
-use femc_model::{Graph, Hint, Need, Reach, Round, Scope, Template};
-use femc_pipeline::auto::Choice;
-use femc_pipeline::{LeftOut, PrepareError, Prepared, Stop};
-use femc_worker::Wish;
+use femc_model::{Graph, Hint, Need, Reach, Round, Scope, StageTemplate};
+use femc_pipeline::method_choice::MethodChoice;
+use femc_pipeline::{OmittedFeature, PrepareError, Prepared, StopCondition};
+use femc_worker::ExtraOutputs;
 use serde::Serialize;
 use std::collections::BTreeSet;
 use std::path::PathBuf;
@@ -54,20 +54,20 @@ pub enum Trial {
 }
 
 /// Approximate duration of a trial.
-const TRIAL: Duration = Duration::from_millis(300);
+const TRIAL_DURATION: Duration = Duration::from_millis(300);
 /// Time after which a pilot starts no further round.
-const PILOT: Duration = Duration::from_millis(1500);
+const PILOT_DURATION: Duration = Duration::from_millis(1500);
 /// Edge of the blocks of a trial, pixels.
-const BLOCK: u32 = 8;
+const TRIAL_BLOCK: u32 = 8;
 
 #[derive(Serialize)]
-struct Report {
+struct PlanReport {
     scene: String,
     camera: String,
     film: [u32; 2],
     frames: Vec<u32>,
     method: femc_pipeline::Method,
-    stop: Stop,
+    stop: StopCondition,
     tile: u32,
     tiles: usize,
     rounds: Vec<u32>,
@@ -86,15 +86,15 @@ struct Report {
     first_pass_blocks: u32,
     samples_least: u64,
     samples_most: u64,
-    cost: Option<Cost>,
+    cost: Option<PlanCost>,
     /// Reason for the method, if none was named and a pilot ran.
-    choice: Option<Choice>,
-    left_out: Vec<LeftOut>,
+    choice: Option<MethodChoice>,
+    left_out: Vec<OmittedFeature>,
 }
 
 /// Cost estimated from a trial on this machine.
 #[derive(Serialize)]
-pub struct Cost {
+pub struct PlanCost {
     /// Time to prepare a frame, s.
     pub prepare_seconds: f64,
     /// Time to solve a first pass, s; 0 if the method has none.
@@ -104,51 +104,51 @@ pub struct Cost {
     seconds_least: f64,
     seconds_most: f64,
     /// With `--error`: a pilot's estimate of samples per pixel and time.
-    likely: Option<Likely>,
+    likely: Option<PilotEstimate>,
 }
 
 /// Estimate of a pilot.
 #[derive(Serialize)]
-struct Likely {
+struct PilotEstimate {
     samples_a_pixel: f64,
     seconds: f64,
 }
 
 /// Runs `femc plan`.
-pub fn run(mut args: PlanArgs, say: Say) -> Result<Exit, Failure> {
+pub fn run(mut args: PlanArgs, printer: Printer) -> Result<Exit, Failure> {
     let run = if args.no_trial { Trial::Skip } else { Trial::Run };
-    let painting = args.painting.wish()?;
+    let painting = args.painting.requested_painting()?;
     if painting.is_some() {
-        ask_for_layers(&mut args.settings);
+        request_painting_layers(&mut args.settings);
     }
-    if is_job(&args.scene) && JobFile::load(&args.scene).map_err(usage)?.sweep.is_some() {
-        return sweep::plan(&args.scene, &args.settings, run, args.format.json, say);
+    if is_job_file(&args.scene) && JobFile::load(&args.scene).map_err(usage)?.sweep.is_some() {
+        return sweep::plan(&args.scene, &args.settings, run, args.format.json, printer);
     }
-    let asked = Asked::open(&args.scene, args.settings, say)?;
-    let asked = if run == Trial::Run { asked.decided(say)? } else { asked };
-    let (plan, frames) = (&asked.plan, asked.plan.frames.len() as u64);
+    let resolved = ResolvedRequest::open(&args.scene, args.settings, printer)?;
+    let resolved = if run == Trial::Run { resolved.choose_method(printer)? } else { resolved };
+    let (plan, frames) = (&resolved.plan, resolved.plan.frames.len() as u64);
     let rounds = plan.rounds.len();
-    let least = match asked.settings.stop {
-        Stop::Spp(_) => rounds,
-        Stop::Error(_) | Stop::Time(_) => 1,
+    let least = match resolved.settings.stop {
+        StopCondition::Spp(_) => rounds,
+        StopCondition::Error(_) | StopCondition::Time(_) => 1,
     };
-    let mut graph = femc_worker::graph(&plan.stages);
-    let wish = args.extras.wish(asked.rate(&plan.frames))?;
-    Wish { painting, ..wish }.add_to(&mut graph, frames as u32);
+    let mut graph = femc_worker::job_graph(&plan.stages);
+    let outputs = args.extras.requested_outputs(resolved.rate(&plan.frames))?;
+    ExtraOutputs { painting, ..outputs }.add_to(&mut graph, frames as u32);
     let (samples_least, samples_most) =
         (plan.samples_per_frame(least) * frames, plan.samples_per_frame(rounds) * frames);
-    let first_passes = first_passes(&asked)?;
+    let first_passes = first_passes(&resolved)?;
     let cost = match run {
         Trial::Skip => None,
-        Trial::Run => Some(trial(&asked, first_passes, samples_least, samples_most)?),
+        Trial::Run => Some(trial(&resolved, first_passes, samples_least, samples_most)?),
     };
-    let report = Report {
+    let report = PlanReport {
         scene: args.scene.display().to_string(),
         camera: plan.camera.clone(),
-        film: asked.film(),
+        film: resolved.film(),
         frames: plan.frames.clone(),
         method: plan.method,
-        stop: asked.settings.stop,
+        stop: resolved.settings.stop,
         tile: plan.tiling.edge,
         tiles: plan.tiling.count(),
         rounds: plan.rounds.clone(),
@@ -156,120 +156,132 @@ pub fn run(mut args: PlanArgs, say: Say) -> Result<Exit, Failure> {
             + graph.tasks(Scope::Job)
             + graph.tasks(Scope::Content) * first_passes as u64,
         graph,
-        worlds: worlds(&asked)?,
+        worlds: worlds(&resolved)?,
         first_passes,
-        surfaces: femc_pipeline::surfaces(asked.source.scene()),
-        first_pass_blocks: femc_pipeline::blocks_of(&plan.stages),
+        surfaces: femc_pipeline::count_surfaces(resolved.source.scene()),
+        first_pass_blocks: femc_pipeline::planned_first_pass_blocks(&plan.stages),
         samples_least,
         samples_most,
         cost,
-        choice: asked.choice.clone(),
+        choice: resolved.choice.clone(),
         left_out: plan.left_out.clone(),
     };
     if args.format.json {
-        json::print(say, &report)?;
+        json::print(printer, &report)?;
     } else {
-        print(say, &report);
+        print(printer, &report);
     }
     Ok(Exit::Done)
 }
 
-fn worlds(asked: &Asked) -> Result<usize, Failure> {
-    let content = |&frame: &u32| Ok(femc_pipeline::frame_key(&asked.source, &asked.settings, frame)?.content);
-    let contents: Result<BTreeSet<_>, PrepareError> = asked.plan.frames.iter().map(content).collect();
+fn worlds(resolved: &ResolvedRequest) -> Result<usize, Failure> {
+    let content = |&frame: &u32| Ok(femc_pipeline::frame_key(&resolved.source, &resolved.settings, frame)?.content);
+    let contents: Result<BTreeSet<_>, PrepareError> = resolved.plan.frames.iter().map(content).collect();
     Ok(contents.map_err(failed)?.len())
 }
 
-fn first_passes(asked: &Asked) -> Result<usize, Failure> {
-    let contents = client::contents(asked, &asked.plan.frames)?;
+fn first_passes(resolved: &ResolvedRequest) -> Result<usize, Failure> {
+    let contents = client::first_pass_keys(resolved, &resolved.plan.frames)?;
     Ok(contents.iter().map(|(_, key)| key).collect::<BTreeSet<_>>().len())
 }
 
 /// Renders a few blocks spread over the first frame and measures the cost of a sample.
 /// - `first_passes`: number of solutions that the frames share.
-pub fn trial(asked: &Asked, first_passes: usize, samples_least: u64, samples_most: u64) -> Result<Cost, Failure> {
-    threads::pool(asked.threads)?.install(|| tried(asked, first_passes, samples_least, samples_most))
+pub fn trial(
+    resolved: &ResolvedRequest,
+    first_passes: usize,
+    samples_least: u64,
+    samples_most: u64,
+) -> Result<PlanCost, Failure> {
+    threads::pool(resolved.threads)?.install(|| run_trial(resolved, first_passes, samples_least, samples_most))
 }
 
 /// Does the work of [`trial`] on the calling thread's pool.
-fn tried(asked: &Asked, first_passes: usize, samples_least: u64, samples_most: u64) -> Result<Cost, Failure> {
-    let (clock, plan) = (Clock, &asked.plan);
+fn run_trial(
+    resolved: &ResolvedRequest,
+    first_passes: usize,
+    samples_least: u64,
+    samples_most: u64,
+) -> Result<PlanCost, Failure> {
+    let (clock, plan) = (Clock, &resolved.plan);
     let frame = plan.frames.first().copied().unwrap_or(1);
     let begun = clock.now();
-    let mut prepared = femc_pipeline::prepare_world(&asked.source, &asked.settings, frame, None).map_err(failed)?;
+    let mut prepared =
+        femc_pipeline::prepare_world(&resolved.source, &resolved.settings, frame, None).map_err(failed)?;
     let prepare_seconds = clock.since(begun).as_secs_f64();
     let mut first_pass_seconds = 0.0;
     if plan.method.has_first_pass() {
-        let world = femc_pipeline::first_pass_world(&asked.source, &asked.settings, frame, Some(&prepared));
+        let world = femc_pipeline::first_pass_world(&resolved.source, &resolved.settings, frame, Some(&prepared));
         let (world, begun) = (world.map_err(failed)?, clock.now());
-        let solution = femc_pipeline::first_pass(&world, plan.method, &AtomicBool::new(false)).map_err(failed)?;
+        let solution = femc_pipeline::solve_first_pass(&world, plan.method, &AtomicBool::new(false)).map_err(failed)?;
         first_pass_seconds = clock.since(begun).as_secs_f64();
-        let field = femc_pipeline::brightened(Arc::new(solution.field), prepared.brightness);
-        femc_pipeline::light(&mut prepared, field).map_err(failed)?;
+        let field = femc_pipeline::scale_field(Arc::new(solution.field), prepared.brightness);
+        femc_pipeline::attach_first_pass(&mut prepared, field).map_err(failed)?;
     }
     let begun = clock.now();
     let mut samples = 0;
     for round in 0.. {
-        samples += blocks(asked, &prepared, round);
-        if clock.since(begun) >= TRIAL {
+        samples += render_blocks(resolved, &prepared, round);
+        if clock.since(begun) >= TRIAL_DURATION {
             break;
         }
     }
     let samples_per_second = samples as f64 / clock.since(begun).as_secs_f64();
     let all_prepared = prepare_seconds * plan.frames.len() as f64 + first_pass_seconds * first_passes as f64;
-    let budget = match asked.settings.stop {
-        Stop::Time(seconds) => Some(seconds * plan.frames.len() as f64),
-        Stop::Spp(_) | Stop::Error(_) => None,
+    let budget = match resolved.settings.stop {
+        StopCondition::Time(seconds) => Some(seconds * plan.frames.len() as f64),
+        StopCondition::Spp(_) | StopCondition::Error(_) => None,
     };
     let seconds = |samples: u64| all_prepared + samples as f64 / samples_per_second;
     let seconds_most = budget.map_or(seconds(samples_most), |budget| budget.min(seconds(samples_most)));
     let seconds_least = budget.unwrap_or(seconds(samples_least)).min(seconds_most);
-    let likely = pilot(asked, &prepared, frame)?.map(|samples_a_pixel| {
-        let [width, height] = asked.film().map(f64::from);
+    let likely = pilot(resolved, &prepared, frame)?.map(|samples_a_pixel| {
+        let [width, height] = resolved.film().map(f64::from);
         let samples = samples_a_pixel * width * height * plan.frames.len() as f64;
-        Likely { samples_a_pixel, seconds: seconds(samples as u64).clamp(seconds_least, seconds_most) }
+        PilotEstimate { samples_a_pixel, seconds: seconds(samples as u64).clamp(seconds_least, seconds_most) }
     });
-    Ok(Cost { prepare_seconds, first_pass_seconds, samples_per_second, seconds_least, seconds_most, likely })
+    Ok(PlanCost { prepare_seconds, first_pass_seconds, samples_per_second, seconds_least, seconds_most, likely })
 }
 
 /// Returns the samples per pixel that a frame is likely to need to reach its error; `None` if it does not stop by error.
-fn pilot(asked: &Asked, prepared: &Prepared, frame: u32) -> Result<Option<f64>, Failure> {
-    if !matches!(asked.settings.stop, Stop::Error(_)) {
+fn pilot(resolved: &ResolvedRequest, prepared: &Prepared, frame: u32) -> Result<Option<f64>, Failure> {
+    if !matches!(resolved.settings.stop, StopCondition::Error(_)) {
         return Ok(None);
     }
-    let small = femc_pipeline::pilot::film(asked.film());
-    let settings = femc_pipeline::Settings { size: Some(small), ..asked.settings.clone() };
-    let prepared = femc_pipeline::prepare(&asked.source, &settings, frame, Some(prepared)).map_err(failed)?;
+    let small = femc_pipeline::pilot::film_size(resolved.film());
+    let settings = femc_pipeline::Settings { size: Some(small), ..resolved.settings.clone() };
+    let prepared = femc_pipeline::prepare_frame(&resolved.source, &settings, frame, Some(prepared)).map_err(failed)?;
     let (clock, begun) = (Clock, Clock.now());
-    femc_pipeline::pilot::likely_samples(&prepared, &settings, || clock.since(begun) >= PILOT).map_err(failed)
+    femc_pipeline::pilot::estimate_samples(&prepared, &settings, || clock.since(begun) >= PILOT_DURATION)
+        .map_err(failed)
 }
 
 /// Renders one sample per pixel in 16 blocks spread over the film. Returns the number of samples.
-fn blocks(asked: &Asked, prepared: &Prepared, round: u32) -> u64 {
-    let [width, height] = asked.film();
-    let (across, down) = (width.div_ceil(BLOCK).min(4), height.div_ceil(BLOCK).min(4));
+fn render_blocks(resolved: &ResolvedRequest, prepared: &Prepared, round: u32) -> u64 {
+    let [width, height] = resolved.film();
+    let (across, down) = (width.div_ceil(TRIAL_BLOCK).min(4), height.div_ceil(TRIAL_BLOCK).min(4));
     let mut samples = 0;
     for index in 0..across * down {
         let (i, j) = (index % across, index / across);
-        let x = (width.saturating_sub(BLOCK) as u64 * u64::from(i) / u64::from(across.max(2) - 1)) as u32;
-        let y = (height.saturating_sub(BLOCK) as u64 * u64::from(j) / u64::from(down.max(2) - 1)) as u32;
-        let rect = femc_film::Rect { x, y, width: BLOCK.min(width - x), height: BLOCK.min(height - y) };
+        let x = (width.saturating_sub(TRIAL_BLOCK) as u64 * u64::from(i) / u64::from(across.max(2) - 1)) as u32;
+        let y = (height.saturating_sub(TRIAL_BLOCK) as u64 * u64::from(j) / u64::from(down.max(2) - 1)) as u32;
+        let rect = femc_film::Rect { x, y, width: TRIAL_BLOCK.min(width - x), height: TRIAL_BLOCK.min(height - y) };
         let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
         let rendered =
-            femc_pipeline::render_tile(prepared, &asked.settings, rect, round..round + 1, &cancel, &progress);
+            femc_pipeline::render_tile(prepared, &resolved.settings, rect, round..round + 1, &cancel, &progress);
         samples += rendered.map_or(0, |_| rect.area());
     }
     samples
 }
 
-fn print(say: Say, report: &Report) {
-    let Report { camera, film: [width, height], frames, tile, tiles, .. } = report;
-    say.result(format!("{}: camera {camera}, {width}x{height} pixels, {}", report.scene, spelled(frames)));
-    say.result(format!("\n{}", table(&report.graph)));
+fn print(printer: Printer, report: &PlanReport) {
+    let PlanReport { camera, film: [width, height], frames, tile, tiles, .. } = report;
+    printer.result(format!("{}: camera {camera}, {width}x{height} pixels, {}", report.scene, frames_text(frames)));
+    printer.result(format!("\n{}", table(&report.graph)));
     let spp = match (report.stop, report.rounds.as_slice()) {
-        (Stop::Spp(n), _) => format!("{n} samples a pixel"),
-        (Stop::Time(s), _) => format!("as many samples as a time of {} per frame allows", human::seconds(s)),
-        (Stop::Error(e), [first, .., last]) => {
+        (StopCondition::Spp(n), _) => format!("{n} samples a pixel"),
+        (StopCondition::Time(s), _) => format!("as many samples as a time of {} per frame allows", human::seconds(s)),
+        (StopCondition::Error(e), [first, .., last]) => {
             let (rounds, error) = (report.rounds.len(), human::percent(e));
             format!(
                 "{first} to {last} samples a pixel in {rounds} rounds, until every block's relative error is {error}"
@@ -277,36 +289,37 @@ fn print(say: Say, report: &Report) {
         }
         (_, rounds) => format!("{rounds:?} samples a pixel"),
     };
-    say.result(format!("\n{} of {tile} pixels; {spp}", human::count(*tiles as u64, "tile")));
+    printer.result(format!("\n{} of {tile} pixels; {spp}", human::counted_noun(*tiles as u64, "tile")));
     let every = if report.rounds.len() > 1 { " if every round runs" } else { "" };
-    say.result(format!("{}{every}", human::count(report.tasks, "task")));
+    printer.result(format!("{}{every}", human::counted_noun(report.tasks, "task")));
     match report.worlds {
         _ if frames.len() < 2 => {}
-        1 => say.result("all frames share one world: only the view changes"),
-        worlds if worlds == frames.len() => say.result("every frame has its own world"),
+        1 => printer.result("all frames share one world: only the view changes"),
+        worlds if worlds == frames.len() => printer.result("every frame has its own world"),
         worlds => {
-            say.result(format!("the frames have {worlds} worlds; between frames of one world, only the view changes"));
+            printer
+                .result(format!("the frames have {worlds} worlds; between frames of one world, only the view changes"));
         }
     }
-    if let Some(Choice { method: femc_pipeline::Method::Femc, reason, .. }) = &report.choice {
-        say.result(format!("a first pass guides the paths: {reason}"));
+    if let Some(MethodChoice { method: femc_pipeline::Method::Femc, reason, .. }) = &report.choice {
+        printer.result(format!("a first pass guides the paths: {reason}"));
     }
     if report.first_passes > 0 {
-        say.result(match (report.first_passes, frames.len()) {
+        printer.result(match (report.first_passes, frames.len()) {
             (1, 1) => "the first pass is solved before the frame's samples".to_owned(),
             (1, all) => format!("the first pass is solved once, and all {all} frames share it"),
             (solutions, all) if solutions == all => "every frame has its own first pass".to_owned(),
             (solutions, all) => format!("the first pass is solved {solutions} times, and {all} frames share them"),
         });
-        let surfaces = human::count(report.surfaces, "surface");
-        say.result(match report.first_pass_blocks {
+        let surfaces = human::counted_noun(report.surfaces, "surface");
+        printer.result(match report.first_pass_blocks {
             1 => format!("the first pass is one task: for {surfaces}, blocks would cost more than they save"),
             blocks => format!("its rays and guides are computed in {blocks} blocks, because the scene has {surfaces}"),
         });
     }
     if let Some(cost) = &report.cost {
         let range = match (report.stop, &cost.likely) {
-            (Stop::Error(_), likely) => {
+            (StopCondition::Error(_), likely) => {
                 let (least, most) = (human::seconds(cost.seconds_least), human::seconds(cost.seconds_most));
                 let likely = likely.as_ref().map_or(String::new(), |likely| {
                     let (seconds, samples) = (human::seconds(likely.seconds), likely.samples_a_pixel.round());
@@ -314,22 +327,22 @@ fn print(say: Say, report: &Report) {
                 });
                 format!("{likely}{least} for the first round, {most} if all {} rounds are needed,", report.rounds.len())
             }
-            (Stop::Spp(_) | Stop::Time(_), _) => human::seconds(cost.seconds_most),
+            (StopCondition::Spp(_) | StopCondition::Time(_), _) => human::seconds(cost.seconds_most),
         };
         let rate = human::quantity(cost.samples_per_second);
-        say.result(format!("estimated cost: {range} on this machine ({rate} samples/s in a short trial)"));
+        printer.result(format!("estimated cost: {range} on this machine ({rate} samples/s in a short trial)"));
     }
     if !report.left_out.is_empty() {
-        say.result(format!("\n{}", say.heading("left out")));
+        printer.result(format!("\n{}", printer.style_heading("left out")));
         for left in &report.left_out {
-            say.result(format!("  {}: {}", left.what, left.reason));
+            printer.result(format!("  {}: {}", left.what, left.reason));
         }
     }
 }
 
 /// Returns a table with a line for each stage.
 fn table(graph: &Graph) -> String {
-    let row = |(stage, template): (u16, &Template)| {
+    let row = |(stage, template): (u16, &StageTemplate)| {
         let per = match template.scope {
             Scope::Job => "job",
             Scope::Frame => "frame",
@@ -341,8 +354,8 @@ fn table(graph: &Graph) -> String {
             per.to_owned(),
             template.tasks().to_string(),
             graph.rounds(stage).to_string(),
-            joined(template.needs.iter().map(read).chain(template.hints.iter().map(seen))),
-            joined(template.makes.iter().map(|role| role.name().to_owned())),
+            joined(template.needs.iter().map(need_text).chain(template.hints.iter().map(hint_text))),
+            joined(template.outputs.iter().map(|role| role.name().to_owned())),
             template.tags.join(", "),
         ]
     };
@@ -354,7 +367,7 @@ fn joined(all: impl Iterator<Item = String>) -> String {
     all.collect::<Vec<_>>().join(", ")
 }
 
-fn far(reach: Reach) -> String {
+fn reach_text(reach: Reach) -> String {
     match reach {
         Reach::All => "all".to_owned(),
         Reach::Same => "its own".to_owned(),
@@ -364,16 +377,16 @@ fn far(reach: Reach) -> String {
 }
 
 /// Returns text like `numbers of 0 (all of the previous frame, if present)`.
-fn seen(hint: &Hint) -> String {
-    format!("{} of {} ({} of the previous frame, if present)", hint.role.name(), hint.stage, far(hint.reach))
+fn hint_text(hint: &Hint) -> String {
+    format!("{} of {} ({} of the previous frame, if present)", hint.role.name(), hint.stage, reach_text(hint.reach))
 }
 
 /// Returns text like `tile of 0 (64 each)`.
-fn read(need: &Need) -> String {
-    let reach = far(need.reach);
+fn need_text(need: &Need) -> String {
+    let reach = reach_text(need.reach);
     let round = match need.round {
         Round::Same => "",
-        Round::Before => " of the previous round",
+        Round::Previous => " of the previous round",
         Round::Every => " of every round",
     };
     let gaps = if need.gaps { ", if available" } else { "" };
@@ -381,7 +394,7 @@ fn read(need: &Need) -> String {
 }
 
 /// Returns text like `frame 3`, `120 frames (1..120)`.
-fn spelled(frames: &[u32]) -> String {
+fn frames_text(frames: &[u32]) -> String {
     match frames {
         [one] => format!("frame {one}"),
         [first, .., last] => format!("{} frames ({first}..{last})", frames.len()),

@@ -1,6 +1,6 @@
 //! Preview of a frame in progress. It combines the existing parts in the same way as the farm will combine all parts.
 
-use super::client::Farm;
+use super::client::FarmClient;
 use crate::exit::{Failure, failed};
 use femc_film::{FrameImage, Provenance, exr};
 use femc_model::{Digest, FrameParts, Output, Role};
@@ -9,43 +9,43 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 /// A partly rendered frame, which grows.
-pub struct Partial {
+pub struct PreviewFrame {
     frame: u32,
-    union: femc_pictures::Partial,
+    assembly: femc_pictures::PartialFrame,
     /// Digests of the parts that have been added.
-    seen: BTreeSet<Digest>,
+    added: BTreeSet<Digest>,
 }
 
-impl Partial {
+impl PreviewFrame {
     /// Creates an empty frame.
     pub fn new(parts: &FrameParts) -> Result<Self, Failure> {
-        let union = femc_pictures::Partial::new(parts).map_err(failed)?;
-        Ok(Self { frame: parts.frame, union, seen: BTreeSet::new() })
+        let assembly = femc_pictures::PartialFrame::new(parts).map_err(failed)?;
+        Ok(Self { frame: parts.frame, assembly, added: BTreeSet::new() })
     }
 
     /// Returns whether these parts belong to the same frame and extend this one. After the start of another round the sums differ,
     /// and they do not.
-    pub fn may_take(&self, parts: &FrameParts) -> bool {
+    pub fn can_extend(&self, parts: &FrameParts) -> bool {
         let mut sums = parts.outputs.iter().filter(|output| output.role == Role::Sums);
-        self.frame == parts.frame && sums.all(|sums| self.seen.contains(&sums.artifact.digest))
+        self.frame == parts.frame && sums.all(|sums| self.added.contains(&sums.artifact.digest))
     }
 
     /// Adds the new parts. Returns false if the frame has progressed meanwhile and its parts are gone.
-    pub async fn take(&mut self, farm: &Farm, parts: &FrameParts) -> Result<bool, Failure> {
+    pub async fn add_parts(&mut self, farm: &FarmClient, parts: &FrameParts) -> Result<bool, Failure> {
         for Output { role, artifact } in &parts.outputs {
-            if !shows_pixels(*role) || self.seen.contains(&artifact.digest) {
+            if !shows_pixels(*role) || self.added.contains(&artifact.digest) {
                 continue;
             }
-            let Some(bytes) = farm.get_if_there(artifact).await? else { return Ok(false) };
-            self.union.insert(*role, &bytes).map_err(failed)?;
-            self.seen.insert(artifact.digest);
+            let Some(bytes) = farm.get_if_present(artifact).await? else { return Ok(false) };
+            self.assembly.insert(*role, &bytes).map_err(failed)?;
+            self.added.insert(artifact.digest);
         }
         Ok(true)
     }
 
     /// Returns the image, black where nothing is rendered yet.
     pub fn image(&self) -> Result<FrameImage, Failure> {
-        self.union.image().map_err(failed)
+        self.assembly.image().map_err(failed)
     }
 
     /// Writes the image as EXR.
@@ -62,7 +62,7 @@ impl Partial {
             seconds: 0.0,
             spp: image.mean_spp(),
             error: image.error(),
-            bad: self.union.bad(),
+            bad: self.assembly.bad(),
         };
         femc_film::file::write_atomic(path, &exr::encode(&image, &provenance).map_err(failed)?).map_err(failed)
     }

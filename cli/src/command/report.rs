@@ -1,12 +1,12 @@
 //! `femc report JOB`: writes a page about jobs, or about the light of frames.
 
-use super::subject::{self, Logs, Subject};
+use super::subject::{self, IncludedLogs, Subject};
 use crate::args::ServerArgs;
 use crate::exit::{Exit, Failure, failed, usage};
-use crate::output::Say;
+use crate::output::Printer;
 use clap::Args;
-use femc_reports::light::{Report as Findings, read};
-use femc_reports::pages::{Report, light};
+use femc_reports::light::{BottleneckReport as Findings, read};
+use femc_reports::pages::{JobsReport, light};
 use std::path::{Path, PathBuf};
 
 /// Write a page about jobs: workers over time, durations, errors, samples, cost, failures; or about the light of frames
@@ -29,11 +29,11 @@ pub struct ReportArgs {
 }
 
 /// Runs `femc report`.
-pub fn run(args: &ReportArgs, say: Say) -> Result<Exit, Failure> {
+pub fn run(args: &ReportArgs, printer: Printer) -> Result<Exit, Failure> {
     if let Some(files) = light_files(&args.subjects)? {
-        return light_page(args, &files, say);
+        return light_page(args, &files, printer);
     }
-    let records = subject::records(&args.subjects, Logs::Failures, &args.server)?;
+    let records = subject::records(&args.subjects, IncludedLogs::Failures, &args.server)?;
     let out = args.out.clone().unwrap_or_else(|| match &args.subjects[..] {
         [Subject::Job(job)] => format!("job-{job}.html").into(),
         [Subject::Sweep(folder)] => folder.join("report.html"),
@@ -43,8 +43,8 @@ pub fn run(args: &ReportArgs, say: Say) -> Result<Exit, Failure> {
         [Subject::Sweep(folder)] => Some(folder.display().to_string()),
         _ => None,
     };
-    femc_film::file::write_atomic(&out, Report { title, records }.html()?.as_bytes()).map_err(failed)?;
-    say.result(out.display());
+    femc_film::file::write_atomic(&out, JobsReport { title, records }.html()?.as_bytes()).map_err(failed)?;
+    printer.result(out.display());
     Ok(Exit::Done)
 }
 
@@ -63,39 +63,39 @@ fn light_files(subjects: &[Subject]) -> Result<Option<Vec<PathBuf>>, Failure> {
         count if count < subjects.len() => {
             Err(usage("a page shows either jobs and sweeps, or the light of frames (FRAME.paths)"))
         }
-        count if count > light::FILES => Err(usage(format!(
+        count if count > light::MAX_FILES => Err(usage(format!(
             "{count} files: a page shows at most {}; `femc bottlenecks` accepts all of them",
-            light::FILES
+            light::MAX_FILES
         ))),
         _ => Ok(Some(files)),
     }
 }
 
-fn light_page(args: &ReportArgs, files: &[PathBuf], say: Say) -> Result<Exit, Failure> {
+fn light_page(args: &ReportArgs, files: &[PathBuf], printer: Printer) -> Result<Exit, Failure> {
     let mut frames = Vec::new();
     for file in files {
-        let unit = read(file)?;
-        let is_one = unit.frames.len() == 1;
-        for statistics in unit.frames {
+        let set = read(file)?;
+        let is_one = set.frames.len() == 1;
+        for statistics in set.frames {
             // In a union, the frame numbers distinguish the frames.
             let number = statistics.scope.frame;
             let name = if is_one { file.clone() } else { format!("{}, frame {number}", file.display()).into() };
             frames.push((name, statistics));
         }
     }
-    if frames.len() > light::FILES {
+    if frames.len() > light::MAX_FILES {
         return Err(usage(format!(
             "{} frames: a page shows at most {}; `femc bottlenecks` accepts all of them",
             frames.len(),
-            light::FILES
+            light::MAX_FILES
         )));
     }
     let out = args.out.clone().unwrap_or_else(|| match files {
         [one] => one.with_extension("html"),
         _ => "light.html".into(),
     });
-    let page = light::html(&frames, &Findings::of_frames(&frames))?;
+    let page = light::html(&frames, &Findings::from_frames(&frames))?;
     femc_film::file::write_atomic(&out, page.as_bytes()).map_err(failed)?;
-    say.result(out.display());
+    printer.result(out.display());
     Ok(Exit::Done)
 }

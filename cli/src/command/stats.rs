@@ -1,11 +1,11 @@
 //! `femc stats JOB`: prints the usage of jobs' tasks.
 
-use super::subject::{self, Logs, Subject};
+use super::subject::{self, IncludedLogs, Subject};
 use crate::args::{FormatArgs, ServerArgs};
 use crate::exit::{Exit, Failure};
-use crate::output::{Say, json};
+use crate::output::{Printer, json};
 use clap::{Args, ValueEnum};
-use femc_reports::attempts::{By, Json, columns, csv, human, rows, write_parquet};
+use femc_reports::attempts::{GroupBy, RowsAsJson, columns, csv, rows, text_table, write_parquet};
 use std::path::PathBuf;
 
 /// Print the usage of jobs' tasks: time, processor, memory, samples, rays, bytes
@@ -29,8 +29,8 @@ pub struct StatsArgs {
     #[arg(value_name = "JOB|DIR", required = true)]
     subjects: Vec<Subject>,
     /// Subject of a line
-    #[arg(long, value_enum, default_value_t = Lines::Frame, value_name = "WHAT")]
-    by: Lines,
+    #[arg(long, value_enum, default_value_t = RowSubject::Frame, value_name = "WHAT")]
+    by: RowSubject,
     /// Print CSV on stdout, with a header line
     #[arg(long, conflicts_with = "json")]
     csv: bool,
@@ -45,7 +45,7 @@ pub struct StatsArgs {
 
 /// Subject of a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Lines {
+enum RowSubject {
     /// A task, with all its attempts.
     Task,
     /// A frame.
@@ -58,34 +58,34 @@ enum Lines {
     Attempt,
 }
 
-impl From<Lines> for By {
-    fn from(lines: Lines) -> Self {
-        match lines {
-            Lines::Task => Self::Task,
-            Lines::Frame => Self::Frame,
-            Lines::Variant => Self::Variant,
-            Lines::Worker => Self::Worker,
-            Lines::Attempt => Self::Attempt,
+impl From<RowSubject> for GroupBy {
+    fn from(subject: RowSubject) -> Self {
+        match subject {
+            RowSubject::Task => Self::Task,
+            RowSubject::Frame => Self::Frame,
+            RowSubject::Variant => Self::Variant,
+            RowSubject::Worker => Self::Worker,
+            RowSubject::Attempt => Self::Attempt,
         }
     }
 }
 
 /// Runs `femc stats`.
-pub fn run(args: &StatsArgs, say: Say) -> Result<Exit, Failure> {
-    let records = subject::records(&args.subjects, Logs::None, &args.server)?;
+pub fn run(args: &StatsArgs, printer: Printer) -> Result<Exit, Failure> {
+    let records = subject::records(&args.subjects, IncludedLogs::None, &args.server)?;
     let by = args.by.into();
     let (columns, rows) = (columns(by), rows(&records, by));
     if let Some(path) = &args.parquet {
         write_parquet(path, &columns, &rows)?;
-        say.note(format!("{}: {} rows", path.display(), rows.len()));
+        printer.note(format!("{}: {} rows", path.display(), rows.len()));
     } else if args.format.json {
-        json::print(say, &Json(&columns, &rows))?;
+        json::print(printer, &RowsAsJson(&columns, &rows))?;
     } else if args.csv {
-        say.result(csv(&columns, &rows));
+        printer.result(csv(&columns, &rows));
     } else if rows.is_empty() {
-        say.note("no attempt at a task has ended yet");
+        printer.note("no attempt at a task has ended yet");
     } else {
-        say.result(human(&columns, &rows));
+        printer.result(text_table(&columns, &rows));
     }
     Ok(Exit::Done)
 }

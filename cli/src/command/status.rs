@@ -3,8 +3,8 @@
 use super::client;
 use crate::args::{FormatArgs, ServerArgs};
 use crate::exit::{Exit, Failure};
-use crate::output::job::{JobJson, describe, slowest, slowest_words, wait};
-use crate::output::{Say, json};
+use crate::output::job::{JobJson, describe, describe_wait, find_slowest, slowest_text};
+use crate::output::{Printer, json};
 use clap::Args;
 use femc_model::JobId;
 use serde::Serialize;
@@ -48,12 +48,12 @@ struct SlowestFrame {
 }
 
 /// Runs `femc status`.
-pub fn run(args: &StatusArgs, say: Say) -> Result<Exit, Failure> {
+pub fn run(args: &StatusArgs, printer: Printer) -> Result<Exit, Failure> {
     let (job, frames) = client::block_on(&args.server, async |farm| {
         let job = farm.status(JobId(args.job)).await?;
         Ok((job, farm.frames_with_times(JobId(args.job)).await?))
     })?;
-    let slowest = slowest(&frames);
+    let slowest = find_slowest(&frames);
     if args.format.json {
         let slowest_frame = slowest.map(|(frame, times)| SlowestFrame {
             frame,
@@ -61,19 +61,19 @@ pub fn run(args: &StatusArgs, say: Say) -> Result<Exit, Failure> {
             wall_seconds: times.wall,
             waiting_seconds: times.waiting,
         });
-        json::print(say, &StatusJson { job: JobJson::from(&job), slowest_frame })?;
+        json::print(printer, &StatusJson { job: JobJson::from(&job), slowest_frame })?;
         return Ok(Exit::Done);
     }
-    say.result(describe(say, &job));
+    printer.result(describe(printer, &job));
     if let Some((frame, times)) = slowest.filter(|_| job.frames_total > 1) {
-        say.result(format!("slowest  {}", slowest_words(frame, &times)));
+        printer.result(format!("slowest  {}", slowest_text(frame, &times)));
     }
     if args.why {
         if job.waits.is_empty() {
-            say.result("nothing is waiting");
+            printer.result("nothing is waiting");
         }
         for reason in &job.waits {
-            say.result(format!("waits: {}", wait(&job, reason)));
+            printer.result(format!("waits: {}", describe_wait(&job, reason)));
         }
     }
     Ok(Exit::Done)

@@ -1,19 +1,19 @@
 //! Subjects of `femc stats` and `femc report`: jobs of a farm, or the folder of a sweep. The folder contains the records of the
 //! sweep's jobs.
 
-use super::client::{self, Farm};
+use super::client::{self, FarmClient};
 use crate::args::ServerArgs;
 use crate::exit::{Failure, usage};
-use femc_model::{Attempt, JobId, LogText, Tick};
+use femc_model::{AttemptOutcome, JobId, LogText, Tick};
 use femc_reports::attempts::{FailureLog, JobRecord, read_all};
 use std::convert::Infallible;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 /// Largest number of failures per job whose logs are fetched.
-const FAILURES: usize = 50;
+const MAX_FAILURE_LOGS: usize = 50;
 /// Subfolder of a sweep's folder with one record file per job.
-const KEPT: &str = "jobs";
+const RECORDS_FOLDER: &str = "jobs";
 
 /// Subject of a report.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -34,7 +34,7 @@ impl FromStr for Subject {
 
 /// Failure logs that are fetched in addition.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Logs {
+pub enum IncludedLogs {
     /// No logs.
     None,
     /// Logs of the first failures of each job.
@@ -42,13 +42,13 @@ pub enum Logs {
 }
 
 /// Returns the records of all subjects. Folders need no farm.
-pub fn records(subjects: &[Subject], logs: Logs, server: &ServerArgs) -> Result<Vec<JobRecord>, Failure> {
+pub fn records(subjects: &[Subject], logs: IncludedLogs, server: &ServerArgs) -> Result<Vec<JobRecord>, Failure> {
     let mut records = Vec::new();
     let mut jobs = Vec::new();
     for subject in subjects {
         match subject {
             Subject::Job(job) => jobs.push(*job),
-            Subject::Sweep(folder) => records.extend(kept(folder)?),
+            Subject::Sweep(folder) => records.extend(read_records(folder)?),
         }
     }
     if jobs.is_empty() {
@@ -56,14 +56,14 @@ pub fn records(subjects: &[Subject], logs: Logs, server: &ServerArgs) -> Result<
     }
     client::block_on(server, async |farm| {
         for job in jobs {
-            records.push(of_job(farm, job, logs).await?);
+            records.push(fetch_record(farm, job, logs).await?);
         }
         Ok(records)
     })
 }
 
-fn kept(folder: &Path) -> Result<Vec<JobRecord>, Failure> {
-    let jobs = folder.join(KEPT);
+fn read_records(folder: &Path) -> Result<Vec<JobRecord>, Failure> {
+    let jobs = folder.join(RECORDS_FOLDER);
     if !jobs.is_dir() {
         let folder = folder.display();
         return Err(usage(format!("{folder}: neither a job's number nor the folder of a sweep whose jobs have ended")));
@@ -72,26 +72,26 @@ fn kept(folder: &Path) -> Result<Vec<JobRecord>, Failure> {
 }
 
 /// Returns the record file of a ticket's job within a sweep's folder.
-pub fn kept_file(ticket: &str) -> String {
-    let digest = femc_model::Digest::of(ticket.as_bytes()).to_string();
-    format!("{KEPT}/{}.json", &digest[..16])
+pub fn record_file(ticket: &str) -> String {
+    let digest = femc_model::Digest::compute(ticket.as_bytes()).to_string();
+    format!("{RECORDS_FOLDER}/{}.json", &digest[..16])
 }
 
 /// Fetches the record of a job's attempts from the farm.
-pub async fn of_job(farm: &Farm, job: JobId, logs: Logs) -> Result<JobRecord, Failure> {
+pub async fn fetch_record(farm: &FarmClient, job: JobId, logs: IncludedLogs) -> Result<JobRecord, Failure> {
     let (shape, attempts) = farm.attempts(job).await?;
     let failures = match logs {
-        Logs::None => Vec::new(),
-        Logs::Failures => failures(farm, job).await?,
+        IncludedLogs::None => Vec::new(),
+        IncludedLogs::Failures => failures(farm, job).await?,
     };
     let attempts = attempts.iter().cloned().collect();
     Ok(JobRecord { job, run: 0, variant: None, spec: *shape.spec, cut: shape.cut, attempts, failures })
 }
 
-async fn failures(farm: &Farm, job: JobId) -> Result<Vec<FailureLog>, Failure> {
+async fn failures(farm: &FarmClient, job: JobId) -> Result<Vec<FailureLog>, Failure> {
     let logs = farm.logs(job, Tick(0)).await?.into_iter();
     let mut failures = Vec::new();
-    for record in logs.filter(|record| record.log.attempt == Attempt::Failed).take(FAILURES) {
+    for record in logs.filter(|record| record.log.outcome == AttemptOutcome::Failed).take(MAX_FAILURE_LOGS) {
         let text = match &record.log.text {
             LogText::Inline(text) => text.clone(),
             LogText::Stored(artifact) => match farm.get(artifact).await {

@@ -1,14 +1,14 @@
 //! `femc submit SCENE|JOB.toml`: queues a job.
 
 use super::client;
-use super::render::{PaintingArgs, ask_for_layers};
+use super::render::{PaintingArgs, request_painting_layers};
 use crate::args::{ExtrasArgs, FormatArgs, NotesArgs, ServerArgs, SettingsArgs, job_name};
 use crate::exit::{Exit, Failure};
-use crate::output::{Say, human, json};
-use crate::request::Asked;
+use crate::output::{Printer, human, json};
+use crate::request::ResolvedRequest;
 use clap::Args;
 use femc_model::Digest;
-use femc_worker::Wish;
+use femc_worker::ExtraOutputs;
 use serde::Serialize;
 use std::hash::{BuildHasher as _, RandomState};
 use std::path::PathBuf;
@@ -58,7 +58,7 @@ pub struct SubmitArgs {
 }
 
 #[derive(Serialize)]
-struct Report {
+struct SubmitReport {
     job: u64,
     /// `None`: the farm went away before it answered.
     owner: Option<String>,
@@ -67,22 +67,22 @@ struct Report {
 }
 
 /// Runs `femc submit`.
-pub fn run(mut args: SubmitArgs, say: Say) -> Result<Exit, Failure> {
-    let painting = args.painting.wish()?;
+pub fn run(mut args: SubmitArgs, printer: Printer) -> Result<Exit, Failure> {
+    let painting = args.painting.requested_painting()?;
     if painting.is_some() {
-        ask_for_layers(&mut args.settings);
+        request_painting_layers(&mut args.settings);
     }
-    let asked = Asked::open(&args.scene, args.settings, say)?.decided(say)?;
-    asked.explain(say);
-    let notes = args.notes.over(asked.notes.clone())?;
-    asked.warn_of_lost_light(say);
-    let wish = Wish { painting, ..args.extras.wish(asked.rate(&asked.plan.frames))? };
-    let scene = asked.parcel()?;
-    let count = human::count(asked.plan.frames.len() as u64, "frame");
+    let resolved = ResolvedRequest::open(&args.scene, args.settings, printer)?.choose_method(printer)?;
+    resolved.explain_method(printer);
+    let notes = args.notes.merge_over(resolved.notes.clone())?;
+    resolved.warn_of_lost_light(printer);
+    let outputs = ExtraOutputs { painting, ..args.extras.requested_outputs(resolved.rate(&resolved.plan.frames))? };
+    let scene = resolved.parcel()?;
+    let count = human::counted_noun(resolved.plan.frames.len() as u64, "frame");
     let wanted = args.owner.clone();
     let (job, sent, owner) = client::block_on(&args.server, async |farm| {
-        let mut spec = client::job_spec(&asked, &scene, asked.plan.frames.clone())?;
-        wish.add_to(&mut spec.graph, spec.frames.len() as u32);
+        let mut spec = client::job_spec(&resolved, &scene, resolved.plan.frames.clone())?;
+        outputs.add_to(&mut spec.graph, spec.frames.len() as u32);
         spec.priority = args.priority.unwrap_or(spec.priority);
         spec.owner = args.owner.unwrap_or(spec.owner);
         spec.name = args.name.unwrap_or(spec.name);
@@ -90,31 +90,31 @@ pub fn run(mut args: SubmitArgs, say: Say) -> Result<Exit, Failure> {
         if !args.tags.is_empty() {
             spec.tags = args.tags;
         }
-        let (job, sent) = farm.submit(&scene, own_key(), spec).await?;
+        let (job, sent) = farm.submit(&scene, unique_key(), spec).await?;
         // The job exists now. Its number is printed even if a later call fails, so that the job is not submitted twice.
         Ok((job, sent, farm.status(job).await.ok().map(|status| status.owner)))
     })?;
     if let (Some(wanted), Some(owner)) = (wanted, &owner)
         && wanted != *owner
     {
-        say.warning(format!(
+        printer.warning(format!(
             "--owner {wanted} is ignored: this farm knows who submits, and job {job} belongs to {owner}; omit --owner, \
              or submit it with {wanted}'s identity"
         ));
     }
     if args.format.json {
-        json::print(say, &Report { job: job.0, owner, scene_bytes: scene.size(), sent_bytes: sent })?;
+        json::print(printer, &SubmitReport { job: job.0, owner, scene_bytes: scene.size(), sent_bytes: sent })?;
     } else {
         let [size, sent] = [scene.size(), sent].map(|bytes| human::quantity(bytes as f64));
-        let path = asked.path.display();
-        say.note(format!("{path}: {count}, {size}B of scene, {sent}B sent; `femc watch {job}` shows its progress"));
-        say.result(job);
+        let path = resolved.path.display();
+        printer.note(format!("{path}: {count}, {size}B of scene, {sent}B sent; `femc watch {job}` shows its progress"));
+        printer.result(job);
     }
     Ok(Exit::Done)
 }
 
 /// Returns a new unique key. With it every `femc submit` creates a job of its own, even of an equal scene.
-pub fn own_key() -> Digest {
+pub fn unique_key() -> Digest {
     let number = || RandomState::new().hash_one(std::process::id()).to_le_bytes();
-    Digest::of(&[number(), number()].concat())
+    Digest::compute(&[number(), number()].concat())
 }

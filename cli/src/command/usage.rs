@@ -3,10 +3,10 @@
 use super::client;
 use crate::args::{FormatArgs, ServerArgs};
 use crate::exit::{Exit, Failure};
-use crate::output::{Say, json};
+use crate::output::{Printer, json};
 use clap::Args;
 use femc_model::{Month, OwnerUsage};
-use femc_reports::attempts::{Json, csv, human};
+use femc_reports::attempts::{RowsAsJson, csv, text_table};
 use femc_service::view::usage_columns;
 
 /// Print the usage of the farm by month and owner: jobs, frames, samples, worker and processor time
@@ -36,7 +36,7 @@ pub struct UsageArgs {
 }
 
 /// Runs `femc usage`.
-pub fn run(args: &UsageArgs, say: Say) -> Result<Exit, Failure> {
+pub fn run(args: &UsageArgs, printer: Printer) -> Result<Exit, Failure> {
     let mut usage = client::block_on(&args.server, async |farm| farm.usage().await)?;
     let is_wanted = |row: &OwnerUsage| {
         args.month.is_none_or(|month| month == row.month) && args.owner.as_ref().is_none_or(|owner| *owner == row.owner)
@@ -44,13 +44,13 @@ pub fn run(args: &UsageArgs, say: Say) -> Result<Exit, Failure> {
     usage.retain(is_wanted);
     let columns = usage_columns();
     if args.format.json {
-        json::print(say, &Json(&columns, &usage))?;
+        json::print(printer, &RowsAsJson(&columns, &usage))?;
     } else if args.csv {
-        say.result(csv(&columns, &usage));
+        printer.result(csv(&columns, &usage));
     } else if usage.is_empty() {
-        say.note("no usage recorded for these months and owners");
+        printer.note("no usage recorded for these months and owners");
     } else {
-        say.result(human(&columns, &usage));
+        printer.result(text_table(&columns, &usage));
     }
     Ok(Exit::Done)
 }

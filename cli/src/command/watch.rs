@@ -1,14 +1,14 @@
 //! `femc watch JOB`: shows the progress of a job until it ends, and exits with its exit code.
 
-use super::client::{self, Farm};
+use super::client::{self, FarmClient};
 use super::interrupt::Interrupt;
-use super::lookout::{Lookout, Views};
+use super::live_preview::{LivePreview, PreviewTargets};
 use crate::args::ServerArgs;
 use crate::clock::Clock;
 use crate::exit::{Exit, Failure, failed, interrupted};
-use crate::output::blocks::Room;
+use crate::output::half_blocks::DrawingSize;
 use crate::output::job::JobJson;
-use crate::output::{Progress, Say, Stage, human, job as show, json};
+use crate::output::{Printer, Progress, ProgressTarget, human, job as show, json};
 use clap::{Args, ValueEnum};
 use femc_model::{FrameRecord, JobId, JobStatus};
 use femc_service::view::above_target;
@@ -37,7 +37,7 @@ pub struct WatchArgs {
         require_equals = true,
         default_missing_value = "always"
     )]
-    preview: When,
+    preview: PreviewMode,
     /// Keep this file up to date with the frame in progress; at the end it is the last frame
     #[arg(long, value_name = "FILE.png", value_parser = png)]
     preview_to: Option<PathBuf>,
@@ -50,7 +50,7 @@ pub struct WatchArgs {
 
 /// Whether to draw a preview.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum When {
+enum PreviewMode {
     /// If the terminal supports it.
     Auto,
     /// On every terminal or pipe that shows progress.
@@ -59,12 +59,12 @@ enum When {
     Never,
 }
 
-impl When {
-    fn draws(self, stage: Stage, say: Say) -> bool {
-        match (self, stage) {
-            (Self::Never, _) | (_, Stage::None) | (Self::Auto, Stage::Lines) => false,
-            (Self::Always, Stage::Lines | Stage::Terminal) => true,
-            (Self::Auto, Stage::Terminal) => say.true_color() && Room::at_stderr().is_some(),
+impl PreviewMode {
+    fn is_drawn(self, target: ProgressTarget, printer: Printer) -> bool {
+        match (self, target) {
+            (Self::Never, _) | (_, ProgressTarget::None) | (Self::Auto, ProgressTarget::Lines) => false,
+            (Self::Always, ProgressTarget::Lines | ProgressTarget::Terminal) => true,
+            (Self::Auto, ProgressTarget::Terminal) => printer.true_color() && DrawingSize::from_stderr().is_some(),
         }
     }
 }
@@ -79,62 +79,66 @@ fn png(text: &str) -> Result<PathBuf, String> {
 }
 
 /// Interval between two status calls.
-const EVERY: Duration = Duration::from_millis(250);
+const POLL_INTERVAL: Duration = Duration::from_millis(250);
 
 /// Runs `femc watch`.
-pub fn run(args: &WatchArgs, say: Say) -> Result<Exit, Failure> {
+pub fn run(args: &WatchArgs, printer: Printer) -> Result<Exit, Failure> {
     let job = JobId(args.job);
     let last = client::block_on(&args.server, async |farm| {
-        let words = Words { who: "the watch", again: format!("`femc watch {job}` resumes the watch") };
-        let views = |stage| Views { drawn: args.preview.draws(stage, say), file: args.preview_to.clone() };
-        let last = follow(farm, job, &words, args.json.then_some(say), views, say).await?;
+        let messages =
+            FollowMessages { activity: "the watch", resume_hint: format!("`femc watch {job}` resumes the watch") };
+        let targets = |stage| PreviewTargets {
+            on_terminal: args.preview.is_drawn(stage, printer),
+            file: args.preview_to.clone(),
+        };
+        let last = follow(farm, job, &messages, args.json.then_some(printer), targets, printer).await?;
         if let Some(file) = &args.preview_to {
-            last_frame(farm, job, file).await?;
+            write_last_frame(farm, job, file).await?;
         }
         Ok(last)
     })?;
-    ended(args, say, &last)
+    report_end(args, printer, &last)
 }
 
 /// Texts for the messages of a command that follows a job.
-pub(super) struct Words {
+pub(super) struct FollowMessages {
     /// Name of the activity, such as `the watch`.
-    pub(super) who: &'static str,
+    pub(super) activity: &'static str,
     /// Command to continue after Ctrl-C.
-    pub(super) again: String,
+    pub(super) resume_hint: String,
 }
 
 /// Shows a job's progress until the job has ended, even if the coordinator is away for a while. Returns the final status.
 /// - `events`: output for JSON events.
-/// - `views`: destinations of the preview, which depend on whether there is a terminal.
+/// - `targets`: destinations of the preview, which depend on whether there is a terminal.
 pub(super) async fn follow(
-    farm: &Farm,
+    farm: &FarmClient,
     job: JobId,
-    words: &Words,
-    events: Option<Say>,
-    views: impl FnOnce(Stage) -> Views,
-    say: Say,
+    messages: &FollowMessages,
+    events: Option<Printer>,
+    targets: impl FnOnce(ProgressTarget) -> PreviewTargets,
+    printer: Printer,
 ) -> Result<JobStatus, Failure> {
-    let left = || interrupted(format!("job {job} continues; {}", words.again));
+    let left = || interrupted(format!("job {job} continues; {}", messages.resume_hint));
     let mut interrupt = Interrupt::listen()?;
-    let mut events = Events { say: events, last: None };
-    let mut progress = Progress::new(say, Clock);
-    let views = views(progress.stage());
-    let is_seen = views.drawn || views.file.is_some();
-    let mut lookout = is_seen.then(|| Lookout::new(farm.clone(), job, views));
+    let mut events = Events { printer: events, last: None };
+    let mut progress = Progress::new(printer, Clock);
+    let targets = targets(progress.target());
+    let is_seen = targets.on_terminal || targets.file.is_some();
+    let mut preview = is_seen.then(|| LivePreview::new(farm.clone(), job, targets));
     loop {
         let mut away = None;
-        let status = farm.status_unless_away(job, |gone| {
+        let status = farm.status_reporting_outage(job, |gone| {
             if away.is_none() {
                 events.away(farm.url());
             }
             away = Some(gone);
-            progress.away(&format!(
+            progress.show_outage(&format!(
                 "the coordinator at {} has been away for {}; {} resumes when it is back, and waits up to {}",
                 farm.url(),
                 human::seconds(gone.as_secs_f64()),
-                words.who,
-                human::seconds(client::PATIENCE.as_secs_f64())
+                messages.activity,
+                human::seconds(client::RECONNECT_TIMEOUT.as_secs_f64())
             ));
         });
         let status = tokio::select! {
@@ -147,21 +151,21 @@ pub(super) async fn follow(
         };
         if let Some(gone) = away {
             let gone_for = human::seconds(gone.as_secs_f64());
-            progress.back(&format!("the coordinator is back after {gone_for}; {} resumes", words.who));
+            progress.show_recovery(&format!("the coordinator is back after {gone_for}; {} resumes", messages.activity));
             events.back(gone);
         }
         events.status(&status);
         if status.state.has_ended() {
             return Ok(status);
         }
-        if let Some(lookout) = &mut lookout
-            && let Some(picture) = lookout.latest().await?
+        if let Some(preview) = &mut preview
+            && let Some(picture) = preview.latest().await?
         {
             progress.picture(&picture);
         }
-        progress.show(&show::snapshot(&status, None));
+        progress.show(&show::progress_snapshot(&status, None));
         tokio::select! {
-            () = tokio::time::sleep(EVERY) => {}
+            () = tokio::time::sleep(POLL_INTERVAL) => {}
             () = interrupt.wait() => {
                 progress.finish();
                 return Err(left());
@@ -173,7 +177,7 @@ pub(super) async fn follow(
 /// Output of `--json`: one object per line after each change.
 struct Events {
     /// `None`: events are not printed.
-    say: Option<Say>,
+    printer: Option<Printer>,
     last: Option<JobStatus>,
 }
 
@@ -189,10 +193,10 @@ enum Event<'a> {
 }
 
 impl Events {
-    fn tell(&self, event: &Event<'_>) {
-        if let Some(say) = self.say {
+    fn emit(&self, event: &Event<'_>) {
+        if let Some(printer) = self.printer {
             // Serializing an event cannot fail.
-            let _ = json::line(say, event);
+            let _ = json::print_line(printer, event);
         }
     }
 
@@ -200,25 +204,25 @@ impl Events {
         // A change of the time alone is not an event.
         let now = Some(JobStatus { seconds: 0.0, ..status.clone() });
         if self.last != now {
-            self.tell(&Event::Status { job: &JobJson::from(status) });
+            self.emit(&Event::Status { job: &JobJson::from(status) });
             self.last = now;
         }
     }
 
     fn away(&self, server: &str) {
-        self.tell(&Event::Away { server });
+        self.emit(&Event::Away { server });
     }
 
     fn back(&self, gone: Duration) {
-        self.tell(&Event::Back { seconds: gone.as_secs_f64() });
+        self.emit(&Event::Back { seconds: gone.as_secs_f64() });
     }
 }
 
 /// Replaces the preview by the last finished frame. Without a finished frame, the preview stays.
-async fn last_frame(farm: &Farm, job: JobId, file: &Path) -> Result<(), Failure> {
+async fn write_last_frame(farm: &FarmClient, job: JobId, file: &Path) -> Result<(), Failure> {
     let preview = farm.frames(job).await?.last().and_then(FrameRecord::preview);
     match preview {
-        Some(preview) => match farm.get_if_there(&preview).await? {
+        Some(preview) => match farm.get_if_present(&preview).await? {
             Some(bytes) => femc_film::file::write_atomic(file, &bytes).map_err(failed),
             // The frame is lost and is rendered again.
             None => Ok(()),
@@ -228,21 +232,21 @@ async fn last_frame(farm: &Farm, job: JobId, file: &Path) -> Result<(), Failure>
 }
 
 /// Reports how a job has ended.
-fn ended(args: &WatchArgs, say: Say, job: &JobStatus) -> Result<Exit, Failure> {
-    for line in show::trouble(job) {
-        say.warning(line);
+fn report_end(args: &WatchArgs, printer: Printer, job: &JobStatus) -> Result<Exit, Failure> {
+    for line in show::failure_lines(job) {
+        printer.warning(line);
     }
-    match show::exit(job.state) {
+    match show::exit_code(job.state) {
         Some(Exit::Done) => {
-            let frames = human::count(job.frames_total.into(), "frame");
+            let frames = human::counted_noun(job.frames_total.into(), "frame");
             if above_target(job).is_some() {
-                show::error(job).into_iter().for_each(|error| say.note(error));
+                show::error_text(job).into_iter().for_each(|error| printer.note(error));
             }
             let line = format!("job {} is done: {frames} in {}", job.job, human::seconds(job.seconds));
             if args.json {
-                say.note(line);
+                printer.note(line);
             } else {
-                say.result(line);
+                printer.result(line);
             }
             Ok(Exit::Done)
         }

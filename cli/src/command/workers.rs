@@ -3,10 +3,10 @@
 use super::client;
 use crate::args::{FormatArgs, ServerArgs};
 use crate::exit::{Exit, Failure};
-use crate::output::{Say, human, json};
+use crate::output::{Printer, human, json};
 use clap::Args;
-use femc_model::{Crew, OfflineWorker, WorkerStatus};
-use femc_service::view::{OfflineJson, WorkerJson, intake};
+use femc_model::{OfflineWorker, WorkerList, WorkerStatus};
+use femc_service::view::{OfflineJson, WorkerJson, intake_name};
 use serde::Serialize;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
@@ -28,17 +28,18 @@ pub struct WorkersArgs {
 }
 
 /// Runs `femc workers`.
-pub fn run(args: &WorkersArgs, say: Say) -> Result<Exit, Failure> {
-    let Crew { there, offline } = client::block_on(&args.server, async |farm| farm.crew().await)?;
+pub fn run(args: &WorkersArgs, printer: Printer) -> Result<Exit, Failure> {
+    let WorkerList { connected, offline } = client::block_on(&args.server, async |farm| farm.workers().await)?;
     if args.format.json {
-        let offline = offline.iter().filter(|_| args.offline).map(OfflineJson::from).map(Line::Offline);
-        let lines: Vec<Line> = there.iter().map(WorkerJson::from).map(Line::There).chain(offline).collect();
-        json::print(say, &lines)?;
-    } else if there.is_empty() && offline.is_empty() {
-        say.note(format!("no workers; start one with `femc worker --join {}`", args.server.server));
+        let offline = offline.iter().filter(|_| args.offline).map(OfflineJson::from).map(WorkerLine::Offline);
+        let lines: Vec<WorkerLine> =
+            connected.iter().map(WorkerJson::from).map(WorkerLine::Connected).chain(offline).collect();
+        json::print(printer, &lines)?;
+    } else if connected.is_empty() && offline.is_empty() {
+        printer.note(format!("no workers; start one with `femc worker --join {}`", args.server.server));
     } else {
-        let rows: Vec<Vec<String>> = there.iter().map(row).chain(offline.iter().map(offline_row)).collect();
-        say.result(human::table(
+        let rows: Vec<Vec<String>> = connected.iter().map(row).chain(offline.iter().map(offline_row)).collect();
+        printer.result(human::table(
             &["worker", "name", "threads", "tags", "tasks", "done", "failed", "silent", "intake"],
             &rows,
         ));
@@ -49,8 +50,8 @@ pub fn run(args: &WorkersArgs, say: Say) -> Result<Exit, Failure> {
 /// A worker in the list.
 #[derive(Serialize)]
 #[serde(untagged)]
-enum Line {
-    There(WorkerJson),
+enum WorkerLine {
+    Connected(WorkerJson),
     Offline(OfflineJson),
 }
 
@@ -64,13 +65,13 @@ fn row(worker: &WorkerStatus) -> Vec<String> {
         worker.completed.to_string(),
         worker.failed.to_string(),
         human::seconds(worker.silent as f64 / 1000.0),
-        intake(worker.intake).to_owned(),
+        intake_name(worker.intake).to_owned(),
     ]
 }
 
 fn offline_row(worker: &OfflineWorker) -> Vec<String> {
     let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    let silent = now.saturating_sub(Duration::from_millis(worker.heard));
+    let silent = now.saturating_sub(Duration::from_millis(worker.last_contact));
     let none = || "-".to_owned();
     vec![
         none(),

@@ -11,7 +11,7 @@
 
 use super::setting::{SERVICES, is_setting};
 use crate::exit::{Failure, failed, usage};
-use crate::values::Place;
+use crate::values::TextPosition;
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{Arg, ArgAction, Command};
 use std::collections::BTreeMap;
@@ -20,43 +20,44 @@ use std::path::{Path, PathBuf};
 use toml::de::{DeTable, DeValue};
 
 /// Flags of many commands, which may be set at the top of the file.
-const SHARED: [&str; 6] = ["server", "identity", "color", "quiet", "verbose", "log-format"];
+const SHARED_KEYS: [&str; 6] = ["server", "identity", "color", "quiet", "verbose", "log-format"];
 /// File that is tried last, after the current folder and the user's own settings.
-const SYSTEM: &str = "/etc/femc/femc.toml";
+const SYSTEM_FILE: &str = "/etc/femc/femc.toml";
 
 /// A setting in a file.
 #[derive(Debug)]
 pub struct Setting {
     /// One value, or several if the flag is repeatable.
     values: Vec<String>,
-    place: Place,
+    position: TextPosition,
 }
 
 /// A settings file.
 #[derive(Debug)]
-pub struct File {
+pub struct ConfigFile {
     path: PathBuf,
     shared: BTreeMap<String, Setting>,
     services: BTreeMap<&'static str, BTreeMap<String, Setting>>,
 }
 
 /// Byte offset and description of a fault in the text.
-type Fault = (usize, String);
+type ParseFault = (usize, String);
 
-impl File {
+impl ConfigFile {
     /// Returns the settings file: `--config`, `FEMC_CONFIG`, or the first default location that exists.
     pub fn find(args: &[OsString]) -> Option<PathBuf> {
         let typed: Vec<&OsString> = args.iter().skip(1).take_while(|arg| *arg != "--").collect();
         let after = typed.iter().position(|arg| *arg == "--config").and_then(|at| typed.get(at + 1).copied());
         let joined = || typed.iter().find_map(|arg| arg.to_str()?.strip_prefix("--config="));
         let named = after.map(PathBuf::from).or_else(|| joined().map(PathBuf::from));
-        let asked = named.or_else(|| std::env::var_os("FEMC_CONFIG").filter(|name| !name.is_empty()).map(Into::into));
-        if asked.is_some() {
-            return asked;
+        let requested =
+            named.or_else(|| std::env::var_os("FEMC_CONFIG").filter(|name| !name.is_empty()).map(Into::into));
+        if requested.is_some() {
+            return requested;
         }
         let own = std::env::var_os("XDG_CONFIG_HOME").map(PathBuf::from);
         let own = own.or_else(|| Some(PathBuf::from(std::env::var_os("HOME")?).join(".config")));
-        let places = [Some("femc.toml".into()), own.map(|own| own.join("femc/femc.toml")), Some(SYSTEM.into())];
+        let places = [Some("femc.toml".into()), own.map(|own| own.join("femc/femc.toml")), Some(SYSTEM_FILE.into())];
         places.into_iter().flatten().find(|path| path.is_file())
     }
 
@@ -64,13 +65,13 @@ impl File {
     pub fn read(path: &Path, command: &Command) -> Result<Self, Failure> {
         let text = std::fs::read_to_string(path).map_err(|e| failed(format!("--config {}: {e}", path.display())))?;
         Self::parse(path.to_owned(), &text, command).map_err(|(offset, what)| {
-            let Place { line, column } = Place::of(&text, offset);
+            let TextPosition { line, column } = TextPosition::from_offset(&text, offset);
             usage(format!("{}:{line}:{column}: {what}", path.display()))
         })
     }
 
     /// Parses the settings in `text`.
-    fn parse(path: PathBuf, text: &str, command: &Command) -> Result<Self, Fault> {
+    fn parse(path: PathBuf, text: &str, command: &Command) -> Result<Self, ParseFault> {
         let wrong = |e: toml::de::Error| (e.span().map_or(0, |span| span.start), e.message().replace('\n', " "));
         let table = DeTable::parse(text).map_err(wrong)?;
         let mut file = Self { path, shared: BTreeMap::new(), services: BTreeMap::new() };
@@ -86,11 +87,14 @@ impl File {
                     return Err((start, format!("unknown table [{name}]; known tables: [{}]", SERVICES.join("], ["))));
                 }
                 (None, value_here) => {
-                    if !SHARED.contains(&name) {
-                        let known = SHARED.join(", ");
+                    if !SHARED_KEYS.contains(&name) {
+                        let known = SHARED_KEYS.join(", ");
                         return Err((start, format!("unknown key {name}; known keys outside of tables: {known}")));
                     }
-                    let setting = Setting { values: texts(value_here, start)?, place: Place::of(text, start) };
+                    let setting = Setting {
+                        values: value_texts(value_here, start)?,
+                        position: TextPosition::from_offset(text, start),
+                    };
                     // The command `gc` has all of these flags and no required arguments.
                     check(command, "gc", name, &setting.values).map_err(|what| (value.span().start, what))?;
                     file.shared.insert(name.to_owned(), setting);
@@ -102,14 +106,14 @@ impl File {
 
     /// Returns the command line with this file's settings as its defaults.
     pub fn apply(&self, command: Command) -> Command {
-        let command = command.mut_args(|arg| self.default(arg, None));
+        let command = command.mut_args(|arg| self.with_default(arg, None));
         command.mut_subcommands(|it| {
             let name = it.get_name().to_owned();
-            it.mut_args(|arg| self.default(arg, Some(&name)))
+            it.mut_args(|arg| self.with_default(arg, Some(&name)))
         })
     }
 
-    fn default(&self, arg: Arg, command: Option<&str>) -> Arg {
+    fn with_default(&self, arg: Arg, command: Option<&str>) -> Arg {
         match self.setting(&arg, command) {
             Some(setting) => arg.required(false).default_values(setting.values.clone()),
             None => arg,
@@ -123,8 +127,8 @@ impl File {
     }
 
     /// Returns the location where the file sets an argument of a command: `femc.toml:3:1`.
-    pub fn place(&self, arg: &Arg, command: Option<&str>) -> Option<String> {
-        let Place { line, column } = self.setting(arg, command)?.place;
+    pub fn location(&self, arg: &Arg, command: Option<&str>) -> Option<String> {
+        let TextPosition { line, column } = self.setting(arg, command)?.position;
         Some(format!("{}:{line}:{column}", self.path.display()))
     }
 
@@ -139,7 +143,7 @@ fn read_table(
     text: &str,
     command: &Command,
     service: &'static str,
-) -> Result<BTreeMap<String, Setting>, Fault> {
+) -> Result<BTreeMap<String, Setting>, ParseFault> {
     let mut settings = BTreeMap::new();
     let flags: Vec<&str> = command
         .find_subcommand(service)
@@ -150,10 +154,13 @@ fn read_table(
         .collect();
     for (key, value) in table {
         let (name, start) = (key.get_ref().as_ref(), key.span().start);
-        if !flags.contains(&name) && !SHARED.contains(&name) {
+        if !flags.contains(&name) && !SHARED_KEYS.contains(&name) {
             return Err((start, format!("unknown key {name}; known keys of [{service}]: {}", flags.join(", "))));
         }
-        let setting = Setting { values: texts(value.get_ref(), value.span().start)?, place: Place::of(text, start) };
+        let setting = Setting {
+            values: value_texts(value.get_ref(), value.span().start)?,
+            position: TextPosition::from_offset(text, start),
+        };
         check(command, service, name, &setting.values).map_err(|what| (value.span().start, what))?;
         settings.insert(name.to_owned(), setting);
     }
@@ -161,14 +168,14 @@ fn read_table(
 }
 
 /// Returns a value as it would be typed.
-fn texts(value: &DeValue<'_>, at: usize) -> Result<Vec<String>, Fault> {
+fn value_texts(value: &DeValue<'_>, at: usize) -> Result<Vec<String>, ParseFault> {
     Ok(vec![match value {
         DeValue::String(text) => text.to_string(),
         DeValue::Integer(number) => number.to_string(),
         DeValue::Float(number) => number.to_string(),
         DeValue::Boolean(flag) => flag.to_string(),
         DeValue::Array(all) => {
-            let each = all.iter().map(|one| texts(one.get_ref(), one.span().start));
+            let each = all.iter().map(|one| value_texts(one.get_ref(), one.span().start));
             return Ok(each.collect::<Result<Vec<_>, _>>()?.concat());
         }
         DeValue::Datetime(_) | DeValue::Table(_) => {
@@ -200,7 +207,7 @@ fn check(command: &Command, name: &str, long: &str, values: &[String]) -> Result
     };
     let typed = ["femc".to_owned(), name.to_owned()].into_iter().chain(typed);
     match command.try_get_matches_from(typed) {
-        Err(error) if is_of_value(&error, long) => {
+        Err(error) if is_value_error(&error, long) => {
             let said = error.to_string();
             let first = said.lines().next().unwrap_or_default();
             Err(first.trim_start_matches("error: ").to_owned())
@@ -210,7 +217,7 @@ fn check(command: &Command, name: &str, long: &str, values: &[String]) -> Result
 }
 
 /// Returns whether a clap error is about the value of this flag, and not about other or missing arguments.
-fn is_of_value(error: &clap::Error, long: &str) -> bool {
+fn is_value_error(error: &clap::Error, long: &str) -> bool {
     let is_kind = matches!(error.kind(), ErrorKind::InvalidValue | ErrorKind::ValueValidation);
     let flag = format!("--{long} ");
     let is_flag =

@@ -11,7 +11,7 @@ use crate::command::Cli;
 use crate::exit::Failure;
 use clap::error::{ContextKind, ContextValue};
 use clap::{Arg, ArgAction, Command, CommandFactory, FromArgMatches};
-use file::File;
+use file::ConfigFile;
 use setting::{SERVICES, is_setting};
 use std::any::TypeId;
 use std::collections::BTreeSet;
@@ -21,16 +21,16 @@ use std::num::{IntErrorKind, ParseFloatError, ParseIntError};
 use std::path::PathBuf;
 
 /// Result of parsing a command line.
-pub enum Parsed {
+pub enum ParsedArgs {
     /// A command to run.
     Command(Box<Cli>),
     /// The requested listing of the settings.
-    Shown(String),
+    Settings(String),
 }
 
 /// Reasons why a command line is not accepted.
 #[derive(Debug, thiserror::Error)]
-pub enum Refused {
+pub enum ConfigError {
     /// Wrong usage, or a request for help.
     #[error(transparent)]
     Usage(#[from] clap::Error),
@@ -40,20 +40,21 @@ pub enum Refused {
 }
 
 /// Parses `args`. The first argument is the program's name.
-pub fn parse(args: Vec<OsString>) -> Result<Parsed, Refused> {
+pub fn parse(args: Vec<OsString>) -> Result<ParsedArgs, ConfigError> {
     let command = with_negative_numbers(with_environment(Cli::command()));
     let args = with_negative_values(&command, args);
-    let file = File::find(&args).map(|path| File::read(&path, &command)).transpose().map_err(Refused::File)?;
+    let file =
+        ConfigFile::find(&args).map(|path| ConfigFile::read(&path, &command)).transpose().map_err(ConfigError::File)?;
     let mut command = file.iter().fold(command, |command, file| file.apply(command));
-    let is_asked = args.iter().skip(1).take_while(|arg| *arg != "--").any(|arg| arg == "--print-config");
-    if is_asked {
-        command = lenient(command);
-        let matches = command.clone().try_get_matches_from(args).map_err(in_own_words)?;
-        return Ok(Parsed::Shown(show::settings(&command, &matches, file.as_ref())?));
+    let wants_listing = args.iter().skip(1).take_while(|arg| *arg != "--").any(|arg| arg == "--print-config");
+    if wants_listing {
+        command = without_required(command);
+        let matches = command.clone().try_get_matches_from(args).map_err(clarify_number_error)?;
+        return Ok(ParsedArgs::Settings(show::settings(&command, &matches, file.as_ref())?));
     }
-    let matches = command.clone().try_get_matches_from(args).map_err(in_own_words)?;
+    let matches = command.clone().try_get_matches_from(args).map_err(clarify_number_error)?;
     let cli = Cli::from_arg_matches(&matches).map_err(|error| error.format(&mut command))?;
-    Ok(Parsed::Command(Box::new(cli)))
+    Ok(ParsedArgs::Command(Box::new(cli)))
 }
 
 /// Gives each setting of the services an environment variable: `FEMC_KEEP_ENDED` for `--keep-ended`.
@@ -117,7 +118,7 @@ fn with_negative_values(command: &Command, args: Vec<OsString>) -> Vec<OsString>
 
 /// Replaces the messages of the standard library's number parsers ("invalid digit found in string") by messages that say what to
 /// write.
-fn in_own_words(error: clap::Error) -> clap::Error {
+fn clarify_number_error(error: clap::Error) -> clap::Error {
     let text = |kind| match error.get(kind) {
         Some(ContextValue::String(text)) => text.clone(),
         _ => String::new(),
@@ -140,7 +141,7 @@ fn in_own_words(error: clap::Error) -> clap::Error {
 }
 
 /// Returns the command without required arguments: users who print the settings need not give all of them.
-fn lenient(command: Command) -> Command {
+fn without_required(command: Command) -> Command {
     let relaxed = |it: Command| it.subcommand_required(false).arg_required_else_help(false);
     relaxed(command).mut_subcommands(|it| relaxed(it).mut_args(|arg| arg.required(false)))
 }
@@ -185,7 +186,7 @@ mod tests {
                     line.push(value.to_owned());
                     looked_at += 1;
                     let words = with_negative_values(&command, line.iter().map(OsString::from).collect());
-                    let Err(error) = command.clone().try_get_matches_from(words).map_err(in_own_words) else {
+                    let Err(error) = command.clone().try_get_matches_from(words).map_err(clarify_number_error) else {
                         continue;
                     };
                     let text = error.to_string();

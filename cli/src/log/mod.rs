@@ -33,10 +33,10 @@ pub fn start(cli: &Cli) -> Logging {
         (_, 2) => Targets::new().with_default(LevelFilter::INFO).with_targets(own(tracing::Level::DEBUG)),
         _ => Targets::new().with_default(LevelFilter::TRACE),
     };
-    let asked = std::env::var("FEMC_LOG").ok().map(|text| text.parse::<Targets>().map_err(|error| (text, error)));
-    let (filter, refused) = match asked {
+    let requested = std::env::var("FEMC_LOG").ok().map(|text| text.parse::<Targets>().map_err(|error| (text, error)));
+    let (filter, refused) = match requested {
         None => (flags, None),
-        Some(Ok(asked)) => (asked, None),
+        Some(Ok(requested)) => (requested, None),
         Some(Err(refused)) => (flags, Some(refused)),
     };
     let colored = match cli.common.color {

@@ -29,7 +29,7 @@ impl Drop for Spans {
 
 /// Reasons why spans are not exported.
 #[derive(Debug, thiserror::Error)]
-pub enum NoSpans {
+pub enum SpanExportError {
     /// The settings are invalid.
     #[error("OTEL_EXPORTER_OTLP_ENDPOINT: {0}")]
     Exporter(#[from] ExporterBuildError),
@@ -42,7 +42,7 @@ pub enum NoSpans {
 type Layer<S> = OpenTelemetryLayer<S, Tracer>;
 
 /// Starts the exporter. Returns it with the layer that collects spans; `None`: no collector is set.
-pub fn start<S>(cli: &Cli) -> Result<Option<(Spans, Layer<S>)>, NoSpans>
+pub fn start<S>(cli: &Cli) -> Result<Option<(Spans, Layer<S>)>, SpanExportError>
 where
     S: Subscriber + for<'a> LookupSpan<'a>,
 {

@@ -1,6 +1,6 @@
 //! A spinner for work of unknown length, such as the pilot of a job.
 
-use super::Say;
+use super::Printer;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::{self, IsTerminal};
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
@@ -8,14 +8,14 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 /// Interval between two lines if stderr is not a terminal.
-const PLAIN_EVERY: Duration = Duration::from_secs(5);
+const LINE_INTERVAL: Duration = Duration::from_secs(5);
 /// Interval between two states of the spinner.
 const TICK: Duration = Duration::from_millis(100);
 
 /// Display of the current work and its duration on stderr, until dropped: a spinner on a terminal, else a line every few seconds;
 /// nothing with `--quiet`.
 #[derive(Debug)]
-pub struct Busy(Form);
+pub struct BusyIndicator(Form);
 
 #[derive(Debug)]
 enum Form {
@@ -24,11 +24,11 @@ enum Form {
     Lines { done: Sender<()>, lines: Option<JoinHandle<()>> },
 }
 
-impl Busy {
+impl BusyIndicator {
     /// Starts the display.
     /// - `work`: description of the work, like "a pilot compares the methods".
-    pub fn new(say: Say, work: &'static str) -> Self {
-        if say.quiet() {
+    pub fn new(printer: Printer, work: &'static str) -> Self {
+        if printer.quiet() {
             return Self(Form::Silent);
         }
         if io::stderr().is_terminal() {
@@ -41,8 +41,8 @@ impl Busy {
         let (done, ended) = channel::<()>();
         let begun = Instant::now();
         let tell = move || {
-            while let Err(RecvTimeoutError::Timeout) = ended.recv_timeout(PLAIN_EVERY) {
-                say.note(format!("{work}, {} s", begun.elapsed().as_secs()));
+            while let Err(RecvTimeoutError::Timeout) = ended.recv_timeout(LINE_INTERVAL) {
+                printer.note(format!("{work}, {} s", begun.elapsed().as_secs()));
             }
         };
         // If the thread cannot be started there are no lines, and the work continues.
@@ -51,7 +51,7 @@ impl Busy {
     }
 }
 
-impl Drop for Busy {
+impl Drop for BusyIndicator {
     fn drop(&mut self) {
         match &mut self.0 {
             Form::Silent => {}

@@ -1,16 +1,16 @@
 //! Output of the program: results on stdout; progress, notes and errors on stderr.
 
-pub mod blocks;
 mod busy;
 pub mod error;
 pub mod faults;
+pub mod half_blocks;
 pub mod job;
 pub mod json;
+mod printer;
 mod progress;
-mod say;
 mod terminal;
 
-pub use busy::Busy;
+pub use busy::BusyIndicator;
 pub use femc_reports::human;
-pub use progress::{Progress, Snapshot, Stage};
-pub use say::Say;
+pub use printer::Printer;
+pub use progress::{Progress, ProgressSnapshot, ProgressTarget};

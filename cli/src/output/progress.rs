@@ -1,18 +1,18 @@
-use super::{Say, human};
-use crate::clock::{Clock, Moment};
-use femc_model::Blocks;
+use super::{Printer, human};
+use crate::clock::{Clock, Timestamp};
+use femc_model::BlockCounts;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::{self, IsTerminal};
 use std::time::Duration;
 
 /// Interval between two lines if stderr is not a terminal.
-const PLAIN_EVERY: Duration = Duration::from_secs(5);
+const LINE_INTERVAL: Duration = Duration::from_secs(5);
 /// Number of steps of the bar.
 const STEPS: u64 = 1000;
 
 /// Progress of a job.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Snapshot {
+pub struct ProgressSnapshot {
     /// Frames finished.
     pub frames_done: u64,
     /// Frames of the job.
@@ -30,7 +30,7 @@ pub struct Snapshot {
     /// Number of that frame; `None`: the job has one frame, or none was measured.
     pub worst_frame: Option<u32>,
     /// Blocks of that frame.
-    pub blocks: Option<Blocks>,
+    pub blocks: Option<BlockCounts>,
 }
 
 /// Progress display on stderr: a bar on a terminal, else a line every few seconds.
@@ -38,20 +38,20 @@ pub struct Snapshot {
 pub struct Progress {
     form: Form,
     clock: Clock,
-    started: Moment,
-    at_start: Option<Snapshot>,
+    started: Timestamp,
+    first: Option<ProgressSnapshot>,
 }
 
 #[derive(Debug)]
 enum Form {
     Silent,
     Bar(ProgressBar),
-    Lines { say: Say, last: Moment, away: Option<Moment> },
+    Lines { printer: Printer, last: Timestamp, away: Option<Timestamp> },
 }
 
 /// Destination of the progress display.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Stage {
+pub enum ProgressTarget {
     /// Nowhere.
     None,
     /// Lines in a file or a pipe.
@@ -62,8 +62,8 @@ pub enum Stage {
 
 impl Progress {
     /// Creates a progress display that suits stderr; silent with `--quiet`.
-    pub fn new(say: Say, clock: Clock) -> Self {
-        let form = if say.quiet() {
+    pub fn new(printer: Printer, clock: Clock) -> Self {
+        let form = if printer.quiet() {
             Form::Silent
         } else if io::stderr().is_terminal() {
             let bar = ProgressBar::with_draw_target(Some(STEPS), ProgressDrawTarget::stderr());
@@ -71,63 +71,63 @@ impl Progress {
             bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()).progress_chars("=> "));
             Form::Bar(bar)
         } else {
-            Form::Lines { say, last: clock.now(), away: None }
+            Form::Lines { printer, last: clock.now(), away: None }
         };
-        Self { form, clock, started: clock.now(), at_start: None }
+        Self { form, clock, started: clock.now(), first: None }
     }
 
     /// Shows the current progress of a job.
-    pub fn show(&mut self, now: &Snapshot) {
-        let first = *self.at_start.get_or_insert(*now);
+    pub fn show(&mut self, now: &ProgressSnapshot) {
+        let first = *self.first.get_or_insert(*now);
         let elapsed = self.clock.since(self.started);
-        self.at(now.fraction, || line(&first, now, elapsed));
+        self.update(now.fraction, || progress_text(&first, now, elapsed));
     }
 
     /// Shows a text and the finished part of the work, 0..=1.
-    pub fn at(&mut self, fraction: f64, text: impl FnOnce() -> String) {
+    pub fn update(&mut self, fraction: f64, text: impl FnOnce() -> String) {
         match &mut self.form {
             Form::Silent => {}
             Form::Bar(bar) => {
                 bar.set_message(text());
                 bar.set_position((fraction * STEPS as f64) as u64);
             }
-            Form::Lines { say, last, .. } => {
-                if self.clock.since(*last) >= PLAIN_EVERY {
+            Form::Lines { printer, last, .. } => {
+                if self.clock.since(*last) >= LINE_INTERVAL {
                     *last = self.clock.now();
-                    say.note(format!("{:3.0} %  {}", fraction * 100.0, text()));
+                    printer.note(format!("{:3.0} %  {}", fraction * 100.0, text()));
                 }
             }
         }
     }
 
     /// Shows a text instead of the progress, while the coordinator is away.
-    pub fn away(&mut self, text: &str) {
+    pub fn show_outage(&mut self, text: &str) {
         match &mut self.form {
             Form::Silent => {}
             Form::Bar(bar) => bar.set_message(text.to_owned()),
-            Form::Lines { say, away, .. } => {
-                if away.is_none_or(|printed| self.clock.since(printed) >= PLAIN_EVERY) {
+            Form::Lines { printer, away, .. } => {
+                if away.is_none_or(|printed| self.clock.since(printed) >= LINE_INTERVAL) {
                     *away = Some(self.clock.now());
-                    say.note(text);
+                    printer.note(text);
                 }
             }
         }
     }
 
     /// Shows a text when the coordinator is back.
-    pub fn back(&mut self, text: &str) {
-        if let Form::Lines { say, away, .. } = &mut self.form {
+    pub fn show_recovery(&mut self, text: &str) {
+        if let Form::Lines { printer, away, .. } = &mut self.form {
             *away = None;
-            say.note(text);
+            printer.note(text);
         }
     }
 
     /// Returns the destination of the display.
-    pub fn stage(&self) -> Stage {
+    pub fn target(&self) -> ProgressTarget {
         match &self.form {
-            Form::Silent => Stage::None,
-            Form::Lines { .. } => Stage::Lines,
-            Form::Bar(_) => Stage::Terminal,
+            Form::Silent => ProgressTarget::None,
+            Form::Lines { .. } => ProgressTarget::Lines,
+            Form::Bar(_) => ProgressTarget::Terminal,
         }
     }
 
@@ -136,7 +136,7 @@ impl Progress {
         match &self.form {
             Form::Silent => {}
             Form::Bar(bar) => bar.set_prefix(format!("{text}\n")),
-            Form::Lines { say, .. } => say.picture(text),
+            Form::Lines { printer, .. } => printer.picture(text),
         }
     }
 
@@ -155,14 +155,14 @@ impl Drop for Progress {
 }
 
 /// Returns text like `frame 3/24, tile 12/40, 1.25 M samples/s, error 7.1 %, 2 min 3 s left`.
-fn line(first: &Snapshot, now: &Snapshot, elapsed: Duration) -> String {
+fn progress_text(first: &ProgressSnapshot, now: &ProgressSnapshot, elapsed: Duration) -> String {
     let seconds = elapsed.as_secs_f64();
     let mut text = format!("frame {}/{}, tile {}/{}", now.frames_done, now.frames, now.tiles_done, now.tiles);
     if seconds > 0.0 && now.samples > first.samples {
         let rate = (now.samples - first.samples) as f64 / seconds;
         text += &format!(", {} samples/s", human::quantity(rate));
     }
-    if now.blocks.is_some_and(Blocks::is_dark) {
+    if now.blocks.is_some_and(BlockCounts::is_dark) {
         text += ", no light met";
     } else if let Some(error) = now.relative_error.filter(|error| error.is_finite()) {
         text += &format!(", error {}", human::percent(error));
@@ -183,28 +183,39 @@ mod tests {
 
     #[test]
     fn time_left_and_rate_count_only_what_this_run_did() {
-        let first = Snapshot { frames: 4, frames_done: 2, fraction: 0.5, samples: 1_000_000, ..Snapshot::default() };
-        let now = Snapshot { frames_done: 3, fraction: 0.75, samples: 3_000_000, tiles_done: 3, tiles: 8, ..first };
-        assert_eq!(line(&first, &now, Duration::from_secs(10)), "frame 3/4, tile 3/8, 200 k samples/s, 10.0 s left");
+        let first = ProgressSnapshot {
+            frames: 4,
+            frames_done: 2,
+            fraction: 0.5,
+            samples: 1_000_000,
+            ..ProgressSnapshot::default()
+        };
+        let now =
+            ProgressSnapshot { frames_done: 3, fraction: 0.75, samples: 3_000_000, tiles_done: 3, tiles: 8, ..first };
+        assert_eq!(
+            progress_text(&first, &now, Duration::from_secs(10)),
+            "frame 3/4, tile 3/8, 200 k samples/s, 10.0 s left"
+        );
     }
 
     #[test]
     fn the_error_of_a_job_names_its_worst_frame() {
-        let first = Snapshot { frames: 4, ..Snapshot::default() };
-        let now = Snapshot { relative_error: Some(0.071), worst_frame: Some(3), ..first };
-        assert_eq!(line(&first, &now, Duration::ZERO), "frame 0/4, tile 0/0, error 7.10 % in frame 3");
+        let first = ProgressSnapshot { frames: 4, ..ProgressSnapshot::default() };
+        let now = ProgressSnapshot { relative_error: Some(0.071), worst_frame: Some(3), ..first };
+        assert_eq!(progress_text(&first, &now, Duration::ZERO), "frame 0/4, tile 0/0, error 7.10 % in frame 3");
     }
 
     #[test]
     fn a_frame_that_met_no_light_has_not_converged() {
-        let first = Snapshot { frames: 1, ..Snapshot::default() };
-        let dark = Snapshot { relative_error: Some(0.0), blocks: Some(Blocks { all: 4, unlit: 4 }), ..first };
-        assert_eq!(line(&first, &dark, Duration::ZERO), "frame 0/1, tile 0/0, no light met");
+        let first = ProgressSnapshot { frames: 1, ..ProgressSnapshot::default() };
+        let dark =
+            ProgressSnapshot { relative_error: Some(0.0), blocks: Some(BlockCounts { all: 4, unlit: 4 }), ..first };
+        assert_eq!(progress_text(&first, &dark, Duration::ZERO), "frame 0/1, tile 0/0, no light met");
     }
 
     #[test]
     fn a_job_that_has_not_begun_promises_nothing() {
-        let first = Snapshot { frames: 4, ..Snapshot::default() };
-        assert_eq!(line(&first, &first, Duration::ZERO), "frame 0/4, tile 0/0");
+        let first = ProgressSnapshot { frames: 4, ..ProgressSnapshot::default() };
+        assert_eq!(progress_text(&first, &first, Duration::ZERO), "frame 0/4, tile 0/0");
     }
 }

@@ -25,7 +25,7 @@ impl Style {
     const ALL: [(char, &'static str); 4] =
         [('r', "\x1b[1;31m"), ('y', "\x1b[1;33m"), ('b', "\x1b[1m"), (PLAIN, "\x1b[0m")];
 
-    /// Returns the text in this style, for [`obeyed`]; unchanged without colors.
+    /// Returns the text in this style, for [`apply_styles`]; unchanged without colors.
     pub fn paint(self, text: &str, colored: bool) -> String {
         let letter = match self {
             Self::Red => 'r',
@@ -37,17 +37,17 @@ impl Style {
 }
 
 /// Converts a text for the terminal: styles become sequences, and every other control character is made visible.
-pub fn obeyed(text: &str) -> String {
+pub fn apply_styles(text: &str) -> String {
     let mut parts = text.split(MARK.as_str());
-    let mut all = human::inert(parts.next().unwrap_or_default());
+    let mut all = human::escape_controls_and_tabs(parts.next().unwrap_or_default());
     for part in parts {
         let style = Style::ALL.iter().find(|(letter, _)| part.starts_with(*letter));
         match style {
             Some((letter, sequence)) => {
                 all += sequence;
-                all += &human::inert(&part[letter.len_utf8()..]);
+                all += &human::escape_controls_and_tabs(&part[letter.len_utf8()..]);
             }
-            None => all += &human::inert(part),
+            None => all += &human::escape_controls_and_tabs(part),
         }
     }
     all
@@ -55,9 +55,9 @@ pub fn obeyed(text: &str) -> String {
 
 /// Replaces every terminal control character in JSON by `\uXXXX`. The document stays the same, because such characters only occur
 /// in strings.
-pub fn json(text: &str) -> String {
+pub fn escape_json(text: &str) -> String {
     text.chars().fold(String::with_capacity(text.len()), |mut all, c| {
-        if human::steers(c) && c != '\n' {
+        if human::is_terminal_control(c) && c != '\n' {
             let mut units = [0; 2];
             c.encode_utf16(&mut units).iter().for_each(|unit| all += &format!("\\u{unit:04x}"));
         } else {
@@ -74,16 +74,16 @@ mod tests {
     #[test]
     fn styles_are_obeyed_and_what_stands_in_a_text_is_not() {
         let text = format!("{}: a\u{1b}[31m\u{7}", Style::Red.paint("err\u{9b}or", true));
-        assert_eq!(obeyed(&text), "\x1b[1;31merr\\u{9b}or\x1b[0m: a\\u{1b}[31m\\u{7}");
+        assert_eq!(apply_styles(&text), "\x1b[1;31merr\\u{9b}or\x1b[0m: a\\u{1b}[31m\\u{7}");
         assert_eq!(Style::Red.paint("error", false), "error");
-        assert_eq!(obeyed("two\nlines"), "two\nlines");
+        assert_eq!(apply_styles("two\nlines"), "two\nlines");
     }
 
     #[test]
     fn json_keeps_its_meaning() {
         let value = serde_json::json!({ "name": "a\u{7f}\u{9b}\u{202e}\u{1b}b\"ü" });
-        let text = json(&serde_json::to_string_pretty(&value).expect("JSON"));
-        assert!(text.chars().all(|c| !human::steers(c) || c == '\n'), "{text:?}");
+        let text = escape_json(&serde_json::to_string_pretty(&value).expect("JSON"));
+        assert!(text.chars().all(|c| !human::is_terminal_control(c) || c == '\n'), "{text:?}");
         assert_eq!(serde_json::from_str::<serde_json::Value>(&text).expect("JSON"), value);
     }
 }

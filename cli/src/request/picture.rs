@@ -12,23 +12,27 @@ pub const EXPOSURE: &str = "femc:exposure";
 pub const EV: &str = "femc:ev";
 
 /// Size of the signature and header chunk of a PNG file. Further chunks follow, before the pixels.
-const HEAD: usize = 8 + 25;
+const HEADER_SIZE: usize = 8 + 25;
 /// Largest text chunk that is read, in bytes.
-const MOST_TEXT: usize = 1 << 20;
+const MAX_TEXT: usize = 1 << 20;
 
 /// Converts the frame of an EXR file to a PNG file.
-pub fn of_exr(bytes: &[u8], exposure: Exposure) -> Result<Vec<u8>, Failure> {
+pub fn from_exr(bytes: &[u8], exposure: Exposure) -> Result<Vec<u8>, Failure> {
     let file = femc_film::exr::decode(Cursor::new(bytes)).map_err(failed)?;
     let curve = exposure.curve_of(&file.image);
     let png = curve.picture(&file.image).to_png().map_err(failed)?;
     let own = file.attributes.into_iter().filter(|(name, _)| name.starts_with("femc:"));
     let shown = [(EXPOSURE.to_owned(), exposure.to_string()), (EV.to_owned(), format!("{:.3}", ev(curve)))];
-    Ok(with_texts(&png, own.chain(shown)))
+    Ok(insert_text_chunks(&png, own.chain(shown)))
 }
 
 /// Reads the metadata of a frame's file, EXR or PNG; `None`: the file is missing or has none.
 pub fn attributes(path: &Path) -> Option<BTreeMap<String, String>> {
-    if is_picture(path) { texts(&std::fs::read(path).ok()?) } else { femc_film::exr::read_attributes(path).ok() }
+    if is_picture(path) {
+        read_text_chunks(&std::fs::read(path).ok()?)
+    } else {
+        femc_film::exr::read_attributes(path).ok()
+    }
 }
 
 /// Returns whether a frame with this file name is a picture.
@@ -36,8 +40,8 @@ pub fn is_picture(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("png"))
 }
 
-fn with_texts(png: &[u8], texts: impl Iterator<Item = (String, String)>) -> Vec<u8> {
-    let (head, rest) = png.split_at(HEAD.min(png.len()));
+fn insert_text_chunks(png: &[u8], texts: impl Iterator<Item = (String, String)>) -> Vec<u8> {
+    let (head, rest) = png.split_at(HEADER_SIZE.min(png.len()));
     let mut out = head.to_vec();
     for (name, text) in texts {
         // Keyword, then five zero bytes: end of the keyword, no compression, no language, no translation.
@@ -50,14 +54,14 @@ fn with_texts(png: &[u8], texts: impl Iterator<Item = (String, String)>) -> Vec<
     out
 }
 
-fn texts(png: &[u8]) -> Option<BTreeMap<String, String>> {
-    let (mut rest, mut found) = (png.get(HEAD..)?, BTreeMap::new());
+fn read_text_chunks(png: &[u8]) -> Option<BTreeMap<String, String>> {
+    let (mut rest, mut found) = (png.get(HEADER_SIZE..)?, BTreeMap::new());
     loop {
         let (length, after) = rest.split_first_chunk::<4>()?;
         let length = u32::from_be_bytes(*length) as usize;
         let data = after.get(..length.checked_add(4)?)?;
         match data.strip_prefix(b"iTXt") {
-            Some(text) if length <= MOST_TEXT => {
+            Some(text) if length <= MAX_TEXT => {
                 let end = text.iter().position(|byte| *byte == 0)?;
                 let value = text.get(end + 5..)?;
                 found.insert(String::from_utf8(text[..end].to_vec()).ok()?, String::from_utf8(value.to_vec()).ok()?);
@@ -86,13 +90,13 @@ mod tests {
         let picture = Picture { width: 2, height: 1, pixels: vec![[1, 2, 3], [4, 5, 6]] };
         let png = picture.to_png().expect("a PNG");
         let wanted = [("femc:settings", "{\"ä\":1}"), ("femc:spp", "")].map(|(a, b)| (a.to_owned(), b.to_owned()));
-        let with = with_texts(&png, wanted.clone().into_iter());
+        let with = insert_text_chunks(&png, wanted.clone().into_iter());
         assert_eq!(Picture::from_png(&with).expect("the picture"), picture, "the checksums are right");
-        assert_eq!(texts(&with), Some(BTreeMap::from(wanted)));
+        assert_eq!(read_text_chunks(&with), Some(BTreeMap::from(wanted)));
         for end in 0..with.len() - 20 {
-            let _ = texts(&with[..end]);
+            let _ = read_text_chunks(&with[..end]);
         }
-        assert_eq!(texts(b"no PNG"), None);
+        assert_eq!(read_text_chunks(b"no PNG"), None);
         assert_eq!(crc(b"123456789"), 0xcbf4_3926);
     }
 }

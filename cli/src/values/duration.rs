@@ -4,7 +4,7 @@ use std::str::FromStr;
 
 /// A time budget: `90s`, `2m`, `1h30m`, `7d`, `500ms`, or a bare number of seconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Budget {
+pub struct DurationArg {
     /// Seconds, finite and > 0.
     pub seconds: f64,
 }
@@ -12,13 +12,13 @@ pub struct Budget {
 /// Error of a text that is not a time budget.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 #[error("`{0}` is not a duration; write it like 90s, 2m, 1h30m, 7d or 500ms")]
-pub struct BudgetError(String);
+pub struct DurationArgError(String);
 
-impl FromStr for Budget {
-    type Err = BudgetError;
+impl FromStr for DurationArg {
+    type Err = DurationArgError;
 
-    fn from_str(text: &str) -> Result<Self, BudgetError> {
-        let wrong = || BudgetError(text.to_owned());
+    fn from_str(text: &str) -> Result<Self, DurationArgError> {
+        let wrong = || DurationArgError(text.to_owned());
         let seconds = match text.parse::<f64>() {
             Ok(seconds) => seconds,
             Err(_) => with_units(text).ok_or_else(wrong)?,
@@ -49,7 +49,7 @@ fn with_units(mut rest: &str) -> Option<f64> {
     Some(seconds)
 }
 
-impl<'de> Deserialize<'de> for Budget {
+impl<'de> Deserialize<'de> for DurationArg {
     fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
         #[derive(Deserialize)]
         #[serde(untagged)]
@@ -70,7 +70,7 @@ mod tests {
     use super::*;
 
     fn seconds(text: &str) -> Option<f64> {
-        text.parse::<Budget>().ok().map(|budget| budget.seconds)
+        text.parse::<DurationArg>().ok().map(|budget| budget.seconds)
     }
 
     #[test]

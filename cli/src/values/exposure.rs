@@ -1,6 +1,6 @@
 //! Exposure of a picture of a frame.
 
-use femc_film::{Image, Levels, ToneCurve};
+use femc_film::{Image, LuminanceLevels, ToneCurve};
 use std::fmt;
 use std::str::FromStr;
 
@@ -21,16 +21,16 @@ pub enum Exposure {
 
 impl Exposure {
     /// Returns the tone curve for frames with these levels.
-    pub fn curve(self, levels: &Levels) -> ToneCurve {
+    pub fn curve(self, levels: &LuminanceLevels) -> ToneCurve {
         match self {
-            Self::Auto => ToneCurve::of_levels(levels),
+            Self::Auto => ToneCurve::from_levels(levels),
             Self::Ev(ev) => ToneCurve { exposure: (MIDDLE_GRAY / (EV_ZERO * ev.exp2())) as f32 },
         }
     }
 
     /// Returns the tone curve for one frame.
     pub fn curve_of(self, image: &Image) -> ToneCurve {
-        self.curve(&Levels::of_image(image))
+        self.curve(&LuminanceLevels::from_image(image))
     }
 }
 
@@ -68,7 +68,7 @@ mod tests {
 
     #[test]
     fn fixed_exposure_maps_to_middle_gray_and_auto_reports_its_ev() {
-        let curve = Exposure::Ev(7.0).curve(&Levels::default());
+        let curve = Exposure::Ev(7.0).curve(&LuminanceLevels::default());
         assert!((f64::from(curve.exposure) * 16.0 - MIDDLE_GRAY).abs() < 1e-6, "EV 7 is for 16 cd/m2");
         assert!((ev(curve) - 7.0).abs() < 1e-6);
         let auto = Exposure::Auto.curve_of(&Image::filled(4, 4, [16.0; 3]));

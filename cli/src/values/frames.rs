@@ -75,13 +75,13 @@ impl fmt::Display for Available {
 
 impl Frames {
     /// Creates a choice of this frame, >= 1.
-    pub fn one(frame: u32) -> Self {
+    pub fn single(frame: u32) -> Self {
         Self { runs: vec![Run { first: frame, last: frame, step: 1 }] }
     }
 
     /// Creates a choice of these frames, ascending and not empty, if they have a constant step.
     #[cfg(feature = "openjd")]
-    pub fn of(frames: &[u32]) -> Option<Self> {
+    pub fn from_even_steps(frames: &[u32]) -> Option<Self> {
         let (&first, &last) = (frames.first()?, frames.last()?);
         let step = frames.get(1).map_or(1, |second| second - first);
         let is_even = frames.windows(2).all(|pair| pair[1] - pair[0] == step);
@@ -90,14 +90,14 @@ impl Frames {
 
     /// Creates a choice of these frames, ascending and not empty, with any steps.
     #[cfg(feature = "openjd")]
-    pub fn list(frames: &[u32]) -> Self {
+    pub fn from_list(frames: &[u32]) -> Self {
         let single = |&frame: &u32| Run { first: frame, last: frame, step: 1 };
-        Self::of(frames).unwrap_or_else(|| Self { runs: frames.iter().map(single).collect() })
+        Self::from_even_steps(frames).unwrap_or_else(|| Self { runs: frames.iter().map(single).collect() })
     }
 
     /// Returns the chosen frames, ascending, if `frames` has all of them; else the first missing frame.
     /// - `frames`: ascending.
-    pub fn among(&self, frames: &[u32]) -> Result<Vec<u32>, u32> {
+    pub fn select_from(&self, frames: &[u32]) -> Result<Vec<u32>, u32> {
         let mut named = BTreeSet::new();
         for frame in self.runs.iter().flat_map(|run| run.frames()) {
             // The search ends at the first missing frame, so that a run of billions is not iterated.
@@ -145,13 +145,13 @@ impl FromStr for Frames {
     fn from_str(text: &str) -> Result<Self, FramesError> {
         let runs = text
             .split(',')
-            .map(|part| run(part).map_err(|fault| fault.unwrap_or_else(|| FramesError::Form(text.to_owned()))));
+            .map(|part| parse_run(part).map_err(|fault| fault.unwrap_or_else(|| FramesError::Form(text.to_owned()))));
         Ok(Self { runs: runs.collect::<Result<_, _>>()? })
     }
 }
 
 /// Parses one run of a choice. The error is `None` if the text has none of the forms.
-fn run(text: &str) -> Result<Run, Option<FramesError>> {
+fn parse_run(text: &str) -> Result<Run, Option<FramesError>> {
     let number = |text: &str| text.trim().parse::<u32>().map_err(|_| None);
     let ends = text.split_once("..").map(|ends| (ends, '+')).or_else(|| Some((text.split_once('-')?, ':')));
     let (first, last, step) = match ends {
@@ -211,7 +211,7 @@ mod tests {
         assert_eq!("9, 1..2,4-8:2".parse::<Frames>().map(|frames| frames.to_string()), Ok("9,1..2,4..8+2".to_owned()));
         assert_eq!(resolved("1,11", 10), Err(FramesError::Beyond { wanted: 11, available: 10 }));
         let named: Frames = "2,8..9".parse().unwrap();
-        assert_eq!((named.among(&[1, 2, 8, 9]), named.among(&[2, 8])), (Ok(vec![2, 8, 9]), Err(9)));
+        assert_eq!((named.select_from(&[1, 2, 8, 9]), named.select_from(&[2, 8])), (Ok(vec![2, 8, 9]), Err(9)));
     }
 
     #[test]

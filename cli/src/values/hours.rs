@@ -17,7 +17,7 @@ struct Window {
 
 /// Minutes of a day.
 const DAY: u16 = 24 * 60;
-const NAMES: [&str; 7] = ["mon", "tue", "wed", "thu", "fri", "sat", "sun"];
+const DAY_NAMES: [&str; 7] = ["mon", "tue", "wed", "thu", "fri", "sat", "sun"];
 
 /// Error of a text that does not describe working hours.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
@@ -28,24 +28,24 @@ impl FromStr for Hours {
     type Err = HoursError;
 
     fn from_str(text: &str) -> Result<Self, HoursError> {
-        let window = |text: &str| window(text.trim()).ok_or_else(|| HoursError(text.trim().to_owned()));
+        let window = |text: &str| parse_window(text.trim()).ok_or_else(|| HoursError(text.trim().to_owned()));
         text.split(',').map(window).collect::<Result<_, _>>().map(Self)
     }
 }
 
-fn window(text: &str) -> Option<Window> {
+fn parse_window(text: &str) -> Option<Window> {
     let (days, times) = match text.split_once(char::is_whitespace) {
-        Some((days, times)) => (days_of(days)?, times.trim()),
+        Some((days, times)) => (parse_days(days)?, times.trim()),
         None => ((0, 6), text),
     };
     let (begin, end) = times.split_once('-')?;
-    let (begin, end) = (minutes(begin)?, minutes(end)?);
+    let (begin, end) = (parse_time(begin)?, parse_time(end)?);
     let length = if end > begin { end - begin } else { end + DAY - begin };
     (begin < DAY && length <= DAY && begin != end).then_some(Window { days, begin, length })
 }
 
-fn days_of(text: &str) -> Option<(u8, u8)> {
-    let day = |text: &str| NAMES.iter().position(|name| text.eq_ignore_ascii_case(name)).map(|day| day as u8);
+fn parse_days(text: &str) -> Option<(u8, u8)> {
+    let day = |text: &str| DAY_NAMES.iter().position(|name| text.eq_ignore_ascii_case(name)).map(|day| day as u8);
     match text.split_once('-') {
         Some((first, last)) => Some((day(first)?, day(last)?)),
         None => day(text).map(|day| (day, day)),
@@ -53,7 +53,7 @@ fn days_of(text: &str) -> Option<(u8, u8)> {
 }
 
 /// Parses `HH:MM`, up to 24:00.
-fn minutes(text: &str) -> Option<u16> {
+fn parse_time(text: &str) -> Option<u16> {
     let (hours, minutes) = text.split_once(':')?;
     let part = |text: &str| if text.len() <= 2 { text.parse::<u16>().ok() } else { None };
     let (hours, minutes) = (part(hours)?, part(minutes).filter(|minutes| *minutes < 60)?);
@@ -65,7 +65,7 @@ impl Hours {
     /// Returns whether a window contains this minute.
     /// - `day`: Monday 0 to Sunday 6.
     /// - `minute`: minute of the day.
-    pub fn hold(&self, day: u8, minute: u16) -> bool {
+    pub fn contains(&self, day: u8, minute: u16) -> bool {
         self.0.iter().any(|window| {
             let is_day = |day: u8| {
                 let (first, last) = window.days;
@@ -79,10 +79,10 @@ impl Hours {
     }
 
     /// Returns whether a window contains the present, in local time.
-    pub fn hold_now(&self) -> bool {
+    pub fn contains_now(&self) -> bool {
         let now = jiff::Zoned::now();
         let minute = u16::from(now.hour().unsigned_abs()) * 60 + u16::from(now.minute().unsigned_abs());
-        self.hold(now.weekday().to_monday_zero_offset().unsigned_abs(), minute)
+        self.contains(now.weekday().to_monday_zero_offset().unsigned_abs(), minute)
     }
 }
 
@@ -97,19 +97,30 @@ mod tests {
     #[test]
     fn a_window_over_midnight_belongs_to_the_day_on_which_it_begins() {
         let nights = hours("20:00-06:00");
-        assert!((0..7).all(|day| nights.hold(day, 20 * 60) && nights.hold(day, 0) && nights.hold(day, 359)));
-        assert!((0..7).all(|day| !nights.hold(day, 6 * 60) && !nights.hold(day, 20 * 60 - 1)));
+        assert!(
+            (0..7).all(|day| nights.contains(day, 20 * 60) && nights.contains(day, 0) && nights.contains(day, 359))
+        );
+        assert!((0..7).all(|day| !nights.contains(day, 6 * 60) && !nights.contains(day, 20 * 60 - 1)));
         let workdays = hours("Mon-Fri 20:00-06:00");
-        assert!(workdays.hold(4, 23 * 60) && workdays.hold(5, 300), "Friday's night ends on Saturday");
-        assert!(!workdays.hold(5, 23 * 60) && !workdays.hold(6, 300) && !workdays.hold(0, 300), "Sunday has none");
+        assert!(workdays.contains(4, 23 * 60) && workdays.contains(5, 300), "Friday's night ends on Saturday");
+        assert!(
+            !workdays.contains(5, 23 * 60) && !workdays.contains(6, 300) && !workdays.contains(0, 300),
+            "Sunday has none"
+        );
     }
 
     #[test]
     fn several_windows_add_up_and_a_week_may_be_cut_anywhere() {
         let both = hours("Mon-Fri 18:00-24:00, sat-sun 00:00-24:00");
-        assert!(both.hold(0, 1439) && !both.hold(0, 60) && both.hold(5, 0) && both.hold(6, 1439) && !both.hold(1, 0));
+        assert!(
+            both.contains(0, 1439)
+                && !both.contains(0, 60)
+                && both.contains(5, 0)
+                && both.contains(6, 1439)
+                && !both.contains(1, 0)
+        );
         let over_the_end = hours("Sat-Mon 10:00-11:00");
-        let days: Vec<u8> = (0..7).filter(|&day| over_the_end.hold(day, 630)).collect();
+        let days: Vec<u8> = (0..7).filter(|&day| over_the_end.contains(day, 630)).collect();
         assert_eq!(days, [0, 5, 6]);
     }
 

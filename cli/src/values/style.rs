@@ -3,14 +3,14 @@
 use crate::exit::{Failure, failed, usage};
 use femc_film::{FilmError, Picture};
 use femc_reports::human;
-use femc_stylize::{GuideFrame, Planes, frames, styles};
+use femc_stylize::{ChannelImage, GuideFrame, frames, styles};
 use std::path::{Path, PathBuf};
 
 /// A painting, and the render under it.
 #[derive(Debug)]
-pub struct Style {
+pub struct PaintingStyle {
     /// The painting in red, green and blue, 0..1.
-    pub painting: Planes,
+    pub painting: ChannelImage,
     /// The render, of the painting's size.
     pub source: GuideFrame,
     /// Name of the source in error messages.
@@ -19,7 +19,7 @@ pub struct Style {
     pub transparent: f64,
 }
 
-impl Style {
+impl PaintingStyle {
     /// Reads a style that comes with the program, by its name, or the painting at `style`. The painting lies over the render at
     /// `source`, or over that of the styles that come with the program.
     pub fn read(style: &Path, source: Option<&Path>) -> Result<Self, Failure> {
@@ -35,16 +35,16 @@ impl Style {
             })?,
         };
         match source {
-            Some(path) => Self::of(style, &bytes, guide_frame("--source", path)?, path),
+            Some(path) => Self::from_png(style, &bytes, guide_frame("--source", path)?, path),
             None => {
                 let ball = styles::source().map_err(failed)?;
-                Self::of(style, &bytes, ball, Path::new("scenes/styles/ball.layers.exr"))
+                Self::from_png(style, &bytes, ball, Path::new("scenes/styles/ball.layers.exr"))
             }
         }
     }
 
     /// Returns a warning about the painting's transparency; `None`: it is opaque.
-    pub fn paper(&self) -> Option<String> {
+    pub fn transparency_warning(&self) -> Option<String> {
         (self.transparent > 0.0).then(|| {
             format!(
                 "the painting is transparent in {} of its pixels, which count as white paint: the pictures become white there; paint \
@@ -54,9 +54,9 @@ impl Style {
         })
     }
 
-    fn of(path: &Path, png: &[u8], source: GuideFrame, source_path: &Path) -> Result<Self, Failure> {
+    fn from_png(path: &Path, png: &[u8], source: GuideFrame, source_path: &Path) -> Result<Self, Failure> {
         let fault = |error: &dyn std::fmt::Display| failed(format!("--style {}: {error}; give a PNG", path.display()));
-        let (picture, clear) = Picture::from_any_png_on_paper(png).map_err(|error| fault(&error))?;
+        let (picture, clear) = Picture::from_any_png_counting_transparent(png).map_err(|error| fault(&error))?;
         let [width, height] = source.size();
         if [picture.width, picture.height] != [width, height] {
             return Err(failed(format!(
@@ -67,7 +67,7 @@ impl Style {
                 source_path.display(),
             )));
         }
-        let painting = frames::painting(&picture).map_err(|error| fault(&error))?;
+        let painting = frames::image_from_picture(&picture).map_err(|error| fault(&error))?;
         let transparent = clear as f64 / picture.pixels.len().max(1) as f64;
         Ok(Self { painting, source, source_path: source_path.to_owned(), transparent })
     }

@@ -3,7 +3,7 @@ use std::str::FromStr;
 
 /// Selection of tasks of a job: a frame, a round, all stages of a kind, one stage, or one task.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Tasks {
+pub struct TaskSelector {
     frame: Option<u32>,
     round: Option<u32>,
     kind: Option<StageKind>,
@@ -14,11 +14,11 @@ pub struct Tasks {
 
 /// A job, and a selection of its tasks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct JobTasks {
+pub struct JobTaskSelector {
     /// The job, or the shared job.
     pub job: JobId,
     /// Selected tasks; all of the job if none are named.
-    pub tasks: Tasks,
+    pub tasks: TaskSelector,
 }
 
 /// Error of a text that does not name tasks.
@@ -26,11 +26,11 @@ pub struct JobTasks {
 #[error(
     "`{0}` is not a task; write a frame, like 12, or a task, like 12.0/render.0/3, or all tasks of a kind, like 12.0/image"
 )]
-pub struct TasksError(String);
+pub struct TaskSelectorError(String);
 
-impl Tasks {
+impl TaskSelector {
     /// Returns whether the task is selected.
-    pub fn hold(&self, task: &TaskKey) -> bool {
+    pub fn matches(&self, task: &TaskKey) -> bool {
         fn is<T: PartialEq + Copy>(wanted: Option<T>, found: T) -> bool {
             wanted.is_none_or(|wanted| wanted == found)
         }
@@ -43,24 +43,24 @@ impl Tasks {
     }
 }
 
-impl FromStr for Tasks {
-    type Err = TasksError;
+impl FromStr for TaskSelector {
+    type Err = TaskSelectorError;
 
-    fn from_str(text: &str) -> Result<Self, TasksError> {
-        let wrong = || TasksError(text.to_owned());
+    fn from_str(text: &str) -> Result<Self, TaskSelectorError> {
+        let wrong = || TaskSelectorError(text.to_owned());
         let number = |text: &str| text.parse::<u32>().map_err(|_| wrong());
         let mut parts = text.split('/');
-        let unit = parts.next().unwrap_or_default();
-        let (frame, round) = match unit.split_once('.') {
+        let frame_round = parts.next().unwrap_or_default();
+        let (frame, round) = match frame_round.split_once('.') {
             Some((frame, round)) => (number(frame)?, Some(number(round)?)),
-            None => (number(unit)?, None),
+            None => (number(frame_round)?, None),
         };
         let (kind, stage) = match parts.next().map(|stage| stage.split_once('.').ok_or(stage)) {
             Some(Ok((kind, stage))) => (Some(kind), Some(stage.parse().map_err(|_| wrong())?)),
             Some(Err(kind)) => (Some(kind), None),
             None => (None, None),
         };
-        let kind = kind.map(|name| StageKind::named(name).ok_or_else(wrong)).transpose()?;
+        let kind = kind.map(|name| StageKind::from_name(name).ok_or_else(wrong)).transpose()?;
         let index = parts.next().map(number).transpose()?;
         if parts.next().is_some() {
             return Err(wrong());
@@ -69,15 +69,15 @@ impl FromStr for Tasks {
     }
 }
 
-impl FromStr for JobTasks {
-    type Err = TasksError;
+impl FromStr for JobTaskSelector {
+    type Err = TaskSelectorError;
 
-    fn from_str(text: &str) -> Result<Self, TasksError> {
+    fn from_str(text: &str) -> Result<Self, TaskSelectorError> {
         let (job, tasks) = match text.split_once('/') {
             Some((job, tasks)) => (job, tasks.parse()?),
-            None => (text, Tasks::default()),
+            None => (text, TaskSelector::default()),
         };
-        Ok(Self { job: job.parse().map_err(|_| TasksError(text.to_owned()))?, tasks })
+        Ok(Self { job: job.parse().map_err(|_| TaskSelectorError(text.to_owned()))?, tasks })
     }
 }
 
@@ -93,14 +93,14 @@ mod tests {
             vec![of(3, 0, StageKind::Render, 1), of(3, 1, StageKind::Image, 0), of(3, 1, StageKind::Image, 1)];
         // Reduce stages: groups and levels of a frame; stills, sheet and clip of a job.
         tasks.extend([2, 3].map(|number| of(3, number, StageKind::Reduce, 0)));
-        tasks.extend([4, 5, 6].map(|number| of(Stage::OF_JOB, number, StageKind::Encode, 0)));
+        tasks.extend([4, 5, 6].map(|number| of(Stage::JOB_FRAME, number, StageKind::Encode, 0)));
         let jobs = [JobId(7), JobId::shared(7)];
         let tasks = jobs.iter().flat_map(|&job| tasks.iter().map(move |&(stage, index)| TaskKey { job, stage, index }));
         let tasks: Vec<TaskKey> = tasks.collect();
         for task in &tasks {
-            let printed: JobTasks = task.to_string().parse().expect("as printed");
+            let printed: JobTaskSelector = task.to_string().parse().expect("as printed");
             let held: Vec<&TaskKey> =
-                tasks.iter().filter(|other| printed.job == other.job && printed.tasks.hold(other)).collect();
+                tasks.iter().filter(|other| printed.job == other.job && printed.tasks.matches(other)).collect();
             assert_eq!(held, [task]);
         }
     }
@@ -122,11 +122,14 @@ mod tests {
             ("3.1/render.1", false),
             ("3.1/render/1", false),
         ] {
-            assert_eq!(text.parse::<Tasks>().map(|tasks| tasks.hold(&task)), Ok(holds), "{text}");
+            assert_eq!(text.parse::<TaskSelector>().map(|tasks| tasks.matches(&task)), Ok(holds), "{text}");
         }
         for text in ["", "a", "3.", "3/knit", "3/render/", "3/render/1/2", "3/render./1", "3/render.x", "-1", "1.2.3"] {
-            assert!(text.parse::<Tasks>().is_err(), "{text}");
+            assert!(text.parse::<TaskSelector>().is_err(), "{text}");
         }
-        assert!("7".parse::<JobTasks>().is_ok_and(|all| all.tasks.hold(&task)) && "x/3".parse::<JobTasks>().is_err());
+        assert!(
+            "7".parse::<JobTaskSelector>().is_ok_and(|all| all.tasks.matches(&task))
+                && "x/3".parse::<JobTaskSelector>().is_err()
+        );
     }
 }

@@ -5,97 +5,97 @@ use std::path::PathBuf;
 use std::sync::{Mutex, MutexGuard};
 
 use crate::common::proxy::Proxy;
-use femc_queue::testing::Scratch;
-use femc_queue::{Contents, Queue as _, Sqlite};
+use femc_queue::testing::ScratchDatabase;
+use femc_queue::{LogContents, Queue as _, Sqlite};
 
-use crate::common::{Place, Running};
+use crate::common::{TestFolder, TestProcess};
 
 pub const WORKERS: usize = 3;
 
 /// A process that is restarted repeatedly.
-pub struct Seat {
+pub struct RestartableProcess {
     pub name: String,
     line: String,
     /// File of its stderr.
-    words: PathBuf,
-    life: Mutex<Life>,
+    stderr_file: PathBuf,
+    state: Mutex<ProcessState>,
 }
 
 #[derive(Default)]
-struct Life {
-    process: Option<Running>,
+struct ProcessState {
+    process: Option<TestProcess>,
     /// Whether a fault has stopped it with SIGSTOP.
-    stands: bool,
+    is_stopped: bool,
 }
 
-impl Seat {
-    fn new(place: &Place, name: &str, line: String) -> Self {
-        Self { name: name.into(), line, words: place.path(&format!("{name}.err")), life: Mutex::default() }
+impl RestartableProcess {
+    fn new(dir: &TestFolder, name: &str, line: String) -> Self {
+        Self { name: name.into(), line, stderr_file: dir.path(&format!("{name}.err")), state: Mutex::default() }
     }
 
     /// Returns the running process. Panics if the process ended by itself, which the test does not allow.
-    fn process<'a>(&self, life: &'a mut Life) -> Option<&'a mut Running> {
-        let process = life.process.as_mut()?;
+    fn process<'a>(&self, state: &'a mut ProcessState) -> Option<&'a mut TestProcess> {
+        let process = state.process.as_mut()?;
         assert!(
             process.is_running(),
             "{} ended by itself: {}",
             self.name,
-            std::fs::read_to_string(&self.words).unwrap_or_default()
+            std::fs::read_to_string(&self.stderr_file).unwrap_or_default()
         );
         Some(process)
     }
 
-    fn lock(&self) -> MutexGuard<'_, Life> {
-        self.life.lock().expect("no panic")
+    fn lock(&self) -> MutexGuard<'_, ProcessState> {
+        self.state.lock().expect("no panic")
     }
 
-    pub fn start(&self, place: &Place) {
-        self.lock().process.get_or_insert_with(|| place.start_as(&self.name, &self.line));
+    pub fn start(&self, dir: &TestFolder) {
+        self.lock().process.get_or_insert_with(|| dir.start_as(&self.name, &self.line));
     }
 
     /// Sends SIGKILL. Returns `false` if the process was not running.
     pub fn kill(&self) -> bool {
-        let mut life = self.lock();
-        let was_there = self.process(&mut life).is_some_and(Running::kill);
-        *life = Life::default();
+        let mut state = self.lock();
+        let was_there = self.process(&mut state).is_some_and(TestProcess::kill);
+        *state = ProcessState::default();
         was_there
     }
 
     /// Sends SIGSTOP. Returns `false` if the process was not running.
     pub fn stop(&self) -> bool {
-        let mut life = self.lock();
-        life.stands = true;
-        self.process(&mut life).map(|process| process.signal("STOP")).is_some()
+        let mut state = self.lock();
+        state.is_stopped = true;
+        self.process(&mut state).map(|process| process.signal("STOP")).is_some()
     }
 
     /// Sends SIGCONT.
-    pub fn go_on(&self) {
-        let mut life = self.lock();
-        life.stands = false;
-        self.process(&mut life).into_iter().for_each(|process| process.signal("CONT"));
+    pub fn resume(&self) {
+        let mut state = self.lock();
+        state.is_stopped = false;
+        self.process(&mut state).into_iter().for_each(|process| process.signal("CONT"));
     }
 
-    /// Calls `what` while the process is stopped, or not running.
-    pub fn stopped<T>(&self, what: impl FnOnce() -> T) -> T {
-        let mut life = self.lock();
-        let stands = life.stands;
-        self.process(&mut life).into_iter().for_each(|process| process.signal("STOP"));
-        let done = what();
-        if !stands {
-            self.process(&mut life).into_iter().for_each(|process| process.signal("CONT"));
+    /// Calls `action` while the process is stopped, or not running.
+    pub fn while_stopped<T>(&self, action: impl FnOnce() -> T) -> T {
+        let mut state = self.lock();
+        let is_stopped = state.is_stopped;
+        self.process(&mut state).into_iter().for_each(|process| process.signal("STOP"));
+        let done = action();
+        if !is_stopped {
+            self.process(&mut state).into_iter().for_each(|process| process.signal("CONT"));
         }
         done
     }
 
     /// Returns the process id, if the process is running.
     pub fn id(&self) -> Option<u32> {
-        self.lock().process.as_ref().map(Running::id)
+        self.lock().process.as_ref().map(TestProcess::id)
     }
 }
 
 /// Returns ports that are free now. They are below the ports that the system gives to connections, so that a coordinator that was
 /// killed can get its port back later.
-fn free(count: usize) -> Vec<SocketAddr> {
+fn free_addresses(count: usize) -> Vec<SocketAddr> {
     let loopback = |port| SocketAddr::from(([127, 0, 0, 1], port));
     let all = (20_000..30_000).map(loopback).filter(|&address| TcpListener::bind(address).is_ok());
     all.skip(std::process::id() as usize % 1000).take(count).collect()
@@ -104,17 +104,17 @@ fn free(count: usize) -> Vec<SocketAddr> {
 /// Location of the log.
 enum Store {
     Sqlite,
-    Postgres(Box<Scratch>),
+    Postgres(Box<ScratchDatabase>),
 }
 
 pub struct Farm {
-    pub place: Place,
+    pub dir: TestFolder,
     /// URLs of all coordinators.
     pub url: String,
-    pub coordinators: Vec<Seat>,
-    pub workers: Vec<Seat>,
+    pub coordinators: Vec<RestartableProcess>,
+    pub workers: Vec<RestartableProcess>,
     /// Proxies from each worker to each coordinator.
-    pub ways: Vec<Vec<Proxy>>,
+    pub proxies: Vec<Vec<Proxy>>,
     store: Store,
     runtime: tokio::runtime::Runtime,
 }
@@ -122,62 +122,62 @@ pub struct Farm {
 impl Farm {
     /// Starts a farm with two coordinators if there is a PostgreSQL, else one. Ended jobs expire after a minute.
     pub fn new() -> Self {
-        let place = Place::new();
+        let dir = TestFolder::new();
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
-        let store = runtime.block_on(Scratch::new()).map_or(Store::Sqlite, |scratch| Store::Postgres(scratch.into()));
+        let store =
+            runtime.block_on(ScratchDatabase::new()).map_or(Store::Sqlite, |scratch| Store::Postgres(scratch.into()));
         let (count, log) = match &store {
             Store::Sqlite => (1, "sqlite:farm.db".to_owned()),
             Store::Postgres(scratch) => (2, scratch.url()),
         };
-        let free = free(count);
-        let urls: Vec<String> = free.iter().map(|address| format!("http://{address}")).collect();
+        let addresses = free_addresses(count);
+        let urls: Vec<String> = addresses.iter().map(|address| format!("http://{address}")).collect();
         let coordinator = |(number, address): (usize, &SocketAddr)| {
             let line = format!(
                 "coordinator --listen {address} --store {log} --artifacts artifacts --lease 2s --compact 4000 --keep-ended 1m"
             );
-            Seat::new(&place, &format!("c{number}"), line)
+            RestartableProcess::new(&dir, &format!("c{number}"), line)
         };
-        let coordinators = free.iter().enumerate().map(coordinator).collect();
-        let ways: Vec<Vec<Proxy>> = (0..WORKERS).map(|_| urls.iter().map(|url| Proxy::to(url)).collect()).collect();
+        let coordinators = addresses.iter().enumerate().map(coordinator).collect();
+        let proxies: Vec<Vec<Proxy>> = (0..WORKERS).map(|_| urls.iter().map(|url| Proxy::new(url)).collect()).collect();
         let worker = |(number, ways): (usize, &Vec<Proxy>)| {
             let name = format!("w{number}");
             let join = ways.iter().map(|way| way.url.as_str()).collect::<Vec<_>>().join(",");
             let line = format!("worker --join {join} --threads 1 --name {name} --outbox {name} --color never");
-            Seat::new(&place, &name, line)
+            RestartableProcess::new(&dir, &name, line)
         };
-        let workers = ways.iter().enumerate().map(worker).collect();
-        let farm = Self { place, url: urls.join(","), coordinators, workers, ways, store, runtime };
+        let workers = proxies.iter().enumerate().map(worker).collect();
+        let farm = Self { dir, url: urls.join(","), coordinators, workers, proxies, store, runtime };
         farm.heal();
         farm
     }
 
     /// Starts all processes that are not running, and thaws all proxies.
     pub fn heal(&self) {
-        self.coordinators.iter().chain(&self.workers).for_each(|seat| seat.start(&self.place));
-        self.ways.iter().flatten().for_each(Proxy::thaw);
+        self.coordinators.iter().chain(&self.workers).for_each(|seat| seat.start(&self.dir));
+        self.proxies.iter().flatten().for_each(Proxy::thaw);
     }
 
     /// Returns the current contents of the log, if there is one.
-    pub fn log(&self) -> Option<Contents> {
+    pub fn log(&self) -> Option<LogContents> {
         match &self.store {
             Store::Sqlite => self.copy_of_log(),
-            Store::Postgres(scratch) => self.runtime.block_on(scratch.log()),
+            Store::Postgres(scratch) => self.runtime.block_on(scratch.log_contents()),
         }
     }
 
     /// Stops the coordinator for an instant, and copies its log file in the state after a crash.
-    fn copy_of_log(&self) -> Option<Contents> {
-        let copied = self.coordinators[0].stopped(|| {
+    fn copy_of_log(&self) -> Option<LogContents> {
+        let copied = self.coordinators[0].while_stopped(|| {
             ["farm.db", "farm.db-wal", "farm.db-mark"].map(|name| {
-                let copy = self.place.path(&name.replace("farm", "copy"));
+                let copy = self.dir.path(&name.replace("farm", "copy"));
                 // A log that has just been created or closed lacks some of these files.
                 let _ = std::fs::remove_file(&copy);
-                std::fs::copy(self.place.path(name), copy).is_ok()
+                std::fs::copy(self.dir.path(name), copy).is_ok()
             })
         });
-        let read = async {
-            Sqlite::open(&self.place.path("copy.db")).await.expect("a log").load().await.expect("its content")
-        };
+        let read =
+            async { Sqlite::open(&self.dir.path("copy.db")).await.expect("a log").load().await.expect("its content") };
         copied[0].then(|| self.runtime.block_on(read))
     }
 }

@@ -3,13 +3,13 @@
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
-use crate::common::proxy::{Proxy, Way};
+use crate::common::proxy::{Direction, Proxy};
 use crate::farm::{Farm, WORKERS};
 
 /// Random numbers from a seed: SplitMix64.
-pub struct Draw(pub u64);
+pub struct Rng(pub u64);
 
-impl Draw {
+impl Rng {
     /// Returns a number below `most`.
     pub fn below(&mut self, most: u64) -> u64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
@@ -33,12 +33,12 @@ enum Fault {
     CoordinatorStopped(usize),
     LinkCut(usize),
     LinkFrozen(usize),
-    LinkFrozenOneWay(usize, Way),
+    LinkFrozenOneWay(usize, Direction),
 }
 use Fault::*;
 
 impl Fault {
-    fn draw(draw: &mut Draw, coordinators: usize) -> Self {
+    fn random(draw: &mut Rng, coordinators: usize) -> Self {
         let worker = draw.below(WORKERS as u64) as usize;
         let coordinator = worker % coordinators;
         match draw.below(12) {
@@ -48,8 +48,8 @@ impl Fault {
             6 => CoordinatorStopped(coordinator),
             7..9 => LinkCut(worker),
             9 => LinkFrozen(worker),
-            10 => LinkFrozenOneWay(worker, Way::Up),
-            _ => LinkFrozenOneWay(worker, Way::Down),
+            10 => LinkFrozenOneWay(worker, Direction::Up),
+            _ => LinkFrozenOneWay(worker, Direction::Down),
         }
     }
 
@@ -61,8 +61,8 @@ impl Fault {
             CoordinatorStopped(_) => "coordinator stopped",
             LinkCut(_) => "link cut",
             LinkFrozen(_) => "link frozen",
-            LinkFrozenOneWay(_, Way::Up) => "link frozen upwards",
-            LinkFrozenOneWay(_, Way::Down) => "link frozen downwards",
+            LinkFrozenOneWay(_, Direction::Up) => "link frozen upwards",
+            LinkFrozenOneWay(_, Direction::Down) => "link frozen downwards",
         }
     }
 
@@ -73,48 +73,50 @@ impl Fault {
             WorkerStopped(worker) => farm.workers[worker].stop(),
             CoordinatorKilled(coordinator) => farm.coordinators[coordinator].kill(),
             CoordinatorStopped(coordinator) => farm.coordinators[coordinator].stop(),
-            LinkCut(worker) => does(|| farm.ways[worker].iter().for_each(Proxy::cut)),
-            LinkFrozen(worker) => does(|| farm.ways[worker].iter().for_each(Proxy::freeze)),
-            LinkFrozenOneWay(worker, way) => does(|| farm.ways[worker].iter().for_each(|proxy| proxy.freeze_way(way))),
+            LinkCut(worker) => always(|| farm.proxies[worker].iter().for_each(Proxy::cut)),
+            LinkFrozen(worker) => always(|| farm.proxies[worker].iter().for_each(Proxy::freeze)),
+            LinkFrozenOneWay(worker, way) => {
+                always(|| farm.proxies[worker].iter().for_each(|proxy| proxy.freeze_direction(way)))
+            }
         }
     }
 
     fn end(self, farm: &Farm) {
         match self {
-            WorkerKilled(worker) => farm.workers[worker].start(&farm.place),
-            WorkerStopped(worker) => farm.workers[worker].go_on(),
-            CoordinatorKilled(coordinator) => farm.coordinators[coordinator].start(&farm.place),
-            CoordinatorStopped(coordinator) => farm.coordinators[coordinator].go_on(),
+            WorkerKilled(worker) => farm.workers[worker].start(&farm.dir),
+            WorkerStopped(worker) => farm.workers[worker].resume(),
+            CoordinatorKilled(coordinator) => farm.coordinators[coordinator].start(&farm.dir),
+            CoordinatorStopped(coordinator) => farm.coordinators[coordinator].resume(),
             LinkCut(_) => {}
-            LinkFrozen(worker) | LinkFrozenOneWay(worker, _) => farm.ways[worker].iter().for_each(Proxy::thaw),
+            LinkFrozen(worker) | LinkFrozenOneWay(worker, _) => farm.proxies[worker].iter().for_each(Proxy::thaw),
         }
     }
 }
 
-fn does(what: impl FnOnce()) -> bool {
-    what();
+fn always(action: impl FnOnce()) -> bool {
+    action();
     true
 }
 
 /// Produces faults until `end`, each for some seconds and often several at the same time, then repairs everything. Returns the
 /// number of faults by kind.
-pub fn storm(farm: &Farm, seed: u64, end: Instant) -> BTreeMap<&'static str, u64> {
-    let mut draw = Draw(seed);
+pub fn inject_faults(farm: &Farm, seed: u64, end: Instant) -> BTreeMap<&'static str, u64> {
+    let mut rng = Rng(seed);
     let (mut fired, mut under_way) = (BTreeMap::new(), Vec::<(Instant, Fault)>::new());
-    let mut next = Instant::now() + draw.pause(1_000, 4_000);
+    let mut next = Instant::now() + rng.pause(1_000, 4_000);
     while Instant::now() < end {
         let now = Instant::now();
         let (over, rest) = under_way.into_iter().partition(|&(until, _)| until <= now);
         under_way = rest;
         Vec::into_iter(over).for_each(|(_, fault): (Instant, Fault)| fault.end(farm));
         if now >= next {
-            let (fault, lasts) = (Fault::draw(&mut draw, farm.coordinators.len()), draw.pause(100, 6_000));
+            let (fault, lasts) = (Fault::random(&mut rng, farm.coordinators.len()), rng.pause(100, 6_000));
             let is_new = under_way.iter().all(|&(_, other)| other.name() != fault.name());
             if is_new && fault.begin(farm) {
                 *fired.entry(fault.name()).or_insert(0) += 1;
                 under_way.push((now + lasts, fault));
             }
-            next = now + draw.pause(500, 4_000);
+            next = now + rng.pause(500, 4_000);
         }
         std::thread::sleep(Duration::from_millis(20));
     }

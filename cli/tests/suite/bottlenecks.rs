@@ -1,6 +1,6 @@
 //! Tests of `femc bottlenecks` with scenes that have a known bottleneck.
 
-use crate::common::Place;
+use crate::common::TestFolder;
 use serde_json::Value;
 use std::path::Path;
 
@@ -14,14 +14,14 @@ fn real(value: &Value, key: &str) -> f64 {
 }
 
 /// Returns the findings for a frame of a scene.
-fn found(place: &Place, name: &str, text: &str, spp: u32) -> Value {
-    place.write(&format!("{name}.mgf"), text);
-    place.run(&format!("render {name}.mgf -o {name}.exr --size 64x48 --spp {spp} --stats")).exits(0);
-    place.run(&format!("bottlenecks {name}.paths --json")).exits(0).json()
+fn bottlenecks(dir: &TestFolder, name: &str, text: &str, spp: u32) -> Value {
+    dir.write(&format!("{name}.mgf"), text);
+    dir.run(&format!("render {name}.mgf -o {name}.exr --size 64x48 --spp {spp} --stats")).exits(0);
+    dir.run(&format!("bottlenecks {name}.paths --json")).exits(0).json()
 }
 
-fn finding<'a>(report: &'a Value, what: &str) -> Option<&'a Value> {
-    report["findings"].as_array().expect("a list").iter().find(|finding| finding["what"] == what)
+fn finding<'a>(report: &'a Value, kind: &str) -> Option<&'a Value> {
+    report["findings"].as_array().expect("a list").iter().find(|finding| finding["what"] == kind)
 }
 
 fn object<'a>(report: &'a Value, name: &str) -> &'a Value {
@@ -31,8 +31,8 @@ fn object<'a>(report: &'a Value, name: &str) -> &'a Value {
 
 #[test]
 fn firefly_source_is_named_as_chrome_ball_but_not_when_matte() {
-    let place = Place::new();
-    let chrome = found(&place, "gallery", &scene("gallery.mgf"), 64);
+    let dir = TestFolder::new();
+    let chrome = bottlenecks(&dir, "gallery", &scene("gallery.mgf"), 64);
     let noise = finding(&chrome, "noise").expect("noise");
     assert_eq!((&noise["object"], &noise["material"]), (&"sphere".into(), &"chrome".into()), "{noise}");
     assert_eq!(noise["interaction"], "reflection");
@@ -48,26 +48,26 @@ fn firefly_source_is_named_as_chrome_ball_but_not_when_matte() {
         }
     }
     let text = scene("gallery.mgf");
-    let matte = found(&place, "matte", &text.replace("rs 0.9 0\n", "rd 0.7\n"), 64);
+    let matte = bottlenecks(&dir, "matte", &text.replace("rs 0.9 0\n", "rd 0.7\n"), 64);
     assert_eq!(finding(&matte, "noise").expect("noise")["object"], "room");
     assert!(real(object(&matte, "sphere"), "noise") < 0.05, "{}", object(&matte, "sphere"));
     // In both frames together, the findings of the bright frame are the worst.
-    let both = place.run("bottlenecks matte.paths gallery.paths --json").exits(0).json();
+    let both = dir.run("bottlenecks matte.paths gallery.paths --json").exits(0).json();
     assert_eq!(both["samples"], 2 * 64 * 48 * 64);
     assert_eq!(finding(&both, "firefly").expect("a firefly")["file"], "gallery.paths");
-    let said = place.run("bottlenecks gallery.paths").exits(0).stdout();
+    let said = dir.run("bottlenecks gallery.paths").exits(0).stdout();
     assert!(said.starts_with("noise:") && said.contains("sphere (chrome, reflection)"), "{said}");
     for (what, rows) in [("parts", "parts"), ("objects", "objects"), ("materials", "materials"), ("lamps", "lamps")] {
-        let csv = place.run(&format!("bottlenecks gallery.paths --of {what} --csv")).exits(0).stdout();
+        let csv = dir.run(&format!("bottlenecks gallery.paths --of {what} --csv")).exits(0).stdout();
         assert_eq!(csv.lines().count(), 1 + chrome[rows].as_array().expect("a list").len(), "{what}");
     }
-    assert!(place.run("bottlenecks gallery.paths --of fireflies --lines 3").exits(0).stdout().lines().count() == 4);
+    assert!(dir.run("bottlenecks gallery.paths --of fireflies --lines 3").exits(0).stdout().lines().count() == 4);
 }
 
 #[test]
 fn the_shade_of_glass_that_keeps_paths_long_is_named() {
-    let place = Place::new();
-    let report = found(&place, "pendant", &scene("pendant.mgf"), 16);
+    let dir = TestFolder::new();
+    let report = bottlenecks(&dir, "pendant", &scene("pendant.mgf"), 16);
     let deep = finding(&report, "deep").expect("long paths");
     assert_eq!((&deep["object"], &deep["material"]), (&"pendant.shade".into(), &"glass".into()), "{deep}");
     assert!(real(deep, "left") > 4.0 * real(deep, "left_of_others"), "{deep}");
@@ -81,9 +81,9 @@ fn the_shade_of_glass_that_keeps_paths_long_is_named() {
 
 #[test]
 fn what_is_no_file_of_statistics_is_refused() {
-    let place = Place::new();
-    place.run("bottlenecks").exits(2);
-    assert!(place.run("bottlenecks nothing.paths").exits(2).stderr().contains("nothing.paths"));
-    place.write("text.paths", "no statistics");
-    place.run("bottlenecks text.paths").exits(1);
+    let dir = TestFolder::new();
+    dir.run("bottlenecks").exits(2);
+    assert!(dir.run("bottlenecks nothing.paths").exits(2).stderr().contains("nothing.paths"));
+    dir.write("text.paths", "no statistics");
+    dir.run("bottlenecks text.paths").exits(1);
 }

@@ -1,6 +1,6 @@
 //! Tests of the precedence of settings: flag, environment, file, default.
 
-use crate::common::{Place, Ran};
+use crate::common::{CommandOutput, TestFolder};
 use std::process::Command;
 
 const FILE: &str = "\
@@ -16,8 +16,8 @@ tags = [\"a\", \"b\"]
 ";
 
 /// Returns the output of `femc LINE --print-config` with this environment.
-fn printed(place: &Place, line: &str, environment: &[(&str, &str)]) -> String {
-    let mut command: Command = place.command(&format!("{line} --print-config"));
+fn print_config(dir: &TestFolder, line: &str, environment: &[(&str, &str)]) -> String {
+    let mut command: Command = dir.command(&format!("{line} --print-config"));
     let output = command.envs(environment.iter().copied()).output().expect("femc starts");
     assert!(output.status.success(), "{line}: {}", String::from_utf8_lossy(&output.stderr));
     String::from_utf8_lossy(&output.stdout).into_owned()
@@ -25,8 +25,8 @@ fn printed(place: &Place, line: &str, environment: &[(&str, &str)]) -> String {
 
 #[test]
 fn flags_override_environment_then_file_then_default() {
-    let place = Place::new();
-    place.write("femc.toml", FILE);
+    let dir = TestFolder::new();
+    dir.write("femc.toml", FILE);
     let lease = [("FEMC_LEASE", "20s")];
     for (line, environment, expected) in [
         ("coordinator --lease 30s", &lease[..], "lease = \"30s\"  # flag"),
@@ -51,36 +51,36 @@ fn flags_override_environment_then_file_then_default() {
         ("", &[], "[worker]"),
         ("render", &[], "log-format = \"text\"  # default"),
     ] {
-        place.write("other.toml", "");
-        let text = printed(&place, line, environment);
+        dir.write("other.toml", "");
+        let text = print_config(&dir, line, environment);
         assert!(text.lines().any(|line| line == expected), "{line} {environment:?}: {expected}\n{text}");
     }
 }
 
 #[test]
 fn what_is_printed_can_be_kept_as_a_file() {
-    let place = Place::new();
-    place.write("femc.toml", FILE);
+    let dir = TestFolder::new();
+    dir.write("femc.toml", FILE);
     let values = |text: &str| -> Vec<String> {
         let lines = text.lines().filter(|line| !line.starts_with('#'));
         lines.map(|line| line.split("  # ").next().unwrap_or_default().to_owned()).collect()
     };
-    let first = printed(&place, "", &[]);
-    place.write("again.toml", &first);
-    assert_eq!(values(&printed(&place, "--config again.toml", &[])), values(&first));
+    let first = print_config(&dir, "", &[]);
+    dir.write("again.toml", &first);
+    assert_eq!(values(&print_config(&dir, "--config again.toml", &[])), values(&first));
 }
 
 #[test]
 fn a_setting_of_the_file_holds() {
-    let place = Place::new();
-    place.write("femc.toml", "server = \"http://127.0.0.1:1\"\n");
-    let ran = place.run("jobs").exits(4);
+    let dir = TestFolder::new();
+    dir.write("femc.toml", "server = \"http://127.0.0.1:1\"\n");
+    let ran = dir.run("jobs").exits(4);
     assert!(ran.stderr().contains("http://127.0.0.1:1"), "{}", ran.stderr());
 }
 
 #[test]
 fn a_fault_of_the_file_is_told_with_its_place() {
-    let place = Place::new();
+    let dir = TestFolder::new();
     for (text, said) in [
         ("[coordinator]\n  leese = \"3s\"\n", "femc.toml:2:3: unknown key leese"),
         ("sparkle = 1\n", "femc.toml:1:1: unknown key sparkle"),
@@ -94,10 +94,10 @@ fn a_fault_of_the_file_is_told_with_its_place() {
         ("[worker\n", "femc.toml:1:"),
         ("color = \"mauve\"\n", "femc.toml:1:9: invalid value 'mauve' for '--color"),
     ] {
-        place.write("femc.toml", text);
-        let ran: Ran = place.run("coordinator --print-config").exits(2);
+        dir.write("femc.toml", text);
+        let ran: CommandOutput = dir.run("coordinator --print-config").exits(2);
         assert!(ran.stderr().contains(said), "{text}: {}", ran.stderr());
     }
-    let ran = place.run("--config nowhere.toml jobs").exits(1);
+    let ran = dir.run("--config nowhere.toml jobs").exits(1);
     assert!(ran.stderr().contains("--config nowhere.toml"), "{}", ran.stderr());
 }

@@ -1,46 +1,46 @@
 //! Tests of HTTP over TLS with common clients: curl, Python and Node, over HTTP/1.1 and HTTP/2.
 #![cfg(unix)]
 
-use crate::common::{Place, Ran, Running, submit};
-use femc_require::Need;
+use crate::common::{CommandOutput, TestFolder, TestProcess, submit};
+use femc_require::Prerequisite;
 use std::process::Command;
 
 /// An encrypted farm with one finished job, and its identity files.
-struct Secured {
-    place: Place,
+struct EncryptedFarm {
+    dir: TestFolder,
     url: String,
     job: String,
-    _coordinator: Running,
+    _coordinator: TestProcess,
 }
 
-impl Secured {
+impl EncryptedFarm {
     fn start() -> Self {
-        let place = Place::new();
-        place.run("ca init").exits(0);
+        let dir = TestFolder::new();
+        dir.run("ca init").exits(0);
         for issued in ["issue coordinator farm", "issue worker w1", "issue user ann --role admin"] {
-            place.run(&format!("ca {issued}")).exits(0);
+            dir.run(&format!("ca {issued}")).exits(0);
         }
-        place.run("ca token user eve --role viewer").exits(0);
-        place.run("ca token user joe --role operator").exits(0);
+        dir.run("ca token user eve --role viewer").exits(0);
+        dir.run("ca token user joe --role operator").exits(0);
         let line = "coordinator --listen 127.0.0.1:0 --store sqlite:farm.db --artifacts artifacts --identity farm.pem";
-        let mut coordinator = place.start(&format!("{line} --token-file femc-ca/tokens"));
+        let mut coordinator = dir.start(&format!("{line} --token-file femc-ca/tokens"));
         let line = coordinator.first_line();
         let url = line.split_whitespace().find(|word| word.starts_with("https://")).expect("the address").to_owned();
         // Split the identity into the three files that other programs need: certificate, key, authority.
-        let identity = place.read("ann.pem");
+        let identity = dir.read("ann.pem");
         let sections: Vec<&str> = identity.split_inclusive("-----\n").collect();
         for (name, part) in ["cert", "key", "ca"].iter().zip(sections.chunks(2)) {
-            place.write(&format!("{name}.pem"), &part.concat());
+            dir.write(&format!("{name}.pem"), &part.concat());
         }
-        let mut worker = place.start(&format!("worker --join {url} --threads 1 --name w1 --identity w1.pem"));
-        let job = submit(&place, &url, "--frames 1 --spp 2 --identity ann.pem");
-        place.run(&format!("watch {job} --quiet --server {url} --identity ann.pem")).exits(0);
+        let mut worker = dir.start(&format!("worker --join {url} --threads 1 --name w1 --identity w1.pem"));
+        let job = submit(&dir, &url, "--frames 1 --spp 2 --identity ann.pem");
+        dir.run(&format!("watch {job} --quiet --server {url} --identity ann.pem")).exits(0);
         worker.kill();
-        Self { place, url, job, _coordinator: coordinator }
+        Self { dir, url, job, _coordinator: coordinator }
     }
 
     fn token(&self, user: &str) -> String {
-        self.place.read(&format!("{user}.token")).lines().next().expect("a token").to_owned()
+        self.dir.read(&format!("{user}.token")).lines().next().expect("a token").to_owned()
     }
 
     /// Returns the paths of all GET calls that end by themselves, with the status that an admin gets.
@@ -56,11 +56,11 @@ impl Secured {
     }
 
     /// Runs curl with the authority's certificate and these arguments.
-    fn curl(&self, version: &str, path: &str, arguments: &[&str]) -> Answered {
+    fn curl(&self, version: &str, path: &str, arguments: &[&str]) -> CurlAnswer {
         let mut curl = Command::new("curl");
         curl.args(["--silent", "--show-error", "--cacert", "ca.pem", version, "--max-time", "60"]);
         curl.args(["--write-out", "\n%{http_version} %{http_code} %header{location} %header{set-cookie}"]);
-        curl.args(arguments).arg(format!("{}{path}", self.url)).current_dir(self.place.path(""));
+        curl.args(arguments).arg(format!("{}{path}", self.url)).current_dir(self.dir.path(""));
         let output = curl.output().expect("curl runs");
         let error = String::from_utf8_lossy(&output.stderr).into_owned();
         let end = output.stdout.iter().rposition(|byte| *byte == b'\n').expect("the status");
@@ -69,17 +69,17 @@ impl Secured {
         let mut word = || words.next().unwrap_or_default();
         let (spoken, status, location) = (word(), word().parse().expect("a status"), word());
         let cookie = word().trim_end_matches(';').to_owned();
-        Answered { version: spoken, status, location, cookie, error, body: output.stdout[..end].to_vec() }
+        CurlAnswer { version: spoken, status, location, cookie, error, body: output.stdout[..end].to_vec() }
     }
 
     /// Runs a script with the address, the job and the paths, one per line. Returns its output.
     fn script(&self, program: &mut Command) -> String {
         let gets: String = self.gets().iter().map(|(path, status)| format!("{status} {path}\n")).collect();
-        self.place.write("gets", &gets);
-        program.args([&self.url, &self.job, "gets"]).current_dir(self.place.path(""));
+        self.dir.write("gets", &gets);
+        program.args([&self.url, &self.job, "gets"]).current_dir(self.dir.path(""));
         program.env("OPERATOR", self.token("joe")).env("VIEWER", self.token("eve"));
-        program.env("NODE_EXTRA_CA_CERTS", self.place.path("ca.pem")).env("PYTHONDONTWRITEBYTECODE", "1");
-        let ran = Ran::new("a client", program.output().expect("it runs")).exits(0);
+        program.env("NODE_EXTRA_CA_CERTS", self.dir.path("ca.pem")).env("PYTHONDONTWRITEBYTECODE", "1");
+        let ran = CommandOutput::new("a client", program.output().expect("it runs")).exits(0);
         print!("{}{}", ran.stdout(), ran.stderr());
         ran.stdout()
     }
@@ -87,7 +87,7 @@ impl Secured {
 
 /// An answer that curl received.
 #[derive(Debug)]
-struct Answered {
+struct CurlAnswer {
     version: String,
     status: u16,
     location: String,
@@ -96,7 +96,7 @@ struct Answered {
     body: Vec<u8>,
 }
 
-impl Answered {
+impl CurlAnswer {
     /// Returns the error code of a refusal.
     #[track_caller]
     fn code(&self) -> String {
@@ -115,10 +115,10 @@ const JSON: [&str; 4] = ["--header", "Content-Type: application/json", "--header
 
 #[test]
 fn curl_examples_of_the_manual_work_over_both_http_versions() {
-    if !Need::Curl.program() {
+    if !Prerequisite::Curl.has_program() {
         return;
     }
-    let farm = Secured::start();
+    let farm = EncryptedFarm::start();
     for (option, version) in VERSIONS {
         for (path, status) in farm.gets() {
             let answer = farm.curl(option, &path, &ANN);
@@ -146,15 +146,15 @@ fn curl_examples_of_the_manual_work_over_both_http_versions() {
 
 #[test]
 fn refused_post_gets_its_whole_answer_over_both_http_versions() {
-    if !Need::Curl.program() {
+    if !Prerequisite::Curl.has_program() {
         return;
     }
-    let farm = Secured::start();
+    let farm = EncryptedFarm::start();
     let (viewer, operator) = ("eve", "joe");
     let bearer = |user: &str| format!("Authorization: Bearer {}", farm.token(user));
     let (viewer, operator) = (bearer(viewer), bearer(operator));
     for (name, bytes) in [("small", 100), ("full", 60 << 10), ("large", 4 << 20)] {
-        farm.place.write(name, &" ".repeat(bytes));
+        farm.dir.write(name, &" ".repeat(bytes));
     }
     for (option, version) in VERSIONS {
         for (who, head, path, file, status, code) in [
@@ -183,16 +183,16 @@ fn refused_post_gets_its_whole_answer_over_both_http_versions() {
 
 #[test]
 fn oversized_headers_are_refused_over_both_http_versions() {
-    if !Need::Curl.program() {
+    if !Prerequisite::Curl.has_program() {
         return;
     }
-    let farm = Secured::start();
+    let farm = EncryptedFarm::start();
     let limit = femc_service::Limits::default().headers as usize;
     for (option, version) in VERSIONS {
         // 2 KiB are left for the other headers.
         for (bytes, status) in [(limit - (2 << 10), 200), (limit, 431), (3 * limit, 431)] {
             let filler = format!("X-Filler: {}\n", "x".repeat(1000));
-            farm.place.write("head", &filler.repeat(bytes.div_ceil(1000 + "x-filler".len() + 32)));
+            farm.dir.write("head", &filler.repeat(bytes.div_ceil(1000 + "x-filler".len() + 32)));
             let answer = farm.curl(option, "/api/v1/me", &[&ANN[..], &["--header", "@head"]].concat());
             assert_eq!((answer.version.as_str(), answer.status), (version, status), "{bytes}: {answer:?}");
         }
@@ -201,11 +201,11 @@ fn oversized_headers_are_refused_over_both_http_versions() {
 
 #[test]
 fn python_speaks_to_an_encrypted_farm() {
-    if !Need::Python3.program() {
+    if !Prerequisite::Python3.has_program() {
         return;
     }
-    let farm = Secured::start();
-    farm.place.write("client.py", include_str!("encrypted/client.py"));
+    let farm = EncryptedFarm::start();
+    farm.dir.write("client.py", include_str!("encrypted/client.py"));
     let said = farm.script(Command::new("python3").arg("client.py"));
     assert!(said.contains("http.client: done") && said.contains("urllib: done"), "{said}");
     assert!(said.contains("requests: done") || said.contains("requests: not installed"), "{said}");
@@ -213,11 +213,11 @@ fn python_speaks_to_an_encrypted_farm() {
 
 #[test]
 fn node_speaks_to_an_encrypted_farm() {
-    if !Need::Node.program() {
+    if !Prerequisite::Node.has_program() {
         return;
     }
-    let farm = Secured::start();
-    farm.place.write("client.mjs", include_str!("encrypted/client.mjs"));
+    let farm = EncryptedFarm::start();
+    farm.dir.write("client.mjs", include_str!("encrypted/client.mjs"));
     let said = farm.script(Command::new("node").arg("client.mjs"));
     assert!(said.contains("fetch: done"), "{said}");
 }

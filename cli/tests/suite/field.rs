@@ -1,8 +1,8 @@
 //! Tests of `femc field`: a strict reader parses the file, and its values are compared with the solution.
 
-use crate::common::Place;
-use femc_pipeline::radiosity::{Look, Options, solve};
-use femc_pipeline::{Settings, Side, Source};
+use crate::common::TestFolder;
+use femc_pipeline::radiosity::{SolutionView, SolveOptions, solve};
+use femc_pipeline::{SceneSource, Settings, Side};
 use serde_json::Value;
 use std::path::Path;
 use std::sync::Arc;
@@ -86,16 +86,16 @@ struct Gltf {
     buffer: Vec<u8>,
 }
 
-fn word(bytes: &[u8], at: usize) -> usize {
+fn read_u32(bytes: &[u8], at: usize) -> usize {
     let word = bytes.get(at..at + 4).unwrap_or_else(|| panic!("no word at {at}"));
     u32::from_le_bytes(word.try_into().expect("four bytes")) as usize
 }
 
 fn number(value: &Value, key: &str) -> usize {
-    whole(&value[key])
+    to_usize(&value[key])
 }
 
-fn whole(value: &Value) -> usize {
+fn to_usize(value: &Value) -> usize {
     value.as_u64().unwrap_or_else(|| panic!("{value} is no whole number")) as usize
 }
 
@@ -109,13 +109,13 @@ impl Gltf {
     fn read(path: &Path) -> Self {
         let bytes = std::fs::read(path).expect("the file");
         assert_eq!(&bytes[..4], b"glTF");
-        assert_eq!((word(&bytes, 4), word(&bytes, 8)), (2, bytes.len()), "version and length");
-        let text = word(&bytes, 12);
+        assert_eq!((read_u32(&bytes, 4), read_u32(&bytes, 8)), (2, bytes.len()), "version and length");
+        let text = read_u32(&bytes, 12);
         assert_eq!((&bytes[16..20], text % 4), (&b"JSON"[..], 0));
         let document: Value = serde_json::from_slice(&bytes[20..20 + text]).expect("JSON");
         let second = 20 + text;
-        assert_eq!((&bytes[second + 4..second + 8], word(&bytes, second) % 4), (&b"BIN\0"[..], 0));
-        assert_eq!(second + 8 + word(&bytes, second), bytes.len(), "two chunks and no more");
+        assert_eq!((&bytes[second + 4..second + 8], read_u32(&bytes, second) % 4), (&b"BIN\0"[..], 0));
+        assert_eq!(second + 8 + read_u32(&bytes, second), bytes.len(), "two chunks and no more");
         let gltf = Self { document, buffer: bytes[second + 8..].to_vec() };
         gltf.check();
         gltf
@@ -152,10 +152,10 @@ impl Gltf {
             }
         }
         let (nodes, scenes) = (list(document, "nodes"), list(document, "scenes"));
-        let root = &nodes[whole(&list(&scenes[number(document, "scene")], "nodes")[0])];
+        let root = &nodes[to_usize(&list(&scenes[number(document, "scene")], "nodes")[0])];
         let turn: f64 = list(root, "rotation").iter().map(|q| q.as_f64().expect("a number").powi(2)).sum();
         assert!((turn - 1.0).abs() < 1e-12);
-        let children: Vec<_> = list(root, "children").iter().map(whole).collect();
+        let children: Vec<_> = list(root, "children").iter().map(to_usize).collect();
         let meshes: Vec<_> = children.iter().map(|&child| number(&nodes[child], "mesh")).collect();
         assert_eq!(meshes, (0..list(document, "meshes").len()).collect::<Vec<_>>(), "each mesh is shown once");
         for primitive in self.primitives() {
@@ -163,7 +163,7 @@ impl Gltf {
             assert_eq!(material["doubleSided"], false);
             assert!(material["extensions"]["KHR_materials_unlit"].is_object());
             let counts = primitive["attributes"].as_object().expect("attributes");
-            let counts = counts.values().map(|at| self.values(whole(at)).len() / self.width_of(at));
+            let counts = counts.values().map(|at| self.values(to_usize(at)).len() / self.width_of(at));
             let counts: std::collections::BTreeSet<usize> = counts.collect();
             let indices = self.values(number(primitive, "indices"));
             assert_eq!(counts.len(), 1, "attributes of as many vertices");
@@ -178,7 +178,7 @@ impl Gltf {
     }
 
     fn width_of(&self, accessor: &Value) -> usize {
-        Self::width(&self.document["accessors"][whole(accessor)])
+        Self::width(&self.document["accessors"][to_usize(accessor)])
     }
 
     fn values(&self, accessor: usize) -> Vec<f64> {
@@ -205,7 +205,7 @@ impl Gltf {
     }
 
     fn attribute(&self, primitive: &Value, name: &str) -> Vec<f64> {
-        self.values(whole(&primitive["attributes"][name]))
+        self.values(to_usize(&primitive["attributes"][name]))
     }
 
     fn vectors(&self, primitive: &Value, name: &str) -> Vec<[f64; 3]> {
@@ -234,9 +234,9 @@ impl Gltf {
     }
 
     /// Returns the vertices of a mesh at a position in the scene's own coordinates, m.
-    fn at(&self, primitive: &Value, place: [f64; 3]) -> Vec<usize> {
+    fn vertices_at(&self, primitive: &Value, position: [f64; 3]) -> Vec<usize> {
         let origin = &self.document["scenes"][0]["extras"]["origin"];
-        let want = [0, 1, 2].map(|k| place[k] - origin[k].as_f64().expect("a number"));
+        let want = [0, 1, 2].map(|k| position[k] - origin[k].as_f64().expect("a number"));
         let positions = self.vectors(primitive, "POSITION");
         let near = |p: &[f64; 3]| p.iter().zip(want).all(|(a, b)| (a - b).abs() < 1e-5);
         (0..positions.len()).filter(|&vertex| near(&positions[vertex])).collect()
@@ -254,15 +254,15 @@ fn cornell() -> String {
 
 #[test]
 fn exported_room_is_valid_gltf_and_complete() {
-    let place = Place::new();
-    place.write("cornell.mgf", &cornell());
-    let report = place.run("field cornell.mgf -o room.glb --json").exits(0).json();
+    let dir = TestFolder::new();
+    dir.write("cornell.mgf", &cornell());
+    let report = dir.run("field cornell.mgf -o room.glb --json").exits(0).json();
     assert_eq!(
         Some(&report),
-        serde_json::from_str(&place.read("room.json")).ok().as_ref(),
+        serde_json::from_str(&dir.read("room.json")).ok().as_ref(),
         "the file is what was printed"
     );
-    let gltf = Gltf::read(&place.path("room.glb"));
+    let gltf = Gltf::read(&dir.path("room.glb"));
     for (name, area) in [("rust", 16.0), ("teal", 16.0), ("panel, lamp", 0.7), ("tray", 0.7), ("rust, back", 16.0)] {
         assert!((gltf.areas(name).1 / area - 1.0).abs() < 1e-4, "{name}: {:?}", gltf.areas(name));
     }
@@ -302,7 +302,7 @@ fn exported_room_is_valid_gltf_and_complete() {
     assert!(count("/irradiance/least") < count("/irradiance/median"), "{report}");
     assert!(count("/irradiance/median") < count("/irradiance/most"), "{report}");
     assert!(count("/residual") <= 1e-4 && count("/seconds") > 0.0 && count("/bytes") > 0.0, "{report}");
-    let said = place.run("field cornell.mgf -o room.glb").exits(0);
+    let said = dir.run("field cornell.mgf -o room.glb").exits(0);
     assert!(
         said.stdout().contains("links") && said.stderr().contains("solving"),
         "{} {}",
@@ -313,20 +313,20 @@ fn exported_room_is_valid_gltf_and_complete() {
 
 #[test]
 fn colors_over_the_scale_are_the_solution_s_light() {
-    let place = Place::new();
-    place.write("ball.mgf", BALL);
-    place.run("field ball.mgf -o ball.glb --exposure 9").exits(0);
-    let gltf = Gltf::read(&place.path("ball.glb"));
+    let dir = TestFolder::new();
+    dir.write("ball.mgf", BALL);
+    dir.run("field ball.mgf -o ball.glb --exposure 9").exits(0);
+    let gltf = Gltf::read(&dir.path("ball.glb"));
     assert!((gltf.scale() / (0.18 / 64.0) - 1.0).abs() < 1e-6, "EV 9 is for 64 cd/m2: {}", gltf.scale());
     let floor = gltf.mesh("floor");
-    let middle = gltf.at(floor, [1000.0, 2000.0, 0.0]);
+    let middle = gltf.vertices_at(floor, [1000.0, 2000.0, 0.0]);
     assert!(!middle.is_empty(), "the middle of the floor is a corner of elements");
 
-    let scene = femc_import::load_path(&place.path("ball.mgf")).expect("the scene").scene;
-    let prepared =
-        femc_pipeline::prepare(&Source::new(Arc::new(scene)), &Settings::default(), 1, None).expect("a frame");
-    let solution = solve(&prepared, &Options::default(), &AtomicBool::new(false)).expect("a solution");
-    let look = Look::new(&prepared, &solution);
+    let scene = femc_import::load_scene_file(&dir.path("ball.mgf")).expect("the scene").scene;
+    let prepared = femc_pipeline::prepare_frame(&SceneSource::new(Arc::new(scene)), &Settings::default(), 1, None)
+        .expect("a frame");
+    let solution = solve(&prepared, &SolveOptions::default(), &AtomicBool::new(false)).expect("a solution");
+    let look = SolutionView::new(&prepared, &solution);
     let [numbers, surfaces] = ["_ELEMENT", "_SURFACE"].map(|name| gltf.attribute(floor, name));
     let [colors, radiance, irradiance, direct] =
         ["COLOR_0", "_RADIANCE", "_IRRADIANCE", "_DIRECT"].map(|name| gltf.vectors(floor, name));
@@ -336,7 +336,7 @@ fn colors_over_the_scale_are_the_solution_s_light() {
         let leaves = solution.field.leaves_of(surface);
         let (_, outline) = leaves.iter().find(|(it, _)| *it == leaf).expect("a leaf of the surface");
         let local = outline.local([0.5, 0.5].into());
-        let field = solution.field.leaves[leaf as usize].at(local, up);
+        let field = solution.field.leaves[leaf as usize].irradiance(local, up);
         let light = look.irradiance(leaf, local, up);
         assert_eq!(light.indirect, field);
         for channel in 0..3 {
@@ -354,8 +354,8 @@ fn colors_over_the_scale_are_the_solution_s_light() {
     assert!(solution.field.surfaces.iter().any(|surface| surface.side == Side::Back), "the sheet has a back");
 
     // Render the same point with the same method. Its direct light is computed with shadow rays.
-    place.run("render ball.mgf -o ball.exr --method fem --spp 256").exits(0);
-    let image = femc_film::exr::read(&place.path("ball.exr")).expect("an image").image;
+    dir.run("render ball.mgf -o ball.exr --method fem --spp 256").exits(0);
+    let image = femc_film::exr::read(&dir.path("ball.exr")).expect("an image").image;
     let pixels = image.pixels.iter().map(|pixel| luminance(pixel.map(f64::from)));
     let seen = pixels.sum::<f64>() / image.pixels.len() as f64;
     let shown = middle.iter().map(|&vertex| luminance(radiance[vertex])).sum::<f64>() / middle.len() as f64;
@@ -393,19 +393,19 @@ fn colors_over_the_scale_are_the_solution_s_light() {
 
 #[test]
 fn threads_change_no_byte_and_edges_add_lines() {
-    let place = Place::new();
-    place.write("ball.mgf", BALL);
+    let dir = TestFolder::new();
+    dir.write("ball.mgf", BALL);
     for (name, threads) in [("one", 1), ("two", 2)] {
-        place.run(&format!("field ball.mgf -o {name}.glb --threads {threads}")).exits(0);
+        dir.run(&format!("field ball.mgf -o {name}.glb --threads {threads}")).exits(0);
     }
-    let [one, two] = ["one.glb", "two.glb"].map(|name| std::fs::read(place.path(name)).expect("a file"));
+    let [one, two] = ["one.glb", "two.glb"].map(|name| std::fs::read(dir.path(name)).expect("a file"));
     assert!(one == two);
-    place.run("field ball.mgf -o wire.glb --wire").exits(0);
-    let gltf = Gltf::read(&place.path("wire.glb"));
+    dir.run("field ball.mgf -o wire.glb --wire").exits(0);
+    let gltf = Gltf::read(&dir.path("wire.glb"));
     let lines = gltf.primitives().filter(|primitive| primitive["mode"] == 1).count();
     assert!(lines >= 4, "floor, ball, and both sides of the sheet: {lines}");
     let leaves = |args: &str| {
-        let report = place.run(&format!("field ball.mgf -o more.glb --json {args}")).exits(0).json();
+        let report = dir.run(&format!("field ball.mgf -o more.glb --json {args}")).exits(0).json();
         (report["leaves"]["all"].as_u64(), report["refused"].as_u64())
     };
     let (usual, fine, starved) = (leaves(""), leaves("--error 0.03"), leaves("--memory 1"));
@@ -414,7 +414,7 @@ fn threads_change_no_byte_and_edges_add_lines() {
 
 #[test]
 fn in_a_closed_box_that_shines_all_that_is_sent_is_kept() {
-    let place = Place::new();
+    let dir = TestFolder::new();
     let mut scene = "camera main =\n\torigin .3 .4 .2\n\ttarget .8 .6 .7\n\tfov 90\n\tfilm 8 8\n".to_owned();
     scene += &format!("m wall =\n\tsides 1\n\trd 0.5\n\ted {}\n", std::f64::consts::PI);
     for k in 0..8 {
@@ -423,12 +423,12 @@ fn in_a_closed_box_that_shines_all_that_is_sent_is_kept() {
     for face in ["p0 p1 p3 p2", "p4 p6 p7 p5", "p0 p4 p5 p1", "p2 p3 p7 p6", "p0 p2 p6 p4", "p1 p5 p7 p3"] {
         scene += &format!("f {face}\n");
     }
-    place.write("box.mgf", &scene);
-    let report = place.run("field box.mgf -o box.glb --json").exits(0).json();
+    dir.write("box.mgf", &scene);
+    let report = dir.run("field box.mgf -o box.glb --json").exits(0).json();
     let flux = |key: &str| report["energy"][key].as_f64().expect("a number") / std::f64::consts::PI;
     assert!((flux("emitted") / 6.0 - 1.0).abs() < 1e-3, "{report}");
     assert!((flux("received") / 12.0 - 1.0).abs() < 5e-3 && (flux("absorbed") / 6.0 - 1.0).abs() < 5e-3, "{report}");
-    let gltf = Gltf::read(&place.path("box.glb"));
+    let gltf = Gltf::read(&dir.path("box.glb"));
     let (sum, area) = gltf.areas("wall");
     assert!((area - 6.0).abs() < 1e-4 && sum.iter().all(|sum| sum.abs() < 1e-4), "{sum:?} {area}");
     // Emitted luminance 1, plus half of the arriving light.
@@ -439,20 +439,20 @@ fn in_a_closed_box_that_shines_all_that_is_sent_is_kept() {
 
 #[test]
 fn a_scene_without_light_is_a_file_without_meshes_and_a_warning() {
-    let place = Place::new();
-    place.write("dark.mgf", "camera main =\n\torigin 0 0 1\n\ttarget 0 1 1\n\tfov 40\n\tfilm 8 8\n");
-    let said = place.run("field dark.mgf").exits(0).stderr();
+    let dir = TestFolder::new();
+    dir.write("dark.mgf", "camera main =\n\torigin 0 0 1\n\ttarget 0 1 1\n\tfov 40\n\tfilm 8 8\n");
+    let said = dir.run("field dark.mgf").exits(0).stderr();
     assert!(said.contains("the file has no meshes"), "{said}");
-    let bytes = std::fs::read(place.path("dark.glb")).expect("the file by the scene's name");
-    assert_eq!(word(&bytes, 8), bytes.len());
+    let bytes = std::fs::read(dir.path("dark.glb")).expect("the file by the scene's name");
+    assert_eq!(read_u32(&bytes, 8), bytes.len());
     let document: Value = serde_json::from_slice(&bytes[20..]).expect("one chunk");
     assert!(document.get("meshes").is_none() && document.get("buffers").is_none(), "{document}");
 }
 
 #[test]
 fn what_cannot_be_done_is_refused_before_anything_is_solved() {
-    let place = Place::new();
-    std::fs::create_dir(place.path("folder.glb")).expect("a folder");
+    let dir = TestFolder::new();
+    std::fs::create_dir(dir.path("folder.glb")).expect("a folder");
     for (args, code, part) in [
         ("field fog.mgf -o out.obj", 2, ".glb"),
         ("field fog.mgf -o out", 2, ".glb"),
@@ -466,8 +466,8 @@ fn what_cannot_be_done_is_refused_before_anything_is_solved() {
         ("field fog.mgf --set nothing.at.all=1", 2, "--set"),
         ("field none.mgf -o out.glb", 2, "none.mgf"),
     ] {
-        let ran = place.run(args);
+        let ran = dir.run(args);
         assert!(ran.code() == Some(code) && ran.stderr().contains(part), "{args}: {:?} {}", ran.code(), ran.stderr());
-        assert!(!place.path("out.glb").exists() && !place.path("fog.glb").exists(), "{args}");
+        assert!(!dir.path("out.glb").exists() && !dir.path("fog.glb").exists(), "{args}");
     }
 }

@@ -1,6 +1,6 @@
 //! Tests of `femc fireflies`.
 
-use crate::common::Place;
+use crate::common::TestFolder;
 
 /// A chrome plate reflects the light of a small bright lamp down to the floor. The lamp is turned away from everything else, so
 /// paths only hit it by chance.
@@ -62,10 +62,10 @@ fn sum(list: &serde_json::Value, key: &str) -> f64 {
 
 #[test]
 fn the_account_names_what_was_planted() {
-    let place = Place::new();
-    place.write("caustic.mgf", CAUSTIC);
-    place.run("render caustic.mgf -o a.exr --spp 16").exits(0);
-    let report = place.run("fireflies a.exr caustic.mgf --blocks 2 --json").exits(0).json();
+    let dir = TestFolder::new();
+    dir.write("caustic.mgf", CAUSTIC);
+    dir.run("render caustic.mgf -o a.exr --spp 16").exits(0);
+    let report = dir.run("fireflies a.exr caustic.mgf --blocks 2 --json").exits(0).json();
     let first = &report["origins"][0];
     assert!(first["share"].as_f64().is_some_and(|share| share > 0.8), "{first}");
     assert_eq!(first["how"], "lamp met behind a mirror or glass");
@@ -74,16 +74,16 @@ fn the_account_names_what_was_planted() {
     let path = first["brightest"]["path"].as_array().expect("a path");
     assert_eq!(path.len(), 3, "floor, plate, lamp: {first}");
     assert_eq!((&path[0]["object"], &path[1]["object"]), (&"ground".into(), &"plate".into()));
-    let said = place.run("fireflies a.exr caustic.mgf").exits(0).stdout();
+    let said = dir.run("fireflies a.exr caustic.mgf").exits(0).stdout();
     assert!(said.contains("chrome of plate") && said.contains("bulb of upward, caustic.mgf:"), "{said}");
 }
 
 #[test]
 fn firefly_shares_sum_to_all_variance_and_all_light() {
-    let place = Place::new();
+    let dir = TestFolder::new();
     for (name, settings) in [("s.exr", "--spp 7"), ("e.exr", "--error 0.12"), ("t.exr", "--time 1s")] {
-        place.run(&format!("render fog.mgf -o {name} --frames 2 {settings}")).exits(0);
-        let report = place.run(&format!("fireflies {name} fog.mgf --json")).exits(0).json();
+        dir.run(&format!("render fog.mgf -o {name} --frames 2 {settings}")).exits(0);
+        let report = dir.run(&format!("fireflies {name} fog.mgf --json")).exits(0).json();
         assert_eq!((&report["unlike"], &report["pixels"]), (&0.into(), &1024.into()), "{settings}");
         assert_eq!(report["blocks"].as_array().map(Vec::len), Some(4), "{settings}");
         let origins = &report["origins"];
@@ -95,32 +95,32 @@ fn firefly_shares_sum_to_all_variance_and_all_light() {
 /// Checks that guided sampling is a technique of its own in a guided frame, and in no other.
 #[test]
 fn light_that_came_by_a_guided_direction_is_named() {
-    let place = Place::new();
+    let dir = TestFolder::new();
     for (method, is_guided) in [("femc", true), ("pt", false)] {
-        place.run(&format!("render fog.mgf -o {method}.exr --frames 1 --spp 8 --method {method}")).exits(0);
-        let report = place.run(&format!("fireflies {method}.exr fog.mgf --json")).exits(0).json();
+        dir.run(&format!("render fog.mgf -o {method}.exr --frames 1 --spp 8 --method {method}")).exits(0);
+        let report = dir.run(&format!("fireflies {method}.exr fog.mgf --json")).exits(0).json();
         assert_eq!(report["unlike"], 0, "{method}");
         let origins = report["origins"].as_array().expect("a list");
         let guided: Vec<_> = origins.iter().filter(|origin| origin["guided"] == true).collect();
         assert_eq!(!guided.is_empty(), is_guided, "{method}: {origins:?}");
         assert!(guided.iter().all(|origin| origin["bounce"].as_u64() >= Some(1)), "{guided:?}");
         assert!((sum(&report["origins"], "share") - 1.0).abs() < 1e-6, "{method}");
-        let said = place.run(&format!("fireflies {method}.exr fog.mgf")).exits(0).stdout();
+        let said = dir.run(&format!("fireflies {method}.exr fog.mgf")).exits(0).stdout();
         assert_eq!(said.contains(", guided"), is_guided, "{said}");
     }
 }
 
 #[test]
 fn a_frame_that_cannot_be_traced_again_says_why() {
-    let place = Place::new();
-    place.run("render fog.mgf -o a.exr --frames 1 --spp 1").exits(0);
+    let dir = TestFolder::new();
+    dir.run("render fog.mgf -o a.exr --frames 1 --spp 1").exits(0);
     let refused = |line: &str, code: i32, says: &str| {
-        let ran = place.run(line).exits(code);
+        let ran = dir.run(line).exits(code);
         assert!(ran.stderr().contains(says), "{line}: {}", ran.stderr());
     };
     refused("fireflies nothing.exr fog.mgf", 2, "no such file");
     refused("fireflies fog.mgf fog.mgf", 1, "fog.mgf");
-    place.write("caustic.mgf", CAUSTIC);
+    dir.write("caustic.mgf", CAUSTIC);
     refused("fireflies a.exr caustic.mgf", 2, "another scene");
     refused("fireflies a.exr fog.mgf --blocks 0", 2, "--blocks");
 }

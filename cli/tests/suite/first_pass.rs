@@ -2,27 +2,27 @@
 
 use std::collections::BTreeMap;
 
-use crate::common::{FOG, Place, Running, coordinator, names, pixels, status, submit};
+use crate::common::{FOG, TestFolder, TestProcess, file_names, pixels, start_coordinator, status, submit};
 use femc_model::{Digest, Role, TaskKey};
 use femc_queue::Queue as _;
 use femc_schedule::Fact;
 
 /// Creates a folder with the room, in which only the view changes.
-fn place() -> Place {
-    let place = Place::new();
+fn still_folder() -> TestFolder {
+    let dir = TestFolder::new();
     let text = FOG.replace("vary medium.fog.sigma_s = 0 0.02 1 0.3", "vary camera.main.fov = 0 40 1 30");
     assert_ne!(text, FOG);
-    place.write("still.mgf", &text);
-    place
+    dir.write("still.mgf", &text);
+    dir
 }
 
 /// Reads from the log how many first passes began, and the solution of each, by its task.
-async fn solutions(place: &Place) -> (usize, BTreeMap<TaskKey, Digest>) {
-    let mut log = femc_queue::Sqlite::open(&place.path("farm.db")).await.expect("a log");
+async fn solutions(dir: &TestFolder) -> (usize, BTreeMap<TaskKey, Digest>) {
+    let mut log = femc_queue::Sqlite::open(&dir.path("farm.db")).await.expect("a log");
     let (mut begun, mut done) = (0, BTreeMap::new());
     for record in log.load().await.expect("its records").records {
         match Fact::decode(&record).expect("a fact").1 {
-            Fact::Shared { .. } => begun += 1,
+            Fact::SharedJobBegun { .. } => begun += 1,
             Fact::Done { task, result, .. } if task.job.is_shared() => {
                 let field = result.outputs.iter().find(|output| output.role == Role::Field);
                 assert!(field.is_some() || begun > 0, "{task} is of something that was begun");
@@ -37,8 +37,8 @@ async fn solutions(place: &Place) -> (usize, BTreeMap<TaskKey, Digest>) {
 }
 
 /// Returns only the solutions, in the order of their requests.
-async fn fields_of(place: &Place) -> Vec<Digest> {
-    solutions(place).await.1.into_values().collect()
+async fn fields_of(dir: &TestFolder) -> Vec<Digest> {
+    solutions(dir).await.1.into_values().collect()
 }
 
 fn run<T>(work: impl Future<Output = T>) -> T {
@@ -46,21 +46,21 @@ fn run<T>(work: impl Future<Output = T>) -> T {
 }
 
 /// Submits frames of a scene with a first pass. Returns the job's number.
-fn ask(place: &Place, url: &str, scene: &str, method: &str) -> String {
+fn submit_frames(dir: &TestFolder, url: &str, scene: &str, method: &str) -> String {
     let line = format!("submit {scene} --server {url} --method {method} --spp 4 --frames 1..2");
-    place.run(&line).exits(0).stdout().trim().to_owned()
+    dir.run(&line).exits(0).stdout().trim().to_owned()
 }
 
 /// Fetches the job's frames and checks that their pixels equal those of one process.
-fn claim_frames(place: &Place, url: &str, job: &str, scene: &str, method: &str, threads: u32) {
-    place.run(&format!("watch {job} --server {url}")).exits(0);
-    place.run(&format!("fetch {job} -o out --server {url}")).exits(0);
+fn assert_frames_equal(dir: &TestFolder, url: &str, job: &str, scene: &str, method: &str, threads: u32) {
+    dir.run(&format!("watch {job} --server {url}")).exits(0);
+    dir.run(&format!("fetch {job} -o out --server {url}")).exits(0);
     let line = format!("render {scene} -o alone --method {method} --spp 4 --frames 1..2 --threads {threads}");
-    place.run(&line).exits(0);
-    let frames = names(&place.path("alone"));
+    dir.run(&line).exits(0);
+    let frames = file_names(&dir.path("alone"));
     assert!(frames.len() >= 2, "{frames:?}");
     for frame in frames {
-        assert_eq!(pixels(&place.path("out").join(&frame)), pixels(&place.path("alone").join(&frame)), "{frame}");
+        assert_eq!(pixels(&dir.path("out").join(&frame)), pixels(&dir.path("alone").join(&frame)), "{frame}");
     }
 }
 
@@ -68,19 +68,19 @@ fn claim_frames(place: &Place, url: &str, job: &str, scene: &str, method: &str, 
 fn frames_of_one_world_share_a_first_pass_for_any_parallelism() {
     let mut fields = Vec::new();
     for (workers, threads) in [(1, 2), (3, 1)] {
-        let place = place();
-        let (mut farm, url) = coordinator(&place, 0);
-        let _workers: Vec<Running> =
-            (0..workers).map(|_| place.start(&format!("worker --join {url} --threads {threads}"))).collect();
+        let dir = still_folder();
+        let (mut farm, url) = start_coordinator(&dir, 0);
+        let _workers: Vec<TestProcess> =
+            (0..workers).map(|_| dir.start(&format!("worker --join {url} --threads {threads}"))).collect();
         // The two methods have a solution each: one is shown directly, the other guides paths.
         for method in ["fem", "femc"] {
-            let job = ask(&place, &url, "still.mgf", method);
-            claim_frames(&place, &url, &job, "still.mgf", method, 3 - threads);
-            std::fs::remove_dir_all(place.path("alone")).expect("frames");
-            std::fs::remove_dir_all(place.path("out")).expect("frames");
+            let job = submit_frames(&dir, &url, "still.mgf", method);
+            assert_frames_equal(&dir, &url, &job, "still.mgf", method, 3 - threads);
+            std::fs::remove_dir_all(dir.path("alone")).expect("frames");
+            std::fs::remove_dir_all(dir.path("out")).expect("frames");
         }
         farm.kill();
-        let (begun, done) = run(solutions(&place));
+        let (begun, done) = run(solutions(&dir));
         assert_eq!((begun, done.len()), (2, 2), "{done:?}");
         fields.push(done.into_values().collect::<Vec<_>>());
     }
@@ -89,124 +89,129 @@ fn frames_of_one_world_share_a_first_pass_for_any_parallelism() {
 
 #[test]
 fn each_world_has_its_first_pass_and_a_second_job_reuses_them() {
-    let place = place();
-    let (mut farm, url) = coordinator(&place, 0);
-    let _worker = place.start(&format!("worker --join {url} --threads 2"));
-    let first = ask(&place, &url, "fog.mgf", "fem");
-    claim_frames(&place, &url, &first, "fog.mgf", "fem", 1);
+    let dir = still_folder();
+    let (mut farm, url) = start_coordinator(&dir, 0);
+    let _worker = dir.start(&format!("worker --join {url} --threads 2"));
+    let first = submit_frames(&dir, &url, "fog.mgf", "fem");
+    assert_frames_equal(&dir, &url, &first, "fog.mgf", "fem", 1);
     let line = format!("submit fog.mgf --server {url} --method fem --spp 1 --seed 7 --size 16x16 --frames 2");
-    let second = place.run(&line).exits(0).stdout().trim().to_owned();
-    place.run(&format!("watch {second} --server {url}")).exits(0);
-    let paths = submit(&place, &url, "--method pt --spp 1 --frames 1");
-    place.run(&format!("watch {paths} --server {url}")).exits(0);
+    let second = dir.run(&line).exits(0).stdout().trim().to_owned();
+    dir.run(&format!("watch {second} --server {url}")).exits(0);
+    let paths = submit(&dir, &url, "--method pt --spp 1 --frames 1");
+    dir.run(&format!("watch {paths} --server {url}")).exits(0);
     farm.kill();
-    let (begun, done) = run(solutions(&place));
+    let (begun, done) = run(solutions(&dir));
     assert_eq!((begun, done.len()), (2, 2), "one for each fog, none for the other jobs: {done:?}");
 }
 
 #[test]
 fn a_sweep_of_the_power_of_all_lamps_has_one_first_pass() {
-    let place = place();
-    let (mut farm, url) = coordinator(&place, 0);
-    let _worker = place.start(&format!("worker --join {url} --threads 2"));
-    let still = std::fs::read_to_string(place.path("still.mgf")).expect("a scene");
+    let dir = still_folder();
+    let (mut farm, url) = start_coordinator(&dir, 0);
+    let _worker = dir.start(&format!("worker --join {url} --threads 2"));
+    let still = std::fs::read_to_string(dir.path("still.mgf")).expect("a scene");
     let lamp = still.lines().find(|line| line.trim_start().starts_with("ed ")).expect("a lamp");
     for power in ["300", "41.7", "9000"] {
         let scene = format!("lamp-{power}.mgf");
-        place.write(&scene, &still.replace(lamp, &format!("\ted {power}")));
-        let job = ask(&place, &url, &scene, "femc");
-        claim_frames(&place, &url, &job, &scene, "femc", 1);
-        std::fs::remove_dir_all(place.path("alone")).expect("frames");
-        std::fs::remove_dir_all(place.path("out")).expect("frames");
+        dir.write(&scene, &still.replace(lamp, &format!("\ted {power}")));
+        let job = submit_frames(&dir, &url, &scene, "femc");
+        assert_frames_equal(&dir, &url, &job, &scene, "femc", 1);
+        std::fs::remove_dir_all(dir.path("alone")).expect("frames");
+        std::fs::remove_dir_all(dir.path("out")).expect("frames");
     }
     farm.kill();
-    let (begun, done) = run(solutions(&place));
+    let (begun, done) = run(solutions(&dir));
     assert_eq!((begun, done.len()), (1, 1), "{done:?}");
 }
 
 #[test]
 fn worker_killed_in_a_first_pass_costs_one_more_solution() {
-    let place = place();
-    let (mut farm, url) = coordinator(&place, 0);
-    let token = place.path("token");
+    let dir = still_folder();
+    let (mut farm, url) = start_coordinator(&dir, 0);
+    let token = dir.path("token");
     let line = format!("worker --join {url} --threads 1 --outbox memory");
     let fault = format!("worker-before-task:1:{}", token.display());
-    let mut victim = Running::of(place.command(&line).env("FEMC_FAULT", fault));
-    let job = ask(&place, &url, "still.mgf", "femc");
+    let mut victim = TestProcess::spawn(dir.command(&line).env("FEMC_FAULT", fault));
+    let job = submit_frames(&dir, &url, "still.mgf", "femc");
     victim.wait_until("its task", || token.exists());
-    let why = place.run(&format!("status {job} --why --server {url}")).exits(0).stdout();
+    let why = dir.run(&format!("status {job} --why --server {url}")).exits(0).stdout();
     assert!(why.contains("first-pass"), "{why}");
-    let _other = place.start(&line);
+    let _other = dir.start(&line);
     assert!(victim.kill(), "it was alive");
-    claim_frames(&place, &url, &job, "still.mgf", "femc", 1);
-    assert_eq!(status(&place, &url, &job)["state"], "done");
-    let logs = place.run(&format!("logs {job} --server {url}")).exits(0).stdout();
+    assert_frames_equal(&dir, &url, &job, "still.mgf", "femc", 1);
+    assert_eq!(status(&dir, &url, &job)["state"], "done");
+    let logs = dir.run(&format!("logs {job} --server {url}")).exits(0).stdout();
     assert!(logs.contains("first-pass") && logs.contains("links="), "what it was made of is in its log: {logs}");
-    let task = place.run(&format!("logs shared-1/0.0/first-pass.0/0 --json --server {url}")).exits(0).json();
+    let task = dir.run(&format!("logs shared-1/0.0/first-pass.0/0 --json --server {url}")).exits(0).json();
     assert_eq!(task.as_array().map(Vec::len), Some(1), "{task}");
-    let stats = place.run(&format!("stats shared-1 --by task --server {url}")).exits(0).stdout();
+    let stats = dir.run(&format!("stats shared-1 --by task --server {url}")).exits(0).stdout();
     assert!(stats.contains("first-pass"), "{stats}");
     farm.kill();
-    let (begun, done) = run(solutions(&place));
+    let (begun, done) = run(solutions(&dir));
     assert_eq!((begun, done.len()), (1, 1), "{done:?}");
 }
 
-/// Like [`ask`], with a solution in this many blocks.
-fn ask_in_blocks(place: &Place, url: &str, scene: &str, method: &str, blocks: u32) -> String {
+/// Like [`submit_frames`], with a solution in this many blocks.
+fn submit_in_blocks(dir: &TestFolder, url: &str, scene: &str, method: &str, blocks: u32) -> String {
     let line = format!("submit {scene} --server {url} --method {method} --spp 4 --frames 1..2");
-    let mut submission = place.command(&line);
-    Running::of(submission.env("FEMC_PRETEND", format!("blocks={blocks}"))).end().exits(0).stdout().trim().to_owned()
+    let mut submission = dir.command(&line);
+    TestProcess::spawn(submission.env("FEMC_PRETEND", format!("blocks={blocks}")))
+        .end()
+        .exits(0)
+        .stdout()
+        .trim()
+        .to_owned()
 }
 
 #[test]
 fn blocked_first_pass_is_bit_identical_for_any_workers_or_kill() {
     let mut fields = Vec::new();
     for workers in [1, 2, 3] {
-        let place = place();
-        let (mut farm, url) = coordinator(&place, 0);
+        let dir = still_folder();
+        let (mut farm, url) = start_coordinator(&dir, 0);
         let line = format!("worker --join {url} --threads 1 --outbox memory");
         // This worker stops in the middle of the blocks, until it is killed there.
-        let token = place.path("token");
+        let token = dir.path("token");
         let fault = format!("worker-before-task:9:{}", token.display());
-        let mut victim = (workers == 3).then(|| Running::of(place.command(&line).env("FEMC_FAULT", fault)));
-        let _others: Vec<Running> = (victim.iter().count()..workers).map(|_| place.start(&line)).collect();
+        let mut victim = (workers == 3).then(|| TestProcess::spawn(dir.command(&line).env("FEMC_FAULT", fault)));
+        let _others: Vec<TestProcess> = (victim.iter().count()..workers).map(|_| dir.start(&line)).collect();
         for method in ["fem", "femc"] {
-            let job = ask_in_blocks(&place, &url, "still.mgf", method, 64);
+            let job = submit_in_blocks(&dir, &url, "still.mgf", method, 64);
             if let Some(mut victim) = victim.take() {
                 victim.wait_until("its task", || token.exists());
                 assert!(victim.kill(), "it was alive");
             }
-            claim_frames(&place, &url, &job, "still.mgf", method, 2);
-            std::fs::remove_dir_all(place.path("alone")).expect("frames");
-            std::fs::remove_dir_all(place.path("out")).expect("frames");
+            assert_frames_equal(&dir, &url, &job, "still.mgf", method, 2);
+            std::fs::remove_dir_all(dir.path("alone")).expect("frames");
+            std::fs::remove_dir_all(dir.path("out")).expect("frames");
         }
         farm.kill();
-        fields.push(run(fields_of(&place)));
+        fields.push(run(fields_of(&dir)));
     }
     assert_eq!(fields[0].len(), 2, "{fields:?}");
     assert!(fields.iter().all(|found| *found == fields[0]), "{fields:?}");
     // A single task that solves it as a whole produces the same bytes.
-    let place = place();
-    let (mut farm, url) = coordinator(&place, 0);
-    let _worker = place.start(&format!("worker --join {url} --threads 2"));
+    let dir = still_folder();
+    let (mut farm, url) = start_coordinator(&dir, 0);
+    let _worker = dir.start(&format!("worker --join {url} --threads 2"));
     for method in ["fem", "femc"] {
-        let job = ask(&place, &url, "still.mgf", method);
-        place.run(&format!("watch {job} --server {url}")).exits(0);
+        let job = submit_frames(&dir, &url, "still.mgf", method);
+        dir.run(&format!("watch {job} --server {url}")).exits(0);
     }
     farm.kill();
-    assert_eq!(run(fields_of(&place)), fields[0]);
+    assert_eq!(run(fields_of(&dir)), fields[0]);
 }
 
 #[test]
 fn a_plan_says_how_many_solutions_the_frames_share() {
-    let place = place();
-    let plan = |line: &str| place.run(&format!("plan {line} --no-trial")).exits(0).stdout();
+    let dir = still_folder();
+    let plan = |line: &str| dir.run(&format!("plan {line} --no-trial")).exits(0).stdout();
     let shared = plan("still.mgf --method fem --frames 1..4");
     assert!(shared.contains("first-pass") && shared.contains("solved once, and all 4 frames share it"), "{shared}");
     assert!(!shared.contains("finite-element first pass: path tracing"), "{shared}");
     assert!(shared.contains("the first pass is one task: for ") && !shared.contains("first-pass-block"), "{shared}");
     let face = FOG.lines().rfind(|line| line.starts_with("f ")).expect("a face");
-    place.write("many.mgf", &format!("{FOG}{}", format!("{face}\n").repeat(640)));
+    dir.write("many.mgf", &format!("{FOG}{}", format!("{face}\n").repeat(640)));
     let many = plan("many.mgf --method femc --frames 1");
     assert!(many.contains("its rays and guides are computed in 10 blocks, because the scene has 6"), "{many}");
     assert!(many.contains("first-pass-block") && many.contains("rays of "), "{many}");
@@ -215,7 +220,7 @@ fn a_plan_says_how_many_solutions_the_frames_share() {
     let none = plan("still.mgf --frames 1..4");
     assert!(!none.contains("solved") && none.contains("finite-element first pass: path tracing"), "{none}");
     let count = |line: &str| {
-        let plan = place.run(&format!("plan {line} --no-trial --json")).exits(0).json();
+        let plan = dir.run(&format!("plan {line} --no-trial --json")).exits(0).json();
         (plan["first_passes"].clone(), plan["tasks"].as_u64(), plan["graph"]["stages"].as_array().map(Vec::len))
     };
     let (with, tasks, stages) = count("still.mgf --method fem --spp 4 --frames 1..4");
@@ -227,10 +232,10 @@ fn a_plan_says_how_many_solutions_the_frames_share() {
 /// Checks that without `--method` a pilot decides whether a first pass is solved, with the same result in `plan` and `submit`.
 #[test]
 fn only_large_jobs_of_a_room_are_guided_by_a_first_pass() {
-    let place = Place::new();
+    let dir = TestFolder::new();
     let door = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/../scenes/door-ajar.mgf"));
-    place.write("still.mgf", &door.expect("a scene"));
-    let plan = |line: &str| place.run(&format!("plan still.mgf --frames 1 {line} --json")).exits(0).json();
+    dir.write("still.mgf", &door.expect("a scene"));
+    let plan = |line: &str| dir.run(&format!("plan still.mgf --frames 1 {line} --json")).exits(0).json();
     let large = plan("--size 160x120 --spp 16384");
     assert_eq!((&large["method"], &large["first_passes"]), (&"femc".into(), &1.into()), "{large}");
     let choice = &large["choice"];
@@ -244,8 +249,8 @@ fn only_large_jobs_of_a_room_are_guided_by_a_first_pass() {
     assert_eq!(plan("--size 160x120 --spp 16384 --no-trial")["method"], "pt");
     assert_eq!(plan("--size 160x120 --spp 16384 --method pt")["choice"], serde_json::Value::Null);
 
-    let (_farm, url) = coordinator(&place, 0);
+    let (_farm, url) = start_coordinator(&dir, 0);
     let line = format!("submit still.mgf --server {url} --frames 1 --size 160x120 --spp 16384");
-    let said = place.run(&line).exits(0);
+    let said = dir.run(&line).exits(0);
     assert!(said.stderr().contains("a first pass guides the paths"), "{}", said.stderr());
 }

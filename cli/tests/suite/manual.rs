@@ -6,7 +6,7 @@
 //! commands fails.
 #![cfg(unix)]
 
-use femc_require::Need;
+use femc_require::Prerequisite;
 use std::fmt::Write as _;
 use std::net::TcpListener;
 use std::os::unix::process::CommandExt as _;
@@ -29,7 +29,7 @@ fn root() -> PathBuf {
 
 /// A block between fences, and the attributes of its first fence.
 struct Block {
-    is: String,
+    attributes: String,
     text: String,
 }
 
@@ -39,7 +39,7 @@ fn blocks(page: &str) -> Vec<Block> {
     for line in page.lines() {
         match (line.strip_prefix("```"), open.take()) {
             (Some(_), Some(block)) => blocks.push(block),
-            (Some(is), None) => open = Some(Block { is: is.to_owned(), text: String::new() }),
+            (Some(is), None) => open = Some(Block { attributes: is.to_owned(), text: String::new() }),
             (None, Some(mut block)) => {
                 block.text.push_str(line);
                 block.text.push('\n');
@@ -68,13 +68,13 @@ fn python() -> Option<String> {
     let python = std::env::var("FEMC_TEST_PYTHON").unwrap_or_else(|_| "python3".to_owned());
     let ran = Command::new(&python).args(["-c", "import pandas, polars"]).output();
     let python = ran.is_ok_and(|ran| ran.status.success()).then_some(python);
-    Need::Python.or_skip(python, "a block that needs pandas and polars (tests/python installs them)")
+    Prerequisite::Python.or_skip(python, "a block that needs pandas and polars (tests/python installs them)")
 }
 
 /// Returns the page as a script.
 fn script(page: &str) -> String {
     let mut script = BEGIN.to_owned();
-    for Block { is, text } in blocks(page) {
+    for Block { attributes: is, text } in blocks(page) {
         let mut words = is.split_whitespace();
         match (words.next(), words.next().and_then(|word| word.strip_prefix("file="))) {
             (Some("sh"), None) => {
@@ -120,7 +120,7 @@ fn copy(from: &Path, to: &Path) {
 }
 
 /// Runs a page of `docs/` with these variables.
-fn runs(page: &str, variables: &[(&str, String)]) {
+fn run_page(page: &str, variables: &[(&str, String)]) {
     let text = std::fs::read_to_string(root().join("docs").join(page)).expect("a page");
     let folder = tempfile::tempdir().expect("a folder");
     for name in ["scenes", "deploy"] {
@@ -147,7 +147,7 @@ macro_rules! pages {
         const PAGES: &[&str] = &[$($page),*];
         $(#[test]
         fn $test() {
-            runs($page, &[]);
+            run_page($page, &[]);
         })*
     };
 }
@@ -178,10 +178,10 @@ pages! {
 /// Runs with artifacts in a bucket under `tests/s3`, else in a folder.
 #[test]
 fn postgres_and_s3() {
-    let Some(database) = Need::Postgres.variable("FEMC_TEST_POSTGRES") else { return };
-    let bucket = Need::S3.variable("FEMC_TEST_S3");
+    let Some(database) = Prerequisite::Postgres.variable_or_skip("FEMC_TEST_POSTGRES") else { return };
+    let bucket = Prerequisite::S3.variable_or_skip("FEMC_TEST_S3");
     let bucket = bucket.map_or("artifacts".to_owned(), |bucket| format!("{bucket}/manual"));
-    runs("postgres-s3.md", &[("DATABASE", database), ("BUCKET", bucket)]);
+    run_page("postgres-s3.md", &[("DATABASE", database), ("BUCKET", bucket)]);
 }
 
 /// Pages without commands, or whose commands other tests run (`postgres_and_s3`, `openjd`).

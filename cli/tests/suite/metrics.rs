@@ -1,33 +1,33 @@
 //! Tests of metrics: the values agree with the work that was done, and dashboards and alerts only use existing names.
 
 use crate::common::http::{ask, free_port, get, metrics};
-use crate::common::{Place, Running, status, submit};
+use crate::common::{TestFolder, TestProcess, status, submit};
 use femc_metrics::testing::Samples;
 use std::collections::BTreeSet;
 
-fn coordinator(place: &Place, port: u16) -> (Running, String) {
+fn start_coordinator(dir: &TestFolder, port: u16) -> (TestProcess, String) {
     let line = "coordinator --listen 127.0.0.1:0 --store sqlite:farm.db --artifacts artifacts";
-    let mut running = place.start(&format!("{line} --metrics {port}"));
+    let mut running = dir.start(&format!("{line} --metrics {port}"));
     let url = running.address();
     (running, url)
 }
 
 #[test]
 fn the_numbers_are_those_of_the_job() {
-    let place = Place::new();
+    let dir = TestFolder::new();
     let [port, own] = [free_port(), free_port()];
-    let (mut farm, url) = coordinator(&place, port);
+    let (mut farm, url) = start_coordinator(&dir, port);
     farm.wait_until("an answer", || get(port, "/readyz").is_some_and(|(status, _)| status == 200));
-    let job = submit(&place, &url, "--spp 4 --frames 1..2");
+    let job = submit(&dir, &url, "--spp 4 --frames 1..2");
     let before = metrics(port);
     assert_eq!(before.value("femc_tasks_ready", &[("stage", "render")]), Some(8.0), "two frames of four tiles");
     assert_eq!(before.value("femc_samples_left", &[]), Some(2.0 * 32.0 * 32.0 * 4.0));
     assert_eq!(before.value("femc_jobs", &[("state", "queued")]), Some(1.0));
     assert_eq!(before.value("femc_leader", &[]), Some(1.0));
 
-    let mut worker = place.start(&format!("worker --join {url} --threads 2 --metrics {own}"));
-    farm.wait_until("the job's end", || status(&place, &url, &job)["state"] == "done");
-    let attempts = place.run(&format!("stats {job} --by attempt --json --server {url}")).exits(0).json();
+    let mut worker = dir.start(&format!("worker --join {url} --threads 2 --metrics {own}"));
+    farm.wait_until("the job's end", || status(&dir, &url, &job)["state"] == "done");
+    let attempts = dir.run(&format!("stats {job} --by attempt --json --server {url}")).exits(0).json();
     let attempts = attempts.as_array().expect("a list").len() as f64;
     // The last acknowledgement may still be on its way.
     worker.wait_until("all acknowledged", || metrics(own).sum("femc_worker_tasks_done_total", &[]) == attempts);
@@ -71,10 +71,10 @@ fn the_numbers_are_those_of_the_job() {
 
 #[test]
 fn a_worker_without_a_coordinator_is_well_and_not_ready() {
-    let place = Place::new();
+    let dir = TestFolder::new();
     let [port, own] = [free_port(), free_port()];
-    let (mut farm, url) = coordinator(&place, port);
-    let mut worker = place.start(&format!("worker --join {url} --threads 1 --metrics {own}"));
+    let (mut farm, url) = start_coordinator(&dir, port);
+    let mut worker = dir.start(&format!("worker --join {url} --threads 1 --metrics {own}"));
     let code = |path: &str| get(own, path).map(|(status, _)| status);
     worker.wait_until("a session", || code("/readyz") == Some(200));
     farm.kill();
@@ -85,17 +85,17 @@ fn a_worker_without_a_coordinator_is_well_and_not_ready() {
 }
 
 /// Returns the names of metrics in a text.
-fn names(text: &str) -> BTreeSet<&str> {
+fn file_names(text: &str) -> BTreeSet<&str> {
     let words = text.split(|c: char| !(c.is_ascii_alphanumeric() || c == '_'));
     words.filter(|word| word.starts_with("femc_") || word.starts_with("process_")).collect()
 }
 
 #[test]
 fn alerts_dashboard_and_manual_name_existing_metrics() {
-    let place = Place::new();
+    let dir = TestFolder::new();
     let [port, own] = [free_port(), free_port()];
-    let (mut farm, url) = coordinator(&place, port);
-    let mut worker = place.start(&format!("worker --join {url} --threads 1 --metrics {own}"));
+    let (mut farm, url) = start_coordinator(&dir, port);
+    let mut worker = dir.start(&format!("worker --join {url} --threads 1 --metrics {own}"));
     worker.wait_until("a session", || get(own, "/readyz").is_some_and(|(status, _)| status == 200));
     let pages: [Samples; 2] = [metrics(port), metrics(own)];
     let exported: BTreeSet<&str> = pages.iter().flat_map(Samples::names).collect();
@@ -108,11 +108,11 @@ fn alerts_dashboard_and_manual_name_existing_metrics() {
         "deploy/kubernetes/prometheus-adapter.yaml",
     ] {
         let text = std::fs::read_to_string(root.join(file)).expect(file);
-        let strangers: Vec<&str> = names(&text).difference(&exported).copied().collect();
-        assert!(strangers.is_empty() && !names(&text).is_empty(), "{file} names {strangers:?}");
+        let strangers: Vec<&str> = file_names(&text).difference(&exported).copied().collect();
+        assert!(strangers.is_empty() && !file_names(&text).is_empty(), "{file} names {strangers:?}");
     }
     let text = std::fs::read_to_string(root.join("docs/operations.md")).expect("the page of operations");
-    let documented = names(&text);
+    let documented = file_names(&text);
     let missing: Vec<&&str> = kinds.iter().filter(|name| !documented.contains(**name)).collect();
     assert!(missing.is_empty(), "docs/operations.md does not tell of {missing:?}");
     let strangers: Vec<&&str> = documented.iter().filter(|name| !kinds.contains(**name)).collect();

@@ -2,7 +2,7 @@
 #![cfg(feature = "otel")]
 
 use crate::common;
-use crate::common::{Place, coordinator, submit};
+use crate::common::{TestFolder, start_coordinator, submit};
 use opentelemetry_proto::tonic::collector::trace::v1::trace_service_server::{TraceService, TraceServiceServer};
 use opentelemetry_proto::tonic::collector::trace::v1::{ExportTraceServiceRequest, ExportTraceServiceResponse};
 use opentelemetry_proto::tonic::common::v1::any_value::Value;
@@ -48,12 +48,12 @@ fn the_spans_of_a_job_s_tasks_come_to_the_collector() {
     let service = TraceServiceServer::new(collector.clone());
     runtime.spawn(tonic::transport::Server::builder().add_service(service).serve_with_incoming(incoming));
 
-    let place = Place::new();
-    let (_farm, url) = coordinator(&place, 0);
-    let mut command = place.command(&format!("worker --join {url} --threads 1 --idle-exit 700ms"));
-    let mut worker = common::Running::of(command.env("OTEL_EXPORTER_OTLP_ENDPOINT", endpoint));
-    let job = submit(&place, &url, "--spp 1 --frames 1");
-    place.run(&format!("watch {job} --server {url}")).exits(0);
+    let dir = TestFolder::new();
+    let (_farm, url) = start_coordinator(&dir, 0);
+    let mut command = dir.command(&format!("worker --join {url} --threads 1 --idle-exit 700ms"));
+    let mut worker = common::TestProcess::spawn(command.env("OTEL_EXPORTER_OTLP_ENDPOINT", endpoint));
+    let job = submit(&dir, &url, "--spp 1 --frames 1");
+    dir.run(&format!("watch {job} --server {url}")).exits(0);
     worker.end().exits(0);
 
     let spans = collector.0.lock().expect("nobody panicked").clone();

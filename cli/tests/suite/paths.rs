@@ -1,40 +1,40 @@
 //! Tests of light statistics: `--stats` and `femc paths`.
 
-use crate::common::{Place, Running, coordinator, pixels, status, submit};
+use crate::common::{TestFolder, TestProcess, pixels, start_coordinator, status, submit};
 use femc_pipeline::paths::histogram::{Histograms, Table};
-use femc_pipeline::paths::{Interaction, Kind, Name, PortionKey, Statistics};
+use femc_pipeline::paths::{InteractionKind, LightStatistics, Name, NameKind, PortionKey};
 
-fn statistics(place: &Place, name: &str) -> Statistics {
-    let bytes = std::fs::read(place.path(name)).unwrap_or_else(|e| panic!("{name}: {e}"));
-    Statistics::decode(&bytes).unwrap_or_else(|e| panic!("{name}: {e}"))
+fn statistics(dir: &TestFolder, name: &str) -> LightStatistics {
+    let bytes = std::fs::read(dir.path(name)).unwrap_or_else(|e| panic!("{name}: {e}"));
+    LightStatistics::decode(&bytes).unwrap_or_else(|e| panic!("{name}: {e}"))
 }
 
-fn bytes(place: &Place, name: &str) -> Vec<u8> {
-    std::fs::read(place.path(name)).unwrap_or_else(|e| panic!("{name}: {e}"))
+fn bytes(dir: &TestFolder, name: &str) -> Vec<u8> {
+    std::fs::read(dir.path(name)).unwrap_or_else(|e| panic!("{name}: {e}"))
 }
 
-fn worker(place: &Place, url: &str) -> Running {
-    place.start(&format!("worker --join {url} --threads 1"))
+fn worker(dir: &TestFolder, url: &str) -> TestProcess {
+    dir.start(&format!("worker --join {url} --threads 1"))
 }
 
 /// Writes the foggy box with named objects.
-fn named(place: &Place) {
+fn write_named_scene(dir: &TestFolder) {
     let text = crate::common::FOG.replace("m wall\nf a b c d\n", "m wall\no floor\nf a b c d\no\n");
     let text = text.replace("m lamp\nv i", "m lamp\no ceiling\no lamp\nv i") + "o\no\n";
-    place.write("box.mgf", &text);
+    dir.write("box.mgf", &text);
 }
 
 #[test]
 fn statistics_are_the_same_for_any_workers_and_change_no_pixel() {
-    let place = Place::new();
+    let dir = TestFolder::new();
     for (settings, rounds) in [("--spp 6", 1), ("--error 0.03 --seed 3", 2)] {
         let line = |out: &str, rest: &str| format!("render fog.mgf --frames 5 --size 48x40 {settings} -o {out} {rest}");
-        place.run(&line("without.exr", "")).exits(0);
-        place.run(&line("one.exr", "--stats --workers 1 --threads 1")).exits(0);
-        place.run(&line("three.exr", "--stats --workers 3 --threads 2")).exits(0);
-        assert_eq!(pixels(&place.path("one.exr")), pixels(&place.path("without.exr")), "{settings}");
-        assert!(bytes(&place, "one.paths") == bytes(&place, "three.paths"), "{settings}");
-        let all = statistics(&place, "one.paths");
+        dir.run(&line("without.exr", "")).exits(0);
+        dir.run(&line("one.exr", "--stats --workers 1 --threads 1")).exits(0);
+        dir.run(&line("three.exr", "--stats --workers 3 --threads 2")).exits(0);
+        assert_eq!(pixels(&dir.path("one.exr")), pixels(&dir.path("without.exr")), "{settings}");
+        assert!(bytes(&dir, "one.paths") == bytes(&dir, "three.paths"), "{settings}");
+        let all = statistics(&dir, "one.paths");
         assert_eq!((all.scope.film, all.scope.frame), ([48, 40], 5));
         if rounds == 1 {
             assert_eq!(all.samples(), 48 * 40 * 6);
@@ -42,35 +42,35 @@ fn statistics_are_the_same_for_any_workers_and_change_no_pixel() {
             let ends: Vec<u32> = all.portions.keys().map(|portion| portion.end).collect();
             assert!(ends.iter().any(|end| *end != ends[0]), "halves and tiles end apart: {ends:?}");
         }
-        let recorded = Histograms::of(&all, Table::Paths);
+        let recorded = Histograms::from_statistics(&all, Table::Paths);
         assert!(recorded.attributes.iter().all(|it| it.samples.iter().sum::<u64>() == all.paths.len() as u64));
         let expected = all.samples() as f64 * all.share();
         assert!((all.paths.len() as f64 - expected).abs() < 6.0 * expected.sqrt() + 1.0, "{expected}");
         for name in ["without.exr", "one.exr", "three.exr", "one.paths", "three.paths"] {
-            std::fs::remove_file(place.path(name)).expect("a file");
+            std::fs::remove_file(dir.path(name)).expect("a file");
         }
     }
 }
 
 #[test]
 fn paths_of_many_tiles_are_united_by_groups() {
-    let place = Place::new();
+    let dir = TestFolder::new();
     // 17 x 16 tiles, which are two groups.
     let line =
         |out: &str, rest: &str| format!("render fog.mgf --frames 5 --size 272x256 --error 3 --stats -o {out} {rest}");
-    place.run(&line("one.exr", "--workers 1")).exits(0);
-    place.run(&line("three.exr", "--workers 3 --threads 1")).exits(0);
-    assert!(bytes(&place, "one.paths") == bytes(&place, "three.paths"));
-    assert_eq!(statistics(&place, "one.paths").samples(), 272 * 256 * 8);
+    dir.run(&line("one.exr", "--workers 1")).exits(0);
+    dir.run(&line("three.exr", "--workers 3 --threads 1")).exits(0);
+    assert!(bytes(&dir, "one.paths") == bytes(&dir, "three.paths"));
+    assert_eq!(statistics(&dir, "one.paths").samples(), 272 * 256 * 8);
 }
 
 #[test]
 fn a_frame_with_a_time_counts_what_its_image_counts() {
-    let place = Place::new();
-    place.run("render fog.mgf --frames 5 --time 2s -o timed.exr --stats").exits(0);
-    let all = statistics(&place, "timed.paths");
+    let dir = TestFolder::new();
+    dir.run("render fog.mgf --frames 5 --time 2s -o timed.exr --stats").exits(0);
+    let all = statistics(&dir, "timed.paths");
     // The file states how its samples were divided. They may exclude a pilot.
-    let said = femc_film::exr::read_attributes(&place.path("timed.exr")).expect("attributes");
+    let said = femc_film::exr::read_attributes(&dir.path("timed.exr")).expect("attributes");
     let said: serde_json::Value = serde_json::from_str(&said["femc:allocation"]).expect("an allocation");
     let begin = said["begin"].as_u64().expect("a number") as u32;
     let ends = said["ends"].as_array().expect("numbers").iter().map(|end| end.as_u64().expect("a number") as u32);
@@ -80,8 +80,8 @@ fn a_frame_with_a_time_counts_what_its_image_counts() {
 }
 
 /// Returns the seconds of the tasks that render and of the others, and the bytes sent, of a job's results.
-fn took(place: &Place, url: &str, job: &str) -> ([f64; 2], u64) {
-    let rows = place.run(&format!("stats {job} --by task --json --server {url}")).exits(0).json();
+fn task_seconds(dir: &TestFolder, url: &str, job: &str) -> ([f64; 2], u64) {
+    let rows = dir.run(&format!("stats {job} --by task --json --server {url}")).exits(0).json();
     let (mut seconds, mut bytes) = ([0.0; 2], 0);
     for row in rows.as_array().expect("rows") {
         seconds[usize::from(row["stage"] != "render")] += row["wall_seconds"].as_f64().expect("a number");
@@ -94,30 +94,30 @@ fn took(place: &Place, url: &str, job: &str) -> ([f64; 2], u64) {
 fn farm_statistics_with_a_killed_worker_equal_one_process() {
     const FRAMES: u32 = 24;
     const SETTINGS: &str = "--size 40x24 --spp 6";
-    let place = Place::new();
-    place.write("fog.mgf", &crate::common::FOG.replace("time 0 0.75 10", "time 0 2.3 10"));
-    let (mut farm, url) = coordinator(&place, 0);
-    let (mut victim, _second, _third) = (worker(&place, &url), worker(&place, &url), worker(&place, &url));
-    let job = submit(&place, &url, &format!("{SETTINGS} --stats"));
-    let done = || status(&place, &url, &job)["frames_done"].as_u64().expect("a number");
+    let dir = TestFolder::new();
+    dir.write("fog.mgf", &crate::common::FOG.replace("time 0 0.75 10", "time 0 2.3 10"));
+    let (mut farm, url) = start_coordinator(&dir, 0);
+    let (mut victim, _second, _third) = (worker(&dir, &url), worker(&dir, &url), worker(&dir, &url));
+    let job = submit(&dir, &url, &format!("{SETTINGS} --stats"));
+    let done = || status(&dir, &url, &job)["frames_done"].as_u64().expect("a number");
     farm.wait_until("a finished frame", || done() >= 1);
     assert!(done() < u64::from(FRAMES), "it is not over yet");
     assert!(victim.kill(), "the victim was alive");
-    place.run(&format!("watch {job} --server {url}")).exits(0);
-    place.run(&format!("fetch {job} -o out --server {url}")).exits(0);
-    place.run(&format!("render fog.mgf {SETTINGS} --stats -o alone --workers 1 --threads 1")).exits(0);
+    dir.run(&format!("watch {job} --server {url}")).exits(0);
+    dir.run(&format!("fetch {job} -o out --server {url}")).exits(0);
+    dir.run(&format!("render fog.mgf {SETTINGS} --stats -o alone --workers 1 --threads 1")).exits(0);
     let mut kept = 0;
     for frame in 1..=FRAMES {
         let name = |folder: &str| format!("{folder}/fog.{frame:04}.paths");
-        assert!(bytes(&place, &name("out")) == bytes(&place, &name("alone")), "frame {frame}");
-        assert_eq!(statistics(&place, &name("out")).samples(), 40 * 24 * 6);
-        kept += bytes(&place, &name("out")).len();
+        assert!(bytes(&dir, &name("out")) == bytes(&dir, &name("alone")), "frame {frame}");
+        assert_eq!(statistics(&dir, &name("out")).samples(), 40 * 24 * 6);
+        kept += bytes(&dir, &name("out")).len();
     }
     // Compare with the same frames without statistics; with one worker less both take longer.
-    let without = submit(&place, &url, SETTINGS);
-    place.run(&format!("watch {without} --server {url}")).exits(0);
-    let ([render, rest], sent) = took(&place, &url, &job);
-    let ([_, rest_without], sent_without) = took(&place, &url, &without);
+    let without = submit(&dir, &url, SETTINGS);
+    dir.run(&format!("watch {without} --server {url}")).exits(0);
+    let ([render, rest], sent) = task_seconds(&dir, &url, &job);
+    let ([_, rest_without], sent_without) = task_seconds(&dir, &url, &without);
     println!(
         "24 frames: {render:.2} s rendering; images and merging {rest:.2} s, without statistics {rest_without:.2} s; \
          {sent} bytes sent, without {sent_without}; {kept} bytes of statistics kept"
@@ -128,30 +128,30 @@ fn farm_statistics_with_a_killed_worker_equal_one_process() {
 
 #[test]
 fn a_frame_whose_statistics_are_gone_is_rendered_again() {
-    let place = Place::new();
-    let render = || place.run("render fog.mgf --frames 2 --spp 2 --stats -o a.exr --json").exits(0).json();
+    let dir = TestFolder::new();
+    let render = || dir.run("render fog.mgf --frames 2 --spp 2 --stats -o a.exr --json").exits(0).json();
     render();
-    let before = bytes(&place, "a.paths");
-    std::fs::remove_file(place.path("a.paths")).expect("a file");
+    let before = bytes(&dir, "a.paths");
+    std::fs::remove_file(dir.path("a.paths")).expect("a file");
     render();
-    assert!(bytes(&place, "a.paths") == before);
+    assert!(bytes(&dir, "a.paths") == before);
 }
 
 #[test]
 fn frames_of_a_job_are_united_in_any_order_and_count_once() {
-    let place = Place::new();
-    place.run("render fog.mgf --frames 2..3 --size 40x24 --spp 6 --stats -o clip").exits(0);
+    let dir = TestFolder::new();
+    dir.run("render fog.mgf --frames 2..3 --size 40x24 --spp 6 --stats -o clip").exits(0);
     let [a, b] = ["clip/fog.0002.paths", "clip/fog.0003.paths"];
-    place.run(&format!("paths {b} {a} {b} --out twice.paths")).exits(0);
-    place.run("paths clip --out all.paths").exits(0);
-    place.run(&format!("paths all.paths {a} --out again.paths")).exits(0);
-    let expected = bytes(&place, "all.paths");
-    assert!(bytes(&place, "twice.paths") == expected && bytes(&place, "again.paths") == expected);
+    dir.run(&format!("paths {b} {a} {b} --out twice.paths")).exits(0);
+    dir.run("paths clip --out all.paths").exits(0);
+    dir.run(&format!("paths all.paths {a} --out again.paths")).exits(0);
+    let expected = bytes(&dir, "all.paths");
+    assert!(bytes(&dir, "twice.paths") == expected && bytes(&dir, "again.paths") == expected);
     let rows = |line: &str| -> Vec<serde_json::Value> {
-        let rows = place.run(&format!("paths {line} --json")).exits(0).json();
+        let rows = dir.run(&format!("paths {line} --json")).exits(0).json();
         rows.as_array().expect("rows").clone()
     };
-    let paths: usize = [a, b].map(|name| statistics(&place, name).paths.len()).iter().sum();
+    let paths: usize = [a, b].map(|name| statistics(&dir, name).paths.len()).iter().sum();
     let all = rows("all.paths");
     assert_eq!(all.len(), paths, "small frames keep all");
     let numbers: std::collections::BTreeSet<u64> = all.iter().filter_map(|row| row["path"].as_u64()).collect();
@@ -163,32 +163,31 @@ fn frames_of_a_job_are_united_in_any_order_and_count_once() {
     assert_eq!(samples("clip --union --table histograms"), first + second);
     assert_eq!(rows("all.paths --few 100").len(), 100);
     assert_eq!(rows(&format!("{a} {b} --few 100")).len(), 200);
-    let found = place.run("bottlenecks all.paths --json").exits(0).json();
+    let found = dir.run("bottlenecks all.paths --json").exits(0).json();
     assert_eq!(found["samples"], 2 * 40 * 24 * 6);
     // The same frame of another scene does not belong to that job.
-    place
-        .run("render fog.mgf --frames 2 --size 40x24 --spp 6 --stats -o other.exr --set medium.fog.sigma_a=0.9")
+    dir.run("render fog.mgf --frames 2 --size 40x24 --spp 6 --stats -o other.exr --set medium.fog.sigma_a=0.9")
         .exits(0);
-    let refused = place.run("paths all.paths other.paths --union").exits(2);
+    let refused = dir.run("paths all.paths other.paths --union").exits(2);
     assert!(refused.stderr().contains("other.paths") && refused.stderr().contains("one job"), "{}", refused.stderr());
-    place.run("paths all.paths --out again.paths --csv").exits(2);
+    dir.run("paths all.paths --out again.paths --csv").exits(2);
 }
 
 #[test]
 fn paths_are_found_by_what_they_met() {
-    let place = Place::new();
-    named(&place);
-    place.run("render box.mgf --frames 8 --spp 8 --stats -o box.exr").exits(0);
-    let all = statistics(&place, "box.paths");
+    let dir = TestFolder::new();
+    write_named_scene(&dir);
+    dir.run("render box.mgf --frames 8 --spp 8 --stats -o box.exr").exits(0);
+    let all = statistics(&dir, "box.paths");
     let rows = |rest: &str| -> Vec<serde_json::Value> {
-        let rows = place.run(&format!("paths box.paths --json {rest}")).exits(0).json();
+        let rows = dir.run(&format!("paths box.paths --json {rest}")).exits(0).json();
         rows.as_array().expect("rows").clone()
     };
     assert_eq!(rows("").len(), all.paths.len());
-    let floor = Name::of(Kind::Object, "floor");
+    let floor = Name::new(NameKind::Object, "floor");
     let is_low = |it: &&femc_pipeline::paths::Intersection| it.object == floor && it.bounce >= 1;
     let expected = all.paths.values().flat_map(|path| &path.intersections).filter(is_low).count();
-    let ran = place.command("paths box.paths --json --table intersections");
+    let ran = dir.command("paths box.paths --json --table intersections");
     let found = {
         let mut command = ran;
         command.args(["--where", "bounce >= 1 and object == floor"]);
@@ -201,7 +200,7 @@ fn paths_are_found_by_what_they_met() {
     assert!(!then.is_empty() && then.len() < all.paths.len());
     let lights = rows("--table lights");
     assert!(lights.iter().any(|row| row["light"] == "ceiling.lamp/lamp" && row["found"] == "airlight"));
-    let in_fog = |it: &femc_pipeline::paths::Intersection| it.interaction == Interaction::Volume;
+    let in_fog = |it: &femc_pipeline::paths::Intersection| it.interaction == InteractionKind::Volume;
     assert!(all.paths.values().any(|path| path.intersections.iter().any(in_fog)));
     let bins = rows("--table histograms");
     let depth = bins.iter().filter(|row| row["table"] == "paths" && row["attribute"] == "depth");
@@ -209,7 +208,7 @@ fn paths_are_found_by_what_they_met() {
     assert_eq!(sum, all.paths.len() as u64);
     let map = rows("--table pixels");
     let (width, height, [r, g, b, _]) =
-        femc_film::exr::read_channels(&place.path("box.exr"), ["R", "G", "B", "depth.Z"]).expect("a frame");
+        femc_film::exr::read_channels(&dir.path("box.exr"), ["R", "G", "B", "depth.Z"]).expect("a frame");
     assert_eq!(map.len(), (width * height) as usize);
     let number = |row: &serde_json::Value, key: &str| row[key].as_f64().expect("a number");
     for (row, ((r, g), b)) in map.iter().zip(r.iter().zip(&g).zip(&b)) {
@@ -227,17 +226,17 @@ fn paths_are_found_by_what_they_met() {
 
 #[test]
 fn full_statistics_count_all_samples_for_any_workers() {
-    let place = Place::new();
+    let dir = TestFolder::new();
     let line = |out: &str, rest: &str| format!("render fog.mgf --frames 5 --size 96x80 --spp 6 -o {out} {rest}");
-    place.run(&line("some.exr", "--stats")).exits(0);
-    place.run(&line("one.exr", "--stats=full --workers 1")).exits(0);
-    place.run(&line("three.exr", "--stats=full --workers 3 --threads 2")).exits(0);
-    assert!(bytes(&place, "one.paths") == bytes(&place, "three.paths"));
-    assert_eq!(pixels(&place.path("one.exr")), pixels(&place.path("some.exr")));
-    let (some, full) = (statistics(&place, "some.paths"), statistics(&place, "one.paths"));
+    dir.run(&line("some.exr", "--stats")).exits(0);
+    dir.run(&line("one.exr", "--stats=full --workers 1")).exits(0);
+    dir.run(&line("three.exr", "--stats=full --workers 3 --threads 2")).exits(0);
+    assert!(bytes(&dir, "one.paths") == bytes(&dir, "three.paths"));
+    assert_eq!(pixels(&dir.path("one.exr")), pixels(&dir.path("some.exr")));
+    let (some, full) = (statistics(&dir, "some.paths"), statistics(&dir, "one.paths"));
     assert!(full.paths == some.paths && full.share() < 0.5, "the same paths are recorded");
     let samples = |name: &str, table: &str| {
-        let rows = place.run(&format!("paths {name} --table histograms --json")).exits(0).json();
+        let rows = dir.run(&format!("paths {name} --table histograms --json")).exits(0).json();
         let mut sums = std::collections::BTreeMap::<String, u64>::new();
         for row in rows.as_array().expect("rows").iter().filter(|row| row["table"] == table) {
             let attribute = row["attribute"].as_str().expect("a name").to_owned();
@@ -251,20 +250,20 @@ fn full_statistics_count_all_samples_for_any_workers() {
     let depths: u64 = (0..).zip(full.totals().depth).map(|(depth, samples): (u64, u64)| depth * samples).sum();
     assert!(samples("one.paths", "intersections").values().all(|sum| *sum == depths), "{depths}");
     // A later run with less statistics has other settings.
-    place.write("full.toml", "scene = \"fog.mgf\"\nframes = \"5\"\nspp = 2\nstats = \"full\"\n");
-    place.run("render full.toml -o job.exr").exits(0);
-    assert!(statistics(&place, "job.paths").scope.is_full);
-    place.write("half.toml", "scene = \"fog.mgf\"\nstats = \"half\"\n");
-    assert!(place.run("render half.toml -o half.exr").exits(2).stderr().contains("half.toml:2"));
+    dir.write("full.toml", "scene = \"fog.mgf\"\nframes = \"5\"\nspp = 2\nstats = \"full\"\n");
+    dir.run("render full.toml -o job.exr").exits(0);
+    assert!(statistics(&dir, "job.paths").scope.has_full_histograms);
+    dir.write("half.toml", "scene = \"fog.mgf\"\nstats = \"half\"\n");
+    assert!(dir.run("render half.toml -o half.exr").exits(2).stderr().contains("half.toml:2"));
 }
 
 #[test]
 fn rare_and_representative_paths_and_those_in_a_box_are_listed() {
-    let place = Place::new();
-    named(&place);
-    place.run("render box.mgf --frames 8 --spp 8 --stats -o box.exr").exits(0);
+    let dir = TestFolder::new();
+    write_named_scene(&dir);
+    dir.run("render box.mgf --frames 8 --spp 8 --stats -o box.exr").exits(0);
     let rows = |rest: &str| -> Vec<serde_json::Value> {
-        place.run(&format!("paths box.paths --json {rest}")).exits(0).json().as_array().expect("rows").clone()
+        dir.run(&format!("paths box.paths --json {rest}")).exits(0).json().as_array().expect("rows").clone()
     };
     let few = rows("--few 200");
     let weights: f64 = few.iter().map(|row| row["weight"].as_f64().expect("a weight")).sum();
@@ -280,7 +279,7 @@ fn rare_and_representative_paths_and_those_in_a_box_are_listed() {
     assert!(floor.len() > 100 && on_floor.len() >= floor.len());
     assert!(on_floor.iter().all(|row| row["z"].as_f64().is_some_and(|z| z.abs() < 1e-4)));
     let refused = |rest: &str, why: &str| {
-        let said = place.run(&format!("paths box.paths {rest}")).exits(2).stderr();
+        let said = dir.run(&format!("paths box.paths {rest}")).exits(2).stderr();
         assert!(said.contains(why), "{rest}: {said}");
     };
     refused("--in flor", "known objects");
@@ -291,22 +290,22 @@ fn rare_and_representative_paths_and_those_in_a_box_are_listed() {
 
 #[test]
 fn variants_of_a_sweep_share_voxels_and_differ_where_light_does() {
-    let place = Place::new();
-    place.write(
+    let dir = TestFolder::new();
+    dir.write(
         "fog.toml",
         "scene = \"fog.mgf\"\nframes = \"3\"\nspp = 4\nstats = true\n[sweep]\n\"material.lamp.ed\" = [300, 900]\n",
     );
-    place.run("sweep fog.toml -o fog --local").exits(0);
+    dir.run("sweep fog.toml -o fog --local").exits(0);
     let mut files = Vec::new();
-    for entry in std::fs::read_dir(place.path("fog")).expect("a folder") {
+    for entry in std::fs::read_dir(dir.path("fog")).expect("a folder") {
         let path = entry.expect("an entry").path();
-        let within = if path.is_dir() { crate::common::names(&path) } else { Vec::new() };
+        let within = if path.is_dir() { crate::common::file_names(&path) } else { Vec::new() };
         files.extend(within.iter().filter(|name| name.ends_with(".paths")).map(|name| path.join(name)));
     }
     files.sort();
     let [dim, bright] = &files[..] else { panic!("a file for each variant: {files:?}") };
     let [dim, bright] = [dim, bright].map(|path| path.display().to_string());
-    let rows = |rest: &str| place.run(&format!("paths {rest} --json")).exits(0).json();
+    let rows = |rest: &str| dir.run(&format!("paths {rest} --json")).exits(0).json();
     let both = rows(&format!("{dim} {bright} --table voxels"));
     let of = |file: &str| -> Vec<[String; 4]> {
         let own = both.as_array().expect("rows").iter().filter(|row| row["file"] == file);
@@ -323,20 +322,20 @@ fn variants_of_a_sweep_share_voxels_and_differ_where_light_does() {
     }
     // Only frames whose statistics are missing are rendered again.
     std::fs::remove_file(&bright).expect("a file");
-    place.run("sweep fog.toml -o fog --local").exits(0);
+    dir.run("sweep fog.toml -o fog --local").exits(0);
     assert!(std::path::Path::new(&bright).is_file());
-    place.run(&format!("bottlenecks {dim} {bright}")).exits(0);
+    dir.run(&format!("bottlenecks {dim} {bright}")).exits(0);
 }
 
 #[test]
 fn tables_are_files_that_other_programs_read() {
-    let place = Place::new();
-    place.run("render fog.mgf --frames 3 --spp 4 --stats -o a.exr").exits(0);
-    let all = statistics(&place, "a.paths");
+    let dir = TestFolder::new();
+    dir.run("render fog.mgf --frames 3 --spp 4 --stats -o a.exr").exits(0);
+    let all = statistics(&dir, "a.paths");
     for table in ["paths", "intersections", "lights", "histograms", "pairs", "voxels"] {
-        place.run(&format!("paths a.paths --table {table} --parquet {table}.parquet")).exits(0);
-        let csv = place.run(&format!("paths a.paths --table {table} --csv")).exits(0).stdout();
-        let file = std::fs::read(place.path(&format!("{table}.parquet"))).expect("a file");
+        dir.run(&format!("paths a.paths --table {table} --parquet {table}.parquet")).exits(0);
+        let csv = dir.run(&format!("paths a.paths --table {table} --csv")).exits(0).stdout();
+        let file = std::fs::read(dir.path(&format!("{table}.parquet"))).expect("a file");
         assert!(file.starts_with(b"PAR1") && file.ends_with(b"PAR1"), "{table}");
         assert!(csv.lines().count() > 10, "{table}");
         if table == "paths" {
@@ -347,11 +346,11 @@ fn tables_are_files_that_other_programs_read() {
 
 #[test]
 fn report_page_shows_maps_and_histograms_without_any_request() {
-    let place = Place::new();
-    named(&place);
-    place.run("render box.mgf --frames 1..2 --spp 4 --stats -o out").exits(0);
-    assert!(place.run("report out/box.0001.paths").exits(0).stdout().contains("box.0001.html"));
-    let page = place.read("out/box.0001.html");
+    let dir = TestFolder::new();
+    write_named_scene(&dir);
+    dir.run("render box.mgf --frames 1..2 --spp 4 --stats -o out").exits(0);
+    assert!(dir.run("report out/box.0001.paths").exits(0).stdout().contains("box.0001.html"));
+    let page = dir.read("out/box.0001.html");
     assert_eq!(page.matches("<svg").count(), 3, "histograms of paths, intersections and lights");
     for (title, pictures) in [("Luminance, cd/m2", 1), ("Standard deviation", 1), ("Intersections of a path", 1)] {
         assert_eq!(page.matches(&format!("<figcaption>{title}")).count(), pictures, "{title}");
@@ -363,19 +362,19 @@ fn report_page_shows_maps_and_histograms_without_any_request() {
     let (_, rest) = page.split_once("src=\"data:image/png;base64,").expect("a picture");
     assert!(rest.starts_with("iVBORw0KGgo"), "a PNG: {}", &rest[..20]);
     assert!(page.contains("ceiling") && page.contains("most work:"), "what stands out, and where");
-    place.run("report out/box.0001.paths out/box.0002.paths -o two.html").exits(0);
-    assert_eq!(place.read("two.html").matches("<img").count(), 8);
-    assert!(place.run("report out/box.0001.paths 7").exits(2).stderr().contains("shows either"));
-    place.run("report out/box.0003.paths").exits(2);
+    dir.run("report out/box.0001.paths out/box.0002.paths -o two.html").exits(0);
+    assert_eq!(dir.read("two.html").matches("<img").count(), 8);
+    assert!(dir.run("report out/box.0001.paths 7").exits(2).stderr().contains("shows either"));
+    dir.run("report out/box.0003.paths").exits(2);
 }
 
 #[test]
 fn what_cannot_be_asked_is_refused_with_the_place() {
-    let place = Place::new();
-    named(&place);
-    place.run("render box.mgf --frames 1 --spp 1 --stats -o box.exr").exits(0);
+    let dir = TestFolder::new();
+    write_named_scene(&dir);
+    dir.run("render box.mgf --frames 1 --spp 1 --stats -o box.exr").exits(0);
     let refused = |rest: &str, code: i32, why: &str| {
-        let said = place.run(&format!("paths {rest}")).exits(code).stderr();
+        let said = dir.run(&format!("paths {rest}")).exits(code).stderr();
         assert!(said.contains(why), "{rest}: {said}");
     };
     refused("box.paths --where depth", 2, "--where: column 6");

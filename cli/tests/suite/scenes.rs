@@ -1,47 +1,47 @@
 //! Tests of scenes with files outside the scene's folder.
 
 use crate::common;
-use crate::common::Place;
+use crate::common::TestFolder;
 
 /// Creates a folder with `fog.mgf` in a subfolder and its lamp in another one.
-fn divided() -> Place {
-    let place = Place::new();
+fn divided_scene() -> TestFolder {
+    let dir = TestFolder::new();
     for folder in ["models/room", "models/lib"] {
-        std::fs::create_dir_all(place.path(folder)).expect("a folder");
+        std::fs::create_dir_all(dir.path(folder)).expect("a folder");
     }
     let (room, lamp) = common::FOG.split_once("m lamp =").expect("a lamp");
-    place.write("models/room/room.mgf", &format!("{room}i ../lib/lamp.mgf\n"));
-    place.write("models/lib/lamp.mgf", &format!("m lamp ={lamp}"));
-    place
+    dir.write("models/room/room.mgf", &format!("{room}i ../lib/lamp.mgf\n"));
+    dir.write("models/lib/lamp.mgf", &format!("m lamp ={lamp}"));
+    dir
 }
 
 #[test]
 fn a_scene_reads_what_lies_below_its_root_and_says_so() {
-    let place = divided();
+    let dir = divided_scene();
     for command in ["render", "plan", "check"] {
-        let ran = place.run(&format!("{command} models/room/room.mgf")).exits(1);
+        let ran = dir.run(&format!("{command} models/room/room.mgf")).exits(1);
         // Errors of the scene are the result of `check`, so they are on stdout.
         let refused = if command == "check" { ran.stdout() } else { ran.stderr() };
         assert!(refused.contains("models/room/room.mgf:") && refused.contains("--root"), "{command}: {refused}");
     }
-    let ran = place.run("render models/room/room.mgf --root models --frames 1 --spp 1 -o a.exr").exits(0);
+    let ran = dir.run("render models/room/room.mgf --root models --frames 1 --spp 1 -o a.exr").exits(0);
     let warning = "models/room/room.mgf:15: `lib/lamp.mgf` is outside the scene's folder";
     assert!(ran.stderr().contains(warning), "{}", ran.stderr());
-    place.run("render fog.mgf --frames 1 --spp 1 -o b.exr").exits(0);
-    let same = place.run("compare a.exr b.exr --json").exits(0).json();
+    dir.run("render fog.mgf --frames 1 --spp 1 -o b.exr").exits(0);
+    let same = dir.run("compare a.exr b.exr --json").exits(0).json();
     assert_eq!(same["mse"], 0.0, "{same}");
-    place.run("plan models/room/room.mgf --root . --spp 1 --no-trial").exits(0);
-    let report = place.run("check models/room/room.mgf --root models --json").exits(0).json();
+    dir.run("plan models/room/room.mgf --root . --spp 1 --no-trial").exits(0);
+    let report = dir.run("check models/room/room.mgf --root models --json").exits(0).json();
     assert!(report.to_string().contains("lib/lamp.mgf"), "{report}");
 }
 
 #[test]
 fn job_file_sets_its_root_and_a_wrong_root_is_wrong_usage() {
-    let place = divided();
-    place.write("models/job.toml", "scene = \"room/room.mgf\"\nroot = \".\"\nspp = 1\nframes = \"1\"\n");
-    place.run("render models/job.toml -o a.exr").exits(0);
+    let dir = divided_scene();
+    dir.write("models/job.toml", "scene = \"room/room.mgf\"\nroot = \".\"\nspp = 1\nframes = \"1\"\n");
+    dir.run("render models/job.toml -o a.exr").exits(0);
     for (root, says) in [("models/lib", "not below the root folder"), ("nowhere", "--root nowhere: no such folder")] {
-        let refused = place.run(&format!("plan models/room/room.mgf --root {root}")).exits(2).stderr();
+        let refused = dir.run(&format!("plan models/room/room.mgf --root {root}")).exits(2).stderr();
         assert!(refused.contains(says), "{refused}");
     }
 }
@@ -57,9 +57,9 @@ fn odd_house() -> String {
 
 #[test]
 fn check_summarizes_warnings_by_kind_bounds_and_lamp_flux() {
-    let place = Place::new();
-    place.write("house.mgf", &odd_house());
-    let said = place.run("check house.mgf").exits(0).stdout();
+    let dir = TestFolder::new();
+    dir.write("house.mgf", &odd_house());
+    let said = dir.run("check house.mgf").exits(0).stdout();
     let line = |of: &str| said.lines().filter(|line| line.contains(of)).map(str::to_owned).collect::<Vec<_>>();
     let overlaps = line("overlapping-faces");
     assert!(overlaps.len() == 1 && overlaps[0].starts_with("house.mgf:"), "{said}");
@@ -69,18 +69,18 @@ fn check_summarizes_warnings_by_kind_bounds_and_lamp_flux() {
     // 1000 lm/m2 from 4 pi 0.01 m2.
     assert_eq!(line("lamps:"), ["lamps: 1, 126 lm in all"]);
     assert_eq!(line("material lamp"), ["1      126      0.1257   material lamp  house.mgf:21"]);
-    let all = place.run("check house.mgf --all").exits(0).stdout();
+    let all = dir.run("check house.mgf --all").exits(0).stdout();
     assert_eq!(all.lines().filter(|line| line.contains("the face overlaps")).count(), 45, "{all}");
-    assert!(place.run("check house.mgf --quiet").exits(0).stdout().is_empty());
+    assert!(dir.run("check house.mgf --quiet").exits(0).stdout().is_empty());
 }
 
 #[test]
 fn a_checks_kinds_bounds_and_lamps_are_in_its_json() {
-    let place = Place::new();
+    let dir = TestFolder::new();
     let lamp = "IESNA91\nTILT=NONE\n1 1000 2 2 1 1 2 0 0 0 1 1 100\n0 180 0 100 100\n";
-    place.write("lamp.ies", lamp);
-    place.write("house.mgf", &(odd_house() + "ies lamp.ies -m .5 -t 0 0 8\nies lamp.ies -m .5 -t 1 0 8\n"));
-    let report = place.run("check house.mgf --json").exits(0).json();
+    dir.write("lamp.ies", lamp);
+    dir.write("house.mgf", &(odd_house() + "ies lamp.ies -m .5 -t 0 0 8\nies lamp.ies -m .5 -t 1 0 8\n"));
+    let report = dir.run("check house.mgf --json").exits(0).json();
     let kinds = report["kinds"].as_array().expect("kinds");
     let overlaps = kinds.iter().find(|kind| kind["kind"] == "overlapping-faces").expect("overlaps");
     assert_eq!((overlaps["count"].as_u64(), overlaps["places"][0].as_str()), (Some(45), Some("house.mgf:34")));
@@ -101,9 +101,9 @@ fn a_checks_kinds_bounds_and_lamps_are_in_its_json() {
 
 #[test]
 fn the_camera_of_a_scene_without_one_is_a_note_of_its_check() {
-    let place = Place::new();
-    place.write("blind.mgf", "m lamp =\n\ted 1\nv a =\n\tp 0 0 0\nsph a 1\n");
-    let said = place.run("check blind.mgf").exits(0).stdout();
+    let dir = TestFolder::new();
+    dir.write("blind.mgf", "m lamp =\n\ted 1\nv a =\n\tp 0 0 0\nsph a 1\n");
+    let said = dir.run("check blind.mgf").exits(0).stdout();
     assert!(
         said.contains("blind.mgf: note: the scene has no camera: `default`") && said.contains("0 warnings"),
         "{said}"
@@ -112,13 +112,13 @@ fn the_camera_of_a_scene_without_one_is_a_note_of_its_check() {
 
 #[test]
 fn many_scene_warnings_print_the_first_and_point_to_the_rest() {
-    let place = Place::new();
+    let dir = TestFolder::new();
     let odd = "c\ncspec 380 780 1 1 1 1 1 1 1 -1\n".repeat(100);
-    place.write("odd.mgf", &(odd + common::FOG));
-    let said = place.run("plan odd.mgf --spp 1 --no-trial").exits(0).stderr();
+    dir.write("odd.mgf", &(odd + common::FOG));
+    let said = dir.run("plan odd.mgf --spp 1 --no-trial").exits(0).stderr();
     assert_eq!(said.lines().filter(|line| line.contains("has a negative value")).count(), 1, "{said}");
     assert!(said.contains("96 more places; `femc check odd.mgf --all` lists them"), "{said}");
-    let check = place.run("check odd.mgf").exits(0).stdout();
+    let check = dir.run("check odd.mgf").exits(0).stdout();
     let lines: Vec<&str> = check.lines().filter(|line| line.contains("has a negative value")).collect();
     assert!(lines.len() == 1 && lines[0].starts_with("odd.mgf:2: warning: 100 (negative-spectrum)"), "{check}");
 }

@@ -5,17 +5,17 @@ use std::net::TcpListener;
 use std::time::Instant;
 
 use crate::common;
-use crate::common::{Place, Running, names};
+use crate::common::{TestFolder, TestProcess, file_names};
 use femc_model::{Stage, TaskKey};
-use femc_queue::testing::Scratch;
+use femc_queue::testing::ScratchDatabase;
 use femc_queue::{Postgres, Queue as _, Standby};
 use femc_schedule::Fact;
 
 /// Addresses of two coordinators, and a database for both.
 struct Farm {
-    place: Place,
+    dir: TestFolder,
     runtime: tokio::runtime::Runtime,
-    scratch: Scratch,
+    scratch: ScratchDatabase,
     urls: [String; 2],
 }
 
@@ -25,48 +25,48 @@ const SETTINGS: &str = "--spp 64 --size 64x64";
 impl Farm {
     fn new() -> Option<Self> {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
-        let scratch = runtime.block_on(Scratch::new())?;
+        let scratch = runtime.block_on(ScratchDatabase::new())?;
         // The ports are free now. Other programs get other ports, because the system assigns them in turn.
         let free = [(); 2].map(|()| TcpListener::bind("127.0.0.1:0").expect("a free port"));
         let urls = free.map(|port| format!("http://{}", port.local_addr().expect("an address")));
-        Some(Self { place: Place::new(), runtime, scratch, urls })
+        Some(Self { dir: TestFolder::new(), runtime, scratch, urls })
     }
 
-    fn coordinator(&self, number: usize) -> Running {
+    fn start_coordinator(&self, number: usize) -> TestProcess {
         let (listen, store) = (self.urls[number].trim_start_matches("http://"), self.scratch.url());
         let line = format!("coordinator --listen {listen} --store {store} --artifacts artifacts");
-        self.place.start_as(&number.to_string(), &line)
+        self.dir.start_as(&number.to_string(), &line)
     }
 
     /// Returns how often a coordinator has become the leader.
     fn terms(&self, number: usize) -> usize {
-        self.place.read(&format!("{number}.out")).matches(&format!("listening on {}", self.urls[number])).count()
+        self.dir.read(&format!("{number}.out")).matches(&format!("listening on {}", self.urls[number])).count()
     }
 
     /// Returns how often a coordinator has reported that the other leads.
-    fn bows(&self, number: usize) -> usize {
-        self.place
+    fn standby_notices(&self, number: usize) -> usize {
+        self.dir
             .read(&format!("{number}.err"))
             .matches(&format!("standing by; {} leads", self.urls[1 - number]))
             .count()
     }
 
-    fn both(&self) -> String {
+    fn both_urls(&self) -> String {
         self.urls.join(",")
     }
 
-    fn worker(&self, name: &str) -> Running {
-        self.place.start_as(name, &format!("worker --join {} --threads 1", self.both()))
+    fn worker(&self, name: &str) -> TestProcess {
+        self.dir.start_as(name, &format!("worker --join {} --threads 1", self.both_urls()))
     }
 
     fn submit(&self) -> String {
-        let ran = self.place.run(&format!("submit fog.mgf {SETTINGS} --server {}", self.both())).exits(0);
+        let ran = self.dir.run(&format!("submit fog.mgf {SETTINGS} --server {}", self.both_urls())).exits(0);
         ran.stdout().lines().last().expect("a job id").to_owned()
     }
 
     /// Returns the finished share of the samples, as reported by this coordinator; `None` if it does not answer.
-    fn share(&self, number: usize, job: &str) -> Option<f64> {
-        let ran = self.place.run(&format!("status {job} --json --server {}", self.urls[number]));
+    fn finished_share(&self, number: usize, job: &str) -> Option<f64> {
+        let ran = self.dir.run(&format!("status {job} --json --server {}", self.urls[number]));
         (ran.code() == Some(0)).then(|| {
             let status = ran.json();
             status["samples"].as_f64().expect("a number") / status["samples_most"].as_f64().expect("a number")
@@ -74,22 +74,23 @@ impl Farm {
     }
 
     fn workers(&self, number: usize) -> usize {
-        let ran = self.place.run(&format!("workers --json --server {}", self.urls[number])).exits(0);
+        let ran = self.dir.run(&format!("workers --json --server {}", self.urls[number])).exits(0);
         ran.json().as_array().map_or(0, Vec::len)
     }
 
     /// Waits until `leader` leads, answers, has its workers back and makes progress with the job. Prints the times.
-    fn taken_over(&self, leader: usize, process: &mut Running, terms: usize, workers: usize, job: &str) {
+    fn assert_takeover(&self, leader: usize, process: &mut TestProcess, terms: usize, workers: usize, job: &str) {
         let begun = Instant::now();
         let passed = || begun.elapsed().as_secs_f64();
         process.wait_until("its term", || self.terms(leader) == terms);
         let listens = passed();
-        let before = self.share(leader, job).expect("an answer");
+        let before = self.finished_share(leader, job).expect("an answer");
         let answers = passed();
         process.wait_until("the workers", || self.workers(leader) == workers);
         let joined = passed();
-        process
-            .wait_until("new samples", || self.share(leader, job).is_some_and(|share| share > before || share == 1.0));
+        process.wait_until("new samples", || {
+            self.finished_share(leader, job).is_some_and(|share| share > before || share == 1.0)
+        });
         println!(
             "take-over with {:.0} % of the samples done: listens after {listens:.2} s, answers after {answers:.2} s, \
              has all {workers} workers after {joined:.2} s, new samples after {:.2} s",
@@ -100,23 +101,23 @@ impl Farm {
     }
 
     /// Checks that the frames equal those of one process, bit by bit.
-    fn same_as_one_process(&self, job: &str) {
-        self.place.run(&format!("fetch {job} -o out --server {}", self.both())).exits(0);
-        self.place.run(&format!("render fog.mgf -o alone {SETTINGS}")).exits(0);
-        assert_eq!(names(&self.place.path("out")), names(&self.place.path("alone")));
-        for name in names(&self.place.path("alone")) {
-            let (farm, alone) = (self.place.path("out").join(&name), self.place.path("alone").join(&name));
+    fn assert_same_as_one_process(&self, job: &str) {
+        self.dir.run(&format!("fetch {job} -o out --server {}", self.both_urls())).exits(0);
+        self.dir.run(&format!("render fog.mgf -o alone {SETTINGS}")).exits(0);
+        assert_eq!(file_names(&self.dir.path("out")), file_names(&self.dir.path("alone")));
+        for name in file_names(&self.dir.path("alone")) {
+            let (farm, alone) = (self.dir.path("out").join(&name), self.dir.path("alone").join(&name));
             assert_eq!(common::pixels(&farm), common::pixels(&alone), "{name}");
         }
     }
 
     /// Checks in the log, after all coordinators have ended, that each task of the only job took effect once, and that none is
     /// missing.
-    fn each_task_once(&self) {
+    fn assert_each_task_once(&self) {
         let records = self.runtime.block_on(async {
             let database = self.scratch.url().parse().expect("an address");
             let standby = Standby::open(database, "http://test".into(), Postgres::SILENCE).await.expect("a database");
-            let mut queue = standby.lead(|_| ()).await.expect("the lead");
+            let mut queue = standby.wait_for_lead(|_| ()).await.expect("the lead");
             queue.load().await.expect("a log").records
         });
         let (mut spec, mut effects, mut others, mut terms) = (None, BTreeMap::new(), Vec::new(), 0);
@@ -126,10 +127,10 @@ impl Farm {
                 Fact::Done { task, .. } => {
                     *effects.entry(task).or_insert(0) += 1;
                 }
-                Fact::Opened { .. } => terms += 1,
+                Fact::CoordinatorStarted { .. } => terms += 1,
                 Fact::Logged { .. }
-                | Fact::Built { .. }
-                | Fact::Used { .. }
+                | Fact::BuildAssigned { .. }
+                | Fact::TimeCharged { .. }
                 | Fact::Metered { .. }
                 | Fact::Announced { .. } => {}
                 other => others.push(other),
@@ -156,46 +157,46 @@ impl Farm {
 #[test]
 fn a_killed_leader_is_replaced_and_costs_no_pixel() {
     let Some(farm) = Farm::new() else { return };
-    let mut one = farm.coordinator(0);
+    let mut one = farm.start_coordinator(0);
     one.wait_until("its term", || farm.terms(0) == 1);
-    let mut two = farm.coordinator(1);
-    two.wait_until("its bow", || farm.bows(1) == 1);
+    let mut two = farm.start_coordinator(1);
+    two.wait_until("its bow", || farm.standby_notices(1) == 1);
     let (_first, _second) = (farm.worker("first"), farm.worker("second"));
     let job = farm.submit();
-    let mut watch = farm.place.start(&format!("watch {job} --server {}", farm.both()));
-    one.wait_until("some samples", || farm.share(0, &job).is_some_and(|share| share > 0.1));
+    let mut watch = farm.dir.start(&format!("watch {job} --server {}", farm.both_urls()));
+    one.wait_until("some samples", || farm.finished_share(0, &job).is_some_and(|share| share > 0.1));
     assert_eq!(farm.terms(1), 0, "who stands by does not listen");
     assert!(one.kill(), "the leader was alive");
-    farm.taken_over(1, &mut two, 1, 2, &job);
+    farm.assert_takeover(1, &mut two, 1, 2, &job);
     watch.end().exits(0);
-    farm.same_as_one_process(&job);
+    farm.assert_same_as_one_process(&job);
     drop((one, two));
-    farm.each_task_once();
+    farm.assert_each_task_once();
 }
 
 #[test]
 fn frozen_leader_becomes_standby_and_leads_after_the_next_death() {
     let Some(farm) = Farm::new() else { return };
-    let mut one = farm.coordinator(0);
+    let mut one = farm.start_coordinator(0);
     one.wait_until("its term", || farm.terms(0) == 1);
-    let mut two = farm.coordinator(1);
-    two.wait_until("its bow", || farm.bows(1) == 1);
+    let mut two = farm.start_coordinator(1);
+    two.wait_until("its bow", || farm.standby_notices(1) == 1);
     let (_first, _second) = (farm.worker("first"), farm.worker("second"));
     let job = farm.submit();
-    let mut watch = farm.place.start(&format!("watch {job} --server {}", farm.both()));
-    one.wait_until("some samples", || farm.share(0, &job).is_some_and(|share| share > 0.1));
+    let mut watch = farm.dir.start(&format!("watch {job} --server {}", farm.both_urls()));
+    one.wait_until("some samples", || farm.finished_share(0, &job).is_some_and(|share| share > 0.1));
     one.signal("STOP");
-    farm.taken_over(1, &mut two, 1, 2, &job);
+    farm.assert_takeover(1, &mut two, 1, 2, &job);
     one.signal("CONT");
-    one.wait_until("its bow", || farm.bows(0) == 1);
+    one.wait_until("its bow", || farm.standby_notices(0) == 1);
     assert_eq!((farm.terms(0), farm.terms(1)), (1, 1), "it has not led since");
-    assert_eq!(farm.share(0, &job), None, "and does not answer");
+    assert_eq!(farm.finished_share(0, &job), None, "and does not answer");
     assert!(two.kill(), "the leader was alive");
-    farm.taken_over(0, &mut one, 2, 2, &job);
+    farm.assert_takeover(0, &mut one, 2, 2, &job);
     watch.end().exits(0);
-    farm.same_as_one_process(&job);
+    farm.assert_same_as_one_process(&job);
     drop((one, two));
-    farm.each_task_once();
+    farm.assert_each_task_once();
 }
 
 #[test]
@@ -211,11 +212,10 @@ fn a_database_that_does_not_let_one_in_is_told_in_one_line() {
         (format!("postgres://ann:{password}@{nobody}/farm"), 1, "check that PostgreSQL runs there"),
         ("postgres://host:port/farm".to_owned(), 2, "postgres://user@host"),
     ] {
-        let ran =
-            farm.place.run(&format!("coordinator --listen 127.0.0.1:0 --store {store} --artifacts a")).exits(code);
+        let ran = farm.dir.run(&format!("coordinator --listen 127.0.0.1:0 --store {store} --artifacts a")).exits(code);
         assert!(ran.stderr().contains(word), "{}", ran.stderr());
         assert!(!ran.stderr().contains(password) && !ran.stderr().contains("panicked"), "{}", ran.stderr());
     }
-    let ran = farm.place.run(&format!("coordinator --listen 127.0.0.1:0 --store {url} --artifacts memory")).exits(2);
+    let ran = farm.dir.run(&format!("coordinator --listen 127.0.0.1:0 --store {url} --artifacts memory")).exits(2);
     assert!(ran.stderr().contains("share a folder"), "{}", ran.stderr());
 }

@@ -1,12 +1,12 @@
 //! Tests of a job's usage, as `femc stats` and `femc report` show it, with real workers.
 
 use crate::common::http::{free_port, metrics};
-use crate::common::{Place, coordinator, submit};
+use crate::common::{TestFolder, start_coordinator, submit};
 use std::collections::BTreeSet;
 use std::process::Command;
 
 /// Returns the processor seconds of a process so far, as reported by the system.
-fn processor(id: u32) -> f64 {
+fn process_cpu_seconds(id: u32) -> f64 {
     let stat = std::fs::read_to_string(format!("/proc/{id}/stat")).expect("a process");
     let fields = stat.rsplit_once(')').expect("a name").1.split_whitespace();
     fields.skip(11).take(2).map(|ticks| ticks.parse::<f64>().expect("ticks")).sum::<f64>() / 100.0
@@ -18,7 +18,7 @@ fn sum(rows: &serde_json::Value, column: &str) -> f64 {
 
 /// Returns the processor seconds of a worker's render threads so far, as reported by the system. Their names are the worker's name
 /// and a number.
-fn rendering(id: u32, name: &str) -> f64 {
+fn render_cpu_seconds(id: u32, name: &str) -> f64 {
     let tasks = std::fs::read_dir(format!("/proc/{id}/task")).expect("threads");
     let mut seconds = 0.0;
     for task in tasks {
@@ -38,30 +38,30 @@ const TICKS: f64 = 0.02;
 
 #[test]
 fn cpu_seconds_of_attempts_equal_system_cpu_seconds_of_workers() {
-    let place = Place::new();
-    let (mut farm, url) = coordinator(&place, 0);
+    let dir = TestFolder::new();
+    let (mut farm, url) = start_coordinator(&dir, 0);
     let start = |name: &'static str| {
         let port = free_port();
         let line = format!("worker --join {url} --threads 2 --name {name} --metrics {port}");
-        (name, port, place.start(&line))
+        (name, port, dir.start(&line))
     };
     let workers = [start("lab1"), start("lab2")];
-    let job = submit(&place, &url, "--spp 384 --frames 1..4");
-    place.run(&format!("watch {job} --quiet --server {url}")).exits(0);
+    let job = submit(&dir, &url, "--spp 384 --frames 1..4");
+    dir.run(&format!("watch {job} --quiet --server {url}")).exits(0);
     // When a worker holds no task, the coordinator has acknowledged all of its results.
     let counted = |name: &str| workers.iter().map(|(_, port, _)| metrics(*port).sum(name, &[])).sum::<f64>();
     farm.wait_until("the workers hold nothing", || counted("femc_worker_tasks_held") == 0.0);
-    let rendering = workers.iter().map(|(name, _, worker)| rendering(worker.id(), name)).sum::<f64>();
+    let render_seconds = workers.iter().map(|(name, _, worker)| render_cpu_seconds(worker.id(), name)).sum::<f64>();
     let (in_tasks, idle) = (counted("femc_worker_cpu_seconds_total"), counted("femc_worker_idle_cpu_seconds_total"));
-    let used = workers.iter().map(|(_, _, worker)| processor(worker.id())).sum::<f64>();
-    let stats = |what: &str| place.run(&format!("stats {job} {what} --server {url}")).exits(0);
+    let used = workers.iter().map(|(_, _, worker)| process_cpu_seconds(worker.id())).sum::<f64>();
+    let stats = |what: &str| dir.run(&format!("stats {job} {what} --server {url}")).exits(0);
     let recorded = sum(&stats("--by attempt --json").json(), "cpu_seconds");
     println!(
-        "{recorded} s of attempts, {rendering} s of threads that render, {in_tasks} s of tasks, {idle} s idle, {used} s"
+        "{recorded} s of attempts, {render_seconds} s of threads that render, {in_tasks} s of tasks, {idle} s idle, {used} s"
     );
     // No bound depends on the load of the machine, because all values are sums of processor time. After rendering, threads search
     // for more work for some microseconds, which may be counted after the report.
-    assert!(recorded >= 0.98 * rendering - 2.0 * TICKS, "{recorded} s of {rendering} s that rendering took");
+    assert!(recorded >= 0.98 * render_seconds - 2.0 * TICKS, "{recorded} s of {render_seconds} s that rendering took");
     assert!(recorded <= in_tasks * (1.0 + 1e-9), "{recorded} s of {in_tasks} s that workers counted");
     // Waiting for the acknowledgment after a task's report takes some time that belongs to neither value.
     let counted = in_tasks + idle;
@@ -85,16 +85,16 @@ fn cpu_seconds_of_attempts_equal_system_cpu_seconds_of_workers() {
     assert_eq!(Some(leases.len()), attempts.as_array().map(Vec::len), "each attempt once");
     assert!(sum(&attempts, "rays") > sum(&attempts, "samples") && sum(&attempts, "sent_bytes") > 0.0);
 
-    place.write("attempts.csv", &stats("--by attempt --csv").stdout());
+    dir.write("attempts.csv", &stats("--by attempt --csv").stdout());
     stats("--by attempt --parquet attempts.parquet");
     let script = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/frames");
     let arguments = ["attempts.parquet".into(), "attempts.csv".into(), recorded.to_string()];
-    let ran = Command::new(script).args(arguments).current_dir(place.path("")).output().expect("a script");
+    let ran = Command::new(script).args(arguments).current_dir(dir.path("")).output().expect("a script");
     println!("{}", String::from_utf8_lossy(&ran.stdout));
     assert!(ran.status.success(), "{}", String::from_utf8_lossy(&ran.stderr));
 
-    place.run(&format!("report {job} -o report.html --server {url}")).exits(0);
-    let page = place.read("report.html");
+    dir.run(&format!("report {job} -o report.html --server {url}")).exits(0);
+    let page = dir.read("report.html");
     assert_eq!(page.matches("<svg").count(), 5, "timeline, durations, errors, samples, cost");
     for outside in ["src=", "href=", "@import", "url("] {
         assert!(!page.contains(outside), "{outside} asks for something");
@@ -107,39 +107,39 @@ fn lease(row: &serde_json::Value) -> (String, u64) {
 
 #[test]
 fn stats_outlive_the_coordinator_and_failures_are_attempts() {
-    let place = Place::new();
-    let (mut farm, url) = coordinator(&place, 0);
-    let small = place.start(&format!("worker --join {url} --threads 1 --name small --memory 1M"));
-    let job = submit(&place, &url, "--spp 4 --frames 1");
-    let stats = |url: &str| place.run(&format!("stats {job} --by attempt --json --server {url}")).exits(0).json();
-    farm.wait_until("a failure", || sum_of(&stats(&url), "failed") > 0);
+    let dir = TestFolder::new();
+    let (mut farm, url) = start_coordinator(&dir, 0);
+    let small = dir.start(&format!("worker --join {url} --threads 1 --name small --memory 1M"));
+    let job = submit(&dir, &url, "--spp 4 --frames 1");
+    let stats = |url: &str| dir.run(&format!("stats {job} --by attempt --json --server {url}")).exits(0).json();
+    farm.wait_until("a failure", || count_endings(&stats(&url), "failed") > 0);
     drop(small);
-    let _large = place.start(&format!("worker --join {url} --threads 1 --name large"));
-    place.run(&format!("watch {job} --quiet --server {url}")).exits(0);
+    let _large = dir.start(&format!("worker --join {url} --threads 1 --name large"));
+    dir.run(&format!("watch {job} --quiet --server {url}")).exits(0);
     let before = stats(&url);
-    assert_eq!(sum_of(&before, "done"), 5, "four tiles and an image: {before}");
+    assert_eq!(count_endings(&before, "done"), 5, "four tiles and an image: {before}");
     let page = |url: &str| {
-        place.run(&format!("report {job} -o report.html --server {url}")).exits(0);
-        place.read("report.html")
+        dir.run(&format!("report {job} -o report.html --server {url}")).exits(0);
+        dir.read("report.html")
     };
     assert!(page(&url).contains("out of resources"), "failures come with their logs");
     assert!(farm.kill(), "it was alive");
     let port = url.rsplit(':').next().and_then(|port| port.parse().ok()).expect("a port");
-    let (_farm, url) = coordinator(&place, port);
+    let (_farm, url) = start_coordinator(&dir, port);
     assert_eq!(stats(&url), before);
 }
 
 /// Returns the number of attempts with this ending.
-fn sum_of(rows: &serde_json::Value, ending: &str) -> usize {
+fn count_endings(rows: &serde_json::Value, ending: &str) -> usize {
     rows.as_array().expect("rows").iter().filter(|row| row["ending"] == ending).count()
 }
 
 #[test]
 fn statistics_of_what_is_not_there_are_wrong_usage() {
-    let place = Place::new();
-    let (_farm, url) = coordinator(&place, 0);
+    let dir = TestFolder::new();
+    let (_farm, url) = start_coordinator(&dir, 0);
     for line in ["stats 77", "report 77"] {
-        let ran = place.run(&format!("{line} --server {url}")).exits(2);
+        let ran = dir.run(&format!("{line} --server {url}")).exits(2);
         assert!(ran.stderr().contains("77"), "{line}: {}", ran.stderr());
     }
 }

@@ -1,6 +1,6 @@
 //! Tests of `femc stylize`.
 
-use crate::common::{Place, names};
+use crate::common::{TestFolder, file_names};
 use femc_film::{FrameImage, Image, LayerImage, Picture, Provenance, exr};
 use std::collections::BTreeMap;
 
@@ -22,8 +22,8 @@ fn frame([width, height]: [u32; 2], color: impl Fn(u32, u32) -> [f32; 3]) -> Fra
 }
 
 /// Writes a frame with these colors to a file.
-fn write(place: &Place, name: &str, size: [u32; 2], color: impl Fn(u32, u32) -> [f32; 3]) {
-    exr::write(&place.path(name), &frame(size, color), &Provenance::default()).expect("an image");
+fn write(dir: &TestFolder, name: &str, size: [u32; 2], color: impl Fn(u32, u32) -> [f32; 3]) {
+    exr::write(&dir.path(name), &frame(size, color), &Provenance::default()).expect("an image");
 }
 
 /// Returns light that falls off with the distance from a pixel.
@@ -33,7 +33,7 @@ fn glow([u, v]: [u32; 2]) -> impl Fn(u32, u32) -> [f32; 3] {
 
 /// Writes the file of a frame's layers. Each layer is the same light times a factor.
 fn write_layers(
-    place: &Place,
+    dir: &TestFolder,
     name: &str,
     size: [u32; 2],
     color: impl Fn(u32, u32) -> [f32; 3],
@@ -45,39 +45,39 @@ fn write_layers(
         layer.color = frame.color.pixels.iter().map(|light| light.map(|value| factor * value)).collect();
     }
     let bytes = exr::encode_layers(&frame, &layers, &[], &[], &Provenance::default()).expect("an image");
-    std::fs::write(place.path(name), bytes).expect("written");
+    std::fs::write(dir.path(name), bytes).expect("written");
 }
 
 /// Creates a folder with source and target, both also with layers, and a painting.
-fn place() -> Place {
-    let place = Place::new();
-    write(&place, "a.exr", SIZE, glow([8, 8]));
-    write(&place, "b.exr", [30, 20], glow([20, 12]));
-    write_layers(&place, "a.layers.exr", SIZE, glow([8, 8]), &[("full", 1.0), ("direct", 0.5), ("lamp", 0.2)]);
-    write_layers(&place, "b.layers.exr", [30, 20], glow([20, 12]), &[("direct", 0.5), ("fog", 0.1), ("full", 1.0)]);
-    painting(&place, "p.png", SIZE);
-    place
+fn test_folder() -> TestFolder {
+    let dir = TestFolder::new();
+    write(&dir, "a.exr", SIZE, glow([8, 8]));
+    write(&dir, "b.exr", [30, 20], glow([20, 12]));
+    write_layers(&dir, "a.layers.exr", SIZE, glow([8, 8]), &[("full", 1.0), ("direct", 0.5), ("lamp", 0.2)]);
+    write_layers(&dir, "b.layers.exr", [30, 20], glow([20, 12]), &[("direct", 0.5), ("fog", 0.1), ("full", 1.0)]);
+    painting(&dir, "p.png", SIZE);
+    dir
 }
 
-fn painting(place: &Place, name: &str, [width, height]: [u32; 2]) {
+fn painting(dir: &TestFolder, name: &str, [width, height]: [u32; 2]) {
     let pixels = (0..width * height).map(|at| [(at * 37 % 251) as u8, (at % width * 9) as u8, (at / width * 11) as u8]);
     let picture = Picture { width, height, pixels: pixels.collect() };
-    std::fs::write(place.path(name), picture.to_png().expect("a PNG")).expect("written");
+    std::fs::write(dir.path(name), picture.to_png().expect("a PNG")).expect("written");
 }
 
-fn picture(place: &Place, name: &str) -> Picture {
-    Picture::from_png(&std::fs::read(place.path(name)).expect("a file")).expect("a PNG")
+fn picture(dir: &TestFolder, name: &str) -> Picture {
+    Picture::from_png(&std::fs::read(dir.path(name)).expect("a file")).expect("a PNG")
 }
 
 #[test]
 fn a_target_is_painted_whole_and_threads_change_no_bit() {
-    let place = place();
+    let dir = test_folder();
     let line = "stylize --style p.png --source a.layers.exr --target b.layers.exr";
-    let report = place.run(&format!("{line} -o one.png --threads 1 --json")).exits(0).json();
-    let other = place.run(&format!("{line} -o two.png --threads 2 --json")).exits(0).json();
-    let painted = picture(&place, "one.png");
+    let report = dir.run(&format!("{line} -o one.png --threads 1 --json")).exits(0).json();
+    let other = dir.run(&format!("{line} -o two.png --threads 2 --json")).exits(0).json();
+    let painted = picture(&dir, "one.png");
     assert_eq!((painted.width, painted.height), (30, 20));
-    assert!(painted == picture(&place, "two.png"), "threads change no bit");
+    assert!(painted == picture(&dir, "two.png"), "threads change no bit");
     assert_eq!(report["guides"], serde_json::json!(["direct", "full"]), "layers that both have");
     let [frame, other] = [&report, &other].map(|report| &report["frames"][0]);
     assert_eq!(frame["target_patches"], 26 * 16);
@@ -87,45 +87,45 @@ fn a_target_is_painted_whole_and_threads_change_no_bit() {
     }
     let entropy = |key: &str| frame[key].as_f64().expect("a number");
     assert!(entropy("usage_entropy") <= entropy("usage_entropy_most") + 1e-9, "{report}");
-    let said = place.run(&format!("{line} -o one.png --guides full --method em --mu 4 --patch 3 --levels 1")).exits(0);
+    let said = dir.run(&format!("{line} -o one.png --guides full --method em --mu 4 --patch 3 --levels 1")).exits(0);
     assert!(said.stdout().contains("entropy") && said.stderr().contains("wrote one.png"), "{}", said.stdout());
 }
 
 #[test]
 fn several_targets_go_to_a_folder_under_one_exposure() {
-    let place = place();
-    write(&place, "c-1.exr", SIZE, glow([4, 4]));
-    write(&place, "c-2.exr", SIZE, |x, y| glow([4, 4])(x, y).map(|light| 0.1 * light));
+    let dir = test_folder();
+    write(&dir, "c-1.exr", SIZE, glow([4, 4]));
+    write(&dir, "c-2.exr", SIZE, |x, y| glow([4, 4])(x, y).map(|light| 0.1 * light));
     let line = "stylize --style p.png --source a.exr";
-    let ran = place.run(&format!("{line} --target c-*.exr -o clip/ --json")).exits(0);
+    let ran = dir.run(&format!("{line} --target c-*.exr -o clip/ --json")).exits(0);
     assert!(ran.stderr().contains("no layer `motion`"), "{}", ran.stderr());
-    assert_eq!(names(&place.path("clip")), ["c-1.png", "c-2.png"]);
+    assert_eq!(file_names(&dir.path("clip")), ["c-1.png", "c-2.png"]);
     assert_eq!(ran.json()["frames"][1]["flicker"], serde_json::Value::Null, "the files have no layer `motion`");
     // By itself, the second frame is shown brighter than together with the first one.
-    place.run(&format!("{line} --target c-2.exr -o alone.png")).exits(0);
-    assert!(picture(&place, "clip/c-2.png") != picture(&place, "alone.png"), "both are as bright");
+    dir.run(&format!("{line} --target c-2.exr -o alone.png")).exits(0);
+    assert!(picture(&dir, "clip/c-2.png") != picture(&dir, "alone.png"), "both are as bright");
     // With a fixed exposure, other frames have no influence.
-    place.run(&format!("{line} --target c-1.exr c-2.exr -o clip/ --exposure 5")).exits(0);
-    place.run(&format!("{line} --target c-2.exr -o alone.png --exposure 5")).exits(0);
-    assert!(picture(&place, "clip/c-2.png") == picture(&place, "alone.png"), "they differ");
+    dir.run(&format!("{line} --target c-1.exr c-2.exr -o clip/ --exposure 5")).exits(0);
+    dir.run(&format!("{line} --target c-2.exr -o alone.png --exposure 5")).exits(0);
+    assert!(picture(&dir, "clip/c-2.png") == picture(&dir, "alone.png"), "they differ");
 }
 
 #[test]
 fn styles_come_with_the_program() {
-    let place = place();
+    let dir = test_folder();
     for style in ["hatching", "watercolor", "oil", "cel"] {
-        place.run(&format!("stylize --style {style} --target b.layers.exr -o {style}.png --iterations 1")).exits(0);
-        let painted = picture(&place, &format!("{style}.png"));
+        dir.run(&format!("stylize --style {style} --target b.layers.exr -o {style}.png --iterations 1")).exits(0);
+        let painted = picture(&dir, &format!("{style}.png"));
         assert_eq!((painted.width, painted.height), (30, 20), "{style}");
     }
-    assert!(picture(&place, "oil.png") != picture(&place, "cel.png"), "they are one style");
-    let ran = place.run("stylize --style aquatint --target b.layers.exr -o out.png").exits(2);
+    assert!(picture(&dir, "oil.png") != picture(&dir, "cel.png"), "they are one style");
+    let ran = dir.run("stylize --style aquatint --target b.layers.exr -o out.png").exits(2);
     assert!(ran.stderr().contains("hatching, watercolor, oil, cel"), "{}", ran.stderr());
 }
 
 #[test]
 fn painted_clip_frames_follow_motion() {
-    let place = place();
+    let dir = test_folder();
     let size = [40u32, 30];
     let pixels = (size[0] * size[1]) as usize;
     // Light that moves right by 3 pixels per frame.
@@ -138,12 +138,12 @@ fn painted_clip_frames_follow_motion() {
         let named =
             [("R", &light), ("G", &light), ("B", &light), ("motion.X", &dx), ("motion.Y", &dy), ("depth.Z", &z)];
         let channels = named.map(|(name, values)| exr::NamedChannel { name, values, precision: exr::Precision::Float });
-        let bytes = exr::encode_named(size, &channels, &BTreeMap::new()).expect("an image");
-        std::fs::write(place.path(&format!("m-{frame}.exr")), bytes).expect("written");
+        let bytes = exr::encode_named_channels(size, &channels, &BTreeMap::new()).expect("an image");
+        std::fs::write(dir.path(&format!("m-{frame}.exr")), bytes).expect("written");
     }
     let flicker = |boil: &str| {
         let line = format!("stylize --style p.png --source a.exr --target m-*.exr -o clip/ --boil {boil} --json");
-        let report = place.run(&line).exits(0).json();
+        let report = dir.run(&line).exits(0).json();
         assert_eq!(report["frames"][0]["flicker"], serde_json::Value::Null);
         (1..3).map(|at| report["frames"][at]["flicker"].as_f64().expect("it is known")).sum::<f64>() / 2.0
     };
@@ -154,25 +154,25 @@ fn painted_clip_frames_follow_motion() {
 
 #[test]
 fn a_clip_that_was_cut_off_goes_on_to_the_same_bytes() {
-    let place = place();
+    let dir = test_folder();
     let line = "stylize --style oil --target";
     for frame in 0..4u32 {
         let light = glow([40 + 9 * frame, 50]);
-        write_layers(&place, &format!("k-{frame}.exr"), [160, 120], light, &[("full", 1.0)]);
+        write_layers(&dir, &format!("k-{frame}.exr"), [160, 120], light, &[("full", 1.0)]);
     }
-    place.run(&format!("{line} k-*.exr -o whole/")).exits(0);
-    let mut running = place.start_as("paint", &format!("{line} k-*.exr -o cut/"));
-    running.wait_until("two frames are painted", || place.path("cut/k-1.png").exists());
+    dir.run(&format!("{line} k-*.exr -o whole/")).exits(0);
+    let mut running = dir.start_as("paint", &format!("{line} k-*.exr -o cut/"));
+    running.wait_until("two frames are painted", || dir.path("cut/k-1.png").exists());
     running.kill();
-    assert!(place.path("cut.part").exists(), "what is done is kept");
+    assert!(dir.path("cut.part").exists(), "what is done is kept");
     // A checkpoint of another style is not used.
-    std::fs::copy(place.path("cut.part"), place.path("other.part")).expect("a copy");
-    place.run("stylize --style cel --target k-*.exr -o other/").exits(0);
-    let ran = place.run(&format!("{line} k-*.exr -o cut/")).exits(0);
+    std::fs::copy(dir.path("cut.part"), dir.path("other.part")).expect("a copy");
+    dir.run("stylize --style cel --target k-*.exr -o other/").exits(0);
+    let ran = dir.run(&format!("{line} k-*.exr -o cut/")).exits(0);
     assert!(ran.stderr().contains("resuming, "), "{}", ran.stderr());
-    assert!(!place.path("cut.part").exists() && !place.path("other.part").exists());
+    assert!(!dir.path("cut.part").exists() && !dir.path("other.part").exists());
     for frame in 0..4 {
-        let [whole, cut, other] = ["whole", "cut", "other"].map(|run| picture(&place, &format!("{run}/k-{frame}.png")));
+        let [whole, cut, other] = ["whole", "cut", "other"].map(|run| picture(&dir, &format!("{run}/k-{frame}.png")));
         assert!(whole == cut, "frame {frame} differs");
         assert!(whole != other, "frame {frame} is of another style");
     }
@@ -180,30 +180,30 @@ fn a_clip_that_was_cut_off_goes_on_to_the_same_bytes() {
 
 #[test]
 fn frames_are_painted_when_they_are_rendered() {
-    let place = place();
+    let dir = test_folder();
     let line = "render fog.mgf -o clip --frames 1..2 --size 24x16 --spp 4";
-    let report = place.run(&format!("{line} --style hatching --json")).exits(0).json();
+    let report = dir.run(&format!("{line} --style hatching --json")).exits(0).json();
     let painted = report["painted"].as_array().expect("a list").clone();
     assert_eq!(painted.len(), 2, "{report}");
     let files: Vec<&str> = painted.iter().map(|file| file.as_str().expect("a name")).collect();
-    assert!(files.iter().all(|file| file.ends_with(".painted.png") && picture(&place, file).width == 24), "{files:?}");
+    assert!(files.iter().all(|file| file.ends_with(".painted.png") && picture(&dir, file).width == 24), "{files:?}");
     // The same result with `femc stylize`: each frame follows the previous one, with one exposure.
     let targets: Vec<String> = files.iter().map(|file| file.replace(".painted.png", ".layers.exr")).collect();
-    place.run(&format!("stylize --style hatching --target {} -o again/", targets.join(" "))).exits(0);
-    for (file, name) in files.iter().zip(names(&place.path("again"))) {
-        assert!(picture(&place, file) == picture(&place, &format!("again/{name}")), "{file} and {name} differ");
+    dir.run(&format!("stylize --style hatching --target {} -o again/", targets.join(" "))).exits(0);
+    for (file, name) in files.iter().zip(file_names(&dir.path("again"))) {
+        assert!(picture(&dir, file) == picture(&dir, &format!("again/{name}")), "{file} and {name} differ");
     }
-    let ran = place.run(&format!("{line} --style aquatint")).exits(2);
+    let ran = dir.run(&format!("{line} --style aquatint")).exits(2);
     assert!(ran.stderr().contains("--style aquatint"), "{}", ran.stderr());
-    place.run(&format!("{line} --boil 0.5")).exits(2);
-    place.run(&format!("{line} --style oil --boil 1.5")).exits(2);
+    dir.run(&format!("{line} --boil 0.5")).exits(2);
+    dir.run(&format!("{line} --style oil --boil 1.5")).exits(2);
 }
 
 #[test]
 fn the_source_itself_is_painted_as_the_painting_is() {
-    let place = place();
-    place.run("stylize --style p.png --source a.exr --target a.exr -o same.png").exits(0);
-    let (painted, painting) = (picture(&place, "same.png"), picture(&place, "p.png"));
+    let dir = test_folder();
+    dir.run("stylize --style p.png --source a.exr --target a.exr -o same.png").exits(0);
+    let (painted, painting) = (picture(&dir, "same.png"), picture(&dir, "p.png"));
     let pairs = painted.pixels.as_flattened().iter().zip(painting.pixels.as_flattened());
     let mean = pairs.map(|(a, b)| f64::from(a.abs_diff(*b))).sum::<f64>() / (3 * painting.pixels.len()) as f64;
     assert!(mean < 4.0, "{mean} levels off");
@@ -211,14 +211,14 @@ fn the_source_itself_is_painted_as_the_painting_is() {
 
 #[test]
 fn bad_input_says_what_is_wrong_and_where_and_paints_nothing() {
-    let place = place();
-    write(&place, "nan.exr", SIZE, |x, y| if (x, y) == (5, 7) { [1.0, f32::NAN, 1.0] } else { [1.0; 3] });
-    write(&place, "tiny.exr", [4, 30], |_, _| [1.0; 3]);
-    painting(&place, "large.png", [25, 18]);
+    let dir = test_folder();
+    write(&dir, "nan.exr", SIZE, |x, y| if (x, y) == (5, 7) { [1.0, f32::NAN, 1.0] } else { [1.0; 3] });
+    write(&dir, "tiny.exr", [4, 30], |_, _| [1.0; 3]);
+    painting(&dir, "large.png", [25, 18]);
     for name in ["lamp", "fog"] {
-        write_layers(&place, &format!("{name}.layers.exr"), SIZE, glow([3, 3]), &[(name, 1.0)]);
+        write_layers(&dir, &format!("{name}.layers.exr"), SIZE, glow([3, 3]), &[(name, 1.0)]);
     }
-    let before = names(&place.path("."));
+    let before = file_names(&dir.path("."));
     for (arguments, code, said) in [
         ("--style large.png --source a.exr --target b.exr", 1, "large.png has 25x18 pixels, the source a.exr 24x18"),
         ("--style p.png --source a.exr --target a.exr b.exr", 2, "2 targets, but this is one picture; give a folder"),
@@ -240,11 +240,11 @@ fn bad_input_says_what_is_wrong_and_where_and_paints_nothing() {
         ("--style p.png --source a.exr --target b.exr --boil 2", 2, "--boil 2"),
         ("--style p.png --source a.exr --target b.exr --method magic", 2, "--method"),
     ] {
-        let ran = place.run(&format!("stylize {arguments} -o out.png")).exits(code);
+        let ran = dir.run(&format!("stylize {arguments} -o out.png")).exits(code);
         assert!(ran.stderr().contains(said), "{arguments}: {}", ran.stderr());
         assert_eq!(ran.stdout(), "", "{arguments}");
     }
-    let ran = place.run("stylize --style p.png --source a.exr --target b.exr -o out.exr").exits(2);
+    let ran = dir.run("stylize --style p.png --source a.exr --target b.exr -o out.exr").exits(2);
     assert!(ran.stderr().contains("give FILE.png, or a folder"), "{}", ran.stderr());
-    assert_eq!(names(&place.path(".")), before);
+    assert_eq!(file_names(&dir.path(".")), before);
 }

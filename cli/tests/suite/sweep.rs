@@ -1,36 +1,36 @@
 //! End-to-end tests of `femc sweep`.
 
 use crate::common;
-use crate::common::{Place, coordinator, names, pixels};
+use crate::common::{TestFolder, file_names, pixels, start_coordinator};
 use serde_json::Value;
 
 /// A job with two lamps, two fogs and two frames: eight frames to render.
 const JOB: &str = "scene = \"fog.mgf\"\nframes = \"1..2\"\nspp = 2\nsize = \"16x16\"\nthreads = 1\n\
     [sweep]\n\"medium.fog.sigma_s\" = [0.05, 0.2]\n\"material.lamp.ed\" = [100, 300]\n";
 
-fn place(job: &str) -> Place {
-    let place = Place::new();
-    place.write("j.toml", job);
-    place
+fn test_folder(job: &str) -> TestFolder {
+    let dir = TestFolder::new();
+    dir.write("j.toml", job);
+    dir
 }
 
 fn counts(report: &Value) -> [u64; 3] {
     ["rendered", "linked", "kept"].map(|key| report[key].as_u64().unwrap_or_else(|| panic!("{key} in {report}")))
 }
 
-fn sweep(place: &Place, line: &str) -> Value {
-    place.run(&format!("sweep j.toml --json {line}")).exits(0).json()
+fn sweep(dir: &TestFolder, line: &str) -> Value {
+    dir.run(&format!("sweep j.toml --json {line}")).exits(0).json()
 }
 
 #[test]
 fn grid_sweep_writes_folders_tables_sheet_and_equals_renders() {
-    let place = place(&format!(
+    let dir = test_folder(&format!(
         "{JOB}[regions]\nlamp = [4, 0, 12, 4]\nfloor = [4, 12, 12, 16]\n[contrasts]\nseen = [\"lamp\", \"floor\"]\n"
     ));
-    let report = sweep(&place, "-o out --local");
+    let report = sweep(&dir, "-o out --local");
     assert_eq!(counts(&report), [8, 0, 0]);
     assert_eq!(
-        names(&place.path("out")),
+        file_names(&dir.path("out")),
         [
             "contact.png",
             "frames.csv",
@@ -45,15 +45,15 @@ fn grid_sweep_writes_folders_tables_sheet_and_equals_renders() {
             "variants.parquet"
         ]
     );
-    place.run("render fog.mgf -o alone --frames 1..2 --spp 2 --size 16x16 --set medium.fog.sigma_s=0.2 --set material.lamp.ed=300").exits(0);
+    dir.run("render fog.mgf -o alone --frames 1..2 --spp 2 --size 16x16 --set medium.fog.sigma_s=0.2 --set material.lamp.ed=300").exits(0);
     for name in ["fog.0001.exr", "fog.0002.exr"] {
-        assert_eq!(pixels(&place.path("out/sigma_s=0.2,ed=300").join(name)), pixels(&place.path("alone").join(name)));
+        assert_eq!(pixels(&dir.path("out/sigma_s=0.2,ed=300").join(name)), pixels(&dir.path("alone").join(name)));
     }
-    let compared = place.run("compare out/sigma_s=0.2,ed=300 out/sigma_s=0.2,ed=100 --json").exits(0).json();
+    let compared = dir.run("compare out/sigma_s=0.2,ed=300 out/sigma_s=0.2,ed=100 --json").exits(0).json();
     assert_eq!(compared["frames"].as_array().map(Vec::len), Some(2));
     let mean_ratio = compared["mean"]["mean_ratio"].as_f64().expect("a ratio");
     assert!((mean_ratio - 3.0).abs() < 0.01, "{compared}");
-    let csv = place.read("out/variants.csv");
+    let csv = dir.read("out/variants.csv");
     let lines: Vec<&str> = csv.lines().collect();
     assert_eq!(lines.len(), 5, "{csv}");
     assert_eq!(
@@ -64,40 +64,40 @@ fn grid_sweep_writes_folders_tables_sheet_and_equals_renders() {
         |line: &str| line.rsplit(',').nth(6).and_then(|cell| cell.parse::<f64>().ok()).expect("a luminance");
     let ratio = luminance(lines[2]) / luminance(lines[1]);
     assert!((ratio - 3.0).abs() < 0.01, "three times the lamp: {ratio}\n{csv}");
-    assert_eq!(place.read("out/frames.csv").lines().count(), 9);
+    assert_eq!(dir.read("out/frames.csv").lines().count(), 9);
 }
 
 #[test]
 fn grown_sweep_runs_only_new_variants_and_a_rerun_nothing() {
-    let place = place(JOB);
-    assert_eq!(counts(&sweep(&place, "-o out --local")), [8, 0, 0]);
-    assert_eq!(counts(&sweep(&place, "-o out --local")), [0, 0, 8]);
-    place.write("j.toml", &JOB.replace("[0.05, 0.2]", "[0.05, 0.1, 0.2]"));
-    assert_eq!(counts(&sweep(&place, "-o out --local")), [4, 0, 8]);
-    place.write("j.toml", &JOB.replace("1..2", "1..3"));
-    assert_eq!(counts(&sweep(&place, "-o out --local")), [4, 0, 8]);
-    place.write("j.toml", &format!("{JOB}seed = [1, 2]\n"));
+    let dir = test_folder(JOB);
+    assert_eq!(counts(&sweep(&dir, "-o out --local")), [8, 0, 0]);
+    assert_eq!(counts(&sweep(&dir, "-o out --local")), [0, 0, 8]);
+    dir.write("j.toml", &JOB.replace("[0.05, 0.2]", "[0.05, 0.1, 0.2]"));
+    assert_eq!(counts(&sweep(&dir, "-o out --local")), [4, 0, 8]);
+    dir.write("j.toml", &JOB.replace("1..2", "1..3"));
+    assert_eq!(counts(&sweep(&dir, "-o out --local")), [4, 0, 8]);
+    dir.write("j.toml", &format!("{JOB}seed = [1, 2]\n"));
     assert_eq!(
-        counts(&sweep(&place, "-o out --local")),
+        counts(&sweep(&dir, "-o out --local")),
         [8, 8, 0],
         "the variants have other names, and half of them is there"
     );
-    std::fs::remove_file(place.path("out/sigma_s=0.05,ed=100,seed=2/fog.0001.exr")).expect("a frame");
-    assert_eq!(counts(&sweep(&place, "-o out --local")), [1, 0, 15], "what was removed is rendered again");
+    std::fs::remove_file(dir.path("out/sigma_s=0.05,ed=100,seed=2/fog.0001.exr")).expect("a frame");
+    assert_eq!(counts(&sweep(&dir, "-o out --local")), [1, 0, 15], "what was removed is rendered again");
 }
 
 #[test]
 fn frames_of_another_engine_build_are_not_reused() {
-    let place = place(JOB);
-    assert_eq!(counts(&sweep(&place, "-o out --local")), [8, 0, 0]);
-    let mut other = place.command("sweep j.toml --json -o out --local");
+    let dir = test_folder(JOB);
+    assert_eq!(counts(&sweep(&dir, "-o out --local")), [8, 0, 0]);
+    let mut other = dir.command("sweep j.toml --json -o out --local");
     let again = other.env("FEMC_PRETEND", "engine=another").output().expect("femc starts");
     let notes = String::from_utf8_lossy(&again.stderr);
     assert!(notes.contains("another build of the engine") && notes.contains("this is another"), "{notes}");
     let report = serde_json::from_slice(&again.stdout).unwrap_or_else(|error| panic!("{error}: {notes}"));
     assert_eq!(counts(&report), [8, 0, 0]);
     let renders = |engine: Option<&str>| {
-        let mut command = place.command("render fog.mgf -o alone --frames 1..2 --spp 2 --size 16x16 --json");
+        let mut command = dir.command("render fog.mgf -o alone --frames 1..2 --spp 2 --size 16x16 --json");
         engine.map(|engine| command.env("FEMC_PRETEND", format!("engine={engine}")));
         let report: Value = serde_json::from_slice(&command.output().expect("femc starts").stdout).expect("JSON");
         report["rendered"].clone()
@@ -109,15 +109,15 @@ fn frames_of_another_engine_build_are_not_reused() {
 
 #[test]
 fn what_a_sweep_took_is_kept_in_its_folder_and_asks_no_farm() {
-    let place = place(JOB);
-    sweep(&place, "-o out --local");
-    let stats = |what: &str| place.run(&format!("stats out {what}")).exits(0);
+    let dir = test_folder(JOB);
+    sweep(&dir, "-o out --local");
+    let stats = |what: &str| dir.run(&format!("stats out {what}")).exits(0);
     let samples = |rows: &Value| -> Vec<u64> {
         rows.as_array().expect("rows").iter().map(|row| row["samples"].as_u64().expect("a count")).collect()
     };
     assert_eq!(samples(&stats("--by variant --json").json()), [2 * 2 * 16 * 16; 4]);
-    place.write("j.toml", &JOB.replace("[0.05, 0.2]", "[0.05, 0.1, 0.2]"));
-    sweep(&place, "-o out --local");
+    dir.write("j.toml", &JOB.replace("[0.05, 0.2]", "[0.05, 0.1, 0.2]"));
+    sweep(&dir, "-o out --local");
     assert_eq!(samples(&stats("--by variant --json").json()), [2 * 2 * 16 * 16; 6]);
     let frames = stats("--by frame --json").json();
     assert_eq!(samples(&frames), [2 * 16 * 16; 12], "jobs of two farms with equal numbers are not one");
@@ -130,29 +130,29 @@ fn what_a_sweep_took_is_kept_in_its_folder_and_asks_no_farm() {
     assert!(run("sigma_s=0.1", "began_seconds").iter().all(|began| *began >= last - 1e-3), "one run after the other");
     let table = stats("--by variant").stdout();
     assert!(table.contains("sigma_s=0.1,ed=300"), "{table}");
-    place.run("report out").exits(0);
-    let page = place.read("out/report.html");
+    dir.run("report out").exits(0);
+    let page = dir.read("out/report.html");
     assert_eq!(page.matches("<svg").count(), 5, "timeline, durations, errors, samples, variants");
     assert!(page.contains("sigma_s=0.1,ed=300"));
-    let ran = place.run("stats nowhere").exits(2);
+    let ran = dir.run("stats nowhere").exits(2);
     assert!(ran.stderr().contains("nowhere"), "{}", ran.stderr());
 }
 
 #[test]
 fn frames_that_are_the_same_are_rendered_once_and_linked() {
     // The change of another camera does not affect the frames of `main`.
-    let place = place(
+    let dir = test_folder(
         "scene = \"fog.mgf\"\nframes = \"1..2\"\nspp = 2\nsize = \"16x16\"\n[sweep]\n\"camera.other.fov\" = [30, 50]\n\
          camera = [\"main\", \"other\"]\n",
     );
-    place.write("fog.mgf", &format!("{}camera other =\n\torigin 0 -3 1\n\ttarget 0 0 1\n\tfov 40\n", common::FOG));
-    let plan = place.run("plan j.toml --json").exits(0).json();
+    dir.write("fog.mgf", &format!("{}camera other =\n\torigin 0 -3 1\n\ttarget 0 0 1\n\tfov 40\n", common::FOG));
+    let plan = dir.run("plan j.toml --json").exits(0).json();
     assert_eq!(
         (plan["frames"].as_u64(), plan["render"].as_u64(), plan["linked"].as_u64()),
         (Some(8), Some(6), Some(2))
     );
-    assert_eq!(counts(&sweep(&place, "-o out --local")), [6, 2, 0]);
-    let [first, second] = ["fov=30", "fov=50"].map(|fov| place.path(&format!("out/{fov},camera=main/fog.0001.exr")));
+    assert_eq!(counts(&sweep(&dir, "-o out --local")), [6, 2, 0]);
+    let [first, second] = ["fov=30", "fov=50"].map(|fov| dir.path(&format!("out/{fov},camera=main/fog.0001.exr")));
     assert_eq!(pixels(&first), pixels(&second));
     #[cfg(unix)]
     {
@@ -162,83 +162,83 @@ fn frames_that_are_the_same_are_rendered_once_and_linked() {
     }
     // Replacing a frame does not change its linked twin.
     let before = pixels(&second);
-    let job = place.read("j.toml").replace("[30, 50]", "[30]").replace("spp = 2", "spp = 3");
-    place.write("j.toml", &job);
-    assert_eq!(counts(&sweep(&place, "-o out --local")), [4, 0, 0]);
+    let job = dir.read("j.toml").replace("[30, 50]", "[30]").replace("spp = 2", "spp = 3");
+    dir.write("j.toml", &job);
+    assert_eq!(counts(&sweep(&dir, "-o out --local")), [4, 0, 0]);
     assert_eq!(pixels(&second), before);
     assert_ne!(pixels(&first), before);
 }
 
 #[test]
 fn variants_that_differ_in_the_camera_share_their_worlds() {
-    let place = place(
+    let dir = test_folder(
         "scene = \"fog.mgf\"\nframes = \"1..2\"\nspp = 1\n[sweep]\n\"camera.main.fov\" = [30, 40, 50]\n\"medium.fog.sigma_s\" = [0.1, 0.2]\n",
     );
-    let plan = place.run("plan j.toml --no-trial --json").exits(0).json();
+    let plan = dir.run("plan j.toml --no-trial --json").exits(0).json();
     assert_eq!(plan["render"], 12);
     assert_eq!(plan["worlds"], 2, "one for each fog: nothing else changes from frame to frame");
 }
 
 #[test]
 fn killed_farm_sweep_resumes_without_rendering_twice() {
-    let place = place(&JOB.replace("spp = 2", "spp = 200"));
-    let (mut farm, url) = coordinator(&place, 0);
-    let _worker = place.start(&format!("worker --join {url} --threads 1"));
-    let mut run = place.start(&format!("sweep j.toml -o out --server {url}"));
-    run.wait_until("a frame", || !names(&place.path("out/sigma_s=0.05,ed=100")).is_empty());
+    let dir = test_folder(&JOB.replace("spp = 2", "spp = 200"));
+    let (mut farm, url) = start_coordinator(&dir, 0);
+    let _worker = dir.start(&format!("worker --join {url} --threads 1"));
+    let mut run = dir.start(&format!("sweep j.toml -o out --server {url}"));
+    run.wait_until("a frame", || !file_names(&dir.path("out/sigma_s=0.05,ed=100")).is_empty());
     assert!(run.kill(), "it was under way");
     farm.wait_until("all jobs", || {
-        let jobs = place.run(&format!("jobs --json --server {url}")).exits(0).json();
+        let jobs = dir.run(&format!("jobs --json --server {url}")).exits(0).json();
         let jobs = jobs.as_array().expect("a list").clone();
         jobs.len() == 4 && jobs.iter().all(|job| job["state"] == "done")
     });
-    let report = sweep(&place, &format!("-o out --server {url}"));
+    let report = sweep(&dir, &format!("-o out --server {url}"));
     let [rendered, linked, kept] = counts(&report);
     assert_eq!((rendered + kept, linked), (8, 0), "{report}");
-    let jobs = place.run(&format!("jobs --json --server {url}")).exits(0).json();
+    let jobs = dir.run(&format!("jobs --json --server {url}")).exits(0).json();
     assert_eq!(jobs.as_array().map(Vec::len), Some(4), "no job was queued twice: {jobs}");
     let frames: u64 = jobs.as_array().expect("a list").iter().filter_map(|job| job["frames"].as_u64()).sum();
     assert_eq!(frames, 8);
-    assert_eq!(place.read("out/frames.csv").lines().count(), 9);
+    assert_eq!(dir.read("out/frames.csv").lines().count(), 9);
 }
 
 #[test]
 fn a_killed_local_sweep_goes_on() {
-    let place = place(&JOB.replace("spp = 2", "spp = 200"));
-    let mut run = place.start("sweep j.toml -o out --local");
-    run.wait_until("a frame", || !names(&place.path("out/sigma_s=0.05,ed=100")).is_empty());
+    let dir = test_folder(&JOB.replace("spp = 2", "spp = 200"));
+    let mut run = dir.start("sweep j.toml -o out --local");
+    run.wait_until("a frame", || !file_names(&dir.path("out/sigma_s=0.05,ed=100")).is_empty());
     assert!(run.kill(), "it was under way");
-    sweep(&place, "-o out --local");
-    place.run("sweep j.toml -o other --local").exits(0);
+    sweep(&dir, "-o out --local");
+    dir.run("sweep j.toml -o other --local").exits(0);
     for variant in ["sigma_s=0.05,ed=100", "sigma_s=0.2,ed=300"] {
         let [out, other] =
-            ["out", "other"].map(|folder| pixels(&place.path(&format!("{folder}/{variant}/fog.0002.exr"))));
+            ["out", "other"].map(|folder| pixels(&dir.path(&format!("{folder}/{variant}/fog.0002.exr"))));
         assert_eq!(out, other);
     }
-    assert!(!place.path("out/.femc").exists(), "nothing is left to resume");
+    assert!(!dir.path("out/.femc").exists(), "nothing is left to resume");
 }
 
 #[test]
 fn detached_sweep_prints_its_jobs_and_is_collected_later() {
-    let place = place(JOB);
-    let (_farm, url) = coordinator(&place, 0);
-    let ran = place.run(&format!("sweep j.toml --server {url}")).exits(0);
+    let dir = test_folder(JOB);
+    let (_farm, url) = start_coordinator(&dir, 0);
+    let ran = dir.run(&format!("sweep j.toml --server {url}")).exits(0);
     assert_eq!(ran.stdout().lines().collect::<Vec<_>>(), ["1", "2", "3", "4"]);
-    let ran = place.run(&format!("sweep j.toml -o out --detach --server {url}")).exits(0);
+    let ran = dir.run(&format!("sweep j.toml -o out --detach --server {url}")).exits(0);
     assert_eq!(ran.stdout().lines().collect::<Vec<_>>(), ["5", "6", "7", "8"]);
-    let _worker = place.start(&format!("worker --join {url} --threads 1"));
-    let report = sweep(&place, &format!("-o out --server {url}"));
+    let _worker = dir.start(&format!("worker --join {url} --threads 1"));
+    let report = sweep(&dir, &format!("-o out --server {url}"));
     assert_eq!(report["jobs"][0]["job"], 5, "{report}");
-    place.run(&format!("watch 4 --server {url}")).exits(0);
-    place.run(&format!("fetch 4 -o fetched --server {url}")).exits(0);
+    dir.run(&format!("watch 4 --server {url}")).exits(0);
+    dir.run(&format!("fetch 4 -o fetched --server {url}")).exits(0);
     // `femc fetch` uses the job's name, which contains the variant, for file names; a sweep has a folder for each variant.
     let (fetched, own) = ("fetched/fog-sigma_s=0.2,ed=300.0002.exr", "out/sigma_s=0.2,ed=300/fog.0002.exr");
-    assert_eq!(pixels(&place.path(fetched)), pixels(&place.path(own)));
+    assert_eq!(pixels(&dir.path(fetched)), pixels(&dir.path(own)));
 }
 
 #[test]
 fn scene_errors_of_a_sweep_name_the_place_in_the_job_file() {
-    let place = place(JOB);
+    let dir = test_folder(JOB);
     for (from, to, said) in [
         ("0.05, 0.2", "0.05, -1", "j.toml:7:31: `medium.fog.sigma_s`"),
         ("medium.fog", "medium.frog", "j.toml:7:26: unknown scalar `medium.frog.sigma_s`"),
@@ -248,18 +248,18 @@ fn scene_errors_of_a_sweep_name_the_place_in_the_job_file() {
         ("[sweep]\n", "[regions]\nsign = [0, 0, 16, 17]\n[sweep]\n", "j.toml:7:8: region `sign`"),
         ("spp = 2", "spp = 0", "j.toml:3:1: spp must be at least 1"),
     ] {
-        place.write("j.toml", &JOB.replace(from, to));
-        let ran = place.run("sweep j.toml -o out --local").exits(2);
+        dir.write("j.toml", &JOB.replace(from, to));
+        let ran = dir.run("sweep j.toml -o out --local").exits(2);
         assert!(ran.stderr().contains(said), "{to}: {}", ran.stderr());
     }
-    place.write("j.toml", JOB);
-    let ran = place.run("sweep j.toml -o out --local --set material.lamp.ed=3").exits(2);
+    dir.write("j.toml", JOB);
+    let ran = dir.run("sweep j.toml -o out --local --set material.lamp.ed=3").exits(2);
     assert!(ran.stderr().contains("j.toml:8:1: `material.lamp.ed` is an axis"), "{}", ran.stderr());
-    let ran = place.run("submit j.toml").exits(2);
+    let ran = dir.run("submit j.toml").exits(2);
     assert!(ran.stderr().contains("j.toml:6:1") && ran.stderr().contains("femc sweep"), "{}", ran.stderr());
-    place.write("j.toml", JOB.split("[sweep]").next().unwrap_or_default());
-    let ran = place.run("sweep j.toml -o out --local").exits(2);
+    dir.write("j.toml", JOB.split("[sweep]").next().unwrap_or_default());
+    let ran = dir.run("sweep j.toml -o out --local").exits(2);
     assert!(ran.stderr().contains("femc submit"), "{}", ran.stderr());
-    place.run("sweep fog.toml --detach").exits(2);
-    assert!(!place.path("out").exists(), "nothing was begun");
+    dir.run("sweep fog.toml --detach").exits(2);
+    assert!(!dir.path("out").exists(), "nothing was begun");
 }

@@ -2,7 +2,7 @@
 #![cfg(target_os = "linux")]
 
 use crate::common::http::{free_port, metrics};
-use crate::common::{Place, Ran, Running, coordinator};
+use crate::common::{CommandOutput, TestFolder, TestProcess, start_coordinator};
 use std::fmt::Write as _;
 use std::process::Command;
 
@@ -12,11 +12,11 @@ const GLOBAL: usize = 1000;
 const MEMORY: usize = 1_500_000;
 
 /// Returns `femc` in a process in which rayon's global pool cannot be started.
-fn confined(place: &Place, line: &str) -> Command {
+fn confined_command(dir: &TestFolder, line: &str) -> Command {
     let mut command = Command::new("sh");
-    let femc = place.command(line);
+    let femc = dir.command(line);
     command.arg("-c").arg(format!("ulimit -v {MEMORY}; exec \"$0\" \"$@\"")).arg(femc.get_program());
-    command.args(femc.get_args()).current_dir(place.path(""));
+    command.args(femc.get_args()).current_dir(dir.path(""));
     for (name, value) in femc.get_envs() {
         match value {
             Some(value) => command.env(name, value),
@@ -28,14 +28,14 @@ fn confined(place: &Place, line: &str) -> Command {
     command
 }
 
-fn run(place: &Place, line: &str) -> Ran {
-    Running::of(&mut confined(place, line)).end().exits(0)
+fn run(dir: &TestFolder, line: &str) -> CommandOutput {
+    TestProcess::spawn(&mut confined_command(dir, line)).end().exits(0)
 }
 
 /// Writes scenes whose trees and images are large enough for many threads: a fine mesh in `fine.mgf`, and `wide.mgf`, whose camera
 /// sees nothing, so that its many pixels take little time.
-fn scenes(place: &Place) {
-    let (fog, mut mesh) = (place.read("fog.mgf"), String::from("m wall\n"));
+fn scenes(dir: &TestFolder) {
+    let (fog, mut mesh) = (dir.read("fog.mgf"), String::from("m wall\n"));
     let side = 60;
     for (x, y) in (0..=side).flat_map(|y| (0..=side).map(move |x| (x, y))) {
         let at = |n: i32| 1.8 * f64::from(n) / f64::from(side) - 0.9;
@@ -45,17 +45,14 @@ fn scenes(place: &Place) {
         let (a, b) = (x + 1, y + 1);
         writeln!(mesh, "f g{x}_{y} g{a}_{y} g{a}_{b}\nf g{x}_{y} g{a}_{b} g{x}_{b}").expect("text");
     }
-    place.write("fine.mgf", &format!("{fog}{mesh}"));
-    place.write(
-        "wide.mgf",
-        &fog.replace("origin 0 -3.4 1", "origin 0 -3.4 50").replace("target 0 0 1", "target 0 0 90"),
-    );
+    dir.write("fine.mgf", &format!("{fog}{mesh}"));
+    dir.write("wide.mgf", &fog.replace("origin 0 -3.4 1", "origin 0 -3.4 50").replace("target 0 0 1", "target 0 0 90"));
 }
 
 #[test]
 fn a_render_starts_no_threads_beside_its_own() {
-    let place = Place::new();
-    scenes(&place);
+    let dir = TestFolder::new();
+    scenes(&dir);
     for line in [
         "fine.mgf --frames 1 --spp 1 --layers guides --stats",
         "wide.mgf --frames 1 --spp 1 --size 640x420 --layers guides --preview --contact-sheet sheet.png",
@@ -63,9 +60,9 @@ fn a_render_starts_no_threads_beside_its_own() {
         "fog.mgf --frames 1 --spp 1 --method fem",
         "fog.mgf --frames 1 --spp 1 --method femc",
     ] {
-        run(&place, &format!("render {line} --threads 1 -o out"));
+        run(&dir, &format!("render {line} --threads 1 -o out"));
     }
-    run(&place, "plan fine.mgf --frames 1 --spp 1 --threads 1 --json");
+    run(&dir, "plan fine.mgf --frames 1 --spp 1 --threads 1 --json");
 }
 
 /// Stack size of a thread in bytes. It is large, so that when a thread does not fit, the earlier threads still have room for their
@@ -74,15 +71,15 @@ const STACK: usize = 128 << 20;
 
 #[test]
 fn thread_start_failure_is_an_error_with_advice() {
-    let place = Place::new();
-    let (_farm, url) = coordinator(&place, 0);
+    let dir = TestFolder::new();
+    let (_farm, url) = start_coordinator(&dir, 0);
     for line in [
         format!("worker --join {url} --threads {GLOBAL}"),
         format!("render fog.mgf --frames 1 --spp 1 --method pt --threads {GLOBAL} -o out"),
         format!("plan fog.mgf --frames 1 --threads {GLOBAL}"),
     ] {
-        let mut command = confined(&place, &line);
-        let error = Running::of(command.env("RUST_MIN_STACK", STACK.to_string())).end().exits(1).stderr();
+        let mut command = confined_command(&dir, &line);
+        let error = TestProcess::spawn(command.env("RUST_MIN_STACK", STACK.to_string())).end().exits(1).stderr();
         assert!(error.contains("cannot start threads") && error.contains("ulimit -u"), "{line}: {error}");
         assert!(!error.contains("panic"), "{line}: {error}");
     }
@@ -90,21 +87,21 @@ fn thread_start_failure_is_an_error_with_advice() {
 
 #[test]
 fn worker_starts_no_extra_threads_for_any_task() {
-    let place = Place::new();
-    scenes(&place);
-    let (_farm, url) = coordinator(&place, 0);
+    let dir = TestFolder::new();
+    scenes(&dir);
+    let (_farm, url) = start_coordinator(&dir, 0);
     let port = free_port();
     let line = format!("worker --join {url} --threads 1 --name w1 --metrics {port}");
-    let mut worker = Running::of(&mut confined(&place, &line));
+    let mut worker = TestProcess::spawn(&mut confined_command(&dir, &line));
     for line in [
         "fine.mgf --frames 1..2 --spp 1 --layers guides --stats --method pt",
         "wide.mgf --frames 1 --spp 1 --size 640x420 --preview --method pt",
         "fog.mgf --frames 1..2 --error 0.5 --contact-sheet sheet.png --layers guides --style oil --method pt",
         "fog.mgf --frames 1 --spp 1 --method femc",
     ] {
-        let ran = place.run(&format!("submit {line} --server {url}")).exits(0);
+        let ran = dir.run(&format!("submit {line} --server {url}")).exits(0);
         let job = ran.stdout().lines().last().expect("a job").to_owned();
-        place.run(&format!("watch {job} --quiet --server {url}")).exits(0);
+        dir.run(&format!("watch {job} --quiet --server {url}")).exits(0);
     }
     let done = metrics(port);
     for stage in ["render", "reduce", "decide", "image", "encode", "paint", "first-pass"] {

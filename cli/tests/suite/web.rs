@@ -6,7 +6,7 @@ use std::net::TcpStream;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use crate::common::http::{Answer, CHANGE, ask};
-use crate::common::{PATIENCE, Place, coordinator, submit};
+use crate::common::{STEP_TIMEOUT, TestFolder, start_coordinator, submit};
 
 fn get(address: &str, path: &str) -> Answer {
     ask(address, &format!("GET /api/v1/{path}"), &[], "")
@@ -17,12 +17,12 @@ fn address(url: &str) -> String {
 }
 
 /// A web page that listens for events.
-struct Listener(BufReader<TcpStream>);
+struct EventListener(BufReader<TcpStream>);
 
-impl Listener {
+impl EventListener {
     fn connect(address: &str, last: Option<&str>) -> Self {
         let mut stream = TcpStream::connect(address).expect("a connection");
-        stream.set_read_timeout(Some(PATIENCE)).expect("a timeout");
+        stream.set_read_timeout(Some(STEP_TIMEOUT)).expect("a timeout");
         let last = last.map_or(String::new(), |id| format!("Last-Event-ID: {id}\r\n"));
         write!(stream, "GET /api/v1/feed HTTP/1.1\r\nHost: {address}\r\n{last}\r\n").expect("it listens");
         Self(BufReader::new(stream))
@@ -49,19 +49,19 @@ impl Listener {
 
 #[test]
 fn page_follows_job_from_submission_to_picture_and_controls_it() {
-    let place = Place::new();
-    let (_coordinator, url) = coordinator(&place, 0);
+    let dir = TestFolder::new();
+    let (_coordinator, url) = start_coordinator(&dir, 0);
     let address = address(&url);
     let me = get(&address, "me").json();
     assert!(me["role"].is_null() && me["secured"] == false && me["engine"].as_str().is_some_and(|it| !it.is_empty()));
-    let job = submit(&place, &url, "--frames 1..2 --spp 4");
+    let job = submit(&dir, &url, "--frames 1..2 --spp 4");
     // The list equals that of the command line.
     let listed = get(&address, "jobs").json();
-    assert_eq!(listed["jobs"], place.run(&format!("jobs --json --server {url}")).exits(0).json());
+    assert_eq!(listed["jobs"], dir.run(&format!("jobs --json --server {url}")).exits(0).json());
     let submitted = listed["jobs"][0]["submitted"].as_f64().expect("a date");
     let now = SystemTime::now().duration_since(UNIX_EPOCH).expect("a date").as_secs_f64();
-    assert!((now - PATIENCE.as_secs_f64()..=now).contains(&submitted), "{submitted}, and it is {now}");
-    let table = place.run(&format!("jobs --server {url}")).exits(0).stdout();
+    assert!((now - STEP_TIMEOUT.as_secs_f64()..=now).contains(&submitted), "{submitted}, and it is {now}");
+    let table = dir.run(&format!("jobs --server {url}")).exits(0).stdout();
     assert!(table.lines().next().is_some_and(|head| head.ends_with("age")), "{table}");
     let one = get(&address, &format!("jobs/{job}")).json();
     assert_eq!((&one["spec"]["film"][0], &one["spec"]["frames"][1]), (&32.into(), &2.into()));
@@ -74,8 +74,8 @@ fn page_follows_job_from_submission_to_picture_and_controls_it() {
     assert_eq!((&paused["done"][0], &paused["refused"][0]["code"]), (&1.into(), &"not_found".into()));
     assert_eq!(get(&address, &format!("jobs/{job}")).json()["job"]["state"], "paused");
     control(&format!("{{\"jobs\":[{job}],\"action\":\"resume\"}}"));
-    let _worker = place.start(&format!("worker --join {url} --name w1 --threads 1"));
-    place.run(&format!("watch {job} --server {url}")).exits(0);
+    let _worker = dir.start(&format!("worker --join {url} --name w1 --threads 1"));
+    dir.run(&format!("watch {job} --server {url}")).exits(0);
     let frames = get(&address, &format!("jobs/{job}/frames")).json();
     let frames = frames["frames"].as_array().expect("frames");
     assert!(frames.iter().all(|frame| frame["state"] == "done" && frame["has_image"] == true), "{frames:?}");
@@ -136,8 +136,8 @@ fn page_follows_job_from_submission_to_picture_and_controls_it() {
 
 #[test]
 fn every_answer_has_headers_against_cross_site_attacks() {
-    let place = Place::new();
-    let (_coordinator, url) = coordinator(&place, 0);
+    let dir = TestFolder::new();
+    let (_coordinator, url) = start_coordinator(&dir, 0);
     for line in ["GET /", "GET /jobs/7", "GET /api/v1/me", "GET /api/v1/nothing", "POST /login", "PUT /", "GET /no.js"]
     {
         let answer = ask(&address(&url), line, &[], "");
@@ -150,48 +150,48 @@ fn every_answer_has_headers_against_cross_site_attacks() {
 
 #[test]
 fn a_page_goes_on_when_the_coordinator_was_restarted() {
-    let place = Place::new();
-    let (mut first, url) = coordinator(&place, 0);
+    let dir = TestFolder::new();
+    let (mut first, url) = start_coordinator(&dir, 0);
     let address = address(&url);
     let port = address.rsplit(':').next().and_then(|port| port.parse().ok()).expect("a port");
-    let mut page = Listener::connect(&address, None);
+    let mut page = EventListener::connect(&address, None);
     let (kind, id, data) = page.next().expect("an event");
     assert_eq!((kind.as_str(), data["jobs"].as_array().map(Vec::len)), ("snapshot", Some(0)));
-    submit(&place, &url, "--frames 1 --spp 1");
+    submit(&dir, &url, "--frames 1 --spp 1");
     let (kind, second, data) = page.next().expect("an event");
     assert_eq!((kind.as_str(), &data["jobs"][0]["job"]), ("delta", &1.into()));
     // After a reconnect, the page gets the missed events as one delta, and nothing if it is up to date.
-    let (kind, now, data) = Listener::connect(&address, Some(&id)).next().expect("an event");
+    let (kind, now, data) = EventListener::connect(&address, Some(&id)).next().expect("an event");
     assert_eq!((kind.as_str(), &now, &data["jobs"][0]["job"]), ("delta", &second, &1.into()));
     first.kill();
     assert!(page.next().is_none(), "it ends with the coordinator");
-    let (_coordinator, url) = coordinator(&place, port);
-    submit(&place, &url, "--frames 1 --spp 1");
-    let (kind, third, data) = Listener::connect(&address, Some(&second)).next().expect("an event");
+    let (_coordinator, url) = start_coordinator(&dir, port);
+    submit(&dir, &url, "--frames 1 --spp 1");
+    let (kind, third, data) = EventListener::connect(&address, Some(&second)).next().expect("an event");
     assert_eq!((kind.as_str(), data["jobs"].as_array().map(Vec::len)), ("snapshot", Some(2)));
     assert_ne!(third.split('-').next(), second.split('-').next(), "another start");
 }
 
 #[test]
 fn an_open_feed_ends_when_its_token_is_taken_back() {
-    let place = Place::new();
-    place.run("ca init").exits(0);
-    place.run("ca token user eve --role viewer").exits(0);
+    let dir = TestFolder::new();
+    dir.run("ca init").exits(0);
+    dir.run("ca token user eve --role viewer").exits(0);
     let line = "coordinator --listen 127.0.0.1:0 --store memory --artifacts memory --token-file femc-ca/tokens";
-    let mut coordinator = place.start(line);
+    let mut coordinator = dir.start(line);
     let url = coordinator.first_line().split_whitespace().last().expect("the address").to_owned();
     let address = address(&url);
-    let token = std::fs::read_to_string(place.path("eve.token")).expect("a token");
+    let token = std::fs::read_to_string(dir.path("eve.token")).expect("a token");
     let token = token.lines().next().expect("a line");
     let mut stream = TcpStream::connect(&address).expect("a connection");
-    stream.set_read_timeout(Some(PATIENCE)).expect("a timeout");
+    stream.set_read_timeout(Some(STEP_TIMEOUT)).expect("a timeout");
     write!(stream, "GET /api/v1/feed HTTP/1.1\r\nHost: farm\r\nCookie: femc={token}\r\n\r\n").expect("it listens");
-    let mut page = Listener(BufReader::new(stream));
+    let mut page = EventListener(BufReader::new(stream));
     assert_eq!(page.next().expect("an event").0, "snapshot");
     let me = ask(&address, "GET /api/v1/me", &[&format!("Cookie: femc={token}")], "").json();
     assert_eq!((&me["name"], &me["role"]), (&"eve".into(), &"viewer".into()));
     let begun = Instant::now();
-    place.run("ca revoke eve").exits(0);
+    dir.run("ca revoke eve").exits(0);
     assert!(page.next().is_none());
     assert!(begun.elapsed() < Duration::from_secs(60));
     assert_eq!(ask(&address, "GET /api/v1/me", &[&format!("Cookie: femc={token}")], "").status, 401);
@@ -200,12 +200,12 @@ fn an_open_feed_ends_when_its_token_is_taken_back() {
 
 #[test]
 fn several_jobs_are_controlled_at_once_despite_a_bad_one() {
-    let place = Place::new();
-    let (_coordinator, url) = coordinator(&place, 0);
+    let dir = TestFolder::new();
+    let (_coordinator, url) = start_coordinator(&dir, 0);
     for owner in ["ann", "ann", "bob", "ann"] {
-        submit(&place, &url, &format!("--frames 1 --spp 1 --owner {owner}"));
+        submit(&dir, &url, &format!("--frames 1 --spp 1 --owner {owner}"));
     }
-    let run = |line: &str| place.run(&format!("{line} --server {url}"));
+    let run = |line: &str| dir.run(&format!("{line} --server {url}"));
     let states = || -> Vec<String> {
         let jobs = run("jobs --json").exits(0).json();
         let state = |job: &serde_json::Value| job["state"].as_str().expect("a state").to_owned();
@@ -226,10 +226,10 @@ fn several_jobs_are_controlled_at_once_despite_a_bad_one() {
 
 #[test]
 fn worker_history_outlives_a_coordinator_restart() {
-    let place = Place::new();
-    let (mut coordinator, url) = coordinator(&place, 0);
+    let dir = TestFolder::new();
+    let (mut coordinator, url) = start_coordinator(&dir, 0);
     let address = address(&url);
-    let start = |name: &str| place.start(&format!("worker --join {url} --name {name} --threads 1 --tags hall,{name}"));
+    let start = |name: &str| dir.start(&format!("worker --join {url} --name {name} --threads 1 --tags hall,{name}"));
     let (mut first, mut second) = (start("w1"), start("w2"));
     let now = || SystemTime::now().duration_since(UNIX_EPOCH).expect("a date").as_secs_f64();
     let names = |list: &str| -> Vec<String> {
@@ -242,8 +242,8 @@ fn worker_history_outlives_a_coordinator_restart() {
     coordinator.wait_until("both are there", || names("workers") == ["w1", "w2"]);
     assert_eq!(names("offline"), [""; 0]);
     let submit = format!("submit fog.mgf --frames 1 --spp 1 --method pt --tags w2 --server {url}");
-    let job = place.run(&submit).exits(0).stdout().lines().last().expect("a job").to_owned();
-    place.run(&format!("watch {job} --quiet --server {url}")).exits(0);
+    let job = dir.run(&submit).exits(0).stdout().lines().last().expect("a job").to_owned();
+    dir.run(&format!("watch {job} --quiet --server {url}")).exits(0);
     let second_worker = || {
         let workers = get(&address, "workers").json()["workers"].clone();
         let second = workers.as_array().expect("a list").iter().find(|it| it["name"] == "w2").expect("w2").clone();
@@ -258,20 +258,20 @@ fn worker_history_outlives_a_coordinator_restart() {
     coordinator.kill();
     second.kill();
     let line = format!("coordinator --listen 127.0.0.1:{port} --store sqlite:farm.db --artifacts artifacts");
-    let mut again = place.start(&line);
+    let mut again = dir.start(&line);
     again.address();
     assert_eq!(names("offline"), ["w1", "w2"]);
     let offline = get(&address, "workers").json()["offline"].clone();
     for worker in offline.as_array().expect("a list") {
         let last_contact = worker["last_contact"].as_f64().expect("a date");
-        assert!((now() - PATIENCE.as_secs_f64()..=now()).contains(&last_contact), "{worker}: now it is {}", now());
+        assert!((now() - STEP_TIMEOUT.as_secs_f64()..=now()).contains(&last_contact), "{worker}: now it is {}", now());
         assert_eq!((&worker["intake"], &worker["tags"][0]), (&"offline".into(), &"hall".into()));
     }
-    let table = place.run(&format!("workers --server {url}")).exits(0).stdout();
+    let table = dir.run(&format!("workers --server {url}")).exits(0).stdout();
     assert_eq!(table.lines().filter(|line| line.ends_with("offline")).count(), 2, "{table}");
-    let json = |flags: &str| place.run(&format!("workers --json {flags} --server {url}")).exits(0).json();
+    let json = |flags: &str| dir.run(&format!("workers --json {flags} --server {url}")).exits(0).json();
     assert_eq!((json(""), json("--offline")), (serde_json::json!([]), offline));
-    let mut listener = Listener::connect(&address, None);
+    let mut listener = EventListener::connect(&address, None);
     let (kind, _, snapshot) = listener.next().expect("an event");
     assert_eq!((kind.as_str(), snapshot["offline"].as_array().map(Vec::len)), ("snapshot", Some(2)));
     let _back = start("w2");
@@ -281,14 +281,14 @@ fn worker_history_outlives_a_coordinator_restart() {
 
 #[test]
 fn maps_of_a_frame_equal_its_light_statistics_per_pixel() {
-    let place = Place::new();
-    let (_coordinator, url) = coordinator(&place, 0);
+    let dir = TestFolder::new();
+    let (_coordinator, url) = start_coordinator(&dir, 0);
     let address = address(&url);
-    let (plain, job) = (submit(&place, &url, "--frames 1 --spp 4"), submit(&place, &url, "--frames 1 --spp 4 --stats"));
+    let (plain, job) = (submit(&dir, &url, "--frames 1 --spp 4"), submit(&dir, &url, "--frames 1 --spp 4 --stats"));
     assert_eq!(get(&address, &format!("jobs/{job}/frames/1/maps")).status, 204, "nothing yet");
-    let _worker = place.start(&format!("worker --join {url} --threads 1"));
+    let _worker = dir.start(&format!("worker --join {url} --threads 1"));
     for job in [&plain, &job] {
-        place.run(&format!("watch {job} --server {url}")).exits(0);
+        dir.run(&format!("watch {job} --server {url}")).exits(0);
     }
     assert_eq!(get(&address, &format!("jobs/{plain}/frames/1/maps")).status, 204, "it has no statistics");
     let maps = get(&address, &format!("jobs/{job}/frames/1/maps"));
@@ -297,9 +297,9 @@ fn maps_of_a_frame_equal_its_light_statistics_per_pixel() {
     let head = 20 + names.iter().map(|name| 4 + name.len()).sum::<usize>();
     assert_eq!(maps.body.len(), head + 3 * 2 * 32 * 32);
     let planes = &maps.body[head..];
-    place.run(&format!("fetch {job} -o out --server {url}")).exits(0);
-    let file = names_in(&place, "out").into_iter().find(|name| name.ends_with(".paths")).expect("statistics");
-    let pixels = place.run(&format!("paths out/{file} --table pixels --json")).exits(0).json();
+    dir.run(&format!("fetch {job} -o out --server {url}")).exits(0);
+    let file = names_in(&dir, "out").into_iter().find(|name| name.ends_with(".paths")).expect("statistics");
+    let pixels = dir.run(&format!("paths out/{file} --table pixels --json")).exits(0).json();
     let pixels = pixels.as_array().expect("pixels");
     assert_eq!(pixels.len(), 32 * 32);
     for pixel in pixels {
@@ -313,8 +313,8 @@ fn maps_of_a_frame_equal_its_light_statistics_per_pixel() {
     }
 }
 
-fn names_in(place: &Place, folder: &str) -> Vec<String> {
-    crate::common::names(&place.path(folder))
+fn names_in(dir: &TestFolder, folder: &str) -> Vec<String> {
+    crate::common::file_names(&dir.path(folder))
 }
 
 /// Parses a half float that is finite and not subnormal, or 0.

@@ -7,7 +7,7 @@
 mod post;
 mod run;
 mod signature;
-mod target;
+mod url_prefix;
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -24,11 +24,11 @@ use tokio::sync::{Semaphore, mpsc};
 use crate::actor::Actor;
 use post::Poster;
 pub use signature::{KeyError, NotifyKey};
-pub use target::{PrefixError, UrlPrefix};
+pub use url_prefix::{PrefixError, UrlPrefix};
 
 /// Configuration of notifications: URLs that jobs may name, and a command.
 #[derive(Debug, Clone, Default)]
-pub struct Announce {
+pub struct NotifyConfig {
     /// Permitted prefixes of the URLs that jobs may name. Empty: jobs may name no URL.
     pub allowed: Vec<UrlPrefix>,
     /// Key that signs the messages; `None`: messages are not signed.
@@ -37,11 +37,11 @@ pub struct Announce {
     pub on_end: Option<String>,
 }
 
-impl Announce {
+impl NotifyConfig {
     /// Refuses notes with a URL that no prefix permits.
     pub(crate) fn check(&self, notes: &JobNotes) -> Result<(), Refusal> {
         let Some(url) = &notes.notify else { return Ok(()) };
-        let allowed = target::allowed(&self.allowed, url).map(drop);
+        let allowed = url_prefix::check_url(&self.allowed, url).map(drop);
         allowed.map_err(|message| Refusal::Invalid { field: "notify".into(), message })
     }
 }
@@ -59,7 +59,7 @@ struct Message {
 
 /// End of a job that must be announced.
 #[derive(Debug, Clone)]
-struct End {
+struct JobEnd {
     job: JobId,
     ended: Tick,
     /// Id of the message, equal for all its repetitions.
@@ -71,28 +71,35 @@ struct End {
 /// Announcements in progress.
 #[derive(Debug)]
 pub(crate) struct Announcer {
-    config: Arc<Announce>,
+    config: Arc<NotifyConfig>,
     poster: Arc<Poster>,
     /// Slots for commands.
     commands: Arc<Semaphore>,
-    under_way: BTreeSet<(JobId, Tick)>,
-    tell: mpsc::Sender<(JobId, Tick)>,
+    in_progress: BTreeSet<(JobId, Tick)>,
+    announced_sender: mpsc::Sender<(JobId, Tick)>,
     /// Announced ends: the message was accepted or given up, and the command has run.
-    pub(crate) told: mpsc::Receiver<(JobId, Tick)>,
+    pub(crate) announced: mpsc::Receiver<(JobId, Tick)>,
 }
 
 impl Announcer {
     /// Maximum number of commands that run at the same time.
     const COMMANDS: usize = 4;
 
-    pub(crate) fn new(config: Announce) -> Self {
+    pub(crate) fn new(config: NotifyConfig) -> Self {
         let (tell, told) = mpsc::channel(64);
         let poster = Arc::new(Poster::new(config.key.clone()));
         let commands = Arc::new(Semaphore::new(Self::COMMANDS));
-        Self { config: Arc::new(config), poster, commands, under_way: BTreeSet::new(), tell, told }
+        Self {
+            config: Arc::new(config),
+            poster,
+            commands,
+            in_progress: BTreeSet::new(),
+            announced_sender: tell,
+            announced: told,
+        }
     }
 
-    pub(crate) fn config(&self) -> &Announce {
+    pub(crate) fn config(&self) -> &NotifyConfig {
         &self.config
     }
 
@@ -102,13 +109,13 @@ impl Announcer {
     }
 
     /// Starts the announcement of an end.
-    fn begin(&self, end: End) {
+    fn start(&self, end: JobEnd) {
         let (config, poster, commands) = (self.config.clone(), self.poster.clone(), self.commands.clone());
-        let tell = self.tell.clone();
+        let tell = self.announced_sender.clone();
         tokio::spawn(async move {
             let posted = async {
                 let Some(url) = &end.status.notes.notify else { return };
-                match target::allowed(&config.allowed, url) {
+                match url_prefix::check_url(&config.allowed, url) {
                     Ok(url) => poster.post(&url, &end.id, &end.body).await,
                     // The URL was permitted when the job was submitted.
                     Err(message) => {
@@ -119,7 +126,7 @@ impl Announcer {
             let ran = async {
                 let Some(command) = &config.on_end else { return };
                 if let Ok(_place) = commands.acquire().await {
-                    run::run(command, &end.status, &end.body).await;
+                    run::run_command(command, &end.status, &end.body).await;
                 }
             };
             tokio::join!(posted, ran);
@@ -134,20 +141,20 @@ impl<Q: Queue> Actor<Q> {
     pub(crate) fn announce(&mut self, job: JobId) {
         let Some(ended) = self.scheduler.end_to_announce(job) else { return };
         let scheduler = &self.scheduler;
-        self.announcer.under_way.retain(|(job, ended)| scheduler.end_to_announce(*job) == Some(*ended));
-        if !self.announcer.under_way.insert((job, ended)) {
+        self.announcer.in_progress.retain(|(job, ended)| scheduler.end_to_announce(*job) == Some(*ended));
+        if !self.announcer.in_progress.insert((job, ended)) {
             return;
         }
         if !self.scheduler.spec(job).is_some_and(|spec| self.announcer.has_listeners(&spec.notes)) {
-            self.echoes.push_back(Event::Announced { job, ended });
+            self.follow_up_events.push_back(Event::Announced { job, ended });
             return;
         }
         let Ok(status) = self.scheduler.status(job, self.clock.now()) else { return };
-        match end(job, ended, status) {
-            Ok(end) => self.announcer.begin(end),
+        match job_end(job, ended, status) {
+            Ok(end) => self.announcer.start(end),
             Err(error) => {
                 tracing::error!(job = job.0, %error, "cannot announce the job's end");
-                self.echoes.push_back(Event::Announced { job, ended });
+                self.follow_up_events.push_back(Event::Announced { job, ended });
             }
         }
     }
@@ -160,7 +167,7 @@ impl<Q: Queue> Actor<Q> {
     }
 }
 
-fn end(job: JobId, ended: Tick, status: JobStatus) -> Result<End, serde_json::Error> {
+fn job_end(job: JobId, ended: Tick, status: JobStatus) -> Result<JobEnd, serde_json::Error> {
     let message = Message {
         r#type: match status.state {
             JobState::Failed => "job.failed",
@@ -171,7 +178,7 @@ fn end(job: JobId, ended: Tick, status: JobStatus) -> Result<End, serde_json::Er
         data: JobJson::from(&status),
     };
     let body = serde_json::to_string(&message)?.into();
-    Ok(End { job, ended, id: format!("femc-{job}-{}", ended.0), status, body })
+    Ok(JobEnd { job, ended, id: format!("femc-{job}-{}", ended.0), status, body })
 }
 
 /// Returns the Unix time in seconds, for the header of a message.

@@ -4,7 +4,7 @@ use std::error::Error;
 use std::time::Duration;
 
 use bytes::Bytes;
-use femc_store::Plain;
+use femc_store::PlaintextPolicy;
 use http::header::{CONTENT_TYPE, USER_AGENT};
 use http::{Request, StatusCode};
 use http_body_util::Full;
@@ -18,23 +18,23 @@ use url::Url;
 use super::signature::NotifyKey;
 use super::unix_seconds;
 
-type Https = Client<HttpsConnector<connect::HttpConnector>, Full<Bytes>>;
+type HttpsClient = Client<HttpsConnector<connect::HttpConnector>, Full<Bytes>>;
 
 /// Posts messages, with retries. Redirects are not followed, because they could lead to URLs that no prefix permits.
 #[derive(Debug)]
 pub(super) struct Poster {
     key: Option<NotifyKey>,
     /// HTTP client. It is made for the first message, because that reads the machine's root certificates.
-    client: OnceCell<Https>,
-    places: Semaphore,
+    client: OnceCell<HttpsClient>,
+    send_permits: Semaphore,
 }
 
 /// Outcome of one attempt to send a message.
-enum Sent {
-    Taken,
+enum DeliveryOutcome {
+    Accepted,
     /// The receiver wants no more messages.
     Gone,
-    NotYet(String),
+    Retry(String),
 }
 
 impl Poster {
@@ -46,10 +46,10 @@ impl Poster {
     const FIRST_PAUSE: Duration = Duration::from_secs(1);
     const LONGEST_PAUSE: Duration = Duration::from_secs(300);
     /// Time after which a message that was never accepted is given up.
-    const GIVE_UP: Duration = Duration::from_secs(24 * 3600);
+    const MAX_AGE: Duration = Duration::from_secs(24 * 3600);
 
     pub(super) fn new(key: Option<NotifyKey>) -> Self {
-        Self { key, client: OnceCell::new(), places: Semaphore::new(Self::PLACES) }
+        Self { key, client: OnceCell::new(), send_permits: Semaphore::new(Self::PLACES) }
     }
 
     /// Posts a message until it is accepted or given up.
@@ -58,22 +58,22 @@ impl Poster {
         let server = url.origin().ascii_serialization();
         loop {
             match self.send(url, id, body).await {
-                Sent::Taken => return tracing::info!(message = id, server, "notified"),
-                Sent::Gone => {
+                DeliveryOutcome::Accepted => return tracing::info!(message = id, server, "notified"),
+                DeliveryOutcome::Gone => {
                     return tracing::warn!(
                         message = id,
                         server,
                         "notification failed: the address no longer exists (410)"
                     );
                 }
-                Sent::NotYet(fault) if begun.elapsed() + pause > Self::GIVE_UP => {
+                DeliveryOutcome::Retry(fault) if begun.elapsed() + pause > Self::MAX_AGE => {
                     return tracing::error!(
                         message = id,
                         server,
                         "notification failed for a day, no more retries: {fault}"
                     );
                 }
-                Sent::NotYet(fault) => {
+                DeliveryOutcome::Retry(fault) => {
                     tracing::warn!(
                         message = id,
                         server,
@@ -87,11 +87,11 @@ impl Poster {
         }
     }
 
-    async fn send(&self, url: &Url, id: &str, body: &str) -> Sent {
-        let Ok(_place) = self.places.acquire().await else { return Sent::Gone };
+    async fn send(&self, url: &Url, id: &str, body: &str) -> DeliveryOutcome {
+        let Ok(_place) = self.send_permits.acquire().await else { return DeliveryOutcome::Gone };
         let client = match self.client.get_or_try_init(|| async { client() }).await {
             Ok(client) => client,
-            Err(fault) => return Sent::NotYet(fault),
+            Err(fault) => return DeliveryOutcome::Retry(fault),
         };
         let now = unix_seconds();
         let mut request = Request::post(url.as_str())
@@ -104,20 +104,20 @@ impl Poster {
         }
         let request = match request.body(Full::new(Bytes::copy_from_slice(body.as_bytes()))) {
             Ok(request) => request,
-            Err(error) => return Sent::NotYet(error.to_string()),
+            Err(error) => return DeliveryOutcome::Retry(error.to_string()),
         };
         match tokio::time::timeout(Self::ANSWER, client.request(request)).await {
-            Err(_) => Sent::NotYet(format!("no answer within {} s", Self::ANSWER.as_secs())),
-            Ok(Err(error)) => Sent::NotYet(chain(&error)),
-            Ok(Ok(answer)) if answer.status().is_success() => Sent::Taken,
-            Ok(Ok(answer)) if answer.status() == StatusCode::GONE => Sent::Gone,
-            Ok(Ok(answer)) => Sent::NotYet(format!("the server answered {}", answer.status())),
+            Err(_) => DeliveryOutcome::Retry(format!("no answer within {} s", Self::ANSWER.as_secs())),
+            Ok(Err(error)) => DeliveryOutcome::Retry(chain(&error)),
+            Ok(Ok(answer)) if answer.status().is_success() => DeliveryOutcome::Accepted,
+            Ok(Ok(answer)) if answer.status() == StatusCode::GONE => DeliveryOutcome::Gone,
+            Ok(Ok(answer)) => DeliveryOutcome::Retry(format!("the server answered {}", answer.status())),
         }
     }
 }
 
-fn client() -> Result<Https, String> {
-    let connector = femc_store::connector(Plain::Allowed).map_err(|error| error.to_string())?;
+fn client() -> Result<HttpsClient, String> {
+    let connector = femc_store::https_connector(PlaintextPolicy::Allowed).map_err(|error| error.to_string())?;
     Ok(Client::builder(TokioExecutor::new()).pool_timer(TokioTimer::new()).build(connector))
 }
 

@@ -10,10 +10,10 @@ use tokio::process::Command;
 /// Time limit of a command. After it, the command is killed.
 const LONGEST: Duration = Duration::from_secs(600);
 /// Number of bytes from the end of its standard error that are logged.
-const TOLD: usize = 500;
+const LOGGED_BYTES: usize = 500;
 
 /// Runs a command in the shell. The job is in its environment, and the message on its standard input. The outcome is logged.
-pub(super) async fn run(command: &str, job: &JobStatus, message: &str) {
+pub(super) async fn run_command(command: &str, job: &JobStatus, message: &str) {
     let number = job.job.0;
     match outcome(command, job, message).await {
         Ok(None) => tracing::info!(job = number, "the --on-end command succeeded"),
@@ -52,6 +52,6 @@ async fn outcome(command: &str, job: &JobStatus, message: &str) -> std::io::Resu
     if output.status.success() {
         return Ok(None);
     }
-    let errors = &output.stderr[output.stderr.len().saturating_sub(TOLD)..];
+    let errors = &output.stderr[output.stderr.len().saturating_sub(LOGGED_BYTES)..];
     Ok(Some(format!("{}: {}", output.status, String::from_utf8_lossy(errors).trim())))
 }

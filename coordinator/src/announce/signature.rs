@@ -45,10 +45,10 @@ impl NotifyKey {
     /// The file cannot be read, or has no key.
     pub fn read(path: &Path) -> Result<Self, KeyError> {
         let bytes = std::fs::read(path).map_err(|error| KeyError::Read { path: path.to_owned(), error })?;
-        Self::of(&bytes).ok_or_else(|| KeyError::Form { path: path.to_owned() })
+        Self::parse(&bytes).ok_or_else(|| KeyError::Form { path: path.to_owned() })
     }
 
-    fn of(bytes: &[u8]) -> Option<Self> {
+    fn parse(bytes: &[u8]) -> Option<Self> {
         let text = bytes.trim_ascii();
         let key = match text.strip_prefix(b"whsec_") {
             Some(encoded) => STANDARD.decode(encoded).ok()?,
@@ -77,16 +77,16 @@ mod tests {
     #[test]
     fn a_signature_is_that_of_the_standards_example() {
         // The values come from the specification of Standard Webhooks, and from Python's `hmac`.
-        let key = NotifyKey::of(b"whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw\n").expect("a key");
+        let key = NotifyKey::parse(b"whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw\n").expect("a key");
         let signature = key.sign("msg_p5jXN8AQM9LWM0D4loKWxJek", 1_614_265_330, r#"{"test": 2432232314}"#);
         assert_eq!(signature, "v1,g0hM9SsE+OTPJTGt/tmIKtSyZlE3uFJELVlNIOLJ1OE=");
     }
 
     #[test]
     fn short_keys_and_what_is_no_base64_are_refused() {
-        assert!(NotifyKey::of(b"0123456789abcdef").is_some());
+        assert!(NotifyKey::parse(b"0123456789abcdef").is_some());
         for bad in [&b""[..], b"short", b"whsec_", b"whsec_c2hvcnQ=", b"whsec_not base64 but long enough"] {
-            assert!(NotifyKey::of(bad).is_none(), "{bad:?}");
+            assert!(NotifyKey::parse(bad).is_none(), "{bad:?}");
         }
     }
 }

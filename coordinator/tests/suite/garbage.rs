@@ -6,12 +6,12 @@ use std::time::{Duration, SystemTime};
 use bytes::Bytes;
 use femc_coordinator::{Artifacts, Config, Coordinator, Handle};
 use femc_model::*;
-use femc_proto::{CallError, Client, CollectMode, Volume};
+use femc_proto::{ArtifactTotals, CallError, Client, CollectMode};
 use femc_store::Store;
 
 const HOUR: Duration = Duration::from_secs(3600);
 
-struct Farm {
+struct TestFarm {
     folder: tempfile::TempDir,
     farm: Handle,
     client: Client,
@@ -19,13 +19,13 @@ struct Farm {
     store: Store,
 }
 
-impl Farm {
+impl TestFarm {
     async fn start() -> Self {
         let folder = tempfile::tempdir().unwrap();
         let config = Config { artifacts: Artifacts::Folder(folder.path().to_owned()), ..Config::default() };
         let farm = Coordinator::start(config).await.unwrap();
         let client = Client::connect(&farm.url()).await.unwrap();
-        let store = Store::folder(folder.path()).unwrap();
+        let store = Store::open_folder(folder.path()).unwrap();
         Self { folder, farm, client, store }
     }
 
@@ -35,7 +35,7 @@ impl Farm {
     }
 
     /// Stores bytes without the coordinator.
-    async fn stray(&self, bytes: &[u8]) -> Artifact {
+    async fn put_stray(&self, bytes: &[u8]) -> Artifact {
         self.store.put(Bytes::copy_from_slice(bytes)).await.unwrap()
     }
 }
@@ -54,25 +54,25 @@ fn age(folder: &Path) {
 /// Returns the pieces of a scene, followed by the manifest that names them.
 fn scene(name: &str) -> Vec<Bytes> {
     let mut pieces: Vec<Bytes> = (0..5).map(|i| Bytes::from(format!("{name}, piece {i}"))).collect();
-    let named = pieces.iter().map(|bytes| Piece { artifact: Artifact::of(bytes), unpacked: 9 }).collect();
+    let named = pieces.iter().map(|bytes| BundlePiece { artifact: Artifact::from_bytes(bytes), unpacked: 9 }).collect();
     let manifest = Manifest { pieces: named, ..Manifest::default() };
     pieces.push(manifest.encode().unwrap().into());
     pieces
 }
 
 fn digests(artifacts: &[Bytes]) -> Vec<Digest> {
-    artifacts.iter().map(|bytes| Digest::of(bytes)).collect()
+    artifacts.iter().map(|bytes| Digest::compute(bytes)).collect()
 }
 
 fn job(scene: &[Bytes]) -> JobSpec {
     JobSpec {
         name: "fog".into(),
-        bundle: Digest::of(scene.last().unwrap()),
+        bundle: Digest::compute(scene.last().unwrap()),
         entry: "fog.mgf".into(),
         settings: "{}".into(),
         frames: vec![1],
         grid: Grid { film: [64, 64], tile: 16 },
-        graph: testing::frames(Grid { film: [64, 64], tile: 16 }.sizes(), &[16], 0),
+        graph: testing::frame_graph(Grid { film: [64, 64], tile: 16 }.sizes(), &[16], 0),
         contents: vec![],
         priority: 50,
         owner: "me".into(),
@@ -83,25 +83,25 @@ fn job(scene: &[Bytes]) -> JobSpec {
 
 #[tokio::test]
 async fn what_no_job_refers_to_goes_and_a_dry_run_says_so_before() {
-    let farm = Farm::start().await;
+    let farm = TestFarm::start().await;
     let scene = scene("a scene");
     farm.client.put_all(&scene).await.unwrap();
     let id = farm.client.submit(None, job(&scene)).await.unwrap();
     farm.client.control(id, Control::Cancel).await.unwrap();
-    let stray = [farm.stray(b"of a client that was killed").await, farm.stray(b"of no job").await];
+    let stray = [farm.put_stray(b"of a client that was killed").await, farm.put_stray(b"of no job").await];
     farm.age();
-    let young = farm.stray(b"just now").await;
+    let young = farm.put_stray(b"just now").await;
     let bytes = stray.iter().map(|artifact| artifact.bytes).sum();
-    let garbage = Volume { artifacts: 2, bytes };
+    let garbage = ArtifactTotals { artifacts: 2, bytes };
     let steps = [
         (CollectMode::DryRun, garbage, 9),
         (CollectMode::Remove, garbage, 7),
-        (CollectMode::Remove, Volume::default(), 7),
+        (CollectMode::Remove, ArtifactTotals::default(), 7),
     ];
     for (mode, garbage, left) in steps {
         let found = farm.client.collect(mode, HOUR).await.unwrap();
         assert_eq!(found.referenced.artifacts, 6, "also of a job that has ended");
-        assert_eq!(found.young, Volume { artifacts: 1, bytes: young.bytes });
+        assert_eq!(found.young, ArtifactTotals { artifacts: 1, bytes: young.bytes });
         assert_eq!(found.garbage, garbage);
         assert_eq!(found.names.len() as u64, garbage.artifacts);
         assert!(found.names.iter().all(|artifact| stray.contains(artifact)), "{found:?}");
@@ -116,10 +116,10 @@ async fn what_no_job_refers_to_goes_and_a_dry_run_says_so_before() {
 
 #[tokio::test]
 async fn artifacts_promised_to_a_submission_survive_collection() {
-    let farm = Farm::start().await;
+    let farm = TestFarm::start().await;
     let (asked, unasked) = (scene("told"), scene("untold"));
     for bytes in asked.iter().chain(&unasked) {
-        farm.stray(bytes).await;
+        farm.put_stray(bytes).await;
     }
     farm.age();
     assert_eq!(farm.client.missing(&digests(&asked)).await.unwrap(), []);
@@ -135,7 +135,7 @@ async fn artifacts_promised_to_a_submission_survive_collection() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn accepted_jobs_lose_no_artifact_to_concurrent_collections() {
-    let farm = Farm::start().await;
+    let farm = TestFarm::start().await;
     let scenes: Vec<Vec<Bytes>> = (0..40).map(|i| scene(&format!("scene {i}"))).collect();
     let collector = tokio::spawn({
         let client = farm.client.clone();
@@ -152,9 +152,9 @@ async fn accepted_jobs_lose_no_artifact_to_concurrent_collections() {
     for scene in &scenes {
         // Old leftovers of an earlier attempt: a submission finds them, and a collection would remove them.
         for bytes in scene {
-            farm.stray(bytes).await;
+            farm.put_stray(bytes).await;
         }
-        farm.stray(format!("beside {:?}", scene[0]).as_bytes()).await;
+        farm.put_stray(format!("beside {:?}", scene[0]).as_bytes()).await;
         farm.age();
         farm.client.put_all(scene).await.unwrap();
         farm.client.submit(None, job(scene)).await.expect("what was told is there");

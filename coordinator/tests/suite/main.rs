@@ -2,9 +2,9 @@
 
 mod common;
 mod damage;
+mod full_disk;
 mod garbage;
 mod health;
-mod room;
 mod several;
 mod snapshots;
 mod transfer;

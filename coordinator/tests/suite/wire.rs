@@ -9,12 +9,12 @@ use femc_store::Store;
 fn spec() -> JobSpec {
     JobSpec {
         name: "fog".into(),
-        bundle: Digest::of(b"bundle"),
+        bundle: Digest::compute(b"bundle"),
         entry: "fog.mgf".into(),
         settings: "{}".into(),
         frames: vec![1, 2],
         grid: Grid { film: [64, 64], tile: 16 },
-        graph: testing::frames(Grid { film: [64, 64], tile: 16 }.sizes(), &[16], 0),
+        graph: testing::frame_graph(Grid { film: [64, 64], tile: 16 }.sizes(), &[16], 0),
         contents: vec![],
         priority: 50,
         owner: "me".into(),
@@ -47,7 +47,7 @@ async fn jobs_are_taken_listed_steered_and_watched_to_their_end() {
     let listed: Vec<JobId> = client.list().await.unwrap().iter().map(|status| status.job).collect();
     assert_eq!(listed, [first, second]);
     let status = client.status(first).await.unwrap();
-    assert_eq!((status.state, status.waits), (JobState::Queued, vec![Wait::NoWorkers]));
+    assert_eq!((status.state, status.waits), (JobState::Queued, vec![WaitReason::NoWorkers]));
     let mut watch = client.watch(first).await.unwrap();
     assert_eq!(watch.next().await.unwrap().unwrap().state, JobState::Queued);
     client.control(first, Control::Pause).await.unwrap();
@@ -83,12 +83,12 @@ async fn what_makes_no_sense_is_refused_by_variant() {
 
 #[tokio::test]
 async fn artifacts_go_up_and_come_down_whole_or_not_at_all() {
-    let store = Store::memory().with_limit(5_000_000);
+    let store = Store::in_memory().with_limit(5_000_000);
     let queue = femc_queue::Memory::default();
-    let farm = Coordinator::with(Config::default(), store, queue).await.unwrap();
+    let farm = Coordinator::start_with(Config::default(), store, queue).await.unwrap();
     let client = Client::connect(&farm.url()).await.unwrap();
     let bytes: Bytes = (0..4_500_001u32).map(|i| (i ^ (i >> 9)) as u8).collect();
-    let digest = Digest::of(&bytes);
+    let digest = Digest::compute(&bytes);
     assert_eq!(refusal(client.get(&digest, u64::MAX).await), Refusal::NoSuchArtifact { digest });
     assert_eq!(client.missing(&[digest]).await.unwrap(), [digest]);
     assert_eq!(client.put(bytes.clone()).await.unwrap(), Artifact { digest, bytes: 4_500_001 });
@@ -105,15 +105,15 @@ async fn artifacts_go_up_and_come_down_whole_or_not_at_all() {
 
 #[tokio::test]
 async fn job_with_an_incomplete_scene_is_refused_with_missing_digests() {
-    let store = Store::memory();
-    let farm = Coordinator::with(Config::default(), store.clone(), femc_queue::Memory::default()).await.unwrap();
+    let store = Store::in_memory();
+    let farm = Coordinator::start_with(Config::default(), store.clone(), femc_queue::Memory::default()).await.unwrap();
     let client = Client::connect(&farm.url()).await.unwrap();
-    let of = |bytes: &[u8]| Piece { artifact: Artifact::of(bytes), unpacked: 9 };
+    let of = |bytes: &[u8]| BundlePiece { artifact: Artifact::from_bytes(bytes), unpacked: 9 };
     let manifest = Manifest { pieces: vec![of(b"one"), of(b"two"), of(b"three")], ..Manifest::default() };
     let bytes = Bytes::from(manifest.encode().unwrap());
-    let job = JobSpec { bundle: Digest::of(&bytes), ..spec() };
+    let job = JobSpec { bundle: Digest::compute(&bytes), ..spec() };
     let lacks = |digests: Vec<Digest>| Refusal::MissingArtifacts { count: digests.len() as u64, digests };
-    let [one, two, three] = [b"one".as_slice(), b"two", b"three"].map(Digest::of);
+    let [one, two, three] = [b"one".as_slice(), b"two", b"three"].map(Digest::compute);
     assert_eq!(refusal(client.submit(None, job.clone()).await), lacks(vec![job.bundle]));
     client.put(bytes).await.unwrap();
     client.put(Bytes::from_static(b"two")).await.unwrap();

@@ -6,22 +6,22 @@
 //! ends, so a position is a quotient of two linear functions. The density over the chord interpolates linearly between its values
 //! at the ends. Sampling a distance and evaluating its density therefore need only basic arithmetic.
 
-use crate::many::approx::{arc_tangent, attenuation, narrowing, sine_cosine};
+use crate::light_sampler::approx::{arc_tangent, attenuation, inverse_cos_power, sine_cosine};
 use crate::tree::Node;
 use femc_math::glam::Vec3A;
-use femc_simd::{Lanes, Level, Simd, Task, Vector, WIDTH};
+use femc_simd::{Kernel, Lanes, Level, Simd, Vector, WIDTH};
 
 /// Number of cells between the evaluated angles.
 const CELLS: usize = WIDTH - 1;
 /// Term that is added to every relative density, as a fraction of the mean, so that light between the evaluated angles is still
 /// sampled.
-const FLOOR: f32 = 0.05;
+const DENSITY_FLOOR: f32 = 0.05;
 /// Tolerance of cosines.
-const SLACK: f32 = 1e-3;
+const COSINE_TOLERANCE: f32 = 1e-3;
 
 /// A segment of a ray and a source beside it.
 #[derive(Clone, Copy, Debug)]
-pub struct Beside {
+pub struct EquiangularSegment {
     /// Vector from the source to the nearest point of the ray's line, m.
     foot: Vec3A,
     dir: Vec3A,
@@ -34,29 +34,29 @@ pub struct Beside {
     cosines: [f32; WIDTH],
 }
 
-/// Properties of fog and source along the ray, at the distances of [`Beside::distances`].
+/// Properties of fog and source along the ray, at the distances of [`EquiangularSegment::distances`].
 #[derive(Clone, Copy, Debug)]
-pub struct Along {
+pub struct SegmentMedium {
     /// Optical depth from the eye.
     pub depth: [f32; WIDTH],
     /// Scattering coefficient, in any unit.
     pub scattering: [f32; WIDTH],
     /// Extinction between the ray and the source, 1/m.
-    pub haze: f32,
+    pub extinction: f32,
     /// Schlick's parameter of the phase function (\[blasi1993\]).
     pub phase: f32,
 }
 
 /// Angular profile of a source as seen from the ray.
 #[derive(Clone, Copy, Debug)]
-pub enum Source<'a> {
+pub enum SourceProfile<'a> {
     /// Profile from the bounds in a light tree's node.
     Bounds(&'a Node),
     /// Given values, by distance.
-    Given(&'a [f32; WIDTH]),
+    Sampled(&'a [f32; WIDTH]),
 }
 
-impl Beside {
+impl EquiangularSegment {
     /// Prepares a segment for a source.
     /// - `origin`, m; `dir`: unit; `range`: first and last distance of the segment, m, finite; `center`: of the source, m.
     /// - `least_distance`: lower bound for the distance between source and ray, m, > 0.
@@ -69,7 +69,7 @@ impl Beside {
         let resolved = 32.0 * f32::EPSILON * along.abs();
         let h = foot.length().max(least_distance).max(resolved).max(1e-18);
         let (start, length) = (along + range.0, range.1 - range.0);
-        let (distances, cosines) = level.run(Angles { h, start, length });
+        let (distances, cosines) = level.run(EquiangularSteps { h, start, length });
         Self { foot, dir, h, start, distances, cosines }
     }
 
@@ -86,20 +86,20 @@ impl Beside {
 
     /// Returns the distribution of distances.
     #[inline]
-    pub fn airlight(self, level: Level, along: &Along, source: Source<'_>) -> Airlight {
-        let (values, total) = level.run(Values { beside: &self, along, source });
+    pub fn airlight(self, level: Level, medium: &SegmentMedium, source: SourceProfile<'_>) -> Airlight {
+        let (values, total) = level.run(RelativeDensities { segment: &self, medium, source });
         Airlight { distances: self.distances, cosines: self.cosines, values, total }
     }
 }
 
 /// Task that computes the distances from the start at even steps of the angle, and the cosines of the angles.
-struct Angles {
+struct EquiangularSteps {
     h: f32,
     start: f32,
     length: f32,
 }
 
-impl Task for Angles {
+impl Kernel for EquiangularSteps {
     type Output = ([f32; WIDTH], [f32; WIDTH]);
 
     #[inline(always)]
@@ -128,47 +128,47 @@ impl Task for Angles {
 }
 
 /// Task that computes the relative densities at the angles, and the sum of the cells.
-struct Values<'a> {
-    beside: &'a Beside,
-    along: &'a Along,
-    source: Source<'a>,
+struct RelativeDensities<'a> {
+    segment: &'a EquiangularSegment,
+    medium: &'a SegmentMedium,
+    source: SourceProfile<'a>,
 }
 
-impl Task for Values<'_> {
+impl Kernel for RelativeDensities<'_> {
     type Output = ([f32; WIDTH], f32);
 
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) -> Self::Output {
         let c = |x| simd.splat(x);
         let one = c(1.0);
-        let Beside { foot, dir, h, start, distances, .. } = *self.beside;
+        let EquiangularSegment { foot, dir, h, start, distances, .. } = *self.segment;
         let place = c(start) + simd.load(&Lanes(distances));
         let distance = (c(h * h) + place * place).sqrt();
         let inverse = one / distance;
-        let depth = simd.load(&Lanes(self.along.depth)) + c(self.along.haze) * distance;
+        let depth = simd.load(&Lanes(self.medium.depth)) + c(self.medium.extinction) * distance;
         // Depths are relative to the least depth, so that not every value vanishes in thick fog.
         let least = depth.lanes().0.into_iter().fold(f32::INFINITY, f32::min);
         let dimmed = attenuation(simd, (depth - c(least)).max(c(0.0)));
-        let lobe = one / (one + c(self.along.phase) * place * inverse);
+        let lobe = one / (one + c(self.medium.phase) * place * inverse);
         let profile = match self.source {
-            Source::Given(values) => simd.load(&Lanes(*values)),
-            Source::Bounds(node) if node.is_everywhere() => one,
-            Source::Bounds(node) => {
+            SourceProfile::Sampled(values) => simd.load(&Lanes(*values)),
+            SourceProfile::Bounds(node) if node.is_omnidirectional() => one,
+            SourceProfile::Bounds(node) => {
                 let cos = (c(node.axis.dot(foot)) + c(node.axis.dot(dir)) * place) * inverse;
                 let cos = if node.two_sided { cos.max(c(0.0) - cos) } else { cos };
-                let is_seen = c(-SLACK).lt(cos);
-                let near = (cos.max(c(0.0)) + c(0.5 * node.radius()) * inverse).min(one).max(c(SLACK));
+                let is_seen = c(-COSINE_TOLERANCE).lt(cos);
+                let near = (cos.max(c(0.0)) + c(0.5 * node.radius()) * inverse).min(one).max(c(COSINE_TOLERANCE));
                 let cos = is_seen.select(near, c(0.0));
-                if node.exponent <= 1.0 { cos } else { cos / narrowing(simd, cos, c(node.exponent - 1.0)) }
+                if node.exponent <= 1.0 { cos } else { cos / inverse_cos_power(simd, cos, c(node.exponent - 1.0)) }
             }
         };
-        let value = simd.load(&Lanes(self.along.scattering)) * dimmed * lobe * lobe * profile;
+        let value = simd.load(&Lanes(self.medium.scattering)) * dimmed * lobe * lobe * profile;
         let mut values = value.max(c(0.0)).min(c(1e30)).lanes().0;
         let mean = values.iter().sum::<f32>() * (1.0 / WIDTH as f32);
         // Values are scaled by the mean, because squares of tiny values would underflow.
         let scale = if mean > f32::MIN_POSITIVE { 1.0 / mean } else { 0.0 };
         for value in &mut values {
-            *value = *value * scale + FLOOR;
+            *value = *value * scale + DENSITY_FLOOR;
         }
         let total = values.iter().sum::<f32>() - 0.5 * (values[0] + values[CELLS]);
         (values, total)
@@ -272,20 +272,20 @@ mod tests {
     fn panel(center: Vec3A, axis: Vec3A, exponent: f32) -> Node {
         let cone = EmissionCone { axis, cos_normals: 1.0, exponent, two_sided: false };
         let (low, high) = (center - Vec3A::splat(0.1), center + Vec3A::splat(0.1));
-        let bounds = LightBounds { low, high, center, power: 1.0, haze: 0.0, cone };
+        let bounds = LightBounds { low, high, center, power: 1.0, extinction: 0.0, cone };
         LightTree::new(&[bounds]).leaves()[0]
     }
 
     fn case(k: usize, level: Level) -> Airlight {
-        let (length, along, beside, extinction, phase) = CASES[k];
+        let (length, along, distance, extinction, phase) = CASES[k];
         let dir = Vec3A::new(0.48, 0.6, 0.64);
         let across = Vec3A::new(0.8, -0.64, 0.0).normalize();
-        let center = Vec3A::ONE + dir * along + across * beside;
-        let it = Beside::new(level, Vec3A::ONE, dir, (0.0, length), center, 1e-4);
-        let depth = it.distances().map(|t| extinction * t);
-        let along = Along { depth, scattering: [1.0; WIDTH], haze: extinction, phase };
+        let center = Vec3A::ONE + dir * along + across * distance;
+        let segment = EquiangularSegment::new(level, Vec3A::ONE, dir, (0.0, length), center, 1e-4);
+        let depth = segment.distances().map(|t| extinction * t);
+        let medium = SegmentMedium { depth, scattering: [1.0; WIDTH], extinction, phase };
         let node = panel(center, -across, if k.is_multiple_of(2) { 1.0 } else { 40.0 });
-        it.airlight(level, &along, Source::Bounds(&node))
+        segment.airlight(level, &medium, SourceProfile::Bounds(&node))
     }
 
     /// Integrates the density up to `t` by the midpoint rule in each cell, at even positions on its chord.
@@ -353,9 +353,10 @@ mod tests {
         for (start, expected) in [(0.0f32, 0.015_382_72), (-2.0, 0.008_933_162), (-5.0, 5.656_51e-4)] {
             let level = Level::detect();
             let center = Vec3A::new(-start, 1.0, 0.0);
-            let it = Beside::new(level, Vec3A::ZERO, Vec3A::X, (0.0, 30.0), center, 1e-6);
-            let along = Along { depth: it.distances(), scattering: [1.0; WIDTH], haze: 1.0, phase: 0.0 };
-            let airlight = it.airlight(level, &along, Source::Given(&[1.0; WIDTH]));
+            let segment = EquiangularSegment::new(level, Vec3A::ZERO, Vec3A::X, (0.0, 30.0), center, 1e-6);
+            let medium =
+                SegmentMedium { depth: segment.distances(), scattering: [1.0; WIDTH], extinction: 1.0, phase: 0.0 };
+            let airlight = segment.airlight(level, &medium, SourceProfile::Sampled(&[1.0; WIDTH]));
             let n = 100_000u32;
             let (mut sum, mut squares) = (0.0f64, 0.0f64);
             for i in 0..n {
@@ -377,9 +378,10 @@ mod tests {
     fn a_source_in_the_ray_or_at_its_end_is_no_trouble() {
         for (length, along) in [(0.0, 1.0), (1.0, 0.0), (1.0, 1.0), (1e-30, 0.0), (1e12, 1e12)] {
             let level = Level::detect();
-            let it = Beside::new(level, Vec3A::ZERO, Vec3A::X, (0.0, length), Vec3A::X * along, 1e-6);
-            let along = Along { depth: it.distances(), scattering: [0.0; WIDTH], haze: 1.0, phase: 0.9 };
-            let airlight = it.airlight(level, &along, Source::Given(&[f32::INFINITY; WIDTH]));
+            let segment = EquiangularSegment::new(level, Vec3A::ZERO, Vec3A::X, (0.0, length), Vec3A::X * along, 1e-6);
+            let medium =
+                SegmentMedium { depth: segment.distances(), scattering: [0.0; WIDTH], extinction: 1.0, phase: 0.9 };
+            let airlight = segment.airlight(level, &medium, SourceProfile::Sampled(&[f32::INFINITY; WIDTH]));
             for u in [0.0, 0.3, 1.0 - f32::EPSILON / 2.0] {
                 let t = airlight.sample(u);
                 assert!(t >= 0.0 && t <= length && airlight.pdf(t) >= 0.0, "{length} {t} {}", airlight.pdf(t));

@@ -6,7 +6,7 @@ use std::f32::consts::{FRAC_1_PI, PI};
 
 /// Sides of a surface that emit.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Sides {
+pub enum EmittingSides {
     /// The front only; rays from behind pass through the surface.
     One,
     /// Both sides, each with the full emittance.
@@ -16,7 +16,7 @@ pub enum Sides {
 
 /// Angular profile of the emitted radiance.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub enum Profile {
+pub enum AngularProfile {
     /// `emittance / pi` for every direction.
     #[default]
     Lambertian,
@@ -33,21 +33,21 @@ pub struct Emission {
     /// Emittance of one side, lm/m2 (linear Rec.709).
     pub emittance: Rgb,
     /// Angular profile.
-    pub profile: Profile,
+    pub profile: AngularProfile,
     /// Emitting sides.
-    pub sides: Sides,
+    pub sides: EmittingSides,
 }
 
 impl Emission {
     /// Returns the radiance (cd/m2) that leaves at cosine `cos` with the front normal.
     #[inline]
     pub fn radiance(&self, cos: f32) -> Rgb {
-        if cos == 0.0 || (cos < 0.0 && self.sides == Sides::One) {
+        if cos == 0.0 || (cos < 0.0 && self.sides == EmittingSides::One) {
             return Rgb::ZERO;
         }
         match self.profile {
-            Profile::Lambertian => self.emittance * FRAC_1_PI,
-            Profile::Lobe { exponent } => {
+            AngularProfile::Lambertian => self.emittance * FRAC_1_PI,
+            AngularProfile::Lobe { exponent } => {
                 self.emittance * ((exponent + 2.0) / (2.0 * PI) * elementary::pow(cos.abs().min(1.0), exponent))
             }
         }
@@ -56,14 +56,14 @@ impl Emission {
     /// Checks whether nothing leaves at cosine `cos` with the front normal.
     #[inline]
     pub fn is_dark(&self, cos: f64) -> bool {
-        cos == 0.0 || (cos < 0.0 && self.sides == Sides::One)
+        cos == 0.0 || (cos < 0.0 && self.sides == EmittingSides::One)
     }
 
     /// Returns the luminous flux (lm) of `area` m2.
     pub fn power(&self, area: f64) -> f32 {
         let sides = match self.sides {
-            Sides::One => 1.0,
-            Sides::Two => 2.0,
+            EmittingSides::One => 1.0,
+            EmittingSides::Two => 2.0,
         };
         (f64::from(luminance(self.emittance)) * area * sides) as f32
     }
@@ -75,9 +75,9 @@ mod tests {
 
     #[test]
     fn emittance_is_the_cosine_integral_of_every_radiance_profile() {
-        let exponents = [0.0, 1.0, 7.5, 80.0].map(|exponent| Profile::Lobe { exponent });
-        for profile in [Profile::Lambertian].into_iter().chain(exponents) {
-            let emission = Emission { emittance: Rgb::new(3.0, 2.0, 1.0), profile, sides: Sides::One };
+        let exponents = [0.0, 1.0, 7.5, 80.0].map(|exponent| AngularProfile::Lobe { exponent });
+        for profile in [AngularProfile::Lambertian].into_iter().chain(exponents) {
+            let emission = Emission { emittance: Rgb::new(3.0, 2.0, 1.0), profile, sides: EmittingSides::One };
             let n = 20_000;
             // 2 pi int L c dc
             let sum: f64 = (0..n)

@@ -12,14 +12,14 @@
 pub mod airlight;
 pub mod emission;
 pub mod light;
-pub mod many;
+pub mod light_sampler;
 pub mod photometry;
 pub mod solid_angle;
 pub mod tree;
 
-pub use airlight::{Airlight, Along, Beside, Source};
-pub use emission::{Emission, Profile, Sides};
+pub use airlight::{Airlight, EquiangularSegment, SegmentMedium, SourceProfile};
+pub use emission::{AngularProfile, Emission, EmittingSides};
 pub use light::{DeltaKind, EmissionCone, Light, LightSample};
-pub use many::{Choice, FromPoint, ManyLights, Wanting};
+pub use light_sampler::{DirectionContext, LightSampleContext, LightSampler, LightWeights};
 pub use photometry::{IntensityDistribution, PhotometryError, PhotometryKind};
-pub use tree::{AlongSegment, AtPoint, LightBounds, Lobes};
+pub use tree::{BsdfLobes, LightBounds, PointContext, SegmentContext};

@@ -89,7 +89,7 @@ pub struct IntensityDistribution {
 }
 
 /// Tolerance in degrees at the ends of the tabulated ranges.
-const SLACK: f32 = 1e-3;
+const ANGLE_TOLERANCE: f32 = 1e-3;
 
 impl IntensityDistribution {
     /// Creates the distribution from a table.
@@ -118,7 +118,7 @@ impl IntensityDistribution {
             candela: single(candela),
             flux: 0.0,
         };
-        if table.symmetry == Symmetry::Full && horizontal[nh - 1] < 360.0 - f64::from(SLACK) {
+        if table.symmetry == Symmetry::Full && horizontal[nh - 1] < 360.0 - f64::from(ANGLE_TOLERANCE) {
             table.horizontal.push((horizontal[0] + 360.0) as f32);
             table.candela.extend_from_within(..nv);
         }
@@ -137,7 +137,7 @@ impl IntensityDistribution {
                 (elementary::atan2(dir.x, -dir.z), elementary::atan2(-dir.y, in_plane))
             }
         };
-        self.at(v.to_degrees(), h.to_degrees())
+        self.interpolate(v.to_degrees(), h.to_degrees())
     }
 
     /// Returns the total luminous flux, lm, of the tabulated function itself.
@@ -151,7 +151,7 @@ impl IntensityDistribution {
     }
 
     /// Returns the value at angles in degrees (`v` in the kind's own range, `h` in -180..180).
-    fn at(&self, v: f32, h: f32) -> f32 {
+    fn interpolate(&self, v: f32, h: f32) -> f32 {
         let Some((v0, v1, tv)) = locate(&self.vertical, v) else { return 0.0 };
         let turned = if h < 0.0 { h + 360.0 } else { h };
         let h = match self.symmetry {
@@ -219,7 +219,7 @@ impl IntensityDistribution {
                     PhotometryKind::A | PhotometryKind::C => (middle, 0.5 * (a0 + a1)),
                 };
                 let h = if h > 180.0 { h - 360.0 } else { h };
-                sum += f64::from(self.at(v as f32, h as f32)) * band * (a1 - a0).to_radians();
+                sum += f64::from(self.interpolate(v as f32, h as f32)) * band * (a1 - a0).to_radians();
             }
         }
         let copies = match self.symmetry {
@@ -242,7 +242,7 @@ fn check_angles(angles: &[f64], axis: &'static str) -> Result<(), PhotometryErro
 
 fn symmetry(kind: PhotometryKind, horizontal: &[f64]) -> Symmetry {
     let (first, last) = (horizontal[0], horizontal[horizontal.len() - 1]);
-    let slack = f64::from(SLACK);
+    let slack = f64::from(ANGLE_TOLERANCE);
     match kind {
         PhotometryKind::C if horizontal.len() == 1 => Symmetry::Rotational,
         PhotometryKind::C if (first - 90.0).abs() <= slack && (last - 270.0).abs() <= slack => Symmetry::Across90,
@@ -257,7 +257,7 @@ fn symmetry(kind: PhotometryKind, horizontal: &[f64]) -> Symmetry {
 /// Returns the neighbors of `x` in `table` and the fraction between them; `None` beyond the ends.
 fn locate(table: &[f32], x: f32) -> Option<(usize, usize, f32)> {
     let last = table.len() - 1;
-    if x < table[0] - SLACK || x > table[last] + SLACK {
+    if x < table[0] - ANGLE_TOLERANCE || x > table[last] + ANGLE_TOLERANCE {
         return None;
     }
     let above = table.partition_point(|&t| t <= x);

@@ -8,20 +8,20 @@ use femc_math::glam::DVec3;
 use std::f64::consts::TAU;
 
 /// Solid angle below which points are sampled by area: the integrand is flat over such a small light.
-pub const SMALLEST: f64 = 1e-8;
+pub const MIN_SOLID_ANGLE: f64 = 1e-8;
 /// Square of (radius / distance) below which a light counts as far. The density over solid angle of a point sampled by area then
 /// varies little, and sampling by area costs a tenth.
-const FAR: f64 = 0.05;
+const FAR_RATIO2: f64 = 0.05;
 
 /// Checks whether a flat light is far: `center` is its middle relative to the reference, `reach2` the square of its radius about
 /// it.
 #[inline]
 pub fn is_far(center: DVec3, reach2: f64) -> bool {
-    reach2 < FAR * center.length_squared()
+    reach2 < FAR_RATIO2 * center.length_squared()
 }
 
 /// Solid angle above which directions are sampled over the hemisphere and tested: the spherical angles degenerate toward 2 pi.
-pub const LARGEST: f64 = 6.2;
+pub const MAX_SOLID_ANGLE: f64 = 6.2;
 
 /// Sampling strategy for points of a flat light from one reference point, shared by `sample` and `pdf`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -39,10 +39,10 @@ pub enum Strategy {
 impl Strategy {
     /// Returns the strategy for a `solid_angle`.
     #[inline]
-    pub fn of(solid_angle: f64) -> Self {
-        if solid_angle >= LARGEST {
+    pub fn from_solid_angle(solid_angle: f64) -> Self {
+        if solid_angle >= MAX_SOLID_ANGLE {
             Self::Hemisphere
-        } else if solid_angle >= SMALLEST {
+        } else if solid_angle >= MIN_SOLID_ANGLE {
             Self::SolidAngle(solid_angle)
         } else if solid_angle > 0.0 {
             Self::Area

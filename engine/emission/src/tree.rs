@@ -2,29 +2,29 @@
 //!
 //! The lights form a binary tree (\[conty2018\]). A node stores the sphere around its lights, the cone of their normals and their
 //! power. A place (a point, or a segment of a ray in fog) gives every node an importance. The choice starts among the nodes that
-//! are small as seen from the place ([`Front`]). From one of them it descends, each time in proportion to the importance. A light
+//! are small as seen from the place ([`TreeCut`]). From one of them it descends, each time in proportion to the importance. A light
 //! has probability zero only if it can send nothing.
 //!
 //! Importances are bounds where that matters (a light that faces a place is never lost) and estimates elsewhere. With
 //! [`LightTree::probability_from`] for the weights, the choice is unbiased for any importances.
 
 mod build;
-mod place;
+mod importance;
 
 use crate::light::EmissionCone;
 use arrayvec::ArrayVec;
-use build::{Cluster, cut};
+use build::{Cluster, partition_leaves};
 use femc_math::glam::Vec3A;
 
-pub use place::{AlongSegment, AtPoint, Lobes, Node, Place};
+pub use importance::{BsdfLobes, Node, NodeImportance, PointContext, SegmentContext};
 
 /// Depth below which nodes are split in the middle, which limits the depth of the tree.
-const STEEP: u32 = 32;
+const MAX_SAOH_DEPTH: u32 = 32;
 /// Nodes whose middle is nearer than this multiple of their radius are opened before the choice starts: inside or near its sphere,
 /// a node says almost nothing about the distances of its lights.
-const NEAR: f32 = 2.0;
+const OPENING_RATIO: f32 = 2.0;
 /// Maximum number of nodes among which a choice starts.
-const FRONT: usize = 32;
+const MAX_CUT: usize = 32;
 /// Child index that marks a leaf; its light's index is stored beside it.
 const LEAF: u32 = u32::MAX;
 /// Rank of a light without power.
@@ -42,7 +42,7 @@ pub struct LightBounds {
     /// Luminous flux, lm.
     pub power: f32,
     /// Extinction of the media around the light, 1/m; it makes far lights less important.
-    pub haze: f32,
+    pub extinction: f32,
     /// Bound on normals and emission.
     pub cone: EmissionCone,
 }
@@ -51,7 +51,7 @@ pub struct LightBounds {
 #[derive(Clone, Debug, Default)]
 pub struct LightTree {
     nodes: Vec<Node>,
-    /// Rank of each light among the leaves from left to right; [`ABSENT`] if it is not in the tree.
+    /// Rank of each light among the leaves from left to right; [`PLACEHOLDER`] if it is not in the tree.
     ranks: Vec<u32>,
     /// Node of each rank.
     leaves: Vec<u32>,
@@ -65,12 +65,12 @@ impl LightTree {
         let mut leaves: Vec<Cluster> = (0..lights.len() as u32)
             .zip(lights)
             .filter(|(_, light)| has_power(light))
-            .map(|(index, light)| Cluster::of(light, index))
+            .map(|(index, light)| Cluster::new(light, index))
             .collect();
         let mut tree = Self { nodes: Vec::new(), ranks: vec![ABSENT; lights.len()], leaves: vec![0; leaves.len()] };
         if !leaves.is_empty() {
             tree.nodes.reserve(2 * leaves.len() - 1);
-            tree.nodes.push(Node::ABSENT);
+            tree.nodes.push(Node::PLACEHOLDER);
             tree.build(0, &mut leaves, 0, 0);
         }
         tree
@@ -87,10 +87,10 @@ impl LightTree {
             self.leaves[first as usize] = at as u32;
             return;
         }
-        let middle = if depth < STEEP { cut(&whole, leaves) } else { leaves.len() / 2 };
+        let middle = if depth < MAX_SAOH_DEPTH { partition_leaves(&whole, leaves) } else { leaves.len() / 2 };
         let children = self.nodes.len();
-        self.nodes.push(Node::ABSENT);
-        self.nodes.push(Node::ABSENT);
+        self.nodes.push(Node::PLACEHOLDER);
+        self.nodes.push(Node::PLACEHOLDER);
         self.nodes[at] = Node { ranks, ..whole.node(children as u32, 0) };
         let (left, right) = leaves.split_at_mut(middle);
         self.build(children, left, first, depth + 1);
@@ -99,35 +99,38 @@ impl LightTree {
 
     /// Returns the probability of the first child of a node; `None` if neither can send anything.
     #[inline]
-    fn first_share(&self, children: u32, place: &impl Place) -> Option<f64> {
+    fn first_child_probability(&self, children: u32, context: &impl NodeImportance) -> Option<f64> {
         let pair = &self.nodes[children as usize..children as usize + 2];
-        let (a, b) = (f64::from(place.importance(&pair[0])), f64::from(place.importance(&pair[1])));
+        let (a, b) = (f64::from(context.importance(&pair[0])), f64::from(context.importance(&pair[1])));
         let share = a / (a + b);
         (share.is_finite()).then_some(share)
     }
 
-    /// Returns the nodes among which a choice for `place` starts: those that are small as seen from there, breadth first.
+    /// Returns the nodes among which a choice for `importance` starts: those that are small as seen from there, breadth first.
     #[inline]
-    pub fn front(&self, place: &impl Place) -> Front {
-        let mut front = Front { parts: ArrayVec::new(), total: 0.0 };
-        let mut queue = ArrayVec::<u32, { 2 * FRONT }>::new();
+    pub fn cut_for(&self, context: &impl NodeImportance) -> TreeCut {
+        let mut cut = TreeCut { nodes: ArrayVec::new(), total: 0.0 };
+        let mut queue = ArrayVec::<u32, { 2 * MAX_CUT }>::new();
         queue.extend((!self.nodes.is_empty()).then_some(0));
         let (mut at, mut parts) = (0, 1);
         while let Some(&index) = queue.get(at) {
             at += 1;
             let node = &self.nodes[index as usize];
-            if parts < FRONT && node.children != LEAF && place.distance2(node) < NEAR * NEAR * node.radius2 {
+            if parts < MAX_CUT
+                && node.children != LEAF
+                && context.distance2(node) < OPENING_RATIO * OPENING_RATIO * node.radius2
+            {
                 parts += 1;
                 queue.extend([node.children, node.children + 1]);
                 continue;
             }
-            let importance = place.importance(node);
+            let importance = context.importance(node);
             if importance > 0.0 {
-                front.parts.push((index, importance));
-                front.total += f64::from(importance);
+                cut.nodes.push((index, importance));
+                cut.total += f64::from(importance);
             }
         }
-        front
+        cut
     }
 
     /// Returns the leaves from left to right: neighbors in this order are near each other.
@@ -147,11 +150,11 @@ impl LightTree {
         self.ranks.get(light as usize).filter(|&&rank| rank != ABSENT).map(|&rank| rank as usize)
     }
 
-    /// Returns at most `most` nodes that together hold every light once. Bright and wide nodes are split first.
-    pub fn cut(&self, most: usize) -> Vec<Node> {
+    /// Returns at most `max_nodes` nodes that together hold every light once. Bright and wide nodes are split first.
+    pub fn clusters(&self, max_nodes: usize) -> Vec<Node> {
         let weight = |node: &Node| node.intensity * node.radius;
         let mut parts: Vec<Node> = self.nodes.first().copied().into_iter().collect();
-        while parts.len() < most {
+        while parts.len() < max_nodes {
             let inner = parts.iter().enumerate().filter(|(_, node)| node.children != LEAF);
             let Some((at, node)) = inner.max_by(|a, b| weight(a.1).total_cmp(&weight(b.1)).then(b.0.cmp(&a.0))) else {
                 break;
@@ -162,15 +165,15 @@ impl LightTree {
         parts
     }
 
-    /// Chooses a light for `place` with `u` in [0, 1): its index and probability > 0. `None`: no light can send anything.
-    /// - `front`: from [`Self::front`] for the same place.
+    /// Chooses a light for `importance` with `u` in [0, 1): its index and probability > 0. `None`: no light can send anything.
+    /// - `cut_for`: from [`Self::cut_for`] for the same place.
     #[inline]
-    pub fn choose_from(&self, front: &Front, place: &impl Place, u: f64) -> Option<(u32, f32)> {
-        if !(front.total > 0.0 && front.total.is_finite()) {
+    pub fn choose_from(&self, cut: &TreeCut, context: &impl NodeImportance, u: f64) -> Option<(u32, f32)> {
+        if !(cut.total > 0.0 && cut.total.is_finite()) {
             return None;
         }
-        let (mut rest, mut chosen) = (u * front.total, None);
-        for &(index, importance) in &front.parts {
+        let (mut rest, mut chosen) = (u * cut.total, None);
+        for &(index, importance) in &cut.nodes {
             let importance = f64::from(importance);
             chosen = Some((index, importance, rest.min(importance)));
             if rest < importance {
@@ -181,9 +184,9 @@ impl LightTree {
         let (index, importance, rest) = chosen?;
         let mut u = (rest / importance).min(1.0 - f64::EPSILON);
         let mut node = &self.nodes[index as usize];
-        let mut probability = importance / front.total;
+        let mut probability = importance / cut.total;
         while node.children != LEAF {
-            let share = self.first_share(node.children, place)?;
+            let share = self.first_child_probability(node.children, context)?;
             if u < share {
                 u /= share;
                 probability *= share;
@@ -198,21 +201,21 @@ impl LightTree {
         (probability > 0.0).then_some((node.light, probability))
     }
 
-    /// Returns the probability with which [`Self::choose_from`] chooses `light` for `place`.
+    /// Returns the probability with which [`Self::choose_from`] chooses `light` for `importance`.
     #[inline]
-    pub fn probability_from(&self, front: &Front, place: &impl Place, light: u32) -> f32 {
+    pub fn probability_from(&self, cut: &TreeCut, context: &impl NodeImportance, light: u32) -> f32 {
         let rank = self.ranks[light as usize];
-        if rank == ABSENT || !front.total.is_finite() {
+        if rank == ABSENT || !cut.total.is_finite() {
             return 0.0;
         }
-        let has = |part: &&(u32, f32)| self.nodes[part.0 as usize].has(rank);
-        let Some(&(index, importance)) = front.parts.iter().find(has) else { return 0.0 };
+        let has = |part: &&(u32, f32)| self.nodes[part.0 as usize].contains_rank(rank);
+        let Some(&(index, importance)) = cut.nodes.iter().find(has) else { return 0.0 };
         let mut node = &self.nodes[index as usize];
-        let mut probability = f64::from(importance) / front.total;
+        let mut probability = f64::from(importance) / cut.total;
         while node.children != LEAF {
-            let Some(share) = self.first_share(node.children, place) else { return 0.0 };
+            let Some(share) = self.first_child_probability(node.children, context) else { return 0.0 };
             let first = &self.nodes[node.children as usize];
-            if first.has(rank) {
+            if first.contains_rank(rank) {
                 probability *= share;
                 node = first;
             } else {
@@ -226,9 +229,9 @@ impl LightTree {
 
 /// The nodes among which a choice for a place starts.
 #[derive(Clone, Debug)]
-pub struct Front {
+pub struct TreeCut {
     /// Nodes that may send something, with their importance.
-    parts: ArrayVec<(u32, f32), FRONT>,
+    nodes: ArrayVec<(u32, f32), MAX_CUT>,
     /// Sum of the importances.
     total: f64,
 }

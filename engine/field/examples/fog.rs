@@ -1,7 +1,7 @@
 //! Measures the time of queries to a tree of fog, in nanoseconds: `cargo run --release -p femc-field --example fog`. The tree is
 //! regular, of 4,096 boxes or of the given number (a power of 2). Random lines go through 15 boxes each on average.
 
-use femc_field::{FogCell, FogLeaf, FogTree, Line};
+use femc_field::{FogCell, FogLeaf, FogLine, FogTree};
 use femc_math::Rgb;
 use femc_math::elementary::cbrt;
 use femc_math::glam::Vec3A;
@@ -24,11 +24,11 @@ fn tree(depth: u32, color: Rgb) -> FogTree {
             let (mut low, mut high) = (max, min);
             (low[axis], high[axis]) = (at, at);
             boxes.extend([[min, low], [high, max]]);
-            cells.push(FogCell::Cut { axis: axis as u8, at });
+            cells.push(FogCell::Split { axis: axis as u8, at });
         } else {
             let mean = [Rgb::ONE, Rgb::splat(0.3), Rgb::splat(-0.2), Rgb::splat(0.1)];
             let leaf = FogLeaf { mean, sigma_s: color, sigma_t: color * (1.0 + min.x) };
-            cells.push(FogCell::Leaf(leaf.limited()));
+            cells.push(FogCell::Leaf(leaf.limit_slopes()));
         }
     }
     FogTree::new([Vec3A::ZERO, Vec3A::ONE], &cells).unwrap_or_default()
@@ -41,10 +41,10 @@ fn point(k: usize, seed: f64) -> Vec3A {
 }
 
 /// Returns the least time of a query, ns.
-fn time(mut ask: impl FnMut(usize)) -> f64 {
+fn time(mut query: impl FnMut(usize)) -> f64 {
     let round = |_| {
         let start = Instant::now();
-        (0..LINES).for_each(&mut ask);
+        (0..LINES).for_each(&mut query);
         start.elapsed().as_secs_f64() * 1e9 / LINES as f64
     };
     (0..ROUNDS).map(round).fold(f64::INFINITY, f64::min)
@@ -64,18 +64,18 @@ fn main() {
             (from, (to - from).normalize_or(Vec3A::X))
         };
         let lines: Vec<(Vec3A, Vec3A)> = (0..LINES).map(of).collect();
-        let mut line = Line::default();
+        let mut line = FogLine::default();
         let at = time(|k| {
             black_box(tree.mean_radiance(points[k]));
         });
         let along = time(|k| {
             let (origin, dir) = lines[k];
-            tree.line(origin, dir, 0.0, length, &mut line);
+            tree.radiance_along(origin, dir, 0.0, length, &mut line);
             black_box(line.luminance());
         });
         let mut met = 0;
         for &(origin, dir) in &lines {
-            tree.line(origin, dir, 0.0, length, &mut line);
+            tree.radiance_along(origin, dir, 0.0, length, &mut line);
             met += line.leaves();
         }
         let met = met as f64 / LINES as f64;

@@ -31,13 +31,13 @@ impl Outline {
     }
 
     /// Returns the coordinates of a point along the edges.
-    pub fn local(&self, place: Vec2) -> Vec2 {
-        let ([a, b], p) = (self.edges, place - self.corner);
+    pub fn local(&self, point: Vec2) -> Vec2 {
+        let ([a, b], p) = (self.edges, point - self.corner);
         Vec2::new(p.perp_dot(b), a.perp_dot(p)) / a.perp_dot(b)
     }
 
     /// Converts an outline from this one's coordinates.
-    pub fn of(&self, inner: &Self) -> Self {
+    pub fn compose(&self, inner: &Self) -> Self {
         let edge = |edge: Vec2| self.edges[0] * edge.x + self.edges[1] * edge.y;
         Self { corner: self.at(inner.corner), edges: inner.edges.map(edge) }
     }
@@ -83,12 +83,12 @@ pub struct Cell {
 
 impl Cell {
     /// Returns the leaf that contains a point, and the point's coordinates in it. `None` for a surface without cells.
-    pub fn find(cells: &[Self], root: u32, place: Vec2) -> Option<(u32, Vec2)> {
+    pub fn find(cells: &[Self], root: u32, point: Vec2) -> Option<(u32, Vec2)> {
         if root == NONE {
             return None;
         }
         let mut cell = &cells[root as usize];
-        let mut local = cell.outline.local(place);
+        let mut local = cell.outline.local(point);
         loop {
             let Some(half) = cell.half(local) else { return Some((cell.next, local)) };
             cell = &cells[half as usize];

@@ -6,7 +6,7 @@
 //! | 8 | `FEMCFELD` |
 //! | 4 | format version, 3 |
 //! | 16 | BLAKE3 of everything after this field, first half |
-//! | 8 x 8 | [`Statistics`]: elements, leaves, links, links with light sources, refused links, rays, iterations, bytes |
+//! | 8 x 8 | [`SolveStatistics`]: elements, leaves, links, links with light sources, refused links, rays, iterations, bytes |
 //! | 4 | the residual |
 //! | 9 x 4 | numbers of instances, primitives of all of them, surfaces, cells, leaves, boxes that contain all fog (1 or 0), boxes of fog, guides, lobes |
 //! | 8 | bytes of the tables below |
@@ -50,16 +50,16 @@ const VERSION: u32 = 3;
 const CHECKSUM: usize = 16;
 const PREFIX: usize = MAGIC.len() + 4 + CHECKSUM;
 /// Maximum number of bytes of all tables: 4 GiB.
-const MOST: u64 = 1 << 32;
+const MAX_TABLE_BYTES: u64 = 1 << 32;
 /// Maximum window of data that is read back. It bounds the memory of the decompressor.
 const WINDOW_LOG: u32 = 23;
-const LEVEL: i32 = 3;
+const COMPRESSION_LEVEL: i32 = 3;
 /// Maximum share of a guide's lobes in all directions.
-const MOST_GUIDED: f32 = 0.99;
+const MAX_GUIDED_SHARE: f32 = 0.99;
 
 /// Statistics of a first pass.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Statistics {
+pub struct SolveStatistics {
     /// Number of parts of surfaces and of fog.
     pub elements: u64,
     /// Number of elements that are not split.
@@ -96,15 +96,15 @@ pub enum FieldError {
     Corrupt(&'static str),
 }
 
-const CUT: FieldError = FieldError::Corrupt("cut short");
+const TRUNCATED: FieldError = FieldError::Corrupt("cut short");
 
 impl Field {
     /// Encodes the field as bytes, with its statistics.
-    pub fn encode(&self, statistics: &Statistics) -> Vec<u8> {
+    pub fn encode(&self, statistics: &SolveStatistics) -> Vec<u8> {
         let mut out = MAGIC.to_vec();
         out.extend(VERSION.to_le_bytes());
         out.extend([0; CHECKSUM]);
-        let Statistics { elements, leaves, links, lamp_links, refused, rays, iterations, bytes, residual } =
+        let SolveStatistics { elements, leaves, links, lamp_links, refused, rays, iterations, bytes, residual } =
             *statistics;
         let counts = [elements, leaves, links, lamp_links, refused, rays, iterations, bytes];
         counts.iter().for_each(|count| out.extend(count.to_le_bytes()));
@@ -118,44 +118,44 @@ impl Field {
             self.leaves.len(),
             usize::from(!self.fog.is_empty()),
             self.fog.cells().count(),
-            self.guides.of().len(),
+            self.guides.by_leaf().len(),
             self.guides.lobes().len(),
         ];
         lengths.iter().for_each(|&length| out.extend((length as u32).to_le_bytes()));
-        let tables = self.tables();
+        let tables = self.encode_tables();
         out.extend((tables.len() as u64).to_le_bytes());
         // Compression from memory to a growing buffer cannot fail. If it fails nevertheless, the result does not decode.
-        out.extend(zstd::bulk::compress(&tables, LEVEL).unwrap_or_default());
+        out.extend(zstd::bulk::compress(&tables, COMPRESSION_LEVEL).unwrap_or_default());
         let sum = blake3::hash(&out[PREFIX..]);
         out[PREFIX - CHECKSUM..PREFIX].copy_from_slice(&sum.as_bytes()[..CHECKSUM]);
         out
     }
 
-    fn tables(&self) -> Vec<u8> {
+    fn encode_tables(&self) -> Vec<u8> {
         let mut out = Vec::new();
-        table(&mut out, self.sides.iter().map(|sides| [sides.len() as u32]));
-        table(&mut out, self.sides.iter().flatten().copied());
+        write_table(&mut out, self.sides.iter().map(|sides| [sides.len() as u32]));
+        write_table(&mut out, self.sides.iter().flatten().copied());
         let surface = |(surface, &root): (&Surface, &u32)| {
             let Surface { instance, primitives: [first, last], material, side, form } = surface;
-            [*instance, *first, *last, *material, tag(form) << 1 | u32::from(*side == Side::Back), root]
+            [*instance, *first, *last, *material, form_tag(form) << 1 | u32::from(*side == Side::Back), root]
         };
-        table(&mut out, self.surfaces.iter().zip(&self.roots).map(surface));
+        write_table(&mut out, self.surfaces.iter().zip(&self.roots).map(surface));
         let forms = || self.surfaces.iter().map(|surface| &surface.form);
         let flat = |form: &Form| match form {
-            Form::Triangle(corner) | Form::Parallelogram(corner) => Some(colors::<3, 9>(corner)),
+            Form::Triangle(corner) | Form::Parallelogram(corner) => Some(color_words::<3, 9>(corner)),
             Form::Curved { .. } => None,
         };
-        table(&mut out, forms().filter_map(flat));
+        write_table(&mut out, forms().filter_map(flat));
         let curved = |form: &Form| match form {
             Form::Triangle(_) | Form::Parallelogram(_) => None,
             Form::Curved { shape, pose } => {
                 let Mat3A { x_axis, y_axis, z_axis } = pose.matrix3;
-                let pose: [u32; 12] = colors(&[x_axis, y_axis, z_axis, pose.translation]);
-                let shape = numbers(shape).map(f32::to_bits);
+                let pose: [u32; 12] = color_words(&[x_axis, y_axis, z_axis, pose.translation]);
+                let shape = shape_parameters(shape).map(f32::to_bits);
                 Some(std::array::from_fn::<u32, 20, _>(|at| if at < 8 { shape[at] } else { pose[at - 8] }))
             }
         };
-        table(&mut out, forms().filter_map(curved));
+        write_table(&mut out, forms().filter_map(curved));
         let cell = |cell: &Cell| {
             let split = match cell.split {
                 Split::None => 0,
@@ -167,93 +167,97 @@ impl Field {
             let [x, y, ax, ay, bx, by] = [corner.x, corner.y, a.x, a.y, b.x, b.y].map(f32::to_bits);
             [split, cell.next, x, y, ax, ay, bx, by]
         };
-        table(&mut out, self.cells.iter().map(cell));
+        write_table(&mut out, self.cells.iter().map(cell));
         let kind = |leaf: &Leaf| match leaf {
             Leaf::Triangle(_) => [0],
             Leaf::Rectangle(_) => [1],
             Leaf::Curved(_) => [2],
         };
-        table(&mut out, self.leaves.iter().map(kind));
+        write_table(&mut out, self.leaves.iter().map(kind));
         let triangle =
-            |leaf: &Leaf| if let Leaf::Triangle(values) = leaf { Some(colors::<3, 9>(values)) } else { None };
-        table(&mut out, self.leaves.iter().filter_map(triangle));
+            |leaf: &Leaf| if let Leaf::Triangle(values) = leaf { Some(color_words::<3, 9>(values)) } else { None };
+        write_table(&mut out, self.leaves.iter().filter_map(triangle));
         let rectangle =
-            |leaf: &Leaf| if let Leaf::Rectangle(values) = leaf { Some(colors::<4, 12>(values)) } else { None };
-        table(&mut out, self.leaves.iter().filter_map(rectangle));
-        let curved = |leaf: &Leaf| if let Leaf::Curved(light) = leaf { Some(colors::<9, 27>(&light.0)) } else { None };
-        table(&mut out, self.leaves.iter().filter_map(curved));
-        self.fog_tables(&mut out);
-        table(&mut out, self.guides.of().iter().map(|guide| [guide.first, guide.count, guide.share.to_bits()]));
+            |leaf: &Leaf| if let Leaf::Rectangle(values) = leaf { Some(color_words::<4, 12>(values)) } else { None };
+        write_table(&mut out, self.leaves.iter().filter_map(rectangle));
+        let curved =
+            |leaf: &Leaf| if let Leaf::Curved(light) = leaf { Some(color_words::<9, 27>(&light.0)) } else { None };
+        write_table(&mut out, self.leaves.iter().filter_map(curved));
+        self.encode_fog_tables(&mut out);
+        write_table(
+            &mut out,
+            self.guides.by_leaf().iter().map(|guide| [guide.first, guide.count, guide.share.to_bits()]),
+        );
         let lobe = |&Lobe { target, axes: [a, b], share }: &Lobe| {
-            let values: [u32; 9] = colors(&[target, a, b]);
+            let values: [u32; 9] = color_words(&[target, a, b]);
             std::array::from_fn::<u32, 10, _>(|at| if at < 9 { values[at] } else { share.to_bits() })
         };
-        table(&mut out, self.guides.lobes().iter().map(lobe));
+        write_table(&mut out, self.guides.lobes().iter().map(lobe));
         out
     }
 
-    fn fog_tables(&self, out: &mut Vec<u8>) {
+    fn encode_fog_tables(&self, out: &mut Vec<u8>) {
         let fog = &self.fog;
-        table(out, (!fog.is_empty()).then(|| colors::<2, 6>(&fog.bounds())).into_iter());
+        write_table(out, (!fog.is_empty()).then(|| color_words::<2, 6>(&fog.bounds())).into_iter());
         let kind = |cell| match cell {
-            FogCell::Cut { axis, .. } => [u32::from(axis)],
+            FogCell::Split { axis, .. } => [u32::from(axis)],
             FogCell::Leaf(_) => [3],
         };
-        table(out, fog.cells().map(kind));
-        let cut = |cell| if let FogCell::Cut { at, .. } = cell { Some([at.to_bits()]) } else { None };
-        table(out, fog.cells().filter_map(cut));
+        write_table(out, fog.cells().map(kind));
+        let cut = |cell| if let FogCell::Split { at, .. } = cell { Some([at.to_bits()]) } else { None };
+        write_table(out, fog.cells().filter_map(cut));
         let leaf = |&FogLeaf { mean: [a, b, c, d], sigma_s, sigma_t }: &FogLeaf| {
-            colors::<6, 18>(&[a, b, c, d, sigma_s, sigma_t])
+            color_words::<6, 18>(&[a, b, c, d, sigma_s, sigma_t])
         };
-        table(out, fog.leaves().map(leaf));
+        write_table(out, fog.leaves().map(leaf));
     }
 
     /// Decodes a field and its statistics. Damage of any kind is an error.
-    pub fn decode(bytes: &[u8]) -> Result<(Self, Statistics), FieldError> {
-        let (prefix, body) = bytes.split_at_checked(PREFIX).ok_or(CUT)?;
+    pub fn decode(bytes: &[u8]) -> Result<(Self, SolveStatistics), FieldError> {
+        let (prefix, body) = bytes.split_at_checked(PREFIX).ok_or(TRUNCATED)?;
         if prefix[..MAGIC.len()] != MAGIC[..] {
             return Err(FieldError::Corrupt("wrong magic number"));
         }
-        let mut front = Front(&prefix[MAGIC.len()..]);
-        let found = front.word()?;
+        let mut front = HeaderReader(&prefix[MAGIC.len()..]);
+        let found = front.read_u32()?;
         if found != VERSION {
             return Err(FieldError::Version { found, expected: VERSION });
         }
         if blake3::hash(body).as_bytes()[..CHECKSUM] != *front.0 {
             return Err(FieldError::Corrupt("checksum mismatch"));
         }
-        let mut front = Front(body);
-        let statistics = Statistics {
-            elements: front.long()?,
-            leaves: front.long()?,
-            links: front.long()?,
-            lamp_links: front.long()?,
-            refused: front.long()?,
-            rays: front.long()?,
-            iterations: front.long()?,
-            bytes: front.long()?,
-            residual: f32::from_bits(front.word()?),
+        let mut front = HeaderReader(body);
+        let statistics = SolveStatistics {
+            elements: front.read_u64()?,
+            leaves: front.read_u64()?,
+            links: front.read_u64()?,
+            lamp_links: front.read_u64()?,
+            refused: front.read_u64()?,
+            rays: front.read_u64()?,
+            iterations: front.read_u64()?,
+            bytes: front.read_u64()?,
+            residual: f32::from_bits(front.read_u32()?),
         };
         let mut lengths = [0; 9];
         for length in &mut lengths {
-            *length = front.word()?;
+            *length = front.read_u32()?;
         }
-        let plain = front.long()?;
-        let tables = decompressed(front.0, plain)?;
-        Ok((read(Tables(&tables), lengths)?, statistics))
+        let plain = front.read_u64()?;
+        let tables = decompress(front.0, plain)?;
+        Ok((read_tables(TableReader(&tables), lengths)?, statistics))
     }
 
     /// Checks whether the field belongs to these surfaces.
     /// - `primitives`: number of primitives of each instance of a world.
-    pub fn fits(&self, primitives: impl ExactSizeIterator<Item = usize>) -> bool {
+    pub fn matches_primitives(&self, primitives: impl ExactSizeIterator<Item = usize>) -> bool {
         self.sides.len() == primitives.len() && self.sides.iter().zip(primitives).all(|(sides, of)| sides.len() == of)
     }
 }
 
-fn decompressed(bytes: &[u8], plain: u64) -> Result<Vec<u8>, FieldError> {
+fn decompress(bytes: &[u8], plain: u64) -> Result<Vec<u8>, FieldError> {
     const LENGTH: FieldError = FieldError::Corrupt("the tables have a wrong length");
     const DAMAGED: FieldError = FieldError::Corrupt("the tables cannot be decompressed");
-    if plain > MOST {
+    if plain > MAX_TABLE_BYTES {
         return Err(LENGTH);
     }
     let mut decoder = zstd::stream::read::Decoder::with_buffer(bytes).map_err(|_| DAMAGED)?;
@@ -263,14 +267,14 @@ fn decompressed(bytes: &[u8], plain: u64) -> Result<Vec<u8>, FieldError> {
     if tables.len() as u64 == plain { Ok(tables) } else { Err(LENGTH) }
 }
 
-fn read(mut tables: Tables<'_>, lengths: [u32; 9]) -> Result<Field, FieldError> {
+fn read_tables(mut tables: TableReader<'_>, lengths: [u32; 9]) -> Result<Field, FieldError> {
     let [instances, primitives, surfaces, cells, leaves, roots_of_fog, boxes, guides, lobes] = lengths;
     const INDEX: FieldError = FieldError::Corrupt("an index is out of its range");
-    let instances: Vec<[u32; 1]> = tables.table(instances)?;
+    let instances: Vec<[u32; 1]> = tables.read_table(instances)?;
     if instances.iter().map(|[count]| u64::from(*count)).sum::<u64>() != u64::from(primitives) {
         return Err(FieldError::Corrupt("wrong number of primitives"));
     }
-    let primitives: Vec<[u32; 2]> = tables.table(primitives)?;
+    let primitives: Vec<[u32; 2]> = tables.read_table(primitives)?;
     if primitives.as_flattened().iter().any(|&surface| surface != NONE && surface >= surfaces) {
         return Err(INDEX);
     }
@@ -281,10 +285,10 @@ fn read(mut tables: Tables<'_>, lengths: [u32; 9]) -> Result<Field, FieldError> 
         own.to_vec()
     });
     let sides: Vec<Vec<[u32; 2]>> = sides.collect();
-    let records: Vec<[u32; 6]> = tables.table(surfaces)?;
+    let records: Vec<[u32; 6]> = tables.read_table(surfaces)?;
     let tags = || records.iter().map(|record| record[4] >> 1);
-    let mut flat = tables.table(tags().filter(|tag| *tag < CURVED).count() as u32)?.into_iter();
-    let mut curved = tables.table(tags().filter(|tag| *tag >= CURVED).count() as u32)?.into_iter();
+    let mut flat = tables.read_table(tags().filter(|tag| *tag < FIRST_CURVED_TAG).count() as u32)?.into_iter();
+    let mut curved = tables.read_table(tags().filter(|tag| *tag >= FIRST_CURVED_TAG).count() as u32)?.into_iter();
     let (mut surfaces, mut roots) = (Vec::with_capacity(records.len()), Vec::with_capacity(records.len()));
     for [instance, first, last, material, form, root] in records {
         let of = sides.get(instance as usize).map_or(0, Vec::len);
@@ -293,22 +297,23 @@ fn read(mut tables: Tables<'_>, lengths: [u32; 9]) -> Result<Field, FieldError> 
         }
         let side = if form & 1 == 0 { Side::Front } else { Side::Back };
         let form = match form >> 1 {
-            tag if tag < CURVED => {
-                let corner = vectors::<3, 9>(&flat.next().ok_or(CUT)?);
+            tag if tag < FIRST_CURVED_TAG => {
+                let corner = vectors_from_words::<3, 9>(&flat.next().ok_or(TRUNCATED)?);
                 if tag == 0 { Form::Triangle(corner) } else { Form::Parallelogram(corner) }
             }
             tag => {
-                let words: [u32; 20] = curved.next().ok_or(CUT)?;
+                let words: [u32; 20] = curved.next().ok_or(TRUNCATED)?;
                 let values = std::array::from_fn(|at| f32::from_bits(words[at]));
-                let [x_axis, y_axis, z_axis, translation] = vectors::<4, 12>(&std::array::from_fn(|at| words[8 + at]));
+                let [x_axis, y_axis, z_axis, translation] =
+                    vectors_from_words::<4, 12>(&std::array::from_fn(|at| words[8 + at]));
                 let pose = Affine3A { matrix3: Mat3A { x_axis, y_axis, z_axis }, translation };
-                Form::Curved { shape: shape(tag, &values).ok_or(FieldError::Corrupt("unknown shape"))?, pose }
+                Form::Curved { shape: shape_from_tag(tag, &values).ok_or(FieldError::Corrupt("unknown shape"))?, pose }
             }
         };
         surfaces.push(Surface { instance, primitives: [first, last], material, side, form });
         roots.push(root);
     }
-    let records: Vec<[u32; 8]> = tables.table(cells)?;
+    let records: Vec<[u32; 8]> = tables.read_table(cells)?;
     let mut all = Vec::with_capacity(records.len());
     for (index, [split, next, outline @ ..]) in records.into_iter().enumerate() {
         let split = match split {
@@ -331,20 +336,20 @@ fn read(mut tables: Tables<'_>, lengths: [u32; 9]) -> Result<Field, FieldError> 
     }
     let leaves = read_leaves(&mut tables, leaves)?;
     let fog = read_fog(&mut tables, roots_of_fog, boxes)?;
-    let records: Vec<[u32; 3]> = tables.table(guides)?;
+    let records: Vec<[u32; 3]> = tables.read_table(guides)?;
     if records
         .iter()
         .any(|&[first, count, _]| count as usize > LOBES || first.checked_add(count).is_none_or(|end| end > lobes))
     {
         return Err(INDEX);
     }
-    let guides = records.into_iter().map(|[first, count, share]| Guide { first, count, share: share_of(share) });
+    let guides = records.into_iter().map(|[first, count, share]| Guide { first, count, share: decode_share(share) });
     let guides = guides.collect();
     let lobe = |words: [u32; 10]| {
-        let [target, a, b] = vectors::<3, 9>(&std::array::from_fn(|at| words[at]));
+        let [target, a, b] = vectors_from_words::<3, 9>(&std::array::from_fn(|at| words[at]));
         Lobe { target, axes: [a, b], share: f32::from_bits(words[9]) }
     };
-    let lobes: Vec<Lobe> = tables.table::<10>(lobes)?.into_iter().map(lobe).collect();
+    let lobes: Vec<Lobe> = tables.read_table::<10>(lobes)?.into_iter().map(lobe).collect();
     let is_sound = |lobe: &Lobe| {
         let is_axis = |axis: &Vec3A| axis.is_finite() && axis.length_squared() > 0.0;
         lobe.target.is_finite() && lobe.axes.iter().all(is_axis) && (0.0..f32::INFINITY).contains(&lobe.share)
@@ -360,49 +365,49 @@ fn read(mut tables: Tables<'_>, lengths: [u32; 9]) -> Result<Field, FieldError> 
 }
 
 /// Decodes a share of directions, in [0, 1). The rest is for directions that no lobe covers.
-fn share_of(bits: u32) -> f32 {
+fn decode_share(bits: u32) -> f32 {
     let share = f32::from_bits(bits);
-    if (0.0..MOST_GUIDED).contains(&share) { share } else { 0.0 }
+    if (0.0..MAX_GUIDED_SHARE).contains(&share) { share } else { 0.0 }
 }
 
-fn read_leaves(tables: &mut Tables<'_>, leaves: u32) -> Result<Vec<Leaf>, FieldError> {
-    let kinds: Vec<[u32; 1]> = tables.table(leaves)?;
+fn read_leaves(tables: &mut TableReader<'_>, leaves: u32) -> Result<Vec<Leaf>, FieldError> {
+    let kinds: Vec<[u32; 1]> = tables.read_table(leaves)?;
     let count = |wanted: u32| kinds.iter().filter(|[kind]| *kind == wanted).count() as u32;
-    let mut triangles = tables.table::<9>(count(0))?.into_iter();
-    let mut rectangles = tables.table::<12>(count(1))?.into_iter();
-    let mut curved = tables.table::<27>(count(2))?.into_iter();
+    let mut triangles = tables.read_table::<9>(count(0))?.into_iter();
+    let mut rectangles = tables.read_table::<12>(count(1))?.into_iter();
+    let mut curved = tables.read_table::<27>(count(2))?.into_iter();
     let leaf = |[kind]: &[u32; 1]| match kind {
-        0 => triangles.next().map(|words| Leaf::Triangle(vectors(&words))),
-        1 => rectangles.next().map(|words| Leaf::Rectangle(vectors(&words))),
-        2 => curved.next().map(|words| Leaf::Curved(Harmonics(vectors(&words)))),
+        0 => triangles.next().map(|words| Leaf::Triangle(vectors_from_words(&words))),
+        1 => rectangles.next().map(|words| Leaf::Rectangle(vectors_from_words(&words))),
+        2 => curved.next().map(|words| Leaf::Curved(Harmonics(vectors_from_words(&words)))),
         _ => None,
     };
     kinds.iter().map(leaf).collect::<Option<_>>().ok_or(FieldError::Corrupt("unknown kind of leaf"))
 }
 
-fn read_fog(tables: &mut Tables<'_>, roots: u32, boxes: u32) -> Result<FogTree, FieldError> {
+fn read_fog(tables: &mut TableReader<'_>, roots: u32, boxes: u32) -> Result<FogTree, FieldError> {
     const NONE: FieldError = FieldError::Corrupt("invalid boxes of fog");
     if roots != u32::from(boxes > 0) {
         return Err(NONE);
     }
-    let root: Vec<[u32; 6]> = tables.table(roots)?;
-    let kinds: Vec<[u32; 1]> = tables.table(boxes)?;
+    let root: Vec<[u32; 6]> = tables.read_table(roots)?;
+    let kinds: Vec<[u32; 1]> = tables.read_table(boxes)?;
     let count = |is_leaf: bool| kinds.iter().filter(|[kind]| (*kind == 3) == is_leaf).count() as u32;
-    let mut cuts = tables.table::<1>(count(false))?.into_iter();
-    let mut leaves = tables.table::<18>(count(true))?.into_iter();
+    let mut cuts = tables.read_table::<1>(count(false))?.into_iter();
+    let mut leaves = tables.read_table::<18>(count(true))?.into_iter();
     let Some(root) = root.first() else { return Ok(FogTree::default()) };
     let cell = |[kind]: &[u32; 1]| match kind {
         3 => leaves.next().map(|words| {
-            let [a, b, c, d, sigma_s, sigma_t] = vectors::<6, 18>(&words);
+            let [a, b, c, d, sigma_s, sigma_t] = vectors_from_words::<6, 18>(&words);
             FogCell::Leaf(FogLeaf { mean: [a, b, c, d], sigma_s, sigma_t })
         }),
         _ => {
             let at = cuts.next().map(|[at]| f32::from_bits(at));
-            at.zip(u8::try_from(*kind).ok()).map(|(at, axis)| FogCell::Cut { axis, at })
+            at.zip(u8::try_from(*kind).ok()).map(|(at, axis)| FogCell::Split { axis, at })
         }
     };
     let cells: Vec<FogCell> = kinds.iter().map(cell).collect::<Option<_>>().ok_or(NONE)?;
-    FogTree::new(vectors(root), &cells).ok_or(NONE)
+    FogTree::new(vectors_from_words(root), &cells).ok_or(NONE)
 }
 
 /// Checks that the halves of a node come after it, so that no path down the tree has a cycle.
@@ -411,30 +416,30 @@ fn is_below(index: usize, next: u32, nodes: u32) -> bool {
 }
 
 /// Reader of the header, word by word.
-struct Front<'a>(&'a [u8]);
+struct HeaderReader<'a>(&'a [u8]);
 
-impl Front<'_> {
-    fn word(&mut self) -> Result<u32, FieldError> {
-        let (word, rest) = self.0.split_first_chunk().ok_or(CUT)?;
+impl HeaderReader<'_> {
+    fn read_u32(&mut self) -> Result<u32, FieldError> {
+        let (word, rest) = self.0.split_first_chunk().ok_or(TRUNCATED)?;
         self.0 = rest;
         Ok(u32::from_le_bytes(*word))
     }
 
-    fn long(&mut self) -> Result<u64, FieldError> {
-        let (word, rest) = self.0.split_first_chunk().ok_or(CUT)?;
+    fn read_u64(&mut self) -> Result<u64, FieldError> {
+        let (word, rest) = self.0.split_first_chunk().ok_or(TRUNCATED)?;
         self.0 = rest;
         Ok(u64::from_le_bytes(*word))
     }
 }
 
 /// Tables that are not read yet, as bytes.
-struct Tables<'a>(&'a [u8]);
+struct TableReader<'a>(&'a [u8]);
 
-impl Tables<'_> {
-    fn table<const N: usize>(&mut self, records: u32) -> Result<Vec<[u32; N]>, FieldError> {
+impl TableReader<'_> {
+    fn read_table<const N: usize>(&mut self, records: u32) -> Result<Vec<[u32; N]>, FieldError> {
         let records = records as usize;
-        let bytes = records.checked_mul(4 * N).ok_or(CUT)?;
-        let (planes, rest) = self.0.split_at_checked(bytes).ok_or(CUT)?;
+        let bytes = records.checked_mul(4 * N).ok_or(TRUNCATED)?;
+        let (planes, rest) = self.0.split_at_checked(bytes).ok_or(TRUNCATED)?;
         self.0 = rest;
         let byte = |record: usize, at: usize| planes[at * records + record];
         let word = |record: usize, at: usize| u32::from_le_bytes([0, 1, 2, 3].map(|k| byte(record, 4 * at + k)));
@@ -443,7 +448,7 @@ impl Tables<'_> {
 }
 
 /// Writes a table in byte planes.
-fn table<const N: usize>(out: &mut Vec<u8>, records: impl Iterator<Item = [u32; N]>) {
+fn write_table<const N: usize>(out: &mut Vec<u8>, records: impl Iterator<Item = [u32; N]>) {
     let records: Vec<[u32; N]> = records.collect();
     out.reserve(4 * N * records.len());
     for at in 0..N {
@@ -454,20 +459,20 @@ fn table<const N: usize>(out: &mut Vec<u8>, records: impl Iterator<Item = [u32; 
 }
 
 /// Converts colors to words; `W` is 3 `N`.
-fn colors<const N: usize, const W: usize>(values: &[Rgb; N]) -> [u32; W] {
+fn color_words<const N: usize, const W: usize>(values: &[Rgb; N]) -> [u32; W] {
     std::array::from_fn(|at| values[at / 3][at % 3].to_bits())
 }
 
 /// Converts words to vectors; `W` is 3 `N`.
-fn vectors<const N: usize, const W: usize>(words: &[u32; W]) -> [Vec3A; N] {
+fn vectors_from_words<const N: usize, const W: usize>(words: &[u32; W]) -> [Vec3A; N] {
     std::array::from_fn(|at| Vec3A::from_array(std::array::from_fn(|axis| f32::from_bits(words[3 * at + axis]))))
 }
 
 /// Least tag of a curved form.
-const CURVED: u32 = 2;
+const FIRST_CURVED_TAG: u32 = 2;
 
 /// Returns the tag of a form. A shape has two tags, one for each facing.
-fn tag(form: &Form) -> u32 {
+fn form_tag(form: &Form) -> u32 {
     let (shape, facing) = match form {
         Form::Triangle(_) => return 0,
         Form::Parallelogram(_) => return 1,
@@ -476,11 +481,11 @@ fn tag(form: &Form) -> u32 {
         Form::Curved { shape: Quadric::Ring { .. }, .. } => (2, Facing::Outward),
         Form::Curved { shape: Quadric::Torus { facing, .. }, .. } => (3, *facing),
     };
-    CURVED + 2 * shape + u32::from(facing == Facing::Inward)
+    FIRST_CURVED_TAG + 2 * shape + u32::from(facing == Facing::Inward)
 }
 
 /// Returns the parameters of a shape.
-fn numbers(shape: &Quadric) -> [f32; 8] {
+fn shape_parameters(shape: &Quadric) -> [f32; 8] {
     match *shape {
         Quadric::Sphere { center: c, radius, .. } => [c.x, c.y, c.z, radius, 0.0, 0.0, 0.0, 0.0],
         Quadric::Cone { start: s, end: e, start_radius, end_radius, .. } => {
@@ -491,11 +496,11 @@ fn numbers(shape: &Quadric) -> [f32; 8] {
     }
 }
 
-fn shape(tag: u32, values: &[f32; 8]) -> Option<Quadric> {
+fn shape_from_tag(tag: u32, values: &[f32; 8]) -> Option<Quadric> {
     let [x, y, z, first, a, b, c, second] = *values;
     let (center, other) = (Vec3A::new(x, y, z), Vec3A::new(a, b, c));
-    let facing = if (tag - CURVED) & 1 == 0 { Facing::Outward } else { Facing::Inward };
-    Some(match ((tag - CURVED) >> 1, facing) {
+    let facing = if (tag - FIRST_CURVED_TAG) & 1 == 0 { Facing::Outward } else { Facing::Inward };
+    Some(match ((tag - FIRST_CURVED_TAG) >> 1, facing) {
         (0, facing) => Quadric::Sphere { center, radius: first, facing },
         (1, facing) => Quadric::Cone { start: center, end: other, start_radius: first, end_radius: second, facing },
         (2, Facing::Outward) => Quadric::Ring { center, normal: other, inner: first, outer: second },
@@ -534,9 +539,9 @@ mod tests {
             FogCell::Leaf(FogLeaf { mean, sigma_s: Vec3A::splat(sigma_s), sigma_t: Vec3A::new(0.5, 0.25, 1e-9) })
         };
         let fog = [
-            FogCell::Cut { axis: 1, at: 0.5 },
+            FogCell::Split { axis: 1, at: 0.5 },
             of_fog(0.0),
-            FogCell::Cut { axis: 2, at: -1.0 },
+            FogCell::Split { axis: 2, at: -1.0 },
             of_fog(0.5),
             of_fog(1.0),
         ];
@@ -565,7 +570,7 @@ mod tests {
         }
     }
 
-    const STATISTICS: Statistics = Statistics {
+    const STATISTICS: SolveStatistics = SolveStatistics {
         elements: 1,
         leaves: 2,
         links: u64::MAX,
@@ -618,7 +623,7 @@ mod tests {
         assert!(refused(|field| field.surfaces[0].instance = 3), "no such instance");
         // The field stores them unchanged; foreign bytes may hold anything.
         fn guides(field: &mut Field, change: fn(&mut Vec<Guide>, &mut Vec<Lobe>)) {
-            let (mut of, mut lobes) = (field.guides.of().to_vec(), field.guides.lobes().to_vec());
+            let (mut of, mut lobes) = (field.guides.by_leaf().to_vec(), field.guides.lobes().to_vec());
             change(&mut of, &mut lobes);
             field.guides = Guides::unchecked(of, lobes);
         }
@@ -631,7 +636,7 @@ mod tests {
     #[test]
     fn a_field_fits_the_surfaces_that_it_was_made_of() {
         let field = one_of_everything();
-        assert!(field.fits([2, 2, 0].into_iter()));
-        assert!(!field.fits([2, 2].into_iter()) && !field.fits([2, 1, 0].into_iter()));
+        assert!(field.matches_primitives([2, 2, 0].into_iter()));
+        assert!(!field.matches_primitives([2, 2].into_iter()) && !field.matches_primitives([2, 1, 0].into_iter()));
     }
 }

@@ -17,45 +17,45 @@ pub enum Leaf {
 }
 
 /// Distance of the points of Gauss' rule from the center of [0, 1].
-const GAUSS: f32 = 0.288_675_13;
+const GAUSS_OFFSET: f32 = 0.288_675_13;
 
 impl Leaf {
     /// Points of a triangle's values, in the leaf's coordinates.
-    pub const TRIANGLE: [Vec2; 3] =
+    pub const TRIANGLE_POINTS: [Vec2; 3] =
         [Vec2::new(1.0 / 6.0, 1.0 / 6.0), Vec2::new(2.0 / 3.0, 1.0 / 6.0), Vec2::new(1.0 / 6.0, 2.0 / 3.0)];
     /// Points of a rectangle's values, in the leaf's coordinates.
-    pub const RECTANGLE: [Vec2; 4] = [
-        Vec2::new(0.5 - GAUSS, 0.5 - GAUSS),
-        Vec2::new(0.5 + GAUSS, 0.5 - GAUSS),
-        Vec2::new(0.5 - GAUSS, 0.5 + GAUSS),
-        Vec2::new(0.5 + GAUSS, 0.5 + GAUSS),
+    pub const RECTANGLE_POINTS: [Vec2; 4] = [
+        Vec2::new(0.5 - GAUSS_OFFSET, 0.5 - GAUSS_OFFSET),
+        Vec2::new(0.5 + GAUSS_OFFSET, 0.5 - GAUSS_OFFSET),
+        Vec2::new(0.5 - GAUSS_OFFSET, 0.5 + GAUSS_OFFSET),
+        Vec2::new(0.5 + GAUSS_OFFSET, 0.5 + GAUSS_OFFSET),
     ];
 
     /// Evaluates the linear function with these values at a triangle's points.
-    pub fn over_triangle(values: &[Rgb; 3], local: Vec2) -> Rgb {
+    pub fn interpolate_triangle(values: &[Rgb; 3], local: Vec2) -> Rgb {
         let [a, b, c] = [1.0 - local.x - local.y, local.x, local.y].map(|weight| 2.0 * weight - 1.0 / 3.0);
         values[0] * a + values[1] * b + values[2] * c
     }
 
     /// Evaluates the bilinear function with these values at a rectangle's points.
-    pub fn over_rectangle(values: &[Rgb; 4], local: Vec2) -> Rgb {
-        let [x, y] = [local.x, local.y].map(|at| (at - (0.5 - GAUSS)) / (2.0 * GAUSS));
+    pub fn interpolate_rectangle(values: &[Rgb; 4], local: Vec2) -> Rgb {
+        let [x, y] = [local.x, local.y].map(|at| (at - (0.5 - GAUSS_OFFSET)) / (2.0 * GAUSS_OFFSET));
         (values[0] * (1.0 - x) + values[1] * x) * (1.0 - y) + (values[2] * (1.0 - x) + values[3] * x) * y
     }
 
     /// Returns the irradiance at a point of the leaf.
     /// - `local`: the point's coordinates in the leaf;
     /// - `normal`: unit normal of the surface's side there.
-    pub fn at(&self, local: Vec2, normal: Vec3A) -> Rgb {
+    pub fn irradiance(&self, local: Vec2, normal: Vec3A) -> Rgb {
         match self {
-            Self::Triangle(values) => Self::over_triangle(values, local).max(Rgb::ZERO),
-            Self::Rectangle(values) => Self::over_rectangle(values, local).max(Rgb::ZERO),
-            Self::Curved(light) => light.cosine(normal),
+            Self::Triangle(values) => Self::interpolate_triangle(values, local).max(Rgb::ZERO),
+            Self::Rectangle(values) => Self::interpolate_rectangle(values, local).max(Rgb::ZERO),
+            Self::Curved(light) => light.cosine_integral(normal),
         }
     }
 
     /// Returns the leaf with all light multiplied by a factor.
-    fn times(&self, factor: f32) -> Self {
+    fn scaled(&self, factor: f32) -> Self {
         match self {
             Self::Triangle(values) => Self::Triangle(values.map(|value| value * factor)),
             Self::Rectangle(values) => Self::Rectangle(values.map(|value| value * factor)),
@@ -64,14 +64,16 @@ impl Leaf {
     }
 
     /// Returns the luminance of the mean irradiance over the leaf, lx; at least 0.
-    pub fn mean(&self) -> f32 {
+    pub fn mean_illuminance(&self) -> f32 {
         let mean = |values: &[Rgb]| values.iter().copied().sum::<Rgb>() * (1.0 / values.len() as f32);
         let mean = match self {
             Self::Triangle(values) => mean(values),
             Self::Rectangle(values) => mean(values),
             Self::Curved(light) => {
                 let axes = [Vec3A::X, Vec3A::Y, Vec3A::Z];
-                axes.iter().map(|&axis| (light.cosine(axis) + light.cosine(-axis)) * (1.0 / 6.0)).sum()
+                axes.iter()
+                    .map(|&axis| (light.cosine_integral(axis) + light.cosine_integral(-axis)) * (1.0 / 6.0))
+                    .sum()
             }
         };
         luminance(mean.max(Rgb::ZERO))
@@ -99,8 +101,8 @@ pub struct Field {
 
 impl Field {
     /// Multiplies all light by a factor, as for a scene with lamps that are brighter by the factor.
-    pub fn times(mut self, factor: f32) -> Self {
-        self.leaves.iter_mut().for_each(|leaf| *leaf = leaf.times(factor));
+    pub fn scaled(mut self, factor: f32) -> Self {
+        self.leaves.iter_mut().for_each(|leaf| *leaf = leaf.scaled(factor));
         self.guides.scale(factor);
         self.fog.scale(factor);
         self
@@ -110,27 +112,27 @@ impl Field {
     /// - `position`, `normal`: position of the hit, and its unit normal on the requested side.
     /// - returns 0 if the first pass has no surface there.
     pub fn irradiance(&self, hit: &Hit, side: Side, position: Vec3A, normal: Vec3A) -> Rgb {
-        let found = self.leaf(hit, side, position);
-        found.map_or(Rgb::ZERO, |(leaf, local)| self.leaves[leaf as usize].at(local, normal))
+        let found = self.leaf_at(hit, side, position);
+        found.map_or(Rgb::ZERO, |(leaf, local)| self.leaves[leaf as usize].irradiance(local, normal))
     }
 
     /// Returns the guide for paths at a hit. `None` if the first pass has no surface there, or no guides.
     /// - `position`: position of the hit.
     #[inline]
-    pub fn guided(&self, hit: &Hit, side: Side, position: Vec3A) -> Option<Guided<'_>> {
-        let (surface, root) = self.root(hit, side)?;
+    pub fn guide_at(&self, hit: &Hit, side: Side, position: Vec3A) -> Option<Guided<'_>> {
+        let (surface, root) = self.surface_and_root(hit, side)?;
         self.guides.at(&self.cells, root, || surface.parameters(position, [hit.u, hit.v]), position)
     }
 
     /// Returns the leaf of a hit, and the hit's coordinates in it.
-    fn leaf(&self, hit: &Hit, side: Side, position: Vec3A) -> Option<(u32, Vec2)> {
-        let (surface, root) = self.root(hit, side)?;
+    fn leaf_at(&self, hit: &Hit, side: Side, position: Vec3A) -> Option<(u32, Vec2)> {
+        let (surface, root) = self.surface_and_root(hit, side)?;
         Cell::find(&self.cells, root, surface.parameters(position, [hit.u, hit.v]))
     }
 
     /// Returns the surface of a hit, and its first cell.
     #[inline]
-    fn root(&self, hit: &Hit, side: Side) -> Option<(&Surface, u32)> {
+    fn surface_and_root(&self, hit: &Hit, side: Side) -> Option<(&Surface, u32)> {
         let sides = self.sides[hit.instance as usize][hit.primitive as usize];
         let surface = sides[usize::from(side == Side::Back)] as usize;
         let root = *self.roots.get(surface)?;

@@ -50,7 +50,7 @@ pub struct Guide {
 /// Guides of all leaves.
 #[derive(Clone, Debug, Default)]
 pub struct Guides {
-    of: Vec<Guide>,
+    by_leaf: Vec<Guide>,
     lobes: Vec<Lobe>,
     /// Common guide of all leaves in a cell: a block, [`UNGUIDED`], or [`MIXED`].
     cells: Vec<u32>,
@@ -74,9 +74,9 @@ const MIXED: u32 = u32::MAX - 1;
 
 impl Guides {
     /// Creates the guides.
-    /// - `of`: guides by leaf, or empty; ranges are within `lobes`;
+    /// - `by_leaf`: guides by leaf, or empty; ranges are within `lobes`;
     /// - `cells`: parts of surfaces down to these `leaves`.
-    pub fn new(of: Vec<Guide>, lobes: Vec<Lobe>, cells: &[Cell], leaves: &[Leaf]) -> Self {
+    pub fn new(by_leaf: Vec<Guide>, lobes: Vec<Lobe>, cells: &[Cell], leaves: &[Leaf]) -> Self {
         let (mut blocks, mut known) = (Vec::new(), HashMap::new());
         let mut block = |Guide { first, count, share }: Guide| {
             if count == 0 || share <= 0.0 {
@@ -88,30 +88,30 @@ impl Guides {
             })
         };
         let (mut by_cell, mut light) = (Vec::new(), Vec::new());
-        if !of.is_empty() {
+        if !by_leaf.is_empty() {
             by_cell = vec![UNGUIDED; cells.len()];
             light = vec![0.0; cells.len()];
             // Halves come after the cell that contains them.
             for (index, cell) in cells.iter().enumerate().rev() {
                 let next = cell.next as usize;
                 by_cell[index] = match cell.split {
-                    Split::None => block(of[next]),
+                    Split::None => block(by_leaf[next]),
                     _ if by_cell[next] == by_cell[next + 1] => by_cell[next],
                     _ => MIXED,
                 };
                 light[index] = match cell.split {
-                    Split::None => leaves[next].mean(),
+                    Split::None => leaves[next].mean_illuminance(),
                     _ => 0.5 * (light[next] + light[next + 1]),
                 };
             }
         }
-        Self { of, lobes, cells: by_cell, blocks, light }
+        Self { by_leaf, lobes, cells: by_cell, blocks, light }
     }
 
     /// Creates guides with possibly invalid ranges, only to encode them.
     #[cfg(test)]
-    pub(crate) fn unchecked(of: Vec<Guide>, lobes: Vec<Lobe>) -> Self {
-        Self { of, lobes, ..Self::default() }
+    pub(crate) fn unchecked(by_leaf: Vec<Guide>, lobes: Vec<Lobe>) -> Self {
+        Self { by_leaf, lobes, ..Self::default() }
     }
 
     /// Multiplies the light by a factor. The directions do not change.
@@ -120,8 +120,8 @@ impl Guides {
     }
 
     /// Returns the guides by leaf.
-    pub fn of(&self) -> &[Guide] {
-        &self.of
+    pub fn by_leaf(&self) -> &[Guide] {
+        &self.by_leaf
     }
 
     /// Returns all lobes.
@@ -131,7 +131,7 @@ impl Guides {
 
     /// Returns the number of bytes of the guides.
     pub fn memory(&self) -> usize {
-        size_of_val(&*self.of)
+        size_of_val(&*self.by_leaf)
             + size_of_val(&*self.lobes)
             + size_of_val(&*self.cells)
             + size_of_val(&*self.blocks)
@@ -230,11 +230,15 @@ impl<'a> Directions<'a> {
     /// Creates the directions of lobes at a point; `None` if no lobe is visible.
     #[inline]
     pub fn new(block: &'a Block, share: f32, point: Vec3A) -> Option<Self> {
-        if block.is_half { Self::of::<HALF>(block, share, point) } else { Self::of::<LOBES>(block, share, point) }
+        if block.is_half {
+            Self::with_lobes::<HALF>(block, share, point)
+        } else {
+            Self::with_lobes::<LOBES>(block, share, point)
+        }
     }
 
     #[inline(always)]
-    fn of<const N: usize>(block: &'a Block, share: f32, point: Vec3A) -> Option<Self> {
+    fn with_lobes<const N: usize>(block: &'a Block, share: f32, point: Vec3A) -> Option<Self> {
         const NONE: [f32; LOBES] = [0.0; LOBES];
         let mut out = Self { block, heights: NONE, places: [NONE; 2], weights: NONE, share };
         let mut seen = NONE;

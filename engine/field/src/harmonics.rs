@@ -39,12 +39,12 @@ impl Harmonics {
     pub const ZERO: Self = Self([Rgb::ZERO; 9]);
 
     /// Creates the function with all of `amount` in the unit direction `w`.
-    pub fn toward(w: Vec3A, amount: Rgb) -> Self {
+    pub fn from_direction(w: Vec3A, amount: Rgb) -> Self {
         Self(values(w).map(|value| amount * value))
     }
 
     /// Creates the constant function with which a surface of any normal receives this irradiance.
-    pub fn even(irradiance: Rgb) -> Self {
+    pub fn from_irradiance(irradiance: Rgb) -> Self {
         let mut out = Self::ZERO;
         out.0[0] = irradiance * (4.0 * 0.282_094_8);
         out
@@ -53,7 +53,7 @@ impl Harmonics {
     /// Returns the sum of the parts, each times the clamped cosine between its direction and `w` (unit). For light by its origin,
     /// this is the irradiance of a surface with that normal. For surfaces' area times radiance by their normals, it is the
     /// intensity in that direction. It is accurate to some percent of the greatest value, and never negative.
-    pub fn cosine(&self, w: Vec3A) -> Rgb {
+    pub fn cosine_integral(&self, w: Vec3A) -> Rgb {
         let mut sum = Rgb::ZERO;
         for ((part, value), degree) in self.0.iter().zip(values(w)).zip(DEGREE) {
             sum += *part * (value * COSINE[degree]);
@@ -86,8 +86,8 @@ impl AddAssign for Harmonics {
 impl Mul<Rgb> for Harmonics {
     type Output = Self;
 
-    fn mul(self, by: Rgb) -> Self {
-        Self(self.0.map(|part| part * by))
+    fn mul(self, factor: Rgb) -> Self {
+        Self(self.0.map(|part| part * factor))
     }
 }
 
@@ -102,16 +102,20 @@ mod tests {
             femc_math::warp::direction(z, (k as f32 * 0.618_034).fract())
         };
         let from = towards(17, 100);
-        let light = Harmonics::toward(from, Rgb::ONE);
+        let light = Harmonics::from_direction(from, Rgb::ONE);
         for k in 0..100 {
             let n = towards(k, 100);
-            assert!((light.cosine(n).x - n.dot(from).max(0.0)).abs() < 0.1, "{n}: {}", light.cosine(n));
+            assert!(
+                (light.cosine_integral(n).x - n.dot(from).max(0.0)).abs() < 0.1,
+                "{n}: {}",
+                light.cosine_integral(n)
+            );
         }
         let mut all = Harmonics::ZERO;
-        (0..1000).for_each(|k| all += Harmonics::toward(towards(k, 1000), Rgb::ONE));
+        (0..1000).for_each(|k| all += Harmonics::from_direction(towards(k, 1000), Rgb::ONE));
         assert!((all.total().y - 1000.0).abs() < 1e-2);
         for k in 0..100 {
-            assert!((all.cosine(towards(k, 100)).z - 250.0).abs() < 1.0, "the mean of the clamped cosine");
+            assert!((all.cosine_integral(towards(k, 100)).z - 250.0).abs() < 1.0, "the mean of the clamped cosine");
         }
     }
 }

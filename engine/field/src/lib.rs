@@ -3,9 +3,9 @@
 //! A [`Surface`] is one side of a triangle, of a parallelogram or of a curved shape, with two parameters over it. Its [`Cell`]s are
 //! a binary tree over the parameters. A leaf has the irradiance from other surfaces and from fog, linear over the leaf, or, if the
 //! leaf is too curved for one normal, by direction ([`Harmonics`]). In fog, the leaves of a tree of boxes have the mean radiance
-//! from all directions ([`FogTree`]). With the fog's coefficients, they give the light sent along a [`Line`]. [`Guide`]s describe
-//! the directions from which a leaf's light comes, for sampling. Direct light from light sources is not in the field: the caller
-//! computes it from the sources. [`Field::encode`] converts the field to bytes that a farm can store and send.
+//! from all directions ([`FogTree`]). With the fog's coefficients, they give the light sent along a [`FogLine`]. [`Guide`]s
+//! describe the directions from which a leaf's light comes, for sampling. Direct light from light sources is not in the field: the
+//! caller computes it from the sources. [`Field::encode`] converts the field to bytes that a farm can store and send.
 #![deny(missing_docs)]
 
 mod cell;
@@ -18,9 +18,9 @@ mod surface;
 mod walk;
 
 pub use cell::{Cell, Outline, Split};
-pub use codec::{FieldError, Statistics};
+pub use codec::{FieldError, SolveStatistics};
 pub use field::{Field, Leaf};
-pub use fog::{FogCell, FogLeaf, FogTree, Line, LinePoint};
+pub use fog::{FogCell, FogLeaf, FogLine, FogLinePoint, FogTree};
 pub use guide::{Block, Directions, Guide, Guided, Guides, HALF, LOBES, Lobe};
 pub use harmonics::Harmonics;
 pub use surface::{Form, Side, Surface, SurfaceSpot};

@@ -55,14 +55,14 @@ pub struct SurfaceSpot {
 
 impl Surface {
     /// Returns the point with these parameters.
-    pub fn at(&self, place: Vec2) -> SurfaceSpot {
+    pub fn at(&self, parameters: Vec2) -> SurfaceSpot {
         let (position, size, normal) = match &self.form {
             Form::Triangle([origin, a, b]) | Form::Parallelogram([origin, a, b]) => {
-                (*origin + *a * place.x + *b * place.y, origin.abs() + a.abs() + b.abs(), cross(*a, *b))
+                (*origin + *a * parameters.x + *b * parameters.y, origin.abs() + a.abs() + b.abs(), cross(*a, *b))
             }
             Form::Curved { shape, pose } => {
-                let v = shape.at_share(f64::from(place.y));
-                let (position, normal) = shape.point_at([f64::from(place.x), v]);
+                let v = shape.parameter_at_share(f64::from(parameters.y));
+                let (position, normal) = shape.point_at([f64::from(parameters.x), v]);
                 let bounds = shape.bounds();
                 let size =
                     pose.translation.abs() + bounds.min.abs().max(bounds.max.abs()) * pose.matrix3.x_axis.length();
@@ -122,7 +122,7 @@ impl Surface {
     }
 
     /// Returns the corner and edges of a parallelogram that two triangles form, if they do.
-    pub fn joined(first: [Vec3A; 3], second: [Vec3A; 3]) -> Option<[Vec3A; 3]> {
+    pub fn join_triangles(first: [Vec3A; 3], second: [Vec3A; 3]) -> Option<[Vec3A; 3]> {
         let same =
             |a: Vec3A, b: Vec3A| (a - b).abs().max_element() <= 4.0 * f32::EPSILON * a.abs().max(b.abs()).max_element();
         let apex = first.iter().position(|&p| second.iter().all(|&q| !same(p, q)))?;

@@ -13,7 +13,7 @@ impl Field {
         };
         while let Some((index, around)) = pending.pop() {
             let cell = &self.cells[index as usize];
-            let outline = around.of(&cell.outline);
+            let outline = around.compose(&cell.outline);
             if cell.split == Split::None {
                 leaves.push((cell.next, outline));
             } else {

@@ -19,7 +19,7 @@ pub enum AnimationFormat {
 
 impl AnimationFormat {
     /// Returns the format of the extension of `path`: png, apng or gif, in any case.
-    pub fn of(path: &Path) -> Result<Self, FilmError> {
+    pub fn from_path(path: &Path) -> Result<Self, FilmError> {
         match path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase).as_deref() {
             Some("png" | "apng") => Ok(Self::Apng),
             Some("gif") => Ok(Self::Gif),
@@ -194,8 +194,8 @@ mod tests {
 
     #[test]
     fn the_extension_names_the_format() {
-        assert_eq!(AnimationFormat::of(Path::new("a/Clip.GIF")).unwrap(), AnimationFormat::Gif);
-        assert_eq!(AnimationFormat::of(Path::new("clip.apng")).unwrap(), AnimationFormat::Apng);
-        assert!(matches!(AnimationFormat::of(Path::new("clip.mp4")), Err(FilmError::AnimationFormat(_))));
+        assert_eq!(AnimationFormat::from_path(Path::new("a/Clip.GIF")).unwrap(), AnimationFormat::Gif);
+        assert_eq!(AnimationFormat::from_path(Path::new("clip.apng")).unwrap(), AnimationFormat::Apng);
+        assert!(matches!(AnimationFormat::from_path(Path::new("clip.mp4")), Err(FilmError::AnimationFormat(_))));
     }
 }

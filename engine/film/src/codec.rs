@@ -24,16 +24,16 @@ use femc_stats::ExactSum;
 use std::ops::Range;
 
 const MAGIC: &[u8; 8] = b"FEMCTILE";
-const THUMBNAIL: &[u8; 8] = b"FEMCTHMB";
+const THUMBNAIL_MAGIC: &[u8; 8] = b"FEMCTHMB";
 const VERSION: u32 = 4;
 const CHECKSUM: usize = 16;
 const PREFIX: usize = MAGIC.len() + 4 + CHECKSUM;
-const WIDE: usize = 3 * HALVES + REPLICATES + 1;
-const PIXEL_BYTES: usize = 16 * WIDE + 3 * 8 + 4 * (1 + HALVES + REPLICATES + HALVES);
+const WIDE_SUMS: usize = 3 * HALVES + REPLICATES + 1;
+const PIXEL_BYTES: usize = 16 * WIDE_SUMS + 3 * 8 + 4 * (1 + HALVES + REPLICATES + HALVES);
 /// Maximum number of sample ranges of a tile.
 const MAX_RANGES: u32 = 1 << 16;
 /// Compression level: fast, because the data that remains after the byte planes is noise.
-const LEVEL: i32 = 1;
+const COMPRESSION_LEVEL: i32 = 1;
 
 impl Tile {
     /// Encodes the tile. Equal sums give equal bytes.
@@ -48,50 +48,53 @@ impl Tile {
 
     /// Encodes a thumbnail.
     pub fn encode_thumbnail(&self) -> Vec<u8> {
-        self.encode_as(THUMBNAIL)
+        self.encode_as(THUMBNAIL_MAGIC)
     }
 
     /// Decodes a thumbnail; damage of any kind is an error.
     pub fn decode_thumbnail(bytes: &[u8]) -> Result<Self, FilmError> {
-        Self::decode_as(THUMBNAIL, BLOCK * BLOCK, bytes)
+        Self::decode_as(THUMBNAIL_MAGIC, BLOCK * BLOCK, bytes)
     }
 
     fn encode_as(&self, magic: &[u8; 8]) -> Vec<u8> {
-        let mut out = begin(magic, VERSION);
+        let mut out = start_header(magic, VERSION);
         let mut word = |w: u32| out.extend_from_slice(&w.to_le_bytes());
         let Rect { x, y, width, height } = self.rect;
         [x, y, width, height].into_iter().for_each(&mut word);
         word(self.ranges.len() as u32);
         self.ranges.iter().flat_map(|range| [range.start, range.end]).for_each(&mut word);
-        self.ends.into_iter().chain(words_of(self.work)).for_each(&mut word);
-        put_bad(&self.bad, word);
+        self.ends.into_iter().chain(to_words(self.rays)).for_each(&mut word);
+        put_bad_samples(&self.bad, word);
         finish(out, &to_planes(&self.pixels, to_bytes))
     }
 
     /// Decodes a tile or a thumbnail.
     /// - `area`: pixels of the film in a pixel of the tile.
     fn decode_as(magic: &[u8; 8], area: u32, bytes: &[u8]) -> Result<Self, FilmError> {
-        let mut reader = open(magic, VERSION, bytes)?;
+        let mut reader = read_header(magic, VERSION, bytes)?;
         let [x, y, width, height] = reader.words()?;
         let rect = Rect { x, y, width, height }.check(MAX_TILE_PIXELS)?;
         let ranges = reader.ranges()?;
         let ends = reader.words()?;
         let work = reader.long()?;
-        let bad = reader.bad(rect)?;
+        let bad = reader.bad_samples(rect)?;
         let pixels = reader.planes(rect.area() as usize, from_bytes)?;
         let most = ranges.iter().map(|r| u64::from(r.len())).sum::<u64>() * u64::from(area);
-        if pixels.iter().any(|p| p.hits > p.samples() || p.counted() > p.samples() || u64::from(p.samples()) > most) {
+        if pixels
+            .iter()
+            .any(|p| p.hits > p.samples() || p.counted_samples() > p.samples() || u64::from(p.samples()) > most)
+        {
             return Err(FilmError::Corrupt("more samples than its ranges hold"));
         }
         if pixels.iter().flat_map(|p| p.peak).any(|peak| !(0.0..=f32::MAX).contains(&peak)) {
             return Err(FilmError::Corrupt("invalid luminances"));
         }
-        Ok(Self { rect, ranges, ends, pixels, bad, work })
+        Ok(Self { rect, ranges, ends, pixels, bad, rays: work })
     }
 }
 
 /// Starts a header: magic, version, and space for the checksum.
-pub(crate) fn begin(magic: &[u8; 8], version: u32) -> Vec<u8> {
+pub(crate) fn start_header(magic: &[u8; 8], version: u32) -> Vec<u8> {
     let mut out = magic.to_vec();
     out.extend_from_slice(&version.to_le_bytes());
     out.extend_from_slice(&[0; CHECKSUM]);
@@ -99,13 +102,13 @@ pub(crate) fn begin(magic: &[u8; 8], version: u32) -> Vec<u8> {
 }
 
 /// Splits a 64-bit number into words, the lower one first.
-pub(crate) fn words_of(number: u64) -> [u32; 2] {
+pub(crate) fn to_words(number: u64) -> [u32; 2] {
     [number as u32, (number >> 32) as u32]
 }
 
 /// Writes bad samples as words.
-pub(crate) fn put_bad(bad: &BadSamples, mut word: impl FnMut(u32)) {
-    bad.counts.iter().flat_map(|&count| words_of(count)).for_each(&mut word);
+pub(crate) fn put_bad_samples(bad: &BadSamples, mut word: impl FnMut(u32)) {
+    bad.counts.iter().flat_map(|&count| to_words(count)).for_each(&mut word);
     let first = bad.first.map_or([0; 5], |b| [1, b.y, b.x, b.sample, b.kind as u32]);
     first.into_iter().for_each(&mut word);
 }
@@ -113,7 +116,7 @@ pub(crate) fn put_bad(bad: &BadSamples, mut word: impl FnMut(u32)) {
 /// Appends the compressed byte planes to the header, and fills in the checksum.
 pub(crate) fn finish(mut out: Vec<u8>, planes: &[u8]) -> Vec<u8> {
     // Compression into a growing buffer in memory cannot fail. If it does, the result does not decode.
-    out.extend(zstd::bulk::compress(planes, LEVEL).unwrap_or_default());
+    out.extend(zstd::bulk::compress(planes, COMPRESSION_LEVEL).unwrap_or_default());
     seal(out)
 }
 
@@ -125,7 +128,7 @@ pub(crate) fn seal(mut out: Vec<u8>) -> Vec<u8> {
 }
 
 /// Verifies magic, version and checksum, and returns a reader of the rest.
-pub(crate) fn open<'a>(magic: &[u8; 8], version: u32, bytes: &'a [u8]) -> Result<Reader<'a>, FilmError> {
+pub(crate) fn read_header<'a>(magic: &[u8; 8], version: u32, bytes: &'a [u8]) -> Result<Reader<'a>, FilmError> {
     let (prefix, body) = bytes.split_at_checked(PREFIX).ok_or(FilmError::Corrupt("the data are truncated"))?;
     if prefix[..magic.len()] != magic[..] {
         return Err(FilmError::Corrupt("the magic bytes are wrong"));
@@ -156,11 +159,11 @@ impl<'a> Reader<'a> {
         count: usize,
         from_bytes: impl Fn(&[u8; N]) -> T,
     ) -> Result<Vec<T>, FilmError> {
-        Ok(from_planes(&self.plain(count * N)?, count, from_bytes))
+        Ok(from_planes(&self.decompress(count * N)?, count, from_bytes))
     }
 
     /// Decompresses the remaining bytes, which must give `size` bytes.
-    pub(crate) fn plain(self, size: usize) -> Result<Vec<u8>, FilmError> {
+    pub(crate) fn decompress(self, size: usize) -> Result<Vec<u8>, FilmError> {
         if zstd::zstd_safe::get_frame_content_size(self.0).ok().flatten() != Some(size as u64) {
             return Err(FilmError::Corrupt("wrong number of pixels"));
         }
@@ -224,7 +227,7 @@ impl<'a> Reader<'a> {
         Ok(ranges)
     }
 
-    pub(crate) fn bad(&mut self, rect: Rect) -> Result<BadSamples, FilmError> {
+    pub(crate) fn bad_samples(&mut self, rect: Rect) -> Result<BadSamples, FilmError> {
         let mut counts = [0; 4];
         for count in &mut counts {
             *count = self.long()?;
@@ -249,7 +252,7 @@ fn to_bytes(p: &PixelSums) -> [u8; PIXEL_BYTES] {
     p.color.as_flattened().iter().chain(&p.luminance).for_each(|sum| put(&sum.units().to_le_bytes()));
     put(&p.depth.units().to_le_bytes());
     p.albedo.iter().for_each(|sum| put(&sum.to_le_bytes()));
-    [p.hits].iter().chain(&p.count).chain(&p.drawn).for_each(|count| put(&count.to_le_bytes()));
+    [p.hits].iter().chain(&p.half_counts).chain(&p.replicate_counts).for_each(|count| put(&count.to_le_bytes()));
     p.peak.iter().for_each(|peak| put(&peak.to_le_bytes()));
     bytes
 }
@@ -260,16 +263,16 @@ fn from_bytes(bytes: &[u8; PIXEL_BYTES]) -> PixelSums {
     }
     let wide = |i: usize| u128::from_le_bytes(field(bytes, 16 * i));
     let sum = |i: usize| ExactSum::from_units(wide(i));
-    let albedo = 16 * WIDE;
+    let albedo = 16 * WIDE_SUMS;
     let word = |i: usize| u32::from_le_bytes(field(bytes, albedo + 3 * 8 + 4 * i));
     PixelSums {
         color: std::array::from_fn(|half| std::array::from_fn(|channel| sum(3 * half + channel))),
         luminance: std::array::from_fn(|replicate| sum(3 * HALVES + replicate)),
-        depth: ExactSum::from_units(wide(WIDE - 1)),
+        depth: ExactSum::from_units(wide(WIDE_SUMS - 1)),
         albedo: [0, 1, 2].map(|i| u64::from_le_bytes(field(bytes, albedo + 8 * i))),
         hits: word(0),
-        count: std::array::from_fn(|half| word(1 + half)),
-        drawn: std::array::from_fn(|replicate| word(1 + HALVES + replicate)),
+        half_counts: std::array::from_fn(|half| word(1 + half)),
+        replicate_counts: std::array::from_fn(|replicate| word(1 + HALVES + replicate)),
         peak: std::array::from_fn(|half| f32::from_bits(word(1 + HALVES + REPLICATES + half))),
     }
 }

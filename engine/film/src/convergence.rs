@@ -33,7 +33,7 @@ pub struct Block {
 
 impl Block {
     /// Computes the statistics from the pixels of `rect`.
-    pub(crate) fn of(rect: Rect, pixels: impl Iterator<Item = Pixel>) -> Self {
+    pub(crate) fn from_pixels(rect: Rect, pixels: impl Iterator<Item = Pixel>) -> Self {
         let (mut sum, mut variance, mut squares) = (0.0, 0.0, 0.0);
         for Pixel { color, luminance_variance, samples, .. } in pixels {
             let one = if samples < 2 { f64::INFINITY } else { f64::from(luminance_variance) };
@@ -41,7 +41,7 @@ impl Block {
             variance += one;
             squares += one * one;
         }
-        Self { rect, sum, variance, freedom: freedom(variance, squares) }
+        Self { rect, sum, variance, freedom: degrees_of_freedom(variance, squares) }
     }
 
     /// Returns the half width of the 95 % confidence interval of the mean luminance, relative to that mean or to `floor`, whichever
@@ -60,7 +60,7 @@ impl Block {
 /// Estimates the degrees of freedom of a sum of squares of normal numbers (\[satterthwaite1946\]), each of one degree. The inputs
 /// are the sum of the squares and the sum of their squares; a third of the latter estimates the sum of the squared variances. The
 /// result is at least 3.
-pub(crate) fn freedom(sum: f64, squares: f64) -> f64 {
+pub(crate) fn degrees_of_freedom(sum: f64, squares: f64) -> f64 {
     if squares > 0.0 && squares.is_finite() { 3.0 * sum * sum / squares } else { f64::INFINITY }
 }
 
@@ -126,7 +126,7 @@ pub struct FrameError {
 
 impl FrameError {
     /// Computes the error from all blocks of a frame, in any order. A black frame has error 0 and only unlit blocks.
-    pub fn of(mut blocks: Vec<Block>) -> Self {
+    pub fn from_blocks(mut blocks: Vec<Block>) -> Self {
         blocks.sort_unstable_by_key(|block| (block.rect.y, block.rect.x));
         let pixels: u64 = blocks.iter().map(|block| block.rect.area()).sum();
         let floor = FLOOR * blocks.iter().map(|block| block.sum).sum::<f64>() / pixels.max(1) as f64;
@@ -139,7 +139,7 @@ impl FrameError {
     }
 
     /// Returns the worst relative error; `None` if it is unknown: a pixel has fewer than two samples, or no sample received light.
-    pub fn reached(&self) -> Option<f64> {
+    pub fn reached_error(&self) -> Option<f64> {
         (self.unlit < self.blocks.len() && self.worst.is_finite()).then_some(self.worst)
     }
 }
@@ -149,8 +149,8 @@ impl FrameImage {
     pub fn error(&self) -> FrameError {
         let (width, height) = (self.color.width, self.color.height);
         let pixels = |rect: Rect| rect.pixels().map(|(x, y)| self.pixel(y as usize * width as usize + x as usize));
-        let block = |rect: Rect| Block::of(rect, pixels(rect));
-        FrameError::of(blocks(Rect { x: 0, y: 0, width, height }).map(block).collect())
+        let block = |rect: Rect| Block::from_pixels(rect, pixels(rect));
+        FrameError::from_blocks(blocks(Rect { x: 0, y: 0, width, height }).map(block).collect())
     }
 }
 
@@ -219,10 +219,10 @@ mod tests {
     #[test]
     fn a_single_sample_is_not_convergence_and_black_is_unlit() {
         let mut image = gray(16, 16, 0.0, 0.0);
-        assert_eq!((image.error().worst, image.error().unlit, image.error().reached()), (0.0, 1, None));
+        assert_eq!((image.error().worst, image.error().unlit, image.error().reached_error()), (0.0, 1, None));
         image.samples[77] = 1;
-        assert_eq!((image.error().worst, image.error().reached()), (f64::INFINITY, None));
+        assert_eq!((image.error().worst, image.error().reached_error()), (f64::INFINITY, None));
         let lit = gray(16, 16, 2.0, 0.01).error();
-        assert_eq!(lit.reached(), Some(lit.worst));
+        assert_eq!(lit.reached_error(), Some(lit.worst));
     }
 }

@@ -93,7 +93,7 @@ pub enum FilmError {
     },
     /// The content of a named file is invalid.
     #[error("{}: {cause}", .path.display())]
-    In {
+    InFile {
         /// The file.
         path: PathBuf,
         /// Error in the content.
@@ -106,6 +106,6 @@ pub enum FilmError {
 
 impl FilmError {
     pub(crate) fn in_file(self, path: &std::path::Path) -> Self {
-        Self::In { path: path.into(), cause: Box::new(self) }
+        Self::InFile { path: path.into(), cause: Box::new(self) }
     }
 }

@@ -1,10 +1,10 @@
 //! A frame: the union of its tiles.
 
-use crate::tile::{Ends, Merged};
+use crate::tile::{HalfEnds, MergeOutcome};
 use crate::{BadSamples, FilmError, FrameImage, SampleRange, Tile, Tiling};
 
 /// Result of an insertion.
-pub type Inserted = Merged;
+pub type InsertOutcome = MergeOutcome;
 
 /// The tiles of a frame that have arrived so far: a set keyed by (tile, sample range), stored as one sum per tile.
 ///
@@ -28,13 +28,13 @@ impl Frame {
 
     /// Adds the samples of `tile`; samples that are already in the frame change nothing.
     /// - errors: the tile's pixels match no tile of the frame, or its sample ranges overlap others (see [`Tile::merge`]).
-    pub fn insert(&mut self, tile: Tile) -> Result<Inserted, FilmError> {
+    pub fn insert(&mut self, tile: Tile) -> Result<InsertOutcome, FilmError> {
         let index = self.tiling.index_of(tile.rect).ok_or(FilmError::NotInFrame(tile.rect))?;
         match &mut self.tiles[index] {
             Some(old) => old.merge(&tile),
             empty => {
                 *empty = Some(tile);
-                Ok(Merged::New)
+                Ok(MergeOutcome::New)
             }
         }
     }
@@ -45,7 +45,7 @@ impl Frame {
     }
 
     /// Holds the samples of each half of tile `index` from `ends` on ([`Tile::hold`]); does nothing if there is no such tile.
-    pub fn hold(&mut self, index: usize, ends: Ends) -> Result<(), FilmError> {
+    pub fn hold(&mut self, index: usize, ends: HalfEnds) -> Result<(), FilmError> {
         self.tiles.get_mut(index).and_then(Option::as_mut).map_or(Ok(()), |tile| tile.hold(ends))
     }
 

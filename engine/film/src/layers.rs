@@ -19,24 +19,24 @@
 //! | 8 each | pixels: for each tile, its first sample and one past the last |
 //! | rest | zstd frame, in byte planes. Sums: the counts, then the sets, each row by row. Pixels: the layers, tile by tile |
 
-use crate::codec::{begin, finish, from_planes, open, to_planes};
-use crate::piece::{variance_factor, weights};
-use crate::tile::{Ends, HALVES, MAX_TILE_PIXELS, OPEN};
+use crate::codec::{finish, from_planes, read_header, start_header, to_planes};
+use crate::piece::{half_weights, variance_factor};
+use crate::tile::{HALVES, HalfEnds, MAX_TILE_PIXELS, NONE_HELD};
 use crate::{FilmError, Rect, SampleRange, Tiling};
 use femc_math::Rgb;
 use femc_stats::ExactSum;
 use femc_stats::exact::{BufferedSums, RadianceSum};
 use std::ops::Range;
 
-const SUMS: &[u8; 8] = b"FEMCLAYR";
-const PIXELS: &[u8; 8] = b"FEMCLPIX";
+const SUMS_MAGIC: &[u8; 8] = b"FEMCLAYR";
+const PIXELS_MAGIC: &[u8; 8] = b"FEMCLPIX";
 const SUMS_VERSION: u32 = 2;
 const PIXELS_VERSION: u32 = 1;
 const SUM_BYTES: usize = 16 * 3 * HALVES;
 const COUNT_BYTES: usize = 4 * HALVES;
 const PIXEL_BYTES: usize = 4 * 6;
 /// Maximum number of layers.
-const MOST: u32 = 64;
+const MAX_LAYERS: u32 = 64;
 
 /// Sums of the light of the good samples of one pixel, by half, cd/m2, without held samples.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -54,7 +54,7 @@ impl LightSums {
             0 => 0.0,
             count => self.0[half][channel].value() / f64::from(count),
         };
-        let (weights, factor) = (weights(counts, is_held), variance_factor(counts, is_held));
+        let (weights, factor) = (half_weights(counts, is_held), variance_factor(counts, is_held));
         let (mut color, mut variance) = ([0.0; 3], [0.0; 3]);
         for channel in 0..3 {
             let [a, b] = [mean(0, channel), mean(1, channel)];
@@ -97,14 +97,14 @@ impl LightBuffer {
 
 /// Light that a set of layers accepts, of all pixels of a tile, row by row.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct TakenLight {
+pub struct LayerSetLight {
     /// Set of layers, a bit each.
     pub layers: u64,
     /// Sums of each pixel.
     pub sums: Vec<LightSums>,
 }
 
-impl TakenLight {
+impl LayerSetLight {
     fn is_lit(&self) -> bool {
         self.sums.iter().any(|sums| *sums != LightSums::default())
     }
@@ -119,7 +119,7 @@ pub struct LayerTile {
     /// Good samples of each half that are not held, row by row.
     counts: Vec<[u32; HALVES]>,
     /// Light of each set of layers, ascending by set, each set once; sets without light are left out.
-    light: Vec<TakenLight>,
+    light: Vec<LayerSetLight>,
 }
 
 impl LayerTile {
@@ -131,35 +131,35 @@ impl LayerTile {
         samples: Range<u32>,
         layers: u32,
         counts: Vec<[u32; HALVES]>,
-        light: Vec<TakenLight>,
+        light: Vec<LayerSetLight>,
     ) -> Result<Self, FilmError> {
         let area = rect.check(MAX_TILE_PIXELS)?.area() as usize;
         let samples = SampleRange::from(samples);
         if samples.is_empty() {
             return Err(FilmError::EmptyRange(samples));
         }
-        check(layers)?;
+        check_layer_count(layers)?;
         if counts.len() != area || light.iter().any(|one| one.sums.len() != area) {
             return Err(FilmError::Corrupt("wrong number of pixels in layers"));
         }
-        if light.iter().any(|one| one.layers == 0 || one.layers > all_of(layers)) {
+        if light.iter().any(|one| one.layers == 0 || one.layers > all_layers(layers)) {
             return Err(FilmError::Corrupt("light belongs to other layers"));
         }
         let mut tile = Self { rect, samples, layers, counts, light: Vec::new() };
-        tile.take(light);
+        tile.add_light(light);
         // If many sets overlap, storing the layers themselves takes less.
         if tile.light.len() > layers as usize {
             for one in std::mem::take(&mut tile.light) {
                 let own = (0..layers).map(|layer| 1 << layer).filter(|layer| one.layers & layer != 0);
-                tile.take(own.map(|layers| TakenLight { layers, sums: one.sums.clone() }));
+                tile.add_light(own.map(|layers| LayerSetLight { layers, sums: one.sums.clone() }));
             }
         }
         Ok(tile)
     }
 
     /// Adds light of the same pixels.
-    fn take(&mut self, light: impl IntoIterator<Item = TakenLight>) {
-        for one in light.into_iter().filter(TakenLight::is_lit) {
+    fn add_light(&mut self, light: impl IntoIterator<Item = LayerSetLight>) {
+        for one in light.into_iter().filter(LayerSetLight::is_lit) {
             match self.light.binary_search_by_key(&one.layers, |known| known.layers) {
                 Ok(at) => self.light[at].sums.iter_mut().zip(&one.sums).for_each(|(mine, theirs)| mine.merge(theirs)),
                 Err(at) => self.light.insert(at, one),
@@ -182,11 +182,11 @@ impl LayerTile {
         self.layers
     }
 
-    /// Unites the parts of a tile: its samples from `begin` on. Parts may come in any order, and a repeated part counts once.
-    /// Samples before `begin` are left out, and the halves are held from `ends` on.
+    /// Unites the parts of a tile: its samples from `start_header` on. Parts may come in any order, and a repeated part counts
+    /// once. Samples before `start_header` are left out, and the halves are held from `ends` on.
     /// - errors: parts of different pixels or layers, with a gap, overlapping, or with samples on both sides of an end; no parts.
-    pub fn united(mut parts: Vec<Self>, begin: u32, ends: Ends) -> Result<Self, FilmError> {
-        parts.retain(|part| part.samples.end > begin);
+    pub fn from_parts(mut parts: Vec<Self>, first_sample: u32, ends: HalfEnds) -> Result<Self, FilmError> {
+        parts.retain(|part| part.samples.end > first_sample);
         parts.sort_by_key(|part| part.samples);
         parts.dedup_by_key(|part| part.samples);
         let mut parts = parts.into_iter();
@@ -206,12 +206,12 @@ impl LayerTile {
             all.samples.end = part.samples.end;
             let counts = all.counts.as_flattened_mut().iter_mut().zip(part.counts.as_flattened());
             counts.for_each(|(mine, theirs)| *mine = mine.saturating_add(*theirs));
-            all.take(part.light);
+            all.add_light(part.light);
         }
         Ok(all)
     }
 
-    fn hold(&mut self, ends: Ends) -> Result<(), FilmError> {
+    fn hold(&mut self, ends: HalfEnds) -> Result<(), FilmError> {
         for (half, end) in ends.into_iter().enumerate() {
             if self.samples.start >= end {
                 self.counts.iter_mut().for_each(|counts| counts[half] = 0);
@@ -222,7 +222,7 @@ impl LayerTile {
             }
         }
         let light = std::mem::take(&mut self.light);
-        self.take(light);
+        self.add_light(light);
         Ok(())
     }
 
@@ -240,7 +240,7 @@ impl LayerTile {
     pub fn encode(&self) -> Vec<u8> {
         let Rect { x, y, width, height } = self.rect;
         let head = [self.layers, x, y, width, height, self.samples.start, self.samples.end, self.light.len() as u32];
-        let mut out = with_words(SUMS, SUMS_VERSION, head);
+        let mut out = header_with_words(SUMS_MAGIC, SUMS_VERSION, head);
         self.light.iter().for_each(|one| out.extend_from_slice(&one.layers.to_le_bytes()));
         let mut planes = to_planes(&self.counts, |counts| counts_to_bytes(*counts));
         self.light.iter().for_each(|one| planes.extend(to_planes(&one.sums, |sums| sums.to_bytes())));
@@ -249,9 +249,9 @@ impl LayerTile {
 
     /// Decodes layers; damage of any kind is an error.
     pub fn decode(bytes: &[u8]) -> Result<Self, FilmError> {
-        let mut reader = open(SUMS, SUMS_VERSION, bytes)?;
+        let mut reader = read_header(SUMS_MAGIC, SUMS_VERSION, bytes)?;
         let [layers] = reader.words()?;
-        check(layers)?;
+        check_layer_count(layers)?;
         let [x, y, width, height] = reader.words()?;
         let rect = Rect { x, y, width, height }.check(MAX_TILE_PIXELS)?;
         let samples = reader.range()?;
@@ -260,18 +260,18 @@ impl LayerTile {
             return Err(FilmError::Corrupt("more sets of layers than layers"));
         }
         let sets = (0..sets).map(|_| reader.long()).collect::<Result<Vec<_>, _>>()?;
-        if !sets.is_sorted_by(|a, b| a < b) || sets.iter().any(|&set| set == 0 || set > all_of(layers)) {
+        if !sets.is_sorted_by(|a, b| a < b) || sets.iter().any(|&set| set == 0 || set > all_layers(layers)) {
             return Err(FilmError::Corrupt("light belongs to other layers"));
         }
         let area = rect.area() as usize;
-        let planes = reader.plain(area * (COUNT_BYTES + sets.len() * SUM_BYTES))?;
+        let planes = reader.decompress(area * (COUNT_BYTES + sets.len() * SUM_BYTES))?;
         let (counts, planes) = planes.split_at(area * COUNT_BYTES);
         let counts = from_planes(counts, area, counts_from_bytes);
         if counts.iter().any(|counts| counts.iter().map(|&it| u64::from(it)).sum::<u64>() > u64::from(samples.len())) {
             return Err(FilmError::Corrupt("more samples than its ranges hold"));
         }
         let sums = planes.chunks_exact(area * SUM_BYTES).map(|planes| from_planes(planes, area, LightSums::from_bytes));
-        let light: Vec<_> = sets.into_iter().zip(sums).map(|(layers, sums)| TakenLight { layers, sums }).collect();
+        let light: Vec<_> = sets.into_iter().zip(sums).map(|(layers, sums)| LayerSetLight { layers, sums }).collect();
         if light.iter().any(|one| !one.is_lit()) {
             return Err(FilmError::Corrupt("the layers have no light"));
         }
@@ -280,8 +280,8 @@ impl LayerTile {
 }
 
 /// Returns the set of all layers, a bit each.
-fn all_of(layers: u32) -> u64 {
-    u64::MAX >> (MOST - layers)
+fn all_layers(layers: u32) -> u64 {
+    u64::MAX >> (MAX_LAYERS - layers)
 }
 
 fn counts_to_bytes(counts: [u32; HALVES]) -> [u8; COUNT_BYTES] {
@@ -294,14 +294,14 @@ fn counts_from_bytes(bytes: &[u8; COUNT_BYTES]) -> [u32; HALVES] {
     std::array::from_fn(|half| u32::from_le_bytes(std::array::from_fn(|i| bytes[4 * half + i])))
 }
 
-fn with_words<const N: usize>(magic: &[u8; 8], version: u32, words: [u32; N]) -> Vec<u8> {
-    let mut out = begin(magic, version);
+fn header_with_words<const N: usize>(magic: &[u8; 8], version: u32, words: [u32; N]) -> Vec<u8> {
+    let mut out = start_header(magic, version);
     words.into_iter().for_each(|word| out.extend_from_slice(&word.to_le_bytes()));
     out
 }
 
-fn check(layers: u32) -> Result<usize, FilmError> {
-    (1..=MOST).contains(&layers).then_some(layers as usize).ok_or(FilmError::Corrupt("invalid number of layers"))
+fn check_layer_count(layers: u32) -> Result<usize, FilmError> {
+    (1..=MAX_LAYERS).contains(&layers).then_some(layers as usize).ok_or(FilmError::Corrupt("invalid number of layers"))
 }
 
 /// Resolved pixel of a layer: mean and estimated variance of the mean.
@@ -345,7 +345,7 @@ impl LayerPiece {
 
     /// Adds the next tile.
     /// - errors: it is not the next tile, or it has another number of layers.
-    pub fn put(&mut self, tile: &LayerTile, ends: Ends) -> Result<(), FilmError> {
+    pub fn put(&mut self, tile: &LayerTile, ends: HalfEnds) -> Result<(), FilmError> {
         if self.tiling.rect(self.tiles.end) != Some(tile.rect) {
             return Err(FilmError::NotInFrame(tile.rect));
         }
@@ -355,7 +355,7 @@ impl LayerPiece {
         self.layers = tile.layers;
         self.tiles.end += 1;
         self.samples.push(tile.samples);
-        self.pixels.extend((0..tile.layers).flat_map(|layer| tile.resolve(layer, ends != OPEN)));
+        self.pixels.extend((0..tile.layers).flat_map(|layer| tile.resolve(layer, ends != NONE_HELD)));
         Ok(())
     }
 
@@ -378,7 +378,7 @@ impl LayerPiece {
     pub fn encode(&self) -> Vec<u8> {
         let Tiling { width, height, edge } = self.tiling;
         let [start, end] = [self.tiles.start, self.tiles.end].map(|tile| tile as u32);
-        let mut out = with_words(PIXELS, PIXELS_VERSION, [self.layers, width, height, edge, start, end]);
+        let mut out = header_with_words(PIXELS_MAGIC, PIXELS_VERSION, [self.layers, width, height, edge, start, end]);
         let bounds = self.samples.iter().flat_map(|range| [range.start, range.end]);
         bounds.for_each(|word| out.extend_from_slice(&word.to_le_bytes()));
         finish(out, &to_planes(&self.pixels, |pixel| pixel.to_bytes()))
@@ -386,9 +386,9 @@ impl LayerPiece {
 
     /// Decodes tiles; damage of any kind is an error.
     pub fn decode(bytes: &[u8]) -> Result<Self, FilmError> {
-        let mut reader = open(PIXELS, PIXELS_VERSION, bytes)?;
+        let mut reader = read_header(PIXELS_MAGIC, PIXELS_VERSION, bytes)?;
         let [layers] = reader.words()?;
-        let count = check(layers)?;
+        let count = check_layer_count(layers)?;
         let (tiling, tiles) = reader.tiles()?;
         let samples = tiles.clone().map(|_| reader.range()).collect::<Result<Vec<_>, _>>()?;
         let area: u64 = tiles.clone().filter_map(|tile| tiling.rect(tile)).map(|rect| rect.area()).sum();

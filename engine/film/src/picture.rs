@@ -49,11 +49,11 @@ impl Picture {
     /// Decodes any PNG file, as painting programs write them: gray or colors, palettes, 1 to 16 bits per channel (the upper 8 of 16
     /// are kept). Transparent pixels show white paper.
     pub fn from_any_png(bytes: &[u8]) -> Result<Self, FilmError> {
-        Self::from_any_png_on_paper(bytes).map(|(picture, _)| picture)
+        Self::from_any_png_counting_transparent(bytes).map(|(picture, _)| picture)
     }
 
     /// Decodes like [`Self::from_any_png`], and also returns the number of pixels through which the paper shows.
-    pub fn from_any_png_on_paper(bytes: &[u8]) -> Result<(Self, usize), FilmError> {
+    pub fn from_any_png_counting_transparent(bytes: &[u8]) -> Result<(Self, usize), FilmError> {
         let damaged = |e: png::DecodingError| FilmError::Format { what: "reading PNG", cause: e.to_string() };
         let mut decoder = png::Decoder::new(std::io::Cursor::new(bytes));
         decoder.set_transformations(png::Transformations::normalize_to_color8());
@@ -83,7 +83,7 @@ impl Picture {
     }
 
     /// Creates a placeholder for a missing picture: gray with a cross.
-    pub fn missing(width: u32, height: u32) -> Self {
+    pub fn placeholder(width: u32, height: u32) -> Self {
         const CARD: [u8; 3] = [112; 3];
         const CROSS: [u8; 3] = [48; 3];
         let (w, h) = (i64::from(width), i64::from(height));
@@ -228,7 +228,7 @@ mod tests {
             (file(png::ColorType::Grayscale, png::BitDepth::One, &[0b0100_0000]), [[0; 3], [255; 3]]),
         ] {
             assert_eq!(Picture::from_any_png(&bytes).unwrap().pixels, expected);
-            let clear = Picture::from_any_png_on_paper(&bytes).unwrap().1;
+            let clear = Picture::from_any_png_counting_transparent(&bytes).unwrap().1;
             let white = expected.iter().filter(|pixel| **pixel == [255; 3] || **pixel == [224, 204, 204]).count();
             assert_eq!(clear, if bytes[25] & 4 == 0 { 0 } else { white }, "color type {}", bytes[25]);
             assert!((0..bytes.len()).all(|end| Picture::from_any_png(&bytes[..end]).is_err()));
@@ -238,7 +238,7 @@ mod tests {
     #[test]
     fn missing_picture_is_a_card_with_a_cross_between_its_corners() {
         for (width, height) in [(64, 64), (160, 90), (9, 40), (1, 1)] {
-            let card = Picture::missing(width, height);
+            let card = Picture::placeholder(width, height);
             let at = |x: u32, y: u32| card.pixels[(y * width + x) as usize];
             let cross = at(0, 0);
             let corners = [at(width - 1, 0), at(0, height - 1), at(width - 1, height - 1), at(width / 2, height / 2)];

@@ -1,7 +1,7 @@
 //! Resolved pixels, and pieces of a frame that is resolved in several places.
 //!
-//! A [`Piece`] is the part of an image that some tiles cover: 48 bytes per pixel instead of the 236 of exact sums. No samples can
-//! be added to it. The binary format:
+//! A [`ImagePiece`] is the part of an image that some tiles cover: 48 bytes per pixel instead of the 236 of exact sums. No samples
+//! can be added to it. The binary format:
 //!
 //! | bytes | content |
 //! | --- | --- |
@@ -13,7 +13,7 @@
 //! | | bad samples, as in a tile ([`crate::codec`]) |
 //! | rest | zstd frame of the pixels in the order of the tiles, in byte planes |
 
-use crate::codec::{begin, finish, open, put_bad, to_planes};
+use crate::codec::{finish, put_bad_samples, read_header, start_header, to_planes};
 use crate::convergence::luminance;
 use crate::tile::{ALBEDO_FRACTION, HALVES, MAX_TILE_PIXELS, PixelSums};
 use crate::{BadSamples, FilmError, Frame, FrameImage, Image, Rect, SampleRange, Tile, Tiling};
@@ -41,7 +41,7 @@ impl PixelSums {
     ///   sample values; otherwise every good sample has the same weight.
     pub(crate) fn resolve(&self, is_held: bool) -> Pixel {
         let samples = self.samples();
-        let mut pixel = Pixel { samples: self.counted(), ..Pixel::default() };
+        let mut pixel = Pixel { samples: self.counted_samples(), ..Pixel::default() };
         if samples == 0 {
             return pixel;
         }
@@ -50,8 +50,8 @@ impl PixelSums {
         if self.hits > 0 {
             pixel.depth = (self.depth.value() / f64::from(self.hits)) as f32;
         }
-        let (weights, factor) = (weights(self.count, is_held), variance_factor(self.count, is_held));
-        let mean = |half: usize, channel: usize| match self.count[half] {
+        let (weights, factor) = (half_weights(self.half_counts, is_held), variance_factor(self.half_counts, is_held));
+        let mean = |half: usize, channel: usize| match self.half_counts[half] {
             0 => 0.0,
             count => self.color[half][channel].value() / f64::from(count),
         };
@@ -66,7 +66,7 @@ impl PixelSums {
 }
 
 /// Returns the weights of the halves in the image, by their counts of samples. If only one half has samples, its weight is 1.
-pub(crate) fn weights(count: [u32; HALVES], is_held: bool) -> [f64; HALVES] {
+pub(crate) fn half_weights(count: [u32; HALVES], is_held: bool) -> [f64; HALVES] {
     let [a, b] = count.map(f64::from);
     match (a > 0.0, b > 0.0) {
         (true, true) if is_held => [0.5; 2],
@@ -112,7 +112,7 @@ impl Pixel {
 
 /// Some resolved tiles of a frame; each has its own number of samples.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Piece {
+pub struct ImagePiece {
     tiling: Tiling,
     tiles: Range<usize>,
     /// Samples of each tile.
@@ -122,10 +122,10 @@ pub struct Piece {
     pixels: Vec<Pixel>,
 }
 
-impl Piece {
+impl ImagePiece {
     /// Resolves these tiles of `frame`.
     /// - errors: the range is empty; the frame has fewer tiles; a tile has no samples, or a gap in them.
-    pub fn of(frame: &Frame, tiles: Range<usize>) -> Result<Self, FilmError> {
+    pub fn from_frame(frame: &Frame, tiles: Range<usize>) -> Result<Self, FilmError> {
         if tiles.is_empty() {
             return Err(FilmError::Corrupt("the group has no tiles"));
         }
@@ -137,7 +137,7 @@ impl Piece {
             pixels: Vec::new(),
         };
         for index in tiles {
-            let (tile, samples) = whole(frame, index)?;
+            let (tile, samples) = complete_tile(frame, index)?;
             piece.samples.push(samples);
             piece.bad.merge(tile.bad());
             piece.pixels.extend(tile.pixels().iter().map(|sums| sums.resolve(tile.is_held())));
@@ -167,21 +167,21 @@ impl Piece {
 
     /// Encodes the piece. Equal pixels give equal bytes.
     pub fn encode(&self) -> Vec<u8> {
-        let mut out = begin(MAGIC, VERSION);
+        let mut out = start_header(MAGIC, VERSION);
         let mut word = |w: u32| out.extend_from_slice(&w.to_le_bytes());
         let Tiling { width, height, edge } = self.tiling;
         [width, height, edge, self.tiles.start as u32, self.tiles.end as u32].into_iter().for_each(&mut word);
         self.samples.iter().flat_map(|range| [range.start, range.end]).for_each(&mut word);
-        put_bad(&self.bad, word);
+        put_bad_samples(&self.bad, word);
         finish(out, &to_planes(&self.pixels, |pixel| pixel.to_bytes()))
     }
 
     /// Decodes a piece; damage of any kind is an error.
     pub fn decode(bytes: &[u8]) -> Result<Self, FilmError> {
-        let mut reader = open(MAGIC, VERSION, bytes)?;
+        let mut reader = read_header(MAGIC, VERSION, bytes)?;
         let (tiling, tiles) = reader.tiles()?;
         let samples = tiles.clone().map(|_| reader.range()).collect::<Result<Vec<_>, _>>()?;
-        let bad = reader.bad(Rect { x: 0, y: 0, width: tiling.width, height: tiling.height })?;
+        let bad = reader.bad_samples(Rect { x: 0, y: 0, width: tiling.width, height: tiling.height })?;
         let count: u64 = tiles.clone().filter_map(|index| tiling.rect(index)).map(|rect| rect.area()).sum();
         if count > MAX_TILE_PIXELS {
             return Err(FilmError::Corrupt("more pixels than a group of tiles can have"));
@@ -198,9 +198,9 @@ impl Piece {
 
 /// Returns tile `index` of a frame, and its samples as one range.
 /// - errors: the frame has fewer tiles; this one has no samples, or a gap in them.
-pub(crate) fn whole(frame: &Frame, index: usize) -> Result<(&Tile, SampleRange), FilmError> {
+pub(crate) fn complete_tile(frame: &Frame, index: usize) -> Result<(&Tile, SampleRange), FilmError> {
     let rect = frame.tiling().rect(index).ok_or(FilmError::Corrupt("more tiles than the film has"))?;
-    let whole = frame.tile(index).and_then(|tile| Some((tile, SampleRange::joined(tile.ranges())?)));
+    let whole = frame.tile(index).and_then(|tile| Some((tile, SampleRange::join(tile.ranges())?)));
     whole.ok_or(FilmError::Gap(rect))
 }
 
@@ -220,7 +220,7 @@ impl FrameImage {
 
     /// Copies the pixels of `piece` to their place, replacing earlier ones.
     /// - errors: the piece belongs to a film of another size.
-    pub fn put(&mut self, piece: &Piece) -> Result<(), FilmError> {
+    pub fn put(&mut self, piece: &ImagePiece) -> Result<(), FilmError> {
         let Tiling { width, height, .. } = piece.tiling;
         let own = Rect { x: 0, y: 0, width: self.color.width, height: self.color.height };
         if (own.width, own.height) != (width, height) {

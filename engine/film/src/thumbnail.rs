@@ -11,7 +11,7 @@
 //! | 16 | BLAKE3 of everything after this field, first half |
 //! | rest | zstd frame of the counts, 8 bytes each, in byte planes |
 
-use crate::codec::{begin, finish, open, to_planes};
+use crate::codec::{finish, read_header, start_header, to_planes};
 use crate::tile::PixelSums;
 use crate::{FilmError, Frame, Image, Rect, Tile, Tiling};
 use femc_math::elementary::double;
@@ -23,7 +23,7 @@ impl Tile {
     /// Returns the tile's sums in blocks of [`BLOCK`] x [`BLOCK`] pixels of the film: a tile of a smaller film. Bad samples are in
     /// the sums of neither tile. The thumbnail of a merge is the merge of the thumbnails (test
     /// `part_thumbnails_of_a_tile_sum_to_its_own_for_any_cut`).
-    /// - the tile must begin at whole blocks, like those of a tiling that has [`Tiling::of_thumbnails`].
+    /// - the tile must begin at whole blocks, like those of a tiling that has [`Tiling::thumbnail_tiling`].
     pub fn thumbnail(&self) -> Self {
         let Rect { x, y, width, height } = self.rect;
         let (left, top) = (x / BLOCK, y / BLOCK);
@@ -37,13 +37,13 @@ impl Tile {
         for ((x, y), sums) in self.rect.pixels().zip(&self.pixels) {
             pixels[((y / BLOCK - top) * rect.width + (x / BLOCK - left)) as usize].merge(sums);
         }
-        Self { rect, ranges: self.ranges.clone(), ends: self.ends, pixels, bad: crate::BadSamples::default(), work: 0 }
+        Self { rect, ranges: self.ranges.clone(), ends: self.ends, pixels, bad: crate::BadSamples::default(), rays: 0 }
     }
 }
 
 impl Tiling {
     /// Returns the tiling of the small film by the thumbnails of the tiles; `None`: the tile width is not a whole number of blocks.
-    pub fn of_thumbnails(self) -> Option<Self> {
+    pub fn thumbnail_tiling(self) -> Option<Self> {
         let Self { width, height, edge } = self;
         let small = Self { width: width.div_ceil(BLOCK), height: height.div_ceil(BLOCK), edge: edge / BLOCK };
         edge.is_multiple_of(BLOCK).then_some(small)
@@ -53,12 +53,12 @@ impl Tiling {
 /// Luminance histogram of blocks of pixels: black blocks, and bins of a 16th of an octave from 2^-40 to 2^40 cd/m2. Luminances
 /// beyond the bins count in the first or the last.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Levels {
+pub struct LuminanceLevels {
     /// Number of black blocks, then a count for each bin.
     counts: Vec<u64>,
 }
 
-impl Levels {
+impl LuminanceLevels {
     const MAGIC: &'static [u8; 8] = b"FEMCLEVL";
     const VERSION: u32 = 1;
     /// Number of bins in an octave.
@@ -68,7 +68,7 @@ impl Levels {
     const BINS: usize = 80 * 16;
 
     /// Counts the blocks of thumbnails; a block without a good sample is not counted.
-    pub fn of(thumbnails: &Frame) -> Self {
+    pub fn from_thumbnails(thumbnails: &Frame) -> Self {
         let mut levels = Self::default();
         let tiles = (0..thumbnails.tiling().count()).filter_map(|index| thumbnails.tile(index));
         for sums in tiles.flat_map(Tile::pixels).filter(|sums| sums.samples() > 0) {
@@ -80,7 +80,7 @@ impl Levels {
 
     /// Counts the blocks of a finished image, for callers without thumbnails. The image's pixels are rounded, so a block may count
     /// in a bin next to that of its thumbnail.
-    pub fn of_image(image: &Image) -> Self {
+    pub fn from_image(image: &Image) -> Self {
         let (small, mut levels) = (image.shrunk_by(BLOCK), Self::default());
         (0..small.pixels.len()).for_each(|at| levels.counts[Self::bin(small.luminance(at).into())] += 1);
         levels
@@ -101,7 +101,7 @@ impl Levels {
     }
 
     /// Returns the luminance in the middle of each bin that has blocks, cd/m2, and the number of its blocks; without black blocks.
-    pub fn lit(&self) -> impl Iterator<Item = (f64, u64)> + Clone + '_ {
+    pub fn lit_bins(&self) -> impl Iterator<Item = (f64, u64)> + Clone + '_ {
         let middle = |bin: usize| double::pow(2.0, (bin as f64 + 0.5) / Self::OCTAVE + Self::LOWEST);
         let bins = self.counts[1..].iter().enumerate().filter(|(_, count)| **count > 0);
         bins.map(move |(bin, &count)| (middle(bin), count))
@@ -114,17 +114,17 @@ impl Levels {
 
     /// Encodes the levels. Equal counts give equal bytes.
     pub fn encode(&self) -> Vec<u8> {
-        finish(begin(Self::MAGIC, Self::VERSION), &to_planes(&self.counts, |count| count.to_le_bytes()))
+        finish(start_header(Self::MAGIC, Self::VERSION), &to_planes(&self.counts, |count| count.to_le_bytes()))
     }
 
     /// Decodes levels; damage of any kind is an error.
     pub fn decode(bytes: &[u8]) -> Result<Self, FilmError> {
-        let reader = open(Self::MAGIC, Self::VERSION, bytes)?;
+        let reader = read_header(Self::MAGIC, Self::VERSION, bytes)?;
         Ok(Self { counts: reader.planes(1 + Self::BINS, |bytes| u64::from_le_bytes(*bytes))? })
     }
 }
 
-impl Default for Levels {
+impl Default for LuminanceLevels {
     fn default() -> Self {
         Self { counts: vec![0; 1 + Self::BINS] }
     }

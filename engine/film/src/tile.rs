@@ -42,10 +42,10 @@ pub(crate) fn replicates_of(half: usize) -> [usize; REPLICATES / HALVES] {
 }
 
 /// First held sample of each half.
-pub type Ends = [u32; HALVES];
+pub type HalfEnds = [u32; HALVES];
 
 /// No half is held.
-pub const OPEN: Ends = [u32::MAX; HALVES];
+pub const NONE_HELD: HalfEnds = [u32::MAX; HALVES];
 
 /// Samples `start .. end` of every pixel of a tile.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
@@ -68,7 +68,7 @@ impl SampleRange {
     }
 
     /// Joins ranges that ascend without a gap; `None` for any other ranges, and for no range.
-    pub fn joined(ranges: &[Self]) -> Option<Self> {
+    pub fn join(ranges: &[Self]) -> Option<Self> {
         let (first, rest) = ranges.split_first()?;
         let join = |one: Self, next: &Self| (one.end == next.start).then_some(Self { end: next.end, ..one });
         rest.iter().try_fold(*first, join)
@@ -99,9 +99,9 @@ pub struct PixelSums {
     /// Number of samples that hit a surface.
     pub hits: u32,
     /// Number of good samples of each half that are not held.
-    pub count: [u32; HALVES],
+    pub half_counts: [u32; HALVES],
     /// Number of good samples of each replicate.
-    pub drawn: [u32; REPLICATES],
+    pub replicate_counts: [u32; REPLICATES],
     /// Largest luminance of a sample of each half, cd/m2.
     pub peak: [f32; HALVES],
 }
@@ -113,7 +113,7 @@ impl PixelSums {
         let replicate = replicate_of(index);
         let half = half_of(replicate);
         let add = |sum: &mut RadianceSum, value: f32| {
-            let (mantissa, exponent) = parts(value);
+            let (mantissa, exponent) = float_parts(value);
             sum.add_parts(mantissa, exponent);
         };
         let light = luminance(sample.color);
@@ -124,34 +124,34 @@ impl PixelSums {
             *sum = sum.saturating_add(albedo_units(a));
         }
         if sample.depth.is_finite() {
-            let (mantissa, exponent) = parts(sample.depth);
+            let (mantissa, exponent) = float_parts(sample.depth);
             self.depth.add_parts(mantissa, exponent);
             self.hits = self.hits.saturating_add(1);
         }
-        self.count[half] = self.count[half].saturating_add(1);
-        self.drawn[replicate] = self.drawn[replicate].saturating_add(1);
+        self.half_counts[half] = self.half_counts[half].saturating_add(1);
+        self.replicate_counts[replicate] = self.replicate_counts[replicate].saturating_add(1);
     }
 
     /// Returns the number of good samples, whether held or not.
     pub fn samples(&self) -> u32 {
-        self.drawn.iter().fold(0, |sum, count| sum.saturating_add(*count))
+        self.replicate_counts.iter().fold(0, |sum, count| sum.saturating_add(*count))
     }
 
     /// Returns the number of good samples that count in the image.
-    pub fn counted(&self) -> u32 {
-        self.count.iter().fold(0, |sum, count| sum.saturating_add(*count))
+    pub fn counted_samples(&self) -> u32 {
+        self.half_counts.iter().fold(0, |sum, count| sum.saturating_add(*count))
     }
 
     /// Returns the mean luminance of each replicate of a half, cd/m2; `None` if one has no good sample.
     pub(crate) fn luminances(&self, half: usize) -> Option<[f64; REPLICATES / HALVES]> {
         let replicates = replicates_of(half);
-        let mean = |replicate: usize| self.luminance[replicate].value() / f64::from(self.drawn[replicate]);
-        replicates.iter().all(|&replicate| self.drawn[replicate] > 0).then(|| replicates.map(mean))
+        let mean = |replicate: usize| self.luminance[replicate].value() / f64::from(self.replicate_counts[replicate]);
+        replicates.iter().all(|&replicate| self.replicate_counts[replicate] > 0).then(|| replicates.map(mean))
     }
 
     /// Removes the samples of a half from the image.
     fn hold(&mut self, half: usize) {
-        (self.color[half], self.count[half]) = Default::default();
+        (self.color[half], self.half_counts[half]) = Default::default();
     }
 
     pub(crate) fn merge(&mut self, other: &Self) {
@@ -160,15 +160,15 @@ impl PixelSums {
         self.depth.merge(other.depth);
         self.albedo.iter_mut().zip(other.albedo).for_each(|(a, b)| *a = a.saturating_add(b));
         self.hits = self.hits.saturating_add(other.hits);
-        self.count.iter_mut().zip(other.count).for_each(|(a, b)| *a = a.saturating_add(b));
-        self.drawn.iter_mut().zip(other.drawn).for_each(|(a, b)| *a = a.saturating_add(b));
+        self.half_counts.iter_mut().zip(other.half_counts).for_each(|(a, b)| *a = a.saturating_add(b));
+        self.replicate_counts.iter_mut().zip(other.replicate_counts).for_each(|(a, b)| *a = a.saturating_add(b));
         self.peak.iter_mut().zip(other.peak).for_each(|(a, b)| *a = a.max(b));
     }
 }
 
 /// Returns mantissa and exponent of a finite float: `v = mantissa * 2^exponent`; subnormals, which no sum can hold, give 0.
 #[inline]
-pub(crate) fn parts(v: f32) -> (u64, i32) {
+pub(crate) fn float_parts(v: f32) -> (u64, i32) {
     let bits = v.to_bits();
     let exponent = (bits >> 23) & 0xff;
     let mantissa = if exponent == 0 { 0 } else { (bits & 0x007f_ffff) | 0x0080_0000 };
@@ -188,10 +188,10 @@ pub struct Tile {
     pub(crate) rect: Rect,
     /// Sorted, disjoint, and not joined, because they are the keys under which samples were counted.
     pub(crate) ranges: Vec<SampleRange>,
-    pub(crate) ends: Ends,
+    pub(crate) ends: HalfEnds,
     pub(crate) pixels: Vec<PixelSums>,
     pub(crate) bad: BadSamples,
-    pub(crate) work: u64,
+    pub(crate) rays: u64,
 }
 
 impl Tile {
@@ -203,7 +203,7 @@ impl Tile {
             return Err(FilmError::EmptyRange(range));
         }
         let pixels = vec![PixelSums::default(); rect.area() as usize];
-        Ok(Self { rect, ranges: vec![range], ends: OPEN, pixels, bad: BadSamples::default(), work: 0 })
+        Ok(Self { rect, ranges: vec![range], ends: NONE_HELD, pixels, bad: BadSamples::default(), rays: 0 })
     }
 
     /// Joins full-width strips, which cover `rect` from top to bottom and have the samples `samples`, to a tile. Several threads
@@ -221,7 +221,7 @@ impl Tile {
             y = y.saturating_add(strip.rect.height);
             whole.pixels.extend_from_slice(&strip.pixels);
             whole.bad.merge(&strip.bad);
-            whole.charge(strip.work);
+            whole.add_rays(strip.rays);
         }
         if whole.pixels.len() as u64 != rect.area() {
             return Err(FilmError::OtherPixels { expected: rect, found: Rect { height: y - rect.y, ..rect } });
@@ -240,18 +240,18 @@ impl Tile {
     }
 
     /// Returns the first held sample of each half: from there on, its samples do not count in the image.
-    pub fn ends(&self) -> Ends {
+    pub fn ends(&self) -> HalfEnds {
         self.ends
     }
 
     /// Checks whether a half is held.
     pub(crate) fn is_held(&self) -> bool {
-        self.ends != OPEN
+        self.ends != NONE_HELD
     }
 
     /// Holds the samples of each half from `ends` on. A half that is already held from an earlier sample on does not change.
     /// - errors: a sum has samples before and after an end. The tile does not change.
-    pub fn hold(&mut self, ends: Ends) -> Result<(), FilmError> {
+    pub fn hold(&mut self, ends: HalfEnds) -> Result<(), FilmError> {
         let ends = earlier(self.ends, ends);
         let is_new = |half: usize| ends[half] < self.ends[half];
         let mut held = [false; HALVES];
@@ -279,13 +279,13 @@ impl Tile {
     }
 
     /// Returns the cost of the samples: the number of rays traced for them, which is the same on every machine.
-    pub fn work(&self) -> u64 {
-        self.work
+    pub fn rays(&self) -> u64 {
+        self.rays
     }
 
     /// Adds to the cost of the samples.
-    pub fn charge(&mut self, rays: u64) {
-        self.work = self.work.saturating_add(rays);
+    pub fn add_rays(&mut self, rays: u64) {
+        self.rays = self.rays.saturating_add(rays);
     }
 
     /// Returns the sums of the pixels, row by row.
@@ -299,7 +299,7 @@ impl Tile {
     }
 
     /// Returns the number of pixels with a sum that has left its range and is only a lower bound.
-    pub fn saturated(&self) -> usize {
+    pub fn saturated_pixels(&self) -> usize {
         let full = |p: &PixelSums| {
             let mut sums = p.color.as_flattened().iter().chain(&p.luminance);
             sums.any(|sum| sum.is_saturated()) || p.depth.is_saturated()
@@ -329,12 +329,12 @@ impl Tile {
     /// either tile is held in the union.
     /// - errors: other pixels; ranges that partly overlap; some ranges known and others new; samples before and after an end in one
     ///   sum. The tile does not change.
-    pub fn merge(&mut self, other: &Self) -> Result<Merged, FilmError> {
+    pub fn merge(&mut self, other: &Self) -> Result<MergeOutcome, FilmError> {
         if self.rect != other.rect {
             return Err(FilmError::OtherPixels { expected: self.rect, found: other.rect });
         }
         if other.ranges.iter().all(|r| self.ranges.binary_search(r).is_ok()) {
-            return Ok(Merged::Known);
+            return Ok(MergeOutcome::Known);
         }
         for &new in &other.ranges {
             if let Some(&old) = self.ranges.iter().find(|old| old.overlaps(new)) {
@@ -351,19 +351,19 @@ impl Tile {
         self.ranges.sort_unstable();
         self.pixels.iter_mut().zip(&other.pixels).for_each(|(mine, theirs)| mine.merge(theirs));
         self.bad.merge(&other.bad);
-        self.charge(other.work);
-        Ok(Merged::New)
+        self.add_rays(other.rays);
+        Ok(MergeOutcome::New)
     }
 }
 
 /// Returns the earlier end of each half.
-fn earlier(a: Ends, b: Ends) -> Ends {
+fn earlier(a: HalfEnds, b: HalfEnds) -> HalfEnds {
     std::array::from_fn(|half| a[half].min(b[half]))
 }
 
 /// Result of a merge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Merged {
+pub enum MergeOutcome {
     /// The samples were new and are now counted.
     New,
     /// The samples had been counted before; nothing changed.
@@ -378,7 +378,7 @@ mod tests {
     fn ranges_that_ascend_without_a_gap_are_one_and_others_are_none() {
         let joined = |bounds: &[(u32, u32)]| {
             let ranges: Vec<SampleRange> = bounds.iter().map(|&(start, end)| SampleRange { start, end }).collect();
-            SampleRange::joined(&ranges).map(|one| (one.start, one.end))
+            SampleRange::join(&ranges).map(|one| (one.start, one.end))
         };
         assert_eq!(joined(&[(0, 12)]), Some((0, 12)));
         assert_eq!(joined(&[(0, 1), (1, 7), (7, 12)]), Some((0, 12)));

@@ -12,7 +12,7 @@
 //! Automatic exposure maps the log-average luminance to 0.18, middle gray. Pixels without light are left out. Pixels below 1e-4 of
 //! the mean count as 1e-4 of it, so that a black sky does not decide the exposure.
 
-use crate::{Image, Levels, Picture};
+use crate::{Image, LuminanceLevels, Picture};
 use femc_math::elementary::{double, pow};
 use femc_math::{Rgb, color};
 
@@ -39,19 +39,19 @@ impl ToneCurve {
             .flat_map(|image| (0..image.pixels.len()).map(|i| f64::from(image.luminance(i))))
             .filter(|y| y.is_finite() && *y > 0.0)
             .collect();
-        Self::exposing(luminances.iter().map(|&y| (y, 1.0)))
+        Self::from_luminances(luminances.iter().map(|&y| (y, 1.0)))
     }
 
     /// Computes the curve of automatic exposure from a luminance histogram of blocks, without keeping all images in memory. Every
     /// block counts as one in the middle of its bin, so the exposure is within half a bin of that of the blocks (test
     /// `level_exposure_is_within_half_a_bin_of_block_exposure`).
-    pub fn of_levels(levels: &Levels) -> Self {
-        Self::exposing(levels.lit().map(|(y, count)| (y, count as f64)))
+    pub fn from_levels(levels: &LuminanceLevels) -> Self {
+        Self::from_luminances(levels.lit_bins().map(|(y, count)| (y, count as f64)))
     }
 
     /// Computes the curve of automatic exposure from weighted luminances.
     /// - `luminances`: positive ones, cd/m2, with their weights, which sum to at least 1.
-    pub fn exposing(luminances: impl Iterator<Item = (f64, f64)> + Clone) -> Self {
+    pub fn from_luminances(luminances: impl Iterator<Item = (f64, f64)> + Clone) -> Self {
         let n: f64 = luminances.clone().map(|(_, weight)| weight).sum();
         let mean = luminances.clone().map(|(y, weight)| weight * y).sum::<f64>() / n.max(1.0);
         if mean <= 0.0 {

@@ -29,9 +29,9 @@ pub struct Mesh {
 }
 
 /// Number of hits and sum of distances.
-pub type Answer = (usize, f64);
+pub type TraceSummary = (usize, f64);
 /// A named ray tracer.
-pub type Contender = (String, Box<dyn Fn(&[Ray]) -> Answer + Sync>);
+pub type Contender = (String, Box<dyn Fn(&[Ray]) -> TraceSummary + Sync>);
 
 fn random(state: &mut u64) -> f32 {
     *state ^= *state << 13;
@@ -41,7 +41,7 @@ fn random(state: &mut u64) -> f32 {
 }
 
 /// Reads a mesh file.
-pub fn read(path: &str) -> Mesh {
+pub fn read_mesh(path: &str) -> Mesh {
     let bytes = std::fs::read(path).expect("the mesh file can be read");
     let word = |i: usize| u32::from_le_bytes(bytes[4 * i..4 * i + 4].try_into().expect("four bytes"));
     let float = |i: usize| f32::from_bits(word(i));
@@ -141,7 +141,7 @@ pub fn rays(mesh: &Mesh, world: &World, n: usize) -> [Vec<Ray>; 2] {
     [primary, bounce]
 }
 
-fn tally(rays: &[Ray], trace: impl Fn(&Ray) -> Option<f32>) -> Answer {
+fn tally(rays: &[Ray], trace: impl Fn(&Ray) -> Option<f32>) -> TraceSummary {
     rays.iter().filter_map(trace).fold((0, 0.0), |(n, s), t| (n + 1, s + f64::from(t)))
 }
 
@@ -180,7 +180,7 @@ pub fn contenders(mesh: &Mesh, world: World) -> Vec<Contender> {
 }
 
 /// Returns million rays per second on `threads` threads, and the answer.
-fn time(rays: &[Ray], threads: usize, trace: &(dyn Fn(&[Ray]) -> Answer + Sync)) -> (f64, Answer) {
+fn measure(rays: &[Ray], threads: usize, trace: &(dyn Fn(&[Ray]) -> TraceSummary + Sync)) -> (f64, TraceSummary) {
     let start = Instant::now();
     let chunk = rays.len().div_ceil(threads);
     let answer = std::thread::scope(|scope| {
@@ -197,7 +197,7 @@ pub fn compare(sets: &[(&str, &[Ray])], contenders: &[Contender], rounds: usize)
             let mut best = vec![(0.0f64, (0, 0.0)); contenders.len()];
             for _ in 0..rounds {
                 for (best, (_, trace)) in best.iter_mut().zip(contenders) {
-                    let (speed, answer) = time(rays, threads, &**trace);
+                    let (speed, answer) = measure(rays, threads, &**trace);
                     *best = (best.0.max(speed), answer);
                 }
             }
@@ -233,7 +233,7 @@ pub fn run(mesh: &Mesh, extra: Vec<Contender>) {
 #[allow(dead_code, reason = "also a module of other harnesses")]
 fn main() {
     match std::env::args().nth(1) {
-        Some(path) => run(&read(&path), vec![]),
+        Some(path) => run(&read_mesh(&path), vec![]),
         None => [cornell(), terrain(500)].iter().for_each(|mesh| run(mesh, vec![])),
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::{
     Aabb, Facing, Quadric,
-    shape::Crossings,
+    shape::CrossingFilter,
     tree::{Child, Lanes, LeafRule, Tree, WIDTH, collapse},
 };
 use femc_math::glam::Vec3A;
@@ -58,11 +58,11 @@ impl Shape {
     /// Returns the crossings that count. `mirrored`: the shape is seen through a map of negative determinant, which swaps its
     /// sides.
     #[inline]
-    pub fn crossings(&self, mirrored: bool) -> Crossings {
+    pub fn crossings(&self, mirrored: bool) -> CrossingFilter {
         match (self.cull, (self.quadric.facing() == Facing::Outward) != mirrored) {
-            (Cull::None, _) => Crossings::All,
-            (Cull::Back, true) => Crossings::Entering,
-            (Cull::Back, false) => Crossings::Leaving,
+            (Cull::None, _) => CrossingFilter::All,
+            (Cull::Back, true) => CrossingFilter::Entering,
+            (Cull::Back, false) => CrossingFilter::Leaving,
         }
     }
 }
@@ -98,7 +98,7 @@ impl Blas {
                 primitives.push((triangles.len() + index) as u32);
             }
         }
-        let mut leaves = Leaves {
+        let mut leaves = LeafBuilder {
             triangles: &triangles,
             shape_inputs: &shapes,
             primitives: &primitives,
@@ -152,7 +152,7 @@ fn unit_normal(vertices: &[Vec3A; 3]) -> Option<Vec3A> {
     (b - a).cross(c - a).try_normalize().map(|n| n.as_vec3a()).filter(|_| vertices.iter().all(|v| v.is_finite()))
 }
 
-struct Leaves<'a> {
+struct LeafBuilder<'a> {
     triangles: &'a [TriangleInput],
     shape_inputs: &'a [ShapeInput],
     /// Primitive index of each box of the tree.
@@ -161,18 +161,18 @@ struct Leaves<'a> {
     shapes: Vec<Shape>,
 }
 
-impl Leaves<'_> {
+impl LeafBuilder<'_> {
     fn is_triangle(&self, item: u32) -> bool {
         (self.primitives[item as usize] as usize) < self.triangles.len()
     }
 }
 
-impl LeafRule for Leaves<'_> {
+impl LeafRule for LeafBuilder<'_> {
     fn may_share(&self, a: u32, b: u32) -> bool {
         self.is_triangle(a) && self.is_triangle(b)
     }
 
-    fn most(&self, a: u32) -> usize {
+    fn max_primitives(&self, a: u32) -> usize {
         if self.is_triangle(a) { WIDTH } else { 1 }
     }
 

@@ -53,10 +53,10 @@ impl Aabb {
         s.x * s.y + s.y * s.z + s.z * s.x
     }
 
-    /// Returns the box grown by `by` on each side, m.
+    /// Returns the box grown by `margin` on each side, m.
     #[must_use]
-    pub fn grown(self, by: f32) -> Self {
-        if self.is_empty() { self } else { Self { min: self.min - by, max: self.max + by } }
+    pub fn expanded(self, margin: f32) -> Self {
+        if self.is_empty() { self } else { Self { min: self.min - margin, max: self.max + margin } }
     }
 
     /// Returns a box around the image of this one, enlarged for rounding.

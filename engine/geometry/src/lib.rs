@@ -29,7 +29,7 @@ pub use blas::{Blas, Cull, ShapeInput, TriangleInput};
 pub use bounds::Aabb;
 pub use interaction::{Interaction, triangle_interaction};
 pub use motion::Pose;
-pub use offset::{offset_origin, segment};
+pub use offset::{offset_origin, shadow_segment};
 pub use ray::{Hit, Ray};
 pub use shape::{Facing, Quadric};
 pub use world::{InstanceInput, World};

@@ -47,7 +47,7 @@ impl Placement {
 
 /// Components of one pose.
 #[derive(Clone, Copy, Debug)]
-struct Parts {
+struct PoseComponents {
     translation: Vec3A,
     rotation: Quat,
     scale: Vec3,
@@ -56,7 +56,7 @@ struct Parts {
 /// A motion in the form that the tracer evaluates.
 #[derive(Clone, Debug)]
 pub(crate) struct Motion {
-    keys: Vec<Parts>,
+    keys: Vec<PoseComponents>,
     /// For each segment, the angle between the rotations as quaternions, radians, and 1 / its sine; 0 if the angle is too small for
     /// it.
     arcs: Vec<(f32, f32)>,
@@ -66,11 +66,11 @@ pub(crate) struct Motion {
 impl Motion {
     /// Creates a motion from at least two poses.
     pub fn new(poses: &[Affine3A]) -> Self {
-        let mut keys: Vec<Parts> = poses
+        let mut keys: Vec<PoseComponents> = poses
             .iter()
             .map(|pose| {
                 let (scale, rotation, translation) = Affine3::from(*pose).to_scale_rotation_translation();
-                Parts { translation: translation.into(), rotation: rotation.normalize(), scale }
+                PoseComponents { translation: translation.into(), rotation: rotation.normalize(), scale }
             })
             .collect();
         let mut arcs = Vec::with_capacity(keys.len());
@@ -87,7 +87,7 @@ impl Motion {
         Self { keys, arcs, mirrored }
     }
 
-    fn parts_at(&self, time: f32) -> Parts {
+    fn components_at(&self, time: f32) -> PoseComponents {
         let x = time.clamp(0.0, 1.0) * self.arcs.len() as f32;
         let segment = (x as usize).min(self.arcs.len() - 1);
         let s = x - segment as f32;
@@ -98,7 +98,7 @@ impl Motion {
         } else {
             (sin((1.0 - s) * angle) * inverse_sine, sin(s * angle) * inverse_sine)
         };
-        Parts {
+        PoseComponents {
             translation: a.translation * (1.0 - s) + b.translation * s,
             rotation: (a.rotation * wa + b.rotation * wb).normalize(),
             scale: a.scale * (1.0 - s) + b.scale * s,
@@ -106,12 +106,12 @@ impl Motion {
     }
 
     pub fn pose_at(&self, time: f32) -> Affine3A {
-        let p = self.parts_at(time);
+        let p = self.components_at(time);
         Affine3A::from_scale_rotation_translation(p.scale, p.rotation, p.translation.into())
     }
 
     pub fn placement_at(&self, time: f32) -> Placement {
-        let p = self.parts_at(time);
+        let p = self.components_at(time);
         let to_world = Affine3A::from_scale_rotation_translation(p.scale, p.rotation, p.translation.into());
         // (T R S)^-1 = S^-1 R^T T^-1, row by row.
         let inverse_scale = Vec3A::ONE / Vec3A::from(p.scale);
@@ -127,7 +127,7 @@ impl Motion {
 
     /// Returns a box around the moving `local` over the whole shutter. It unites the boxes at steps of each segment, each grown by
     /// the maximum distance of a point from the chord between steps: h^2 / 8 times the greatest acceleration of a corner.
-    pub fn bounds(&self, local: &Aabb) -> Aabb {
+    pub fn swept_bounds(&self, local: &Aabb) -> Aabb {
         const STEPS: usize = 16;
         let reach = local.min.abs().max(local.max.abs()).length();
         let mut total = Aabb::EMPTY;
@@ -140,12 +140,12 @@ impl Motion {
             let bulge = acceleration / (8 * STEPS * STEPS) as f32;
             for step in 0..=STEPS {
                 let time = (segment as f32 + step as f32 / STEPS as f32) / self.arcs.len() as f32;
-                total = total.union(local.transformed(&self.pose_at(time)).grown(bulge));
+                total = total.union(local.transformed(&self.pose_at(time)).expanded(bulge));
             }
         }
         // The times between steps are rounded. Between neighboring boxes positions are linear in time, so the union covers the
         // chords.
         let slack = total.min.abs().max(total.max.abs()).max_element() * femc_math::gamma(8);
-        total.grown(slack)
+        total.expanded(slack)
     }
 }

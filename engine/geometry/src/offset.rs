@@ -30,7 +30,7 @@ pub fn offset_origin(position: Vec3A, error: Vec3A, normal: Vec3A, dir: Vec3A) -
 /// The far end is also moved by the ray's own error after that distance. So rounding of the direction or of the distance cannot
 /// carry the segment through the far surface.
 #[inline]
-pub fn segment(from: (Vec3A, Vec3A, Vec3A), to: (Vec3A, Vec3A, Vec3A), time: f32) -> Ray {
+pub fn shadow_segment(from: (Vec3A, Vec3A, Vec3A), to: (Vec3A, Vec3A, Vec3A), time: f32) -> Ray {
     let between = to.0 - from.0;
     let start = offset_origin(from.0, from.1, from.2, between);
     let end = offset_origin(to.0, to.1 + between.abs() * gamma(16), to.2, -between);

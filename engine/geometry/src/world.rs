@@ -3,7 +3,10 @@
 use crate::{
     Aabb, Blas, Hit, Interaction, Pose, Ray,
     interaction::triangle_interaction,
-    kernel::{AnyLeaf, Best, Level, NearestLeaf, Probe, Simd, Task, any, blas_closest, blas_occluded, nearest_first},
+    kernel::{
+        AnyLeaf, ClosestHit, Kernel, Level, LocalRay, NearestLeaf, Simd, blas_closest, blas_occluded, traverse_any,
+        traverse_nearest_first,
+    },
     motion::{Motion, Placement},
     tree::{Child, LeafRule, Tree, collapse},
 };
@@ -23,7 +26,7 @@ pub struct InstanceInput {
 }
 
 #[derive(Clone, Debug)]
-enum Place {
+enum InstanceTransform {
     Identity,
     Fixed(Placement),
     Moving(Motion),
@@ -32,7 +35,7 @@ enum Place {
 #[derive(Clone, Debug)]
 struct Instance {
     blas: Arc<Blas>,
-    place: Place,
+    transform: InstanceTransform,
 }
 
 /// All surfaces of a frame. Immutable; queries may come from any thread.
@@ -50,12 +53,14 @@ impl World {
         let instances: Vec<Instance> = instances
             .into_iter()
             .map(|InstanceInput { blas, pose }| {
-                let place = match pose {
-                    Pose::Moving(poses) if poses.len() > 1 => Place::Moving(Motion::new(&poses)),
-                    Pose::Moving(poses) => Place::fixed(poses.first().copied().unwrap_or(Affine3A::IDENTITY)),
-                    Pose::Fixed(pose) => Place::fixed(pose),
+                let transform = match pose {
+                    Pose::Moving(poses) if poses.len() > 1 => InstanceTransform::Moving(Motion::new(&poses)),
+                    Pose::Moving(poses) => {
+                        InstanceTransform::fixed(poses.first().copied().unwrap_or(Affine3A::IDENTITY))
+                    }
+                    Pose::Fixed(pose) => InstanceTransform::fixed(pose),
                 };
-                Instance { blas, place }
+                Instance { blas, transform }
             })
             .collect();
         let (mut boxes, mut indices) = (Vec::new(), Vec::new());
@@ -85,9 +90,9 @@ impl World {
     /// Returns the closest hit with t in (0, `t_max`). Among equally close hits, the lowest (instance, primitive) wins.
     #[inline]
     pub fn intersect(&self, ray: &Ray) -> Option<Hit> {
-        let mut hit = match self.sole() {
-            Some(blas) => self.level.run(ClosestInSole { blas, ray }),
-            None => self.level.run(Closest { world: self, ray }),
+        let mut hit = match self.single_blas() {
+            Some(blas) => self.level.run(SingleBlasClosest { blas, ray }),
+            None => self.level.run(ClosestHitKernel { world: self, ray }),
         }?;
         let blas = &self.instances[hit.instance as usize].blas;
         if let Some(quadric) = (hit.primitive as usize).checked_sub(blas.triangles.len()) {
@@ -102,9 +107,9 @@ impl World {
     /// Returns whether anything is hit with t in (0, `t_max`).
     #[inline]
     pub fn occluded(&self, ray: &Ray) -> bool {
-        match self.sole() {
-            Some(blas) => self.level.run(OccludedBySole { blas, ray }),
-            None => self.level.run(Occluded { world: self, ray }),
+        match self.single_blas() {
+            Some(blas) => self.level.run(SingleBlasOcclusion { blas, ray }),
+            None => self.level.run(OcclusionKernel { world: self, ray }),
         }
     }
 
@@ -137,64 +142,66 @@ impl World {
 
     /// Returns the map from an instance's frame to the world's at a shutter time.
     pub fn pose_at(&self, instance: u32, time: f32) -> Affine3A {
-        match &self.instances[instance as usize].place {
-            Place::Identity => Affine3A::IDENTITY,
-            Place::Fixed(place) => place.to_world,
-            Place::Moving(motion) => motion.pose_at(time),
+        match &self.instances[instance as usize].transform {
+            InstanceTransform::Identity => Affine3A::IDENTITY,
+            InstanceTransform::Fixed(place) => place.to_world,
+            InstanceTransform::Moving(motion) => motion.pose_at(time),
         }
     }
 
     /// Returns a box in the world's frame around `local`, a box in an instance's frame, for all times of the shutter.
-    pub fn swept(&self, instance: u32, local: &Aabb) -> Aabb {
-        self.instances[instance as usize].place.swept(local)
+    pub fn swept_bounds(&self, instance: u32, local: &Aabb) -> Aabb {
+        self.instances[instance as usize].transform.swept_bounds(local)
     }
 
     fn placement(&self, instance: u32, time: f32) -> Option<Placement> {
-        match &self.instances[instance as usize].place {
-            Place::Identity => None,
-            Place::Fixed(place) => Some(*place),
-            Place::Moving(motion) => Some(motion.placement_at(time)),
+        match &self.instances[instance as usize].transform {
+            InstanceTransform::Identity => None,
+            InstanceTransform::Fixed(place) => Some(*place),
+            InstanceTransform::Moving(motion) => Some(motion.placement_at(time)),
         }
     }
 
     /// Returns the only instance, if there is just one and its pose is the identity. Then the top level is skipped.
     #[inline(always)]
-    fn sole(&self) -> Option<&Blas> {
+    fn single_blas(&self) -> Option<&Blas> {
         match &*self.instances {
-            [Instance { blas, place: Place::Identity }] => Some(blas),
+            [Instance { blas, transform: InstanceTransform::Identity }] => Some(blas),
             _ => None,
         }
     }
 }
 
-impl Place {
+impl InstanceTransform {
     fn fixed(pose: Affine3A) -> Self {
         if pose == Affine3A::IDENTITY { Self::Identity } else { Self::Fixed(Placement::new(pose)) }
     }
 
-    fn swept(&self, local: &Aabb) -> Aabb {
+    fn swept_bounds(&self, local: &Aabb) -> Aabb {
         match self {
             Self::Identity => *local,
             Self::Fixed(place) => local.transformed(&place.to_world),
-            Self::Moving(motion) => motion.bounds(local),
+            Self::Moving(motion) => motion.swept_bounds(local),
         }
     }
 }
 
 impl Instance {
     fn bounds(&self) -> Aabb {
-        self.place.swept(&self.blas.bounds())
+        self.transform.swept_bounds(&self.blas.bounds())
     }
 
     /// Returns the ray in the instance's frame.
     #[inline(always)]
-    fn probe(&self, ray: &Ray) -> Probe {
-        match &self.place {
-            Place::Identity => Probe::new(ray.origin, ray.dir),
-            Place::Fixed(place) => Probe::transformed(ray.origin, ray.dir, &place.to_local, place.mirrored),
-            Place::Moving(motion) => {
+    fn local_ray(&self, ray: &Ray) -> LocalRay {
+        match &self.transform {
+            InstanceTransform::Identity => LocalRay::new(ray.origin, ray.dir),
+            InstanceTransform::Fixed(place) => {
+                LocalRay::transformed(ray.origin, ray.dir, &place.to_local, place.mirrored)
+            }
+            InstanceTransform::Moving(motion) => {
                 let place = motion.placement_at(ray.time);
-                Probe::transformed(ray.origin, ray.dir, &place.to_local, place.mirrored)
+                LocalRay::transformed(ray.origin, ray.dir, &place.to_local, place.mirrored)
             }
         }
     }
@@ -207,7 +214,7 @@ impl LeafRule for OneInstance<'_> {
     fn may_share(&self, _: u32, _: u32) -> bool {
         false
     }
-    fn most(&self, _: u32) -> usize {
+    fn max_primitives(&self, _: u32) -> usize {
         1
     }
     fn cost(&self, _: u32, _: usize) -> f32 {
@@ -219,37 +226,37 @@ impl LeafRule for OneInstance<'_> {
     fn clear(&mut self) {}
 }
 
-struct ClosestInSole<'a> {
+struct SingleBlasClosest<'a> {
     blas: &'a Blas,
     ray: &'a Ray,
 }
 
-impl Task for ClosestInSole<'_> {
+impl Kernel for SingleBlasClosest<'_> {
     type Output = Option<Hit>;
 
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) -> Option<Hit> {
-        let mut best = Best::before(self.ray.t_max);
-        let probe = Probe::new(self.ray.origin, self.ray.dir);
-        if blas_closest(simd, self.blas, &probe, &mut best) { Some(best.hit(0)) } else { None }
+        let mut best = ClosestHit::new(self.ray.t_max);
+        let local_ray = LocalRay::new(self.ray.origin, self.ray.dir);
+        if blas_closest(simd, self.blas, &local_ray, &mut best) { Some(best.hit(0)) } else { None }
     }
 }
 
-struct Closest<'a> {
+struct ClosestHitKernel<'a> {
     world: &'a World,
     ray: &'a Ray,
 }
 
-impl Task for Closest<'_> {
+impl Kernel for ClosestHitKernel<'_> {
     type Output = Option<Hit>;
 
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) -> Option<Hit> {
         let Self { world, ray } = self;
-        let mut best = Best::before(ray.t_max);
-        let probe = Probe::new(ray.origin, ray.dir);
+        let mut best = ClosestHit::new(ray.t_max);
+        let local_ray = LocalRay::new(ray.origin, ray.dir);
         let mut leaf = ClosestInstance { simd, world, ray, best: &mut best, instance: u32::MAX };
-        nearest_first(simd, &world.top, &probe, ray.t_max, &mut leaf);
+        traverse_nearest_first(simd, &world.top, &local_ray, ray.t_max, &mut leaf);
         let instance = leaf.instance;
         if instance == u32::MAX { None } else { Some(best.hit(instance)) }
     }
@@ -259,7 +266,7 @@ struct ClosestInstance<'a, S> {
     simd: S,
     world: &'a World,
     ray: &'a Ray,
-    best: &'a mut Best,
+    best: &'a mut ClosestHit,
     instance: u32,
 }
 
@@ -268,44 +275,44 @@ impl<S: Simd> NearestLeaf for ClosestInstance<'_, S> {
     fn visit(&mut self, leaf: Child) -> f32 {
         let index = leaf.index();
         let instance = &self.world.instances[index];
-        let probe = instance.probe(self.ray);
+        let local_ray = instance.local_ray(self.ray);
         // At equal distances a lower instance wins, regardless of the primitive; nothing wins at `t_max`.
-        self.best.tie = if self.instance == u32::MAX || index as u32 > self.instance { 0 } else { u32::MAX };
-        if blas_closest(self.simd, &instance.blas, &probe, self.best) {
+        self.best.tie_limit = if self.instance == u32::MAX || index as u32 > self.instance { 0 } else { u32::MAX };
+        if blas_closest(self.simd, &instance.blas, &local_ray, self.best) {
             self.instance = index as u32;
         }
         self.best.t
     }
 }
 
-struct OccludedBySole<'a> {
+struct SingleBlasOcclusion<'a> {
     blas: &'a Blas,
     ray: &'a Ray,
 }
 
-impl Task for OccludedBySole<'_> {
+impl Kernel for SingleBlasOcclusion<'_> {
     type Output = bool;
 
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) -> bool {
-        let probe = Probe::new(self.ray.origin, self.ray.dir);
-        blas_occluded(simd, self.blas, &probe, self.ray.t_max)
+        let local_ray = LocalRay::new(self.ray.origin, self.ray.dir);
+        blas_occluded(simd, self.blas, &local_ray, self.ray.t_max)
     }
 }
 
-struct Occluded<'a> {
+struct OcclusionKernel<'a> {
     world: &'a World,
     ray: &'a Ray,
 }
 
-impl Task for Occluded<'_> {
+impl Kernel for OcclusionKernel<'_> {
     type Output = bool;
 
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) -> bool {
         let Self { world, ray } = self;
-        let probe = Probe::new(ray.origin, ray.dir);
-        any(simd, &world.top, &probe, ray.t_max, &mut AnyInstance { simd, world, ray })
+        let local_ray = LocalRay::new(ray.origin, ray.dir);
+        traverse_any(simd, &world.top, &local_ray, ray.t_max, &mut AnyInstance { simd, world, ray })
     }
 }
 
@@ -319,6 +326,6 @@ impl<S: Simd> AnyLeaf for AnyInstance<'_, S> {
     #[inline(always)]
     fn visit(&mut self, leaf: Child) -> bool {
         let instance = &self.world.instances[leaf.index()];
-        blas_occluded(self.simd, &instance.blas, &instance.probe(self.ray), self.ray.t_max)
+        blas_occluded(self.simd, &instance.blas, &instance.local_ray(self.ray), self.ray.t_max)
     }
 }

@@ -3,7 +3,7 @@
 //!
 //! `cargo run --release -p femc-import --example fuzz_import -- --seconds 600 --seed 1`
 
-use femc_import::{Bundle, load, load_or_list};
+use femc_import::{Bundle, load_scene, load_scene_or_all_errors};
 use std::{
     collections::BTreeMap,
     panic::{AssertUnwindSafe, catch_unwind},
@@ -37,17 +37,17 @@ fn main() {
         let bundle = Bundle(mutate(&mut rng));
         let began = Instant::now();
         let look = |bundle: &Bundle| {
-            let scene = match load_or_list(bundle, "t.mgf") {
+            let scene = match load_scene_or_all_errors(bundle, "t.mgf") {
                 Ok(loaded) => loaded.scene,
                 Err(listed) => {
                     // The list contains the error at which a plain import stops.
-                    let first = load(bundle, "t.mgf").expect_err("the first error");
+                    let first = load_scene(bundle, "t.mgf").expect_err("the first error");
                     assert!(listed.errors.contains(&first) || !listed.complete);
                     return Err(first);
                 }
             };
-            let _faults = femc_scene::check(&scene);
-            let _survey = femc_scene::survey(&scene, &|_| 1.0);
+            let _faults = femc_scene::check_scene(&scene);
+            let _survey = femc_scene::survey_scene(&scene, &|_| 1.0);
             Ok::<(), femc_import::ImportError>(())
         };
         match catch_unwind(AssertUnwindSafe(|| look(&bundle))) {

@@ -5,11 +5,11 @@ use std::{path::Path, time::Instant};
 fn main() {
     for path in std::env::args().skip(1) {
         let start = Instant::now();
-        let result = femc_import::load_path(Path::new(&path));
+        let result = femc_import::load_scene_file(Path::new(&path));
         let seconds = start.elapsed().as_secs_f64();
         match result {
             Ok(loaded) => {
-                let sum = |of: fn(&femc_scene::Group) -> usize| loaded.scene.groups.iter().map(of).sum::<usize>();
+                let sum = |count: fn(&femc_scene::Group) -> usize| loaded.scene.groups.iter().map(count).sum::<usize>();
                 println!(
                     "{path}: {} groups, {} faces, {} triangles, {} quadrics, {} instances, {} materials, {} warnings, {seconds:.4} s",
                     loaded.scene.groups.len(),

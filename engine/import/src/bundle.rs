@@ -3,7 +3,7 @@
 //! Equal contents have equal encodings (sorted names, fixed-width little-endian lengths, one compression level), so equal scenes
 //! have equal digests. Decoding checks the size against the caller's limit before it allocates memory.
 
-use crate::files::{Files, MAX_PATH};
+use crate::files::{FileSource, MAX_PATH};
 use std::{
     collections::BTreeMap,
     io::{self, Read},
@@ -48,7 +48,7 @@ pub enum BundleError {
     },
 }
 
-impl Files for Bundle {
+impl FileSource for Bundle {
     fn size(&self, path: &str) -> io::Result<u64> {
         self.get(path).map(|bytes| bytes.len() as u64)
     }
@@ -68,7 +68,7 @@ impl Files for Bundle {
 
 impl Bundle {
     /// Reads `names` (as listed in [`crate::Loaded::files`]) from `files`.
-    pub fn gather(files: &dyn Files, names: &[String]) -> io::Result<Self> {
+    pub fn from_files(files: &dyn FileSource, names: &[String]) -> io::Result<Self> {
         names.iter().map(|name| Ok((name.clone(), files.read(name)?))).collect::<io::Result<_>>().map(Self)
     }
 
@@ -97,14 +97,14 @@ impl Bundle {
     /// Decodes a bundle that has up to `limit` bytes once decompressed.
     pub fn decode(bytes: &[u8], limit: u64) -> Result<Self, BundleError> {
         let mut head = bytes;
-        if take::<8>(&mut head).is_none_or(|magic| &magic != MAGIC) {
+        if take_array::<8>(&mut head).is_none_or(|magic| &magic != MAGIC) {
             return Err(BundleError::Magic);
         }
-        let found = u32::from_le_bytes(take(&mut head).ok_or(BundleError::Damaged)?);
+        let found = u32::from_le_bytes(take_array(&mut head).ok_or(BundleError::Damaged)?);
         if found != VERSION {
             return Err(BundleError::Version { found });
         }
-        let size = u64::from_le_bytes(take(&mut head).ok_or(BundleError::Damaged)?);
+        let size = u64::from_le_bytes(take_array(&mut head).ok_or(BundleError::Damaged)?);
         if size > limit {
             return Err(BundleError::TooLarge { size, limit });
         }
@@ -114,33 +114,33 @@ impl Bundle {
         if payload.len() as u64 != size {
             return Err(BundleError::Damaged);
         }
-        entries(&payload).map(Self)
+        decode_entries(&payload).map(Self)
     }
 }
 
-fn entries(mut rest: &[u8]) -> Result<BTreeMap<String, Vec<u8>>, BundleError> {
-    let count = u64::from_le_bytes(take(&mut rest).ok_or(BundleError::Damaged)?);
+fn decode_entries(mut rest: &[u8]) -> Result<BTreeMap<String, Vec<u8>>, BundleError> {
+    let count = u64::from_le_bytes(take_array(&mut rest).ok_or(BundleError::Damaged)?);
     let mut files = BTreeMap::<String, Vec<u8>>::new();
     for _ in 0..count {
-        let length = u64::from(u32::from_le_bytes(take(&mut rest).ok_or(BundleError::Damaged)?));
-        let name = String::from_utf8(run(&mut rest, length)?.to_vec()).map_err(|_| BundleError::Damaged)?;
+        let length = u64::from(u32::from_le_bytes(take_array(&mut rest).ok_or(BundleError::Damaged)?));
+        let name = String::from_utf8(take_slice(&mut rest, length)?.to_vec()).map_err(|_| BundleError::Damaged)?;
         check_name(&name)?;
         if files.last_key_value().is_some_and(|(last, _)| *last >= name) {
             return Err(BundleError::Damaged);
         }
-        let length = u64::from_le_bytes(take(&mut rest).ok_or(BundleError::Damaged)?);
-        files.insert(name, run(&mut rest, length)?.to_vec());
+        let length = u64::from_le_bytes(take_array(&mut rest).ok_or(BundleError::Damaged)?);
+        files.insert(name, take_slice(&mut rest, length)?.to_vec());
     }
     if rest.is_empty() { Ok(files) } else { Err(BundleError::Damaged) }
 }
 
-fn take<const N: usize>(rest: &mut &[u8]) -> Option<[u8; N]> {
+fn take_array<const N: usize>(rest: &mut &[u8]) -> Option<[u8; N]> {
     let (head, tail) = rest.split_first_chunk::<N>()?;
     *rest = tail;
     Some(*head)
 }
 
-fn run<'a>(rest: &mut &'a [u8], length: u64) -> Result<&'a [u8], BundleError> {
+fn take_slice<'a>(rest: &mut &'a [u8], length: u64) -> Result<&'a [u8], BundleError> {
     let length = usize::try_from(length).map_err(|_| BundleError::Damaged)?;
     let (head, tail) = rest.split_at_checked(length).ok_or(BundleError::Damaged)?;
     *rest = tail;

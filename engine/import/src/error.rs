@@ -36,11 +36,11 @@ pub struct ImportError {
     /// File, line and column of the fault.
     pub at: Position,
     /// Kind of the fault, with its details.
-    pub fault: Box<Fault>,
+    pub fault: Box<ImportFault>,
 }
 
 impl ImportError {
-    pub(crate) fn new(at: Position, fault: Fault) -> Self {
+    pub(crate) fn new(at: Position, fault: ImportFault) -> Self {
         Self { at, fault: Box::new(fault) }
     }
 }
@@ -57,7 +57,7 @@ pub struct ImportErrors {
 
 /// Kind of a named entity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum Kind {
+pub enum EntityKind {
     /// A vertex, `v`.
     Vertex,
     /// A color, `c`.
@@ -72,7 +72,7 @@ pub enum Kind {
     Path,
 }
 
-impl fmt::Display for Kind {
+impl fmt::Display for EntityKind {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::Vertex => "vertex",
@@ -87,7 +87,7 @@ impl fmt::Display for Kind {
 
 /// A fault of a scene file.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum Fault {
+pub enum ImportFault {
     /// A file that is missing or cannot be read.
     #[error("cannot read `{path}`: {reason}; {}", path_advice(near.as_deref()))]
     Unreadable {
@@ -221,7 +221,7 @@ pub enum Fault {
     #[error("undefined {kind} `{name}`; {}", undefined_advice(*kind, name, nearest))]
     Undefined {
         /// Kind of the name.
-        kind: Kind,
+        kind: EntityKind,
         /// Name as written.
         name: String,
         /// Up to three similar names, nearest first.
@@ -231,7 +231,7 @@ pub enum Fault {
     #[error("{kind} `{name}` is already defined at line {line}; choose another name")]
     Redefined {
         /// Kind of the name.
-        kind: Kind,
+        kind: EntityKind,
         /// The name.
         name: String,
         /// Line of the first definition.
@@ -243,7 +243,7 @@ pub enum Fault {
         /// Name of the entity.
         entity: String,
         /// Kind of context that it needs.
-        kind: Kind,
+        kind: EntityKind,
     },
     /// An unexpected word.
     #[error("found `{found}`; expected {expected}")]
@@ -341,7 +341,7 @@ pub enum Fault {
     },
 }
 
-impl Fault {
+impl ImportFault {
     /// Returns the file that cannot be used, relative to the root, if the fault is in the file and not in the place that names it.
     pub fn file(&self) -> Option<&str> {
         match self {

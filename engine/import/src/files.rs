@@ -1,6 +1,6 @@
 //! Sources of a scene's files: a folder on disk, or a bundle in memory.
 
-use crate::{error::Fault, text::excerpt};
+use crate::{error::ImportFault, text::excerpt};
 use std::{
     fs::File,
     io::{self, Read},
@@ -16,7 +16,7 @@ const TOO_LONG: &str = "it is longer than 1024 bytes";
 const MAX_NAMES: usize = 10_000;
 
 /// Source of a scene's files. Paths are relative to the scene's root, `/`-separated and normalized: no `.`, no `..`, no empty part.
-pub trait Files {
+pub trait FileSource {
     /// Returns the size in bytes, without reading the file.
     fn size(&self, path: &str) -> io::Result<u64>;
     /// Reads the whole file.
@@ -30,11 +30,11 @@ pub trait Files {
 
 /// A folder on disk. Links that lead out of it are rejected.
 #[derive(Clone, Debug)]
-pub struct Disk {
+pub struct DiskFolder {
     root: PathBuf,
 }
 
-impl Disk {
+impl DiskFolder {
     /// Uses the folder `root`.
     pub fn new(root: impl Into<PathBuf>) -> Self {
         Self { root: root.into() }
@@ -56,7 +56,7 @@ impl Disk {
     }
 }
 
-impl Files for Disk {
+impl FileSource for DiskFolder {
     fn size(&self, path: &str) -> io::Result<u64> {
         self.open(path).map(|(_, size)| size)
     }
@@ -81,22 +81,22 @@ impl Files for Disk {
 
 /// Returns the name of a similar file in the folder of `path`. It may differ in upper and lower case, in blanks at the ends, or in
 /// blanks written as `%20`, `_` or `+`.
-pub(crate) fn near(files: &dyn Files, path: &str) -> Option<String> {
+pub(crate) fn similar_name(files: &dyn FileSource, path: &str) -> Option<String> {
     let plain = |name: &str| name.replace("%20", " ").replace(['_', '+'], " ").trim().to_lowercase();
     let (folder, name) = path.rsplit_once('/').unwrap_or(("", path));
     let wanted = plain(name);
     files.names(folder).into_iter().filter(|other| other != name && plain(other) == wanted).min()
 }
 
-/// Resolves the path `named`, written in the file `by`, to a normalized path relative to the root.
-pub(crate) fn resolve(by: &str, named: &str) -> Result<String, Fault> {
-    let unportable = |reason| Fault::UnportablePath { path: named.to_owned(), reason };
+/// Resolves the path `named`, written in the file `naming_file`, to a normalized path relative to the root.
+pub(crate) fn resolve(naming_file: &str, named: &str) -> Result<String, ImportFault> {
+    let unportable = |reason| ImportFault::UnportablePath { path: named.to_owned(), reason };
     if named.len() > MAX_NAMED {
-        return Err(Fault::UnportablePath { path: excerpt(named.as_bytes()), reason: TOO_LONG });
+        return Err(ImportFault::UnportablePath { path: excerpt(named.as_bytes()), reason: TOO_LONG });
     }
     let drive = named.as_bytes().get(1) == Some(&b':');
     if named.starts_with('/') || drive || Path::new(named).is_absolute() {
-        return Err(Fault::AbsolutePath { path: named.to_owned() });
+        return Err(ImportFault::AbsolutePath { path: named.to_owned() });
     }
     if named.contains('\\') {
         return Err(unportable("it has a backslash"));
@@ -104,14 +104,14 @@ pub(crate) fn resolve(by: &str, named: &str) -> Result<String, Fault> {
     if named.contains(['\0', '\u{fffd}']) {
         return Err(unportable("it has bytes that are not UTF-8"));
     }
-    let folder = by.rsplit_once('/').map_or("", |(folder, _)| folder);
+    let folder = naming_file.rsplit_once('/').map_or("", |(folder, _)| folder);
     let mut parts: Vec<&str> = folder.split('/').filter(|part| !part.is_empty()).collect();
     for part in named.split('/') {
         match part {
             "" | "." => {}
             ".." => {
                 if parts.pop().is_none() {
-                    return Err(Fault::OutsideRoot { path: named.to_owned() });
+                    return Err(ImportFault::OutsideRoot { path: named.to_owned() });
                 }
             }
             part => parts.push(part),
@@ -135,11 +135,11 @@ mod tests {
     fn paths_resolve_from_the_naming_file_and_stay_below_the_root() {
         assert_eq!(resolve("a/b/main.mgf", "../lamp.mgf"), Ok("a/lamp.mgf".into()));
         assert_eq!(resolve("main.mgf", "./x//y.mgf"), Ok("x/y.mgf".into()));
-        assert!(matches!(resolve("a/main.mgf", "../../x"), Err(Fault::OutsideRoot { .. })));
-        assert!(matches!(resolve("main.mgf", "/etc/passwd"), Err(Fault::AbsolutePath { .. })));
-        assert!(matches!(resolve("main.mgf", "C:/x"), Err(Fault::AbsolutePath { .. })));
-        assert!(matches!(resolve("main.mgf", "a\\b"), Err(Fault::UnportablePath { .. })));
-        assert!(matches!(resolve("main.mgf", "a/.."), Err(Fault::UnportablePath { .. })));
+        assert!(matches!(resolve("a/main.mgf", "../../x"), Err(ImportFault::OutsideRoot { .. })));
+        assert!(matches!(resolve("main.mgf", "/etc/passwd"), Err(ImportFault::AbsolutePath { .. })));
+        assert!(matches!(resolve("main.mgf", "C:/x"), Err(ImportFault::AbsolutePath { .. })));
+        assert!(matches!(resolve("main.mgf", "a\\b"), Err(ImportFault::UnportablePath { .. })));
+        assert!(matches!(resolve("main.mgf", "a/.."), Err(ImportFault::UnportablePath { .. })));
     }
 
     #[cfg(unix)]
@@ -150,7 +150,7 @@ mod tests {
         std::fs::write(root.path().join("in.mgf"), "# in\n").unwrap();
         std::os::unix::fs::symlink(outside.path(), root.path().join("out.mgf")).unwrap();
         std::os::unix::fs::symlink("in.mgf", root.path().join("also.mgf")).unwrap();
-        let disk = Disk::new(root.path());
+        let disk = DiskFolder::new(root.path());
         assert_eq!(disk.read("out.mgf").unwrap_err().kind(), io::ErrorKind::PermissionDenied);
         assert_eq!(disk.read("also.mgf").unwrap(), b"# in\n");
         assert_eq!(disk.size("in.mgf").unwrap(), 5);
@@ -168,7 +168,7 @@ mod tests {
         std::os::unix::fs::symlink("/dev/zero", at("zero")).unwrap();
         std::fs::hard_link(outside.path().join("secret"), at("hard")).unwrap();
         let _socket = std::os::unix::net::UnixListener::bind(at("socket")).unwrap();
-        let disk = Disk::new(root.path());
+        let disk = DiskFolder::new(root.path());
         for path in ["folder/secret", "folder", "loop", "zero", "socket", "hard/x"] {
             assert!(disk.read(path).is_err() && disk.size(path).is_err(), "{path}");
         }

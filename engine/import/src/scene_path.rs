@@ -3,7 +3,9 @@
 //! Files of the scene are named relative to the root. So a scene that shares files with its neighbors is packed and found under the
 //! same names on every machine.
 
-use crate::{Disk, Fault, ImportError, ImportErrors, Loaded, Position, load, load_or_list};
+use crate::{
+    DiskFolder, ImportError, ImportErrors, ImportFault, LoadedScene, Position, load_scene, load_scene_or_all_errors,
+};
 use std::path::{Component, Path, PathBuf};
 
 /// A scene file and its root.
@@ -22,14 +24,14 @@ impl ScenePath {
     }
 
     /// Uses the scene file `scene` with the folder `root` around it. Includes, textures and lamps may lie anywhere below `root`.
-    pub fn below(root: &Path, scene: &Path) -> Result<Self, ImportError> {
+    pub fn with_root(root: &Path, scene: &Path) -> Result<Self, ImportError> {
         let name = scene.file_name().ok_or_else(|| unreadable(scene, "the path has no file name"))?;
         let real = |path: &Path| path.canonicalize().map_err(|e| unreadable(path, &e.to_string()));
         let (real_root, real_folder) = (real(root)?, real(folder(scene))?);
         let full = real_folder.join(name);
         let Ok(inner) = full.strip_prefix(&real_root) else {
-            let fault = Fault::SceneOutsideRoot { root: root.display().to_string() };
-            return Err(ImportError::new(at(scene), fault));
+            let fault = ImportFault::SceneOutsideRoot { root: root.display().to_string() };
+            return Err(ImportError::new(position_of_file(scene), fault));
         };
         let parts = inner.components().map(|part| match part {
             Component::Normal(part) => part.to_str(),
@@ -50,18 +52,18 @@ impl ScenePath {
     }
 
     /// Returns the files below the root.
-    pub fn disk(&self) -> Disk {
-        Disk::new(&self.root)
+    pub fn disk(&self) -> DiskFolder {
+        DiskFolder::new(&self.root)
     }
 
     /// Imports the scene.
-    pub fn load(&self) -> Result<Loaded, ImportError> {
-        load(&self.disk(), &self.entry)
+    pub fn load(&self) -> Result<LoadedScene, ImportError> {
+        load_scene(&self.disk(), &self.entry)
     }
 
     /// Imports the scene, or lists its errors.
-    pub fn load_or_list(&self) -> Result<Loaded, ImportErrors> {
-        load_or_list(&self.disk(), &self.entry)
+    pub fn load_or_all_errors(&self) -> Result<LoadedScene, ImportErrors> {
+        load_scene_or_all_errors(&self.disk(), &self.entry)
     }
 }
 
@@ -72,23 +74,23 @@ fn folder(scene: &Path) -> &Path {
     }
 }
 
-fn at(path: &Path) -> Position {
+fn position_of_file(path: &Path) -> Position {
     Position { file: path.display().to_string(), line: 0, column: 0 }
 }
 
 fn unreadable(path: &Path, reason: &str) -> ImportError {
-    let fault = Fault::Unreadable { path: path.display().to_string(), reason: reason.to_owned(), near: None };
-    ImportError::new(at(path), fault)
+    let fault = ImportFault::Unreadable { path: path.display().to_string(), reason: reason.to_owned(), near: None };
+    ImportError::new(position_of_file(path), fault)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn tree() -> tempfile::TempDir {
-        let place = tempfile::tempdir().unwrap();
+    fn scene_tree() -> tempfile::TempDir {
+        let folder = tempfile::tempdir().unwrap();
         let write = |path: &str, text: &str| {
-            let path = place.path().join(path);
+            let path = folder.path().join(path);
             std::fs::create_dir_all(path.parent().unwrap()).unwrap();
             std::fs::write(path, text).unwrap();
         };
@@ -96,13 +98,13 @@ mod tests {
         write("houses/a/near.mgf", "v x =\n");
         write("lib/lamp.mgf", "i part.mgf\n");
         write("lib/part.mgf", "v y =\nsph y 1\n");
-        place
+        folder
     }
 
     #[test]
     fn files_outside_the_scene_folder_are_each_read_with_a_warning() {
-        let place = tree();
-        let path = ScenePath::below(place.path(), &place.path().join("houses/a/room.mgf")).unwrap();
+        let folder = scene_tree();
+        let path = ScenePath::with_root(folder.path(), &folder.path().join("houses/a/room.mgf")).unwrap();
         assert_eq!(path.entry(), "houses/a/room.mgf");
         let loaded = path.load().unwrap();
         assert_eq!(loaded.files, ["houses/a/room.mgf", "lib/lamp.mgf", "lib/part.mgf", "houses/a/near.mgf"]);
@@ -115,19 +117,21 @@ mod tests {
 
     #[test]
     fn scene_folder_is_the_default_root_and_no_path_leaves_a_root() {
-        let place = tree();
-        let scene = place.path().join("houses/a/room.mgf");
+        let folder = scene_tree();
+        let scene = folder.path().join("houses/a/room.mgf");
         let error = ScenePath::new(&scene).unwrap().load().unwrap_err().to_string();
         assert!(error.starts_with("room.mgf:1:3: ") && error.contains("--root"), "{error}");
-        let error = ScenePath::below(&place.path().join("houses"), &scene).unwrap().load().unwrap_err().to_string();
+        let error =
+            ScenePath::with_root(&folder.path().join("houses"), &scene).unwrap().load().unwrap_err().to_string();
         assert!(error.starts_with("a/room.mgf:1:3: "), "{error}");
     }
 
     #[test]
     fn a_scene_that_is_not_below_its_root_is_refused() {
-        let place = tree();
-        let error = ScenePath::below(&place.path().join("lib"), &place.path().join("houses/a/room.mgf")).unwrap_err();
-        assert!(matches!(*error.fault, Fault::SceneOutsideRoot { .. }), "{error}");
-        assert!(ScenePath::below(&place.path().join("none"), &place.path().join("houses/a/room.mgf")).is_err());
+        let folder = scene_tree();
+        let error =
+            ScenePath::with_root(&folder.path().join("lib"), &folder.path().join("houses/a/room.mgf")).unwrap_err();
+        assert!(matches!(*error.fault, ImportFault::SceneOutsideRoot { .. }), "{error}");
+        assert!(ScenePath::with_root(&folder.path().join("none"), &folder.path().join("houses/a/room.mgf")).is_err());
     }
 }

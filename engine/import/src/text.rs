@@ -5,7 +5,7 @@
 //! mixed in one file, so that line numbers match those of an editor. CRs before an LF belong to its line end, because some programs
 //! write CRCRLF. Zero bytes and ^Z at the end are padding of old systems. Any other zero byte means that the file is not text.
 
-use crate::Fault;
+use crate::ImportFault;
 
 /// ^Z, which ends a text file in CP/M and DOS.
 const END_OF_FILE: u8 = 0x1a;
@@ -14,8 +14,8 @@ const MAX_EXCERPT: usize = 64;
 
 /// Decodes a file to bytes whose lines end with LF, without a byte order mark.
 /// - `path`: name of the file for the fault.
-pub(crate) fn decode(path: &str, bytes: Vec<u8>) -> Result<Vec<u8>, Fault> {
-    let bad = |reason: String| Fault::BadFile {
+pub(crate) fn decode(path: &str, bytes: Vec<u8>) -> Result<Vec<u8>, ImportFault> {
+    let bad = |reason: String| ImportFault::BadFile {
         path: path.to_owned(),
         reason,
         advice: "check that it is the right file, and save it as plain text (UTF-8)",

@@ -10,18 +10,18 @@ pub struct Warning {
     /// File, line and column of the oddity.
     pub at: Position,
     /// Kind of oddity, with its details.
-    pub oddity: Oddity,
+    pub kind: WarningKind,
 }
 
 impl fmt::Display for Warning {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}: {}", self.at, self.oddity)
+        write!(f, "{}: {}", self.at, self.kind)
     }
 }
 
 /// An oddity of a scene file.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Oddity {
+pub enum WarningKind {
     /// An entity that is not part of the format; reported once per name.
     UnknownEntity {
         /// Name of the entity.
@@ -70,7 +70,7 @@ pub enum Oddity {
         path: String,
     },
     /// An object that is opened again in another place; reported once per name.
-    ObjectAgain {
+    ObjectReopened {
         /// Full name.
         name: String,
         /// Position of its first opening.
@@ -82,7 +82,7 @@ pub enum Oddity {
         entity: &'static str,
     },
     /// A definition that a later one replaced.
-    Replaced {
+    DefinitionReplaced {
         /// Kind and name, such as `camera main`.
         what: String,
     },
@@ -118,15 +118,15 @@ pub enum Oddity {
         target: [f64; 3],
     },
     /// More warnings than are kept.
-    More {
+    TooManyWarnings {
         /// Number of warnings kept.
         kept: usize,
     },
 }
 
-impl Oddity {
+impl WarningKind {
     /// Returns the kind of oddity, such as `unknown-entity`.
-    pub fn kind(&self) -> &'static str {
+    pub fn code(&self) -> &'static str {
         match self {
             Self::UnknownEntity { .. } => "unknown-entity",
             Self::NoArea => "degenerate-surface",
@@ -139,20 +139,20 @@ impl Oddity {
             Self::NoLuminance { .. } => "no-luminance",
             Self::TooBright { .. } => "scaled-reflectance",
             Self::OutsideFolder { .. } => "outside-folder",
-            Self::ObjectAgain { .. } => "object-again",
+            Self::ObjectReopened { .. } => "object-again",
             Self::LeftOpen { .. } => "left-open",
-            Self::Replaced { .. } => "duplicate-name",
+            Self::DefinitionReplaced { .. } => "duplicate-name",
             Self::NotTransformed { .. } => "not-transformed",
             Self::Photometry { .. } => "photometry",
             Self::NoTextureCoordinates { .. } => "no-texture-coordinates",
             Self::Texture { .. } => "texture",
             Self::DefaultCamera { .. } => "default-camera",
-            Self::More { .. } => "incomplete",
+            Self::TooManyWarnings { .. } => "incomplete",
         }
     }
 }
 
-impl fmt::Display for Oddity {
+impl fmt::Display for WarningKind {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::UnknownEntity { name } => write!(f, "unknown entity `{name}` skipped (reported once per name)"),
@@ -193,7 +193,7 @@ impl fmt::Display for Oddity {
             Self::OutsideFolder { path } => {
                 write!(f, "`{path}` is outside the scene's folder: loading this scene always needs its root (`--root`)")
             }
-            Self::ObjectAgain { name, first } => {
+            Self::ObjectReopened { name, first } => {
                 write!(
                     f,
                     "object `{name}` is opened again, first at {first}: selectors, layers and Cryptomatte treat both as one object; rename one if \
@@ -201,7 +201,7 @@ impl fmt::Display for Oddity {
                 )
             }
             Self::LeftOpen { entity } => write!(f, "`{entity}` is never closed; it is closed at the end of its file"),
-            Self::Replaced { what } => write!(f, "{what} replaces an earlier one"),
+            Self::DefinitionReplaced { what } => write!(f, "{what} replaces an earlier one"),
             Self::NotTransformed { what } => write!(f, "{what} inside `xf`: it stays in world coordinates"),
             Self::Photometry { what } => f.write_str(what),
             Self::Texture { path, what } => write!(f, "`{path}`: {what}"),
@@ -219,23 +219,23 @@ impl fmt::Display for Oddity {
                     point(target)
                 )
             }
-            Self::More { kept } => write!(f, "more warnings follow; only the first {kept} are kept"),
+            Self::TooManyWarnings { kept } => write!(f, "more warnings follow; only the first {kept} are kept"),
         }
     }
 }
 
 /// Maximum number of warnings kept.
-const KEPT: usize = 1000;
+const MAX_WARNINGS: usize = 1000;
 
 /// A bounded list of warnings.
 #[derive(Debug, Default)]
 pub(crate) struct Warnings(pub Vec<Warning>);
 
 impl Warnings {
-    pub fn push(&mut self, at: Position, oddity: Oddity) {
+    pub fn push(&mut self, at: Position, kind: WarningKind) {
         match self.0.len() {
-            n if n < KEPT => self.0.push(Warning { at, oddity }),
-            KEPT => self.0.push(Warning { at, oddity: Oddity::More { kept: KEPT } }),
+            n if n < MAX_WARNINGS => self.0.push(Warning { at, kind }),
+            MAX_WARNINGS => self.0.push(Warning { at, kind: WarningKind::TooManyWarnings { kept: MAX_WARNINGS } }),
             _ => {}
         }
     }

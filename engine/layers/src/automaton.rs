@@ -5,50 +5,50 @@
 //! order in which they are reached from the start, so the table is a function of the layers and the label sets alone.
 
 use crate::error::LayerError;
-use crate::event::{Event, Kind, LabelSet, Vocabulary};
+use crate::event::{EventKind, EventPattern, LabelSet, Vocabulary};
 use crate::expression::{Expression, Node};
-use crate::layer::{Layer, parse_all};
+use crate::layer::{Layer, parse_layers};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 /// State of a path in all expressions.
 pub type State = u16;
 
 /// State from which no layer can accept the path any more.
-pub const DEAD: State = 0;
+pub const DEAD_STATE: State = 0;
 
 /// A set of labels of something in the scene: offset of its events in the table.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct Labels(u32);
+pub struct LabelOffset(u32);
 
-impl Labels {
+impl LabelOffset {
     /// Returns the symbol of an event of `kind` at something with these labels.
     #[inline]
-    pub fn event(self, kind: Kind) -> Symbol {
+    pub fn symbol(self, kind: EventKind) -> Symbol {
         Symbol(self.0 + kind as u32)
     }
 }
 
-/// An event at something with a set of labels. A path that has left the camera stays in its state at another [`Kind::Camera`].
+/// An event at something with a set of labels. A path that has left the camera stays in its state at another [`EventKind::Camera`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Symbol(u32);
 
 impl Symbol {
     /// No event: every state stays.
-    pub const NONE: Self = Self(Kind::Camera as u32);
+    pub const NONE: Self = Self(EventKind::Camera as u32);
 }
 
 /// Number of a set of layers that accept paths together; [`NO_LAYERS`] is the empty set.
-pub type Takers = u16;
+pub type LayerSetIndex = u16;
 
 /// No layer accepts the path.
-pub const NO_LAYERS: Takers = 0;
+pub const NO_LAYERS: LayerSetIndex = 0;
 
 /// Number of kinds that may follow the camera.
-const KINDS: usize = Kind::ALL.len() - 1;
+const KINDS: usize = EventKind::ALL.len() - 1;
 /// Entries of the table per state and label set: one for each kind, including the camera.
-const COLUMNS: usize = Kind::ALL.len();
+const COLUMNS: usize = EventKind::ALL.len();
 /// Maximum number of entries of the table during construction.
-const MOST_ENTRIES: usize = 1 << 22;
+const MAX_ENTRIES: usize = 1 << 22;
 
 /// The compiled expressions of all layers.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -60,9 +60,9 @@ pub struct Automaton {
     /// Number of table entries per state.
     columns: usize,
     /// Layers that accept a path which ends with this event in this state, by state and symbol.
-    takers: Vec<Takers>,
+    accepting: Vec<LayerSetIndex>,
     /// Sets of layers by their number, a bit for each layer.
-    layers: Vec<u64>,
+    layer_sets: Vec<u64>,
     start: State,
 }
 
@@ -75,26 +75,27 @@ impl Automaton {
         sets: impl IntoIterator<Item = LabelSet>,
     ) -> Result<Self, LayerError> {
         let sets: Vec<LabelSet> = sets.into_iter().collect::<BTreeSet<_>>().into_iter().collect();
-        let most = (MOST_ENTRIES / (sets.len() * KINDS).max(1)).min(usize::from(State::MAX));
-        let expressions = parse_all(layers)?;
-        let positions = Positions::of(&expressions);
-        let subsets = Subsets::of(&positions, vocabulary, &sets, most).ok_or(LayerError::Complex(most))?;
-        Ok(subsets.minimal(sets))
+        let most = (MAX_ENTRIES / (sets.len() * KINDS).max(1)).min(usize::from(State::MAX));
+        let expressions = parse_layers(layers)?;
+        let positions = Positions::from_expressions(&expressions);
+        let subsets =
+            Subsets::from_positions(&positions, vocabulary, &sets, most).ok_or(LayerError::TooManyStates(most))?;
+        Ok(subsets.minimize(sets))
     }
 
     /// Collects the labels that the layers name.
     /// - errors: a layer is invalid, or the layers name too many labels.
     pub fn vocabulary(layers: &[Layer]) -> Result<Vocabulary, LayerError> {
-        let expressions = parse_all(layers)?;
-        let events: Vec<&Event> = expressions.iter().flat_map(Expression::events).collect();
+        let expressions = parse_layers(layers)?;
+        let events: Vec<&EventPattern> = expressions.iter().flat_map(Expression::events).collect();
         let labels: BTreeSet<&str> = events.iter().flat_map(|event| event.labels()).collect();
         let count = labels.len();
-        Vocabulary::of(labels).ok_or(LayerError::Labels(count))
+        Vocabulary::from_labels(labels).ok_or(LayerError::TooManyLabels(count))
     }
 
     /// Returns the number of states.
     pub fn states(&self) -> usize {
-        self.takers.len() / self.columns
+        self.accepting.len() / self.columns
     }
 
     /// Returns the state of a path that has left the camera.
@@ -103,8 +104,8 @@ impl Automaton {
     }
 
     /// Returns the position of this label set in the table; `None`: nothing in the scene has it.
-    pub fn labels(&self, set: LabelSet) -> Option<Labels> {
-        self.sets.binary_search(&set).ok().map(|at| Labels((at * COLUMNS) as u32))
+    pub fn label_offset(&self, set: LabelSet) -> Option<LabelOffset> {
+        self.sets.binary_search(&set).ok().map(|at| LabelOffset((at * COLUMNS) as u32))
     }
 
     /// Returns the state after an event.
@@ -115,19 +116,19 @@ impl Automaton {
 
     /// Returns the layers that accept a path which ends with this event in `state`.
     #[inline]
-    pub fn takers(&self, state: State, event: Symbol) -> Takers {
-        self.takers[usize::from(state) * self.columns + event.0 as usize]
+    pub fn accepting_layers(&self, state: State, event: Symbol) -> LayerSetIndex {
+        self.accepting[usize::from(state) * self.columns + event.0 as usize]
     }
 
-    /// Returns the sets of layers, indexed by [`Takers`], a bit for each layer.
-    pub fn layers(&self) -> &[u64] {
-        &self.layers
+    /// Returns the sets of layers, indexed by [`LayerSetIndex`], a bit for each layer.
+    pub fn layer_sets(&self) -> &[u64] {
+        &self.layer_sets
     }
 }
 
 /// The events of all expressions, and the possible order of these events.
 pub(crate) struct Positions<'a> {
-    pub(crate) events: Vec<&'a Event>,
+    pub(crate) events: Vec<&'a EventPattern>,
     /// Successors of position `n`; at `events.len() + layer`: the first positions of the layer's paths.
     pub(crate) follow: Vec<BTreeSet<usize>>,
     /// By position: the layer whose paths may end there, as a bit.
@@ -142,7 +143,7 @@ struct Ends {
 }
 
 impl<'a> Positions<'a> {
-    pub(crate) fn of(expressions: &'a [Expression]) -> Self {
+    pub(crate) fn from_expressions(expressions: &'a [Expression]) -> Self {
         let mut positions = Self { events: Vec::new(), follow: Vec::new(), last: Vec::new() };
         let ends: Vec<Ends> = expressions.iter().map(|expression| positions.walk(&expression.0)).collect();
         positions.last = vec![0; positions.events.len()];
@@ -189,9 +190,9 @@ impl<'a> Positions<'a> {
                 }
                 all
             }
-            Node::Any(node) => Ends { is_empty: true, ..self.repeated(node) },
-            Node::Some(node) => self.repeated(node),
-            Node::Maybe(node) => Ends { is_empty: true, ..self.walk(node) },
+            Node::ZeroOrMore(node) => Ends { is_empty: true, ..self.repeated(node) },
+            Node::OneOrMore(node) => self.repeated(node),
+            Node::Optional(node) => Ends { is_empty: true, ..self.walk(node) },
         }
     }
 
@@ -217,12 +218,17 @@ struct Subsets {
 
 impl Subsets {
     /// Builds the automaton; `None`: it needs more than `most` states.
-    fn of(positions: &Positions<'_>, vocabulary: &Vocabulary, sets: &[LabelSet], most: usize) -> Option<Self> {
-        let fits = |kind: Kind, set: LabelSet| -> Vec<bool> {
-            let has = |label: &str| vocabulary.has(set, label);
-            positions.events.iter().map(|event| event.fits(kind, has)).collect()
+    fn from_positions(
+        positions: &Positions<'_>,
+        vocabulary: &Vocabulary,
+        sets: &[LabelSet],
+        most: usize,
+    ) -> Option<Self> {
+        let fits = |kind: EventKind, set: LabelSet| -> Vec<bool> {
+            let has = |label: &str| vocabulary.contains(set, label);
+            positions.events.iter().map(|event| event.matches(kind, has)).collect()
         };
-        let kinds = &Kind::ALL[1..];
+        let kinds = &EventKind::ALL[1..];
         let fitting: Vec<Vec<bool>> = sets
             .iter()
             .flat_map(|&set| kinds.iter().map(move |&kind| (kind, set)))
@@ -233,7 +239,7 @@ impl Subsets {
             after.copied().filter(|&at| fits[at]).collect()
         };
         let begin: BTreeSet<usize> = (positions.events.len()..positions.follow.len()).collect();
-        let start = step(&begin, &fits(Kind::Camera, LabelSet::default()));
+        let start = step(&begin, &fits(EventKind::Camera, LabelSet::default()));
         // The empty set is the dead state.
         let mut known: BTreeMap<BTreeSet<usize>, u32> = [(BTreeSet::new(), 0)].into();
         let mut queue: VecDeque<BTreeSet<usize>> = [BTreeSet::new()].into();
@@ -259,16 +265,16 @@ impl Subsets {
     }
 
     /// Minimizes the number of states.
-    fn minimal(self, sets: Vec<LabelSet>) -> Automaton {
+    fn minimize(self, sets: Vec<LabelSet>) -> Automaton {
         let Self { symbols, next, accepts, start } = self;
         let row = |state: usize| &next[state * symbols..(state + 1) * symbols];
-        let mut class: Vec<u32> = numbered(accepts.iter().copied());
+        let mut class: Vec<u32> = number_items(accepts.iter().copied());
         loop {
             let signature = |state: usize| {
                 let after: Vec<u32> = row(state).iter().map(|&to| class[to as usize]).collect();
                 (class[state], after)
             };
-            let finer = numbered((0..accepts.len()).map(signature));
+            let finer = number_items((0..accepts.len()).map(signature));
             let is_done = finer.iter().max() == class.iter().max();
             class = finer;
             if is_done {
@@ -277,7 +283,7 @@ impl Subsets {
         }
         // The dead state comes first, then the others in the order in which they are reached from the start.
         let mut order: Vec<usize> = vec![0];
-        let mut place: BTreeMap<u32, State> = [(class[0], DEAD)].into();
+        let mut place: BTreeMap<u32, State> = [(class[0], DEAD_STATE)].into();
         let mut visit = |state: u32, order: &mut Vec<usize>| {
             *place.entry(class[state as usize]).or_insert_with(|| {
                 order.push(state as usize);
@@ -295,17 +301,17 @@ impl Subsets {
         }
         let accepted: Vec<u64> = order.iter().map(|&state| accepts[state]).collect();
         // The empty set comes first.
-        let takers = numbered(std::iter::once(0).chain(accepted.iter().copied()));
+        let takers = number_items(std::iter::once(0).chain(accepted.iter().copied()));
         let mut layers = vec![0; takers.iter().max().map_or(0, |most| *most as usize + 1)];
         takers.iter().skip(1).zip(accepted).for_each(|(&taker, accepted)| layers[taker as usize] = accepted);
-        let takers = table.iter().map(|&to| takers[1 + usize::from(to)] as Takers).collect();
+        let takers = table.iter().map(|&to| takers[1 + usize::from(to)] as LayerSetIndex).collect();
         let columns = sets.len() * COLUMNS;
-        Automaton { sets, next: table, columns, takers, layers, start }
+        Automaton { sets, next: table, columns, accepting: takers, layer_sets: layers, start }
     }
 }
 
 /// Numbers the items: equal items get equal numbers, from 0 in order of first occurrence.
-fn numbered<T: Ord>(all: impl Iterator<Item = T>) -> Vec<u32> {
+fn number_items<T: Ord>(all: impl Iterator<Item = T>) -> Vec<u32> {
     let mut known = BTreeMap::new();
     all.map(|it| {
         let fresh = known.len() as u32;

@@ -32,10 +32,10 @@ pub fn id(name: &str) -> u32 {
 }
 
 /// Returns the metadata name of a layer: `cryptomatte/KEY/WHAT`, with the key from the layer's name.
-/// - `what`: `name`, `hash`, `conversion` or `manifest`.
-pub fn attribute(layer: &str, what: &str) -> String {
+/// - `field`: `name`, `hash`, `conversion` or `manifest`.
+pub fn metadata_key(layer: &str, field: &str) -> String {
     let id = format!("{:08x}", id(layer));
-    format!("cryptomatte/{}/{what}", &id[..7])
+    format!("cryptomatte/{}/{field}", &id[..7])
 }
 
 #[cfg(test)]
@@ -93,9 +93,9 @@ mod tests {
     #[test]
     fn metadata_has_a_key_of_seven_digits_of_the_layers_name() {
         let hex = format!("{:08x}", id("crypto_object"));
-        assert_eq!(attribute("crypto_object", "name"), format!("cryptomatte/{}/name", &hex[..7]));
-        assert_ne!(attribute("crypto_object", "name"), attribute("crypto_material", "name"));
+        assert_eq!(metadata_key("crypto_object", "name"), format!("cryptomatte/{}/name", &hex[..7]));
+        assert_ne!(metadata_key("crypto_object", "name"), metadata_key("crypto_material", "name"));
         // Names in the format have at most 31 characters.
-        assert!(attribute("crypto_material", "conversion").len() <= 31);
+        assert!(metadata_key("crypto_material", "conversion").len() <= 31);
     }
 }

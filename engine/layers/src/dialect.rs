@@ -6,7 +6,7 @@
 
 /// Returns the length in characters of a prefix of other renderers: `lpe:`, or `color lpe:`, in any case.
 /// - errors: position and advice, if other words precede `lpe:`.
-pub(crate) fn prefix(chars: &[char]) -> Result<usize, (usize, &'static str)> {
+pub(crate) fn prefix_length(chars: &[char]) -> Result<usize, (usize, &'static str)> {
     const PREFIX: [char; 4] = ['l', 'p', 'e', ':'];
     let is_prefix = |window: &[char]| window.iter().map(char::to_ascii_lowercase).eq(PREFIX);
     let Some(at) = chars.windows(PREFIX.len()).position(is_prefix) else { return Ok(0) };

@@ -7,14 +7,14 @@ pub struct ExpressionError {
     /// The expression.
     pub expression: String,
     /// Position of the error, in characters from the beginning.
-    pub at: usize,
+    pub position: usize,
     /// Expected input at this position.
     pub expected: &'static str,
 }
 
 impl ExpressionError {
     fn text(&self) -> String {
-        let Self { expression, at, expected } = self;
+        let Self { expression, position: at, expected } = self;
         let found = match expression.chars().nth(*at) {
             Some(found) => format!("`{found}` at character {}", at + 1),
             None if expression.is_empty() => "nothing".to_owned(),
@@ -31,26 +31,26 @@ impl ExpressionError {
 pub enum LayerError {
     /// The text is not `NAME=EXPRESSION`.
     #[error("`{0}` is not a layer; write NAME=EXPRESSION, like direct=CDL")]
-    Form(String),
+    InvalidForm(String),
     /// The name is not valid for channels.
     #[error("invalid layer name `{0}`; a name has 1 to 64 letters, digits, `_` and `-`")]
-    Name(String),
+    InvalidName(String),
     /// The file already has channels with this name.
     #[error("invalid layer name `{0}`: the file already has channels with this name; choose another name")]
-    Taken(String),
+    ReservedName(String),
     /// Two layers have the same name.
     #[error("two layers have the name `{0}`; give each layer its own name")]
-    Twice(String),
+    DuplicateName(String),
     /// There are too many layers.
-    #[error("there are {0} layers; the limit is {most} per frame", most = crate::MOST_LAYERS)]
-    Many(usize),
+    #[error("there are {0} layers; the limit is {most} per frame", most = crate::MAX_LAYERS)]
+    TooManyLayers(usize),
     /// No preset and no feature has this name.
     #[error(
         "unknown layers `{0}`; choose from {presets}, {features}",
         presets = crate::Preset::NAMES.join(", "),
         features = crate::Feature::NAMES.join(", ")
     )]
-    Preset(String),
+    UnknownPreset(String),
     /// Layers of lamps are requested, but the scene has no lamps.
     #[error("the layers `lamps` need lamps, but the scene has none")]
     NoLamps,
@@ -67,16 +67,16 @@ pub enum LayerError {
         "layer `{layer}`: unknown label `{label}`; a label is the name of an object, a material, a medium or a lamp (OBJECT/MATERIAL) \
          of the scene"
     )]
-    Label {
+    UnknownLabel {
         /// Name of the layer.
         layer: String,
         /// The label.
         label: String,
     },
     /// The layers name too many labels.
-    #[error("the layers name {0} objects and lamps; the limit is {most}", most = crate::Vocabulary::MOST)]
-    Labels(usize),
+    #[error("the layers name {0} objects and lamps; the limit is {most}", most = crate::Vocabulary::MAX_LABELS)]
+    TooManyLabels(usize),
     /// The automaton is too large.
     #[error("the layers together are too complex: they need more than {0} states; remove layers or simplify them")]
-    Complex(usize),
+    TooManyStates(usize),
 }

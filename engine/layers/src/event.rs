@@ -6,7 +6,7 @@ use std::fmt;
 /// Kind of event at a vertex of a path, from the camera to the source. The source is the last event, and a path has only one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[repr(u8)]
-pub enum Kind {
+pub enum EventKind {
     /// `C`: the camera, the first event.
     Camera,
     /// `<RD>`
@@ -31,7 +31,7 @@ pub enum Kind {
     Background,
 }
 
-impl Kind {
+impl EventKind {
     /// All kinds, in order.
     pub const ALL: [Self; 11] = [
         Self::Camera,
@@ -59,33 +59,33 @@ impl Kind {
 }
 
 /// Set of all kinds.
-pub(crate) const ANY: u16 = (1 << Kind::ALL.len()) - 1;
+pub(crate) const ANY_KIND: u16 = (1 << EventKind::ALL.len()) - 1;
 
 /// Condition of an expression on one event.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct Event {
+pub struct EventPattern {
     /// Alternatives, of which one must match; with `negated`, none may match.
-    pub(crate) any: Vec<Class>,
+    pub(crate) any: Vec<EventClass>,
     pub(crate) negated: bool,
 }
 
 /// Set of kinds and labels.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub(crate) struct Class {
-    /// Kinds, a bit for each [`Kind`].
+pub(crate) struct EventClass {
+    /// Kinds, a bit for each [`EventKind`].
     pub(crate) kinds: u16,
     /// Labels, of which one must match; with the flag, none may match. `None`: any label.
     pub(crate) labels: Option<(Vec<String>, bool)>,
 }
 
-impl Event {
-    pub(crate) fn of(class: Class) -> Self {
+impl EventPattern {
+    pub(crate) fn from_class(class: EventClass) -> Self {
         Self { any: vec![class], negated: false }
     }
 
-    /// Checks whether an event of this kind matches, at something that has the labels for which `has` is true.
-    pub fn fits(&self, kind: Kind, has: impl Fn(&str) -> bool) -> bool {
-        let fits = |class: &Class| {
+    /// Checks whether an event of this kind matches, at something that has the labels for which `contains` is true.
+    pub fn matches(&self, kind: EventKind, has: impl Fn(&str) -> bool) -> bool {
+        let fits = |class: &EventClass| {
             let labelled = |(labels, negated): &(Vec<String>, bool)| labels.iter().any(|label| has(label)) != *negated;
             class.kinds & kind.bit() != 0 && class.labels.as_ref().is_none_or(labelled)
         };
@@ -93,23 +93,23 @@ impl Event {
     }
 
     /// Checks whether an event of this kind matches with suitable labels.
-    pub fn admits(&self, kind: Kind) -> bool {
-        self.fits(kind, |_| true) || self.fits(kind, |_| false)
+    pub fn may_match(&self, kind: EventKind) -> bool {
+        self.matches(kind, |_| true) || self.matches(kind, |_| false)
     }
 
     /// Returns the kinds that match, regardless of labels.
-    pub fn kinds(&self) -> impl Iterator<Item = Kind> + '_ {
-        Kind::ALL.into_iter().filter(|kind| self.admits(*kind))
+    pub fn kinds(&self) -> impl Iterator<Item = EventKind> + '_ {
+        EventKind::ALL.into_iter().filter(|kind| self.may_match(*kind))
     }
 
     /// Returns the condition on the labels alone, for any kind.
-    pub fn of_any_kind(&self) -> Self {
-        let any = self.any.iter().map(|class| Class { kinds: ANY, ..class.clone() }).collect();
+    pub fn with_any_kind(&self) -> Self {
+        let any = self.any.iter().map(|class| EventClass { kinds: ANY_KIND, ..class.clone() }).collect();
         Self { any, negated: self.negated }
     }
 
     /// Returns the labels as part of a sentence: ` at 'a'`; empty without labels.
-    pub fn place(&self) -> String {
+    pub fn label_phrase(&self) -> String {
         let labels: Vec<String> = self.labels().map(|label| format!("'{label}'")).collect();
         let is_negated = self.negated || self.any.iter().any(|class| matches!(class.labels, Some((_, true))));
         match is_negated {
@@ -126,23 +126,23 @@ impl Event {
 }
 
 /// Sets of kinds that have a short form.
-const SHORT: [(&str, u16); 25] = {
-    use Kind::{
+const SHORT_FORMS: [(&str, u16); 25] = {
+    use EventKind::{
         ReflectedDiffuse as RD, ReflectedGlossy as RG, ReflectedSpecular as RS, TransmittedDiffuse as TD,
         TransmittedGlossy as TG, TransmittedSpecular as TS,
     };
-    let (l, o, b) = (Kind::Light.bit(), Kind::Object.bit(), Kind::Background.bit());
+    let (l, o, b) = (EventKind::Light.bit(), EventKind::Object.bit(), EventKind::Background.bit());
     let (r, t) = (RD.bit() | RG.bit() | RS.bit(), TD.bit() | TG.bit() | TS.bit());
     let (d, g, s) = (RD.bit() | TD.bit(), RG.bit() | TG.bit(), RS.bit() | TS.bit());
     [
-        (".", ANY),
-        (".", ANY & !Kind::Camera.bit()),
-        ("C", Kind::Camera.bit()),
+        (".", ANY_KIND),
+        (".", ANY_KIND & !EventKind::Camera.bit()),
+        ("C", EventKind::Camera.bit()),
         ("R", r),
         ("T", t),
         ("[RT]", r | t),
-        ("[RTV]", r | t | Kind::Volume.bit()),
-        ("V", Kind::Volume.bit()),
+        ("[RTV]", r | t | EventKind::Volume.bit()),
+        ("V", EventKind::Volume.bit()),
         ("L", l),
         ("O", o),
         ("B", b),
@@ -164,19 +164,19 @@ const SHORT: [(&str, u16); 25] = {
 };
 
 /// Formats a set of kinds in the notation of expressions.
-pub fn spelled(kinds: impl IntoIterator<Item = Kind>) -> String {
-    const ONE: [&str; Kind::ALL.len()] = ["C", "<RD>", "<RG>", "<RS>", "<TD>", "<TG>", "<TS>", "V", "L", "O", "B"];
+pub fn format_kinds(kinds: impl IntoIterator<Item = EventKind>) -> String {
+    const ONE: [&str; EventKind::ALL.len()] = ["C", "<RD>", "<RG>", "<RS>", "<TD>", "<TG>", "<TS>", "V", "L", "O", "B"];
     let set = kinds.into_iter().fold(0, |set, kind| set | kind.bit());
-    if let Some((short, _)) = SHORT.iter().find(|(_, kinds)| *kinds == set) {
+    if let Some((short, _)) = SHORT_FORMS.iter().find(|(_, kinds)| *kinds == set) {
         return (*short).to_owned();
     }
     let single: Vec<&str> = ONE.iter().enumerate().filter(|(at, _)| set >> at & 1 == 1).map(|(_, one)| *one).collect();
     if let [one] = single[..] { one.to_owned() } else { format!("[{}]", single.concat()) }
 }
 
-impl fmt::Display for Event {
+impl fmt::Display for EventPattern {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}{}", spelled(self.kinds()), self.place())
+        write!(f, "{}{}", format_kinds(self.kinds()), self.label_phrase())
     }
 }
 
@@ -198,12 +198,12 @@ pub struct Vocabulary(Vec<String>);
 
 impl Vocabulary {
     /// Maximum number of labels.
-    pub const MOST: usize = 128;
+    pub const MAX_LABELS: usize = 128;
 
-    /// Collects the labels; `None`: there are more than [`Self::MOST`].
-    pub fn of<'a>(labels: impl IntoIterator<Item = &'a str>) -> Option<Self> {
+    /// Collects the labels; `None`: there are more than [`Self::MAX_LABELS`].
+    pub fn from_labels<'a>(labels: impl IntoIterator<Item = &'a str>) -> Option<Self> {
         let all: BTreeSet<&str> = labels.into_iter().collect();
-        (all.len() <= Self::MOST).then(|| Self(all.into_iter().map(str::to_owned).collect()))
+        (all.len() <= Self::MAX_LABELS).then(|| Self(all.into_iter().map(str::to_owned).collect()))
     }
 
     /// Returns the labels in order.
@@ -213,7 +213,7 @@ impl Vocabulary {
 
     /// Returns the labels that match something with these names. A label matches its own name, and `a` also matches everything
     /// within it, such as `a.b`.
-    pub fn set(&self, names: &[&str]) -> LabelSet {
+    pub fn label_set(&self, names: &[&str]) -> LabelSet {
         let has = |label: &str| {
             let within =
                 |name: &str| name.strip_prefix(label).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'));
@@ -223,7 +223,7 @@ impl Vocabulary {
     }
 
     /// Checks whether a set has a label.
-    pub fn has(&self, set: LabelSet, label: &str) -> bool {
+    pub fn contains(&self, set: LabelSet, label: &str) -> bool {
         self.0.binary_search_by(|known| known.as_str().cmp(label)).is_ok_and(|bit| set.0 >> bit & 1 == 1)
     }
 }

@@ -16,23 +16,23 @@
 
 use crate::dialect::{self, BARE_LABEL, SCATTERING_FIRST};
 use crate::error::ExpressionError;
-use crate::event::{ANY, Class, Event, Kind};
+use crate::event::{ANY_KIND, EventClass, EventKind, EventPattern};
 
 /// A part of an expression.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Node {
     /// One event.
-    Event(Event),
+    Event(EventPattern),
     /// A sequence of parts; an empty one matches no event.
     Sequence(Vec<Node>),
     /// A choice of one part.
     Choice(Vec<Node>),
     /// Any number of repetitions, `*`.
-    Any(Box<Node>),
+    ZeroOrMore(Box<Node>),
     /// One or more repetitions, `+`.
-    Some(Box<Node>),
+    OneOrMore(Box<Node>),
     /// Zero or one occurrence, `?`.
-    Maybe(Box<Node>),
+    Optional(Box<Node>),
 }
 
 /// A parsed expression.
@@ -40,30 +40,30 @@ pub enum Node {
 pub struct Expression(pub(crate) Node);
 
 /// Maximum number of characters of an expression.
-const LONGEST: usize = 4096;
+const MAX_CHARS: usize = 4096;
 /// Maximum depth of nested parentheses.
-const DEEPEST: usize = 64;
+const MAX_DEPTH: usize = 64;
 /// Maximum number of repetitions in `{n,m}`.
-const MOST_TIMES: usize = 64;
+const MAX_REPETITIONS: usize = 64;
 /// Maximum number of events of an expression with repetitions written out.
-const MOST_EVENTS: usize = 2048;
+const MAX_EVENTS: usize = 2048;
 
-const REFLECTED: u16 = 0b111 << Kind::ReflectedDiffuse as u16;
-const TRANSMITTED: u16 = 0b111 << Kind::TransmittedDiffuse as u16;
-const DIFFUSE: u16 = Kind::ReflectedDiffuse.bit() | Kind::TransmittedDiffuse.bit();
-const GLOSSY: u16 = Kind::ReflectedGlossy.bit() | Kind::TransmittedGlossy.bit();
-const SPECULAR: u16 = Kind::ReflectedSpecular.bit() | Kind::TransmittedSpecular.bit();
+const REFLECTED: u16 = 0b111 << EventKind::ReflectedDiffuse as u16;
+const TRANSMITTED: u16 = 0b111 << EventKind::TransmittedDiffuse as u16;
+const DIFFUSE: u16 = EventKind::ReflectedDiffuse.bit() | EventKind::TransmittedDiffuse.bit();
+const GLOSSY: u16 = EventKind::ReflectedGlossy.bit() | EventKind::TransmittedGlossy.bit();
+const SPECULAR: u16 = EventKind::ReflectedSpecular.bit() | EventKind::TransmittedSpecular.bit();
 
 /// Returns the kinds of a type letter.
 fn type_of(letter: char) -> Option<u16> {
     Some(match letter {
-        'C' => Kind::Camera.bit(),
+        'C' => EventKind::Camera.bit(),
         'R' => REFLECTED,
         'T' => TRANSMITTED,
-        'V' => Kind::Volume.bit(),
-        'L' => Kind::Light.bit(),
-        'O' => Kind::Object.bit(),
-        'B' => Kind::Background.bit(),
+        'V' => EventKind::Volume.bit(),
+        'L' => EventKind::Light.bit(),
+        'O' => EventKind::Object.bit(),
+        'B' => EventKind::Background.bit(),
         _ => return None,
     })
 }
@@ -82,11 +82,11 @@ impl Expression {
     /// Parses an expression.
     pub fn parse(text: &str) -> Result<Self, ExpressionError> {
         let mut parser = Parser { text, chars: text.chars().collect(), at: 0, depth: 0, events: 0 };
-        if parser.chars.len() > LONGEST {
-            parser.at = LONGEST;
+        if parser.chars.len() > MAX_CHARS {
+            parser.at = MAX_CHARS;
             return Err(parser.expected("at most 4096 characters"));
         }
-        match dialect::prefix(&parser.chars) {
+        match dialect::prefix_length(&parser.chars) {
             Ok(length) => parser.at = length,
             Err((at, expected)) => {
                 parser.at = at;
@@ -107,12 +107,12 @@ impl Expression {
     }
 
     /// Returns the events of the expression.
-    pub fn events(&self) -> Vec<&Event> {
-        fn collect<'a>(node: &'a Node, all: &mut Vec<&'a Event>) {
+    pub fn events(&self) -> Vec<&EventPattern> {
+        fn collect<'a>(node: &'a Node, all: &mut Vec<&'a EventPattern>) {
             match node {
                 Node::Event(event) => all.push(event),
                 Node::Sequence(nodes) | Node::Choice(nodes) => nodes.iter().for_each(|node| collect(node, all)),
-                Node::Any(node) | Node::Some(node) | Node::Maybe(node) => collect(node, all),
+                Node::ZeroOrMore(node) | Node::OneOrMore(node) | Node::Optional(node) => collect(node, all),
             }
         }
         let mut all = Vec::new();
@@ -121,7 +121,7 @@ impl Expression {
     }
 }
 
-const EVENT: &str = "an event: `.`, one of C R T V D G S L O B, `<..>`, `[..]`, `(..)` or a label in quotes";
+const EXPECTED_EVENT: &str = "an event: `.`, one of C R T V D G S L O B, `<..>`, `[..]`, `(..)` or a label in quotes";
 
 struct Parser<'a> {
     text: &'a str,
@@ -133,23 +133,23 @@ struct Parser<'a> {
 }
 
 /// Returns the number of events of a part of an expression.
-fn events_of(node: &Node) -> usize {
+fn count_events(node: &Node) -> usize {
     match node {
         Node::Event(_) => 1,
-        Node::Sequence(nodes) | Node::Choice(nodes) => nodes.iter().map(events_of).sum(),
-        Node::Any(node) | Node::Some(node) | Node::Maybe(node) => events_of(node),
+        Node::Sequence(nodes) | Node::Choice(nodes) => nodes.iter().map(count_events).sum(),
+        Node::ZeroOrMore(node) | Node::OneOrMore(node) | Node::Optional(node) => count_events(node),
     }
 }
 
 impl Parser<'_> {
     fn expected(&self, expected: &'static str) -> ExpressionError {
-        ExpressionError { expression: self.text.to_owned(), at: self.at, expected }
+        ExpressionError { expression: self.text.to_owned(), position: self.at, expected }
     }
 
     /// Returns the error that an event is expected here, with advice if the character has a meaning in another renderer.
     fn expected_event(&self) -> ExpressionError {
         let advice = self.chars.get(self.at).and_then(|found| dialect::advice(*found));
-        self.expected(advice.unwrap_or(EVENT))
+        self.expected(advice.unwrap_or(EXPECTED_EVENT))
     }
 
     /// Returns the next character that is not a space.
@@ -160,7 +160,7 @@ impl Parser<'_> {
         self.chars.get(self.at).copied()
     }
 
-    fn take(&mut self, wanted: char) -> bool {
+    fn accept(&mut self, wanted: char) -> bool {
         let is_there = self.peek() == Some(wanted);
         self.at += usize::from(is_there);
         is_there
@@ -168,7 +168,7 @@ impl Parser<'_> {
 
     fn choice(&mut self) -> Result<Node, ExpressionError> {
         let mut all = vec![self.sequence()?];
-        while self.take('|') {
+        while self.accept('|') {
             all.push(self.sequence()?);
         }
         Ok(if all.len() == 1 { all.remove(0) } else { Node::Choice(all) })
@@ -184,10 +184,10 @@ impl Parser<'_> {
             while let Some(repeat @ ('*' | '+' | '?' | '{')) = self.peek() {
                 let boxed = |item| Box::new(item);
                 item = match repeat {
-                    '{' => self.times(item)?,
-                    '*' => Node::Any(boxed(item)),
-                    '+' => Node::Some(boxed(item)),
-                    _ => Node::Maybe(boxed(item)),
+                    '{' => self.repetition(item)?,
+                    '*' => Node::ZeroOrMore(boxed(item)),
+                    '+' => Node::OneOrMore(boxed(item)),
+                    _ => Node::Optional(boxed(item)),
                 };
                 self.at += 1;
                 // Each further sign would add a level to every recursion over the tree.
@@ -198,34 +198,34 @@ impl Parser<'_> {
             all.push(item);
         }
         if all.is_empty() {
-            return Err(self.expected(EVENT));
+            return Err(self.expected(EXPECTED_EVENT));
         }
         Ok(if all.len() == 1 { all.remove(0) } else { Node::Sequence(all) })
     }
 
     /// Parses `{n}` or `{n,m}` after an item and writes the repetitions out. Stops at the closing brace.
-    fn times(&mut self, item: Node) -> Result<Node, ExpressionError> {
+    fn repetition(&mut self, item: Node) -> Result<Node, ExpressionError> {
         const FORM: &str = "`{n}` or `{n,m}` with n <= m, at least 1 and at most 64 times";
         let start = self.at;
         self.at += 1;
         let least = self.number().ok_or_else(|| self.expected(FORM))?;
-        let most = if self.take(',') { self.number().ok_or_else(|| self.expected(FORM))? } else { least };
+        let most = if self.accept(',') { self.number().ok_or_else(|| self.expected(FORM))? } else { least };
         if self.peek() != Some('}') {
             return Err(self.expected("`}`"));
         }
-        if most == 0 || most < least || most > MOST_TIMES {
+        if most == 0 || most < least || most > MAX_REPETITIONS {
             self.at = start;
             return Err(self.expected(FORM));
         }
-        self.events += (most - 1) * events_of(&item);
-        if self.events > MOST_EVENTS {
+        self.events += (most - 1) * count_events(&item);
+        if self.events > MAX_EVENTS {
             self.at = start;
             return Err(self.expected(
                 "fewer repetitions: an expression has at most 2048 events with all repetitions written out",
             ));
         }
         let surely = std::iter::repeat_n(item.clone(), least);
-        let maybe = std::iter::repeat_n(Node::Maybe(Box::new(item)), most - least);
+        let maybe = std::iter::repeat_n(Node::Optional(Box::new(item)), most - least);
         Ok(Node::Sequence(surely.chain(maybe).collect()))
     }
 
@@ -240,13 +240,13 @@ impl Parser<'_> {
     fn item(&mut self, next: char) -> Result<Node, ExpressionError> {
         match next {
             '(' => {
-                if self.depth == DEEPEST {
+                if self.depth == MAX_DEPTH {
                     return Err(self.expected("at most 64 nested parentheses"));
                 }
                 self.depth += 1;
                 self.at += 1;
                 let inner = self.choice()?;
-                if !self.take(')') {
+                if !self.accept(')') {
                     return Err(self.expected("`)`"));
                 }
                 self.depth -= 1;
@@ -259,7 +259,7 @@ impl Parser<'_> {
             _ => match self.class()? {
                 Some(class) => {
                     self.events += 1;
-                    Ok(Node::Event(Event::of(class)))
+                    Ok(Node::Event(EventPattern::from_class(class)))
                 }
                 None => Err(self.expected_event()),
             },
@@ -267,15 +267,15 @@ impl Parser<'_> {
     }
 
     /// Parses one event without brackets; `None`: the next character begins no event.
-    fn class(&mut self) -> Result<Option<Class>, ExpressionError> {
+    fn class(&mut self) -> Result<Option<EventClass>, ExpressionError> {
         let Some(next) = self.peek() else { return Ok(None) };
-        let plain = |kinds| Ok(Some(Class { kinds, labels: None }));
+        let plain = |kinds| Ok(Some(EventClass { kinds, labels: None }));
         match next {
             '.' => {
                 self.at += 1;
-                plain(ANY)
+                plain(ANY_KIND)
             }
-            '\'' => Ok(Some(Class { kinds: ANY, labels: Some((vec![self.label()?], false)) })),
+            '\'' => Ok(Some(EventClass { kinds: ANY_KIND, labels: Some((vec![self.label()?], false)) })),
             '<' => self.angle().map(Some),
             letter => match type_of(letter).or_else(|| scattering_of(letter)) {
                 Some(kinds) => {
@@ -288,22 +288,26 @@ impl Parser<'_> {
     }
 
     /// Parses `[..]` or `[^..]`.
-    fn bracket(&mut self) -> Result<Event, ExpressionError> {
+    fn bracket(&mut self) -> Result<EventPattern, ExpressionError> {
         self.at += 1;
-        let negated = self.take('^');
+        let negated = self.accept('^');
         let mut any = Vec::new();
         while let Some(class) = self.class()? {
             any.push(class);
         }
-        if any.is_empty() || !self.take(']') {
+        if any.is_empty() || !self.accept(']') {
             let advice = self.peek().and_then(dialect::advice);
-            return Err(self.expected(advice.unwrap_or(if any.is_empty() { EVENT } else { "an event, or `]`" })));
+            return Err(self.expected(advice.unwrap_or(if any.is_empty() {
+                EXPECTED_EVENT
+            } else {
+                "an event, or `]`"
+            })));
         }
-        Ok(Event { any, negated })
+        Ok(EventPattern { any, negated })
     }
 
     /// Parses `<type scattering 'label'>`.
-    fn angle(&mut self) -> Result<Class, ExpressionError> {
+    fn angle(&mut self) -> Result<EventClass, ExpressionError> {
         self.at += 1;
         const TYPE: &str = "a type: `.`, one of C R T V L O B, or some of them in brackets";
         let kinds = self.part(type_of, TYPE)?;
@@ -317,7 +321,7 @@ impl Parser<'_> {
         let kinds = match self.part(scattering_of, scattering)? {
             None => kinds,
             // Any scattering includes none: lamps, the camera and fog have no scattering letter.
-            Some(ANY) => kinds,
+            Some(ANY_KIND) => kinds,
             Some(scattering) => kinds & scattering,
         };
         if kinds == 0 {
@@ -333,16 +337,16 @@ impl Parser<'_> {
             Some('\'') => Some((self.labels()?, false)),
             Some('[') => {
                 self.at += 1;
-                let negated = self.take('^');
+                let negated = self.accept('^');
                 let labels = self.labels()?;
-                if !self.take(']') {
+                if !self.accept(']') {
                     return Err(self.expected("a label in quotes, or `]`"));
                 }
                 Some((labels, negated))
             }
             _ => None,
         };
-        if !self.take('>') {
+        if !self.accept('>') {
             let advice = match self.peek() {
                 Some(found) if found.is_alphanumeric() && type_of(found).is_none() => {
                     let is_word =
@@ -355,36 +359,40 @@ impl Parser<'_> {
             let plain = if labels.is_some() { "`>`" } else { "a label in quotes, or `>`" };
             return Err(self.expected(advice.unwrap_or(plain)));
         }
-        Ok(Class { kinds, labels })
+        Ok(EventClass { kinds, labels })
     }
 
     /// Parses a letter, a dot, or letters in brackets; `None`: something else follows. Brackets with labels count as something
     /// else.
-    fn part(&mut self, of: fn(char) -> Option<u16>, wanted: &'static str) -> Result<Option<u16>, ExpressionError> {
+    fn part(
+        &mut self,
+        kinds_of: fn(char) -> Option<u16>,
+        wanted: &'static str,
+    ) -> Result<Option<u16>, ExpressionError> {
         match self.peek() {
             Some('.') => {
                 self.at += 1;
-                Ok(Some(ANY))
+                Ok(Some(ANY_KIND))
             }
             Some('[') => {
                 let start = self.at;
                 self.at += 1;
-                let negated = self.take('^');
+                let negated = self.accept('^');
                 if self.peek() == Some('\'') {
                     self.at = start;
                     return Ok(None);
                 }
                 let mut kinds = 0;
-                while let Some(found) = self.peek().and_then(of) {
+                while let Some(found) = self.peek().and_then(kinds_of) {
                     kinds |= found;
                     self.at += 1;
                 }
-                if kinds == 0 || !self.take(']') {
+                if kinds == 0 || !self.accept(']') {
                     return Err(self.expected(if kinds == 0 { wanted } else { "another letter, or `]`" }));
                 }
-                Ok(Some(if negated { ANY & !kinds } else { kinds }))
+                Ok(Some(if negated { ANY_KIND & !kinds } else { kinds }))
             }
-            Some(letter) => Ok(of(letter).inspect(|_| self.at += 1)),
+            Some(letter) => Ok(kinds_of(letter).inspect(|_| self.at += 1)),
             None => Ok(None),
         }
     }
@@ -430,7 +438,7 @@ mod tests {
 
     fn fault(text: &str) -> (usize, &'static str) {
         let error = Expression::parse(text).expect_err(text);
-        (error.at, error.expected)
+        (error.position, error.expected)
     }
 
     #[test]

@@ -34,7 +34,7 @@ impl Feature {
     }
 
     /// Returns the feature with a name, if there is one.
-    pub fn named(name: &str) -> Option<Self> {
+    pub fn from_name(name: &str) -> Option<Self> {
         Self::NAMES.iter().position(|known| *known == name).map(|at| Self::ALL[at])
     }
 
@@ -50,7 +50,7 @@ impl Feature {
     }
 
     /// Returns the name of the Cryptomatte, for a feature that is a name instead of numbers.
-    pub fn matte(self) -> Option<&'static str> {
+    pub fn cryptomatte_name(self) -> Option<&'static str> {
         match self {
             Self::Object => Some("crypto_object"),
             Self::Material => Some("crypto_material"),
@@ -59,9 +59,9 @@ impl Feature {
     }
 
     /// Checks whether the channels of some feature begin with this name.
-    pub(crate) fn has_channels(name: &str) -> bool {
-        let is_matte = |feature: &Self| feature.matte().is_some_and(|matte| name.starts_with(matte));
-        Self::named(name).is_some() || Self::ALL.iter().any(is_matte)
+    pub(crate) fn is_reserved_name(name: &str) -> bool {
+        let is_matte = |feature: &Self| feature.cryptomatte_name().is_some_and(|matte| name.starts_with(matte));
+        Self::from_name(name).is_some() || Self::ALL.iter().any(is_matte)
     }
 }
 
@@ -72,8 +72,8 @@ mod tests {
     #[test]
     fn every_feature_has_the_name_that_finds_it() {
         for (feature, name) in Feature::ALL.into_iter().zip(Feature::NAMES) {
-            assert_eq!((feature.name(), Feature::named(name)), (name, Some(feature)));
+            assert_eq!((feature.name(), Feature::from_name(name)), (name, Some(feature)));
         }
-        assert_eq!(Feature::named("normals"), None);
+        assert_eq!(Feature::from_name("normals"), None);
     }
 }

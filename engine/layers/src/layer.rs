@@ -8,10 +8,10 @@ use std::collections::BTreeSet;
 use std::str::FromStr;
 
 /// Maximum number of layers of a frame: one bit each in a word.
-pub const MOST_LAYERS: usize = 64;
+pub const MAX_LAYERS: usize = 64;
 
 /// Names of other channels in the file, which layers cannot use.
-const TAKEN: [&str; 4] = ["samples", "variance", "coverage", "relative_error"];
+const RESERVED_NAMES: [&str; 4] = ["samples", "variance", "coverage", "relative_error"];
 
 /// A layer as the user requests it.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -33,10 +33,10 @@ impl Layer {
     pub fn parse(&self) -> Result<Expression, LayerError> {
         let is_fit = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
         if !(1..=64).contains(&self.name.len()) || !self.name.chars().all(is_fit) {
-            return Err(LayerError::Name(self.name.clone()));
+            return Err(LayerError::InvalidName(self.name.clone()));
         }
-        if TAKEN.contains(&self.name.as_str()) || Feature::has_channels(&self.name) {
-            return Err(LayerError::Taken(self.name.clone()));
+        if RESERVED_NAMES.contains(&self.name.as_str()) || Feature::is_reserved_name(&self.name) {
+            return Err(LayerError::ReservedName(self.name.clone()));
         }
         Expression::parse(&self.expression).map_err(|cause| LayerError::Expression { layer: self.name.clone(), cause })
     }
@@ -46,20 +46,20 @@ impl FromStr for Layer {
     type Err = LayerError;
 
     fn from_str(text: &str) -> Result<Self, LayerError> {
-        let (name, expression) = text.split_once('=').ok_or_else(|| LayerError::Form(text.to_owned()))?;
+        let (name, expression) = text.split_once('=').ok_or_else(|| LayerError::InvalidForm(text.to_owned()))?;
         let layer = Self::new(name.trim(), expression.trim());
         layer.parse().map(|_| layer)
     }
 }
 
 /// Parses the expressions of all layers of a frame.
-pub fn parse_all(layers: &[Layer]) -> Result<Vec<Expression>, LayerError> {
-    if layers.len() > MOST_LAYERS {
-        return Err(LayerError::Many(layers.len()));
+pub fn parse_layers(layers: &[Layer]) -> Result<Vec<Expression>, LayerError> {
+    if layers.len() > MAX_LAYERS {
+        return Err(LayerError::TooManyLayers(layers.len()));
     }
     let mut names = BTreeSet::new();
     if let Some(twice) = layers.iter().find(|layer| !names.insert(&layer.name)) {
-        return Err(LayerError::Twice(twice.name.clone()));
+        return Err(LayerError::DuplicateName(twice.name.clone()));
     }
     layers.iter().map(Layer::parse).collect()
 }
@@ -71,17 +71,17 @@ mod tests {
     #[test]
     fn layer_is_name_and_expression_and_anything_else_is_refused() {
         assert_eq!("direct = CDL".parse(), Ok(Layer::new("direct", "CDL")));
-        assert_eq!("CDL".parse::<Layer>(), Err(LayerError::Form("CDL".into())));
-        assert_eq!("a.b=CDL".parse::<Layer>(), Err(LayerError::Name("a.b".into())));
-        assert_eq!("=CDL".parse::<Layer>(), Err(LayerError::Name(String::new())));
-        assert_eq!("samples=CDL".parse::<Layer>(), Err(LayerError::Taken("samples".into())));
-        assert_eq!("motion=CDL".parse::<Layer>(), Err(LayerError::Taken("motion".into())));
-        assert_eq!("crypto_object00=CDL".parse::<Layer>(), Err(LayerError::Taken("crypto_object00".into())));
+        assert_eq!("CDL".parse::<Layer>(), Err(LayerError::InvalidForm("CDL".into())));
+        assert_eq!("a.b=CDL".parse::<Layer>(), Err(LayerError::InvalidName("a.b".into())));
+        assert_eq!("=CDL".parse::<Layer>(), Err(LayerError::InvalidName(String::new())));
+        assert_eq!("samples=CDL".parse::<Layer>(), Err(LayerError::ReservedName("samples".into())));
+        assert_eq!("motion=CDL".parse::<Layer>(), Err(LayerError::ReservedName("motion".into())));
+        assert_eq!("crypto_object00=CDL".parse::<Layer>(), Err(LayerError::ReservedName("crypto_object00".into())));
         let error = "a=C<".parse::<Layer>().unwrap_err().to_string();
         assert!(error.starts_with("layer `a`: found the end of the expression; expected a type"), "{error}");
         let twice = [Layer::new("a", "CL"), Layer::new("a", "CDL")];
-        assert_eq!(parse_all(&twice), Err(LayerError::Twice("a".into())));
+        assert_eq!(parse_layers(&twice), Err(LayerError::DuplicateName("a".into())));
         let many: Vec<Layer> = (0..65).map(|i| Layer::new(format!("a{i}"), "CL")).collect();
-        assert_eq!(parse_all(&many), Err(LayerError::Many(65)));
+        assert_eq!(parse_layers(&many), Err(LayerError::TooManyLayers(65)));
     }
 }

@@ -11,7 +11,6 @@
 
 mod automaton;
 pub mod cryptomatte;
-mod darkness;
 mod dialect;
 mod error;
 mod event;
@@ -19,12 +18,13 @@ mod expression;
 mod feature;
 mod layer;
 mod preset;
+mod unlit;
 
-pub use automaton::{Automaton, DEAD, Labels, NO_LAYERS, State, Symbol, Takers};
-pub use darkness::{Darkness, darkness};
+pub use automaton::{Automaton, DEAD_STATE, LabelOffset, LayerSetIndex, NO_LAYERS, State, Symbol};
 pub use error::{ExpressionError, LayerError};
-pub use event::{Event, Kind, LabelSet, Vocabulary, spelled};
+pub use event::{EventKind, EventPattern, LabelSet, Vocabulary, format_kinds};
 pub use expression::{Expression, Node};
 pub use feature::Feature;
-pub use layer::{Layer, MOST_LAYERS, parse_all};
+pub use layer::{Layer, MAX_LAYERS, parse_layers};
 pub use preset::Preset;
+pub use unlit::{UnlitReason, unlit_reason};

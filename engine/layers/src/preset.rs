@@ -52,7 +52,7 @@ impl Preset {
                     let quoted = lamp.replace('\\', r"\\").replace('\'', r"\'");
                     let expression = format!("C.*<[LOB].'{quoted}'>");
                     if layers.iter().all(|layer| layer.expression != expression) {
-                        let name = name_of(lamp, &layers);
+                        let name = lamp_layer_name(lamp, &layers);
                         layers.push(Layer { name, expression });
                     }
                 }
@@ -67,7 +67,7 @@ impl Preset {
 }
 
 /// Returns a channel name for a lamp's layer that none of `others` has.
-fn name_of(lamp: &str, others: &[Layer]) -> String {
+fn lamp_layer_name(lamp: &str, others: &[Layer]) -> String {
     let fit = |c: char| if c.is_ascii_alphanumeric() || c == '-' { c } else { '_' };
     let mut base: String = lamp.trim_matches('/').chars().map(fit).take(48).collect();
     if base.is_empty() {
@@ -85,7 +85,7 @@ impl FromStr for Preset {
 
     fn from_str(text: &str) -> Result<Self, LayerError> {
         let found = Self::NAMES.iter().position(|name| *name == text);
-        found.map(|at| Self::ALL[at]).ok_or_else(|| LayerError::Preset(text.to_owned()))
+        found.map(|at| Self::ALL[at]).ok_or_else(|| LayerError::UnknownPreset(text.to_owned()))
     }
 }
 
@@ -100,7 +100,7 @@ mod tests {
             assert_eq!(preset.name(), name);
             let layers = preset.layers(["room.lamp/bulb", "it's", "room_lamp/bulb", "it's"]).unwrap();
             assert!(!layers.is_empty());
-            crate::parse_all(&layers).unwrap();
+            crate::parse_layers(&layers).unwrap();
         }
         let lamps = Preset::Lamps.layers(["a.b/c", "a_b/c", "a.b/c"]).unwrap();
         assert_eq!(lamps.iter().map(|it| it.name.as_str()).collect::<Vec<_>>(), ["lamp_a_b_c", "lamp_a_b_c_2"]);

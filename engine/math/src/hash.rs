@@ -21,29 +21,29 @@ pub fn mix64(mut x: u64) -> u64 {
 /// Hashes a sequence of words; the order matters.
 #[inline]
 pub fn combine(words: &[u64]) -> u64 {
-    begun(words).end(&[])
+    hash_prefix(words).finish(&[])
 }
 
 /// Hashes the first words of a sequence. Sequences with a common prefix share this work.
 #[inline]
-pub fn begun(words: &[u64]) -> Begun {
-    Begun(0x9e37_79b9_7f4a_7c15).and(words)
+pub fn hash_prefix(words: &[u64]) -> HashPrefix {
+    HashPrefix(0x9e37_79b9_7f4a_7c15).with_words(words)
 }
 
-/// Hash of the first words of a sequence, see [`begun`].
+/// Hash of the first words of a sequence, see [`hash_prefix`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Begun(u64);
+pub struct HashPrefix(u64);
 
-impl Begun {
+impl HashPrefix {
     #[inline]
-    fn and(self, words: &[u64]) -> Self {
+    fn with_words(self, words: &[u64]) -> Self {
         Self(words.iter().fold(self.0, |h, w| mix64(h ^ w).wrapping_add(0x9e37_79b9_7f4a_7c15)))
     }
 
     /// Returns the [`combine`] hash of the first words followed by `words`.
     #[inline]
-    pub fn end(self, words: &[u64]) -> u64 {
-        mix64(self.and(words).0)
+    pub fn finish(self, words: &[u64]) -> u64 {
+        mix64(self.with_words(words).0)
     }
 }
 

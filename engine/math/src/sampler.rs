@@ -26,8 +26,8 @@ pub struct SampleStream {
     dimension: u32,
 }
 
-/// Reverses the digit order, scrambles each binary digit by the digits above it, and reverses back.
-/// `scramble_reversed` skips the first reversal: its input already has the digits reversed (\[laine2011\], constants of \[vegdahl2021\]).
+/// Reverses the digit order, scrambles each binary digit by the digits above it, and reverses back. `scramble_reversed` skips the
+/// first reversal: its input already has the digits reversed (\[laine2011\], constants of \[vegdahl2021\]).
 #[inline]
 fn scramble_reversed(mut x: u32, seed: u32) -> u32 {
     x ^= x.wrapping_mul(0x3d20_adea);
@@ -55,8 +55,8 @@ impl SampleStream {
     /// Creates the stream of `sample` in `pixel` (row-major index in the whole film) of `frame`.
     #[inline]
     pub fn new(seed: u64, frame: u32, pixel: u32, sample: u32) -> Self {
-        let place = mix64(mix64(seed ^ 0x6a09_e667_f3bc_c908) ^ ((u64::from(frame) << 32) | u64::from(pixel)));
-        let key = mix64(place.wrapping_add(1 + replicate_of(sample) as u64));
+        let pixel_key = mix64(mix64(seed ^ 0x6a09_e667_f3bc_c908) ^ ((u64::from(frame) << 32) | u64::from(pixel)));
+        let key = mix64(pixel_key.wrapping_add(1 + replicate_of(sample) as u64));
         Self { key, index: sample / REPLICATES as u32, dimension: 0 }
     }
 

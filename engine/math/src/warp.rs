@@ -45,7 +45,7 @@ pub fn direction(cos: f32, u: f32) -> Vec3A {
 
 /// Returns the unit vector with 1 - z = `versine`, 0 to 2, and azimuth `2 pi u`. Small versines keep their precision near the axis.
 #[inline]
-pub fn about(versine: f64, u: f32) -> Vec3A {
+pub fn direction_from_versine(versine: f64, u: f32) -> Vec3A {
     let versine = versine.clamp(0.0, 2.0);
     let sin = (versine * (2.0 - versine)).sqrt() as f32;
     let (s, c) = sin_cos(TAU * u);

@@ -8,13 +8,14 @@ pub const LENS: u32 = 2;
 pub const TIME: u32 = 4;
 
 /// Choice of a small camera-visible emitter (1).
-pub const SIGHT: u32 = 5;
+pub const CAMERA_EMITTER: u32 = 5;
 /// Point on that emitter (2).
-pub const SIGHT_POINT: u32 = 6;
+pub const CAMERA_EMITTER_POINT: u32 = 6;
 
-/// Returns the first dimension of ray `ray` of a path (0: the camera's). A segment that goes through clear surfaces has several
-/// rays. Each has its own numbers: if a ray has passed a stretch of fog, that carries information about the number drawn for it.
-pub const fn ray(ray: u32) -> u32 {
+/// Returns the first dimension of ray `ray_base` of a path (0: the camera's). A segment that goes through clear surfaces has
+/// several rays. Each has its own numbers: if a ray has passed a stretch of fog, that carries information about the number drawn
+/// for it.
+pub const fn ray_base(ray: u32) -> u32 {
     8 + ray * 24
 }
 
@@ -44,9 +45,9 @@ pub const DISTANCE_FINE: u32 = 18;
 /// Airlight: color channel for which a distance is sampled (1).
 pub const AIRLIGHT_CHANNEL: u32 = 19;
 /// Choice of a light toward which a path in fog is guided (2).
-pub const TOWARD: u32 = 20;
+pub const LIGHT_DIRECTION: u32 = 20;
 
 /// Combines two numbers of 24 bits to one in [0, 1) of 48 bits, for choices among very many items.
-pub fn fine([coarse, finer]: [f32; 2]) -> f64 {
+pub fn uniform_48([coarse, finer]: [f32; 2]) -> f64 {
     f64::from(coarse) + f64::from(finer) / f64::from(1u32 << 24)
 }

@@ -7,22 +7,22 @@
 //! Directions after an event are sampled from the phase function or toward a light, with the density of the mixture of both.
 
 use crate::dimensions as dim;
-use crate::path::{Counters, square};
-use crate::shadow::Shadow;
-use crate::technique::{Technique, weight};
-use femc_emission::{AlongSegment, Choice, DeltaKind, FromPoint};
+use crate::path::{TracerCounters, square};
+use crate::shadow::ShadowTester;
+use crate::technique::{Technique, mis_weight};
+use femc_emission::{DeltaKind, DirectionContext, LightWeights, SegmentContext};
 use femc_math::glam::Vec3A;
 use femc_math::{Rgb, SampleStream};
 use femc_prepared::Prepared;
-use femc_prepared::airlit::{Airlit, Stretch};
-use femc_prepared::media::{Distance, Event, Inside, MediaRay};
+use femc_prepared::media::{DistanceSample, MediaRay, MediumStack, ScatterEvent};
+use femc_prepared::single_scatter::{MediumSegment, SingleScatterSampler};
 
 /// Share of the directions after an event that are sampled from the phase function.
-const BY_PHASE: f32 = 0.5;
+const PHASE_SHARE: f32 = 0.5;
 /// Number of segments at whose ends directions may be sampled toward lights. In thick fog a path has thousands of segments, and the
 /// product of so many factors with mean 1 would nearly always be close to 0. On the drive through the roundabout, a value of 6
 /// makes paths a seventh longer than 24, and the variance is not lower.
-const GUIDED: u32 = 24;
+const MAX_GUIDED_SEGMENTS: u32 = 24;
 /// Number of angles at which the lights are evaluated, for a camera ray, whose light counts most, and for later ones.
 const ANGLES_FROM_CAMERA: u32 = 6;
 const ANGLES: u32 = 3;
@@ -37,7 +37,7 @@ pub struct Segment<'a> {
     /// Time in the shutter.
     pub time: f32,
     /// Closed objects that contain the segment's start.
-    pub inside: &'a Inside,
+    pub medium_stack: &'a MediumStack,
     /// Index of the segment, 0: the camera's.
     pub bounce: u32,
     /// First random dimension of the segment.
@@ -50,200 +50,220 @@ pub struct FoggyRay {
     /// Media of the ray.
     pub media: MediaRay,
     /// Scattering stretch of the segment, as context for the choice of a light. `None`: nothing scatters.
-    wanted: Option<AlongSegment>,
-    choice: Choice,
+    light_context: Option<SegmentContext>,
+    choice: LightWeights,
 }
 
 /// A scattering event of the path, with the data for the weights of lights that are hit later.
 #[derive(Clone, Copy)]
 pub struct Collision {
     /// The event; `pdf` is the density of its distance, 1/m.
-    pub event: Event,
+    pub event: ScatterEvent,
     /// Position, m.
     pub position: Vec3A,
 }
 
 /// A direction sampled after an event.
 #[derive(Clone, Copy)]
-pub struct NewDirection {
+pub struct DirectionSample {
     /// Unit direction.
     pub dir: Vec3A,
     /// Density of the direction, 1/sr.
     pub pdf: f32,
     /// Density of the direction by the phase function alone, 1/sr. Light that is hit is weighted with this one, because it needs no
     /// evaluation of the lights.
-    pub phase: f32,
+    pub phase_pdf: f32,
     /// Factor on the throughput.
     pub weight: Rgb,
 }
 
 /// Light scattered once on a segment.
 #[derive(Clone, Copy)]
-pub struct Scattered {
+pub struct SingleScatterSample {
     /// Radiance at the segment's start, cd/m2.
     pub color: Rgb,
     /// Index of the chosen light.
     pub light: u32,
     /// Event that scattered the light.
-    pub event: Event,
+    pub event: ScatterEvent,
 }
 
 impl FoggyRay {
     /// Returns the density, 1/m, with which way 1 chooses `light` and samples the distance of `event` on this ray.
-    pub fn airlight_pdf(&self, scene: &Prepared, light: u32, time: f32, event: &Event) -> f32 {
-        let Some(wanted) = &self.wanted else { return 0.0 };
-        let chosen = scene.lights.probability(&self.choice, wanted, light);
+    pub fn airlight_pdf(&self, scene: &Prepared, light: u32, time: f32, event: &ScatterEvent) -> f32 {
+        let Some(light_context) = &self.light_context else { return 0.0 };
+        let chosen = scene.lights.probability(&self.choice, light_context, light);
         if chosen <= 0.0 {
             return 0.0;
         }
-        airlit(scene, self, wanted, light, time).map_or(0.0, |airlit| chosen * airlit.pdf(event))
+        airlight_distances(scene, self, light_context, light, time).map_or(0.0, |airlit| chosen * airlit.pdf(event))
     }
 }
 
 /// Returns the distribution of distances for a light.
-fn airlit(scene: &Prepared, ray: &FoggyRay, wanted: &AlongSegment, light: u32, time: f32) -> Option<Airlit> {
-    let stretch = Stretch { wanted, media: &scene.media, ray: &ray.media, least_distance: scene.least_distance };
-    Airlit::new(&scene.lights, &scene.world, &stretch, light, time)
+fn airlight_distances(
+    scene: &Prepared,
+    ray: &FoggyRay,
+    light_context: &SegmentContext,
+    light: u32,
+    time: f32,
+) -> Option<SingleScatterSampler> {
+    let stretch =
+        MediumSegment { light_context, media: &scene.media, ray: &ray.media, least_distance: scene.least_distance };
+    SingleScatterSampler::new(&scene.lights, &scene.world, &stretch, light, time)
 }
 
 /// Sampler of the media of one segment, which the caller has intersected.
-pub struct Fog<'a, 's> {
+pub struct FogSampler<'a, 's> {
     /// The scene.
     pub scene: &'s Prepared,
     /// Media of the segment.
     pub ray: &'a mut FoggyRay,
     /// Weights of lights for directions.
-    pub directions: &'a mut Choice,
+    pub direction_weights: &'a mut LightWeights,
     /// Tester of shadow rays.
-    pub shadow: &'a mut Shadow,
+    pub shadow: &'a mut ShadowTester,
     /// Counters of the work.
-    pub counters: &'a mut Counters,
+    pub counters: &'a mut TracerCounters,
     /// Only technique that counts, if set.
     pub only: Option<Technique>,
 }
 
-impl Fog<'_, '_> {
+impl FogSampler<'_, '_> {
     /// Returns the radiance that the media of the segment emit.
     pub fn glow(&mut self, segment: &Segment<'_>, stream: &mut SampleStream) -> Rgb {
         if !self.scene.media.glows() {
             return Rgb::ZERO;
         }
         stream.seek(segment.base + dim::GLOW);
-        self.scene.media.glow(&self.ray.media, stream.next_1d())
+        self.scene.media.emitted_radiance(&self.ray.media, stream.next_1d())
     }
 
     /// Samples the distance of the next event. `Err`: no event on the segment, with the weight of the transmission.
-    pub fn collide(&mut self, segment: &Segment<'_>, stream: &mut SampleStream) -> Result<Collision, Rgb> {
+    pub fn sample_collision(&mut self, segment: &Segment<'_>, stream: &mut SampleStream) -> Result<Collision, Rgb> {
         stream.seek(segment.base + dim::DISTANCE);
         let [u, channel] = stream.next_2d();
         stream.seek(segment.base + dim::DISTANCE_FINE);
-        match self.scene.media.draw(&self.ray.media, dim::fine([u, stream.next_1d()]), channel) {
-            Distance::Through { weight } => Err(weight),
-            Distance::Scatter(event) => Ok(Collision { event, position: segment.origin + segment.dir * event.t }),
+        match self.scene.media.sample_distance(&self.ray.media, dim::uniform_48([u, stream.next_1d()]), channel) {
+            DistanceSample::Through { weight } => Err(weight),
+            DistanceSample::Scatter(event) => Ok(Collision { event, position: segment.origin + segment.dir * event.t }),
         }
     }
 
-    /// Weighs the lights for the segment. Call it before [`Self::airlight`] and [`FoggyRay::airlight_pdf`].
-    pub fn weigh(&mut self, segment: &Segment<'_>) {
+    /// Weighs the lights for the segment. Call it before [`Self::sample_airlight`] and [`FoggyRay::airlight_pdf`].
+    pub fn weigh_lights(&mut self, segment: &Segment<'_>) {
         let scene = self.scene;
-        self.ray.wanted = None;
+        self.ray.light_context = None;
         if scene.lights.is_empty() {
             return;
         }
         let Some(range) = scene.media.scattering_range(&self.ray.media) else { return };
-        let fog = scene.media.character(&self.ray.media, range);
+        let fog = scene.media.mean_properties(&self.ray.media, range);
         let angles = if segment.bounce == 0 { ANGLES_FROM_CAMERA } else { ANGLES };
-        let wanted = scene.lights.along(segment.origin, segment.dir, range, fog, angles);
-        scene.lights.weigh(&wanted, &mut self.ray.choice);
-        self.ray.wanted = Some(wanted);
+        let light_context = scene.lights.segment_context(segment.origin, segment.dir, range, fog, angles);
+        scene.lights.weigh(&light_context, &mut self.ray.choice);
+        self.ray.light_context = Some(light_context);
     }
 
     /// Samples single scattering on the segment with a light and a distance for it (way 1).
-    pub fn airlight(&mut self, segment: &Segment<'_>, stream: &mut SampleStream) -> Option<Scattered> {
+    pub fn sample_airlight(&mut self, segment: &Segment<'_>, stream: &mut SampleStream) -> Option<SingleScatterSample> {
         let scene = self.scene;
-        let wanted = self.ray.wanted?;
+        let light_context = self.ray.light_context?;
         stream.seek(segment.base + dim::AIRLIGHT_LIGHT);
-        let choice = dim::fine(stream.next_2d());
-        let (light, probability) = scene.lights.choose(&self.ray.choice, &wanted, choice)?;
-        let airlit = airlit(scene, self.ray, &wanted, light, segment.time)?;
+        let choice = dim::uniform_48(stream.next_2d());
+        let (light, probability) = scene.lights.choose(&self.ray.choice, &light_context, choice)?;
+        let distances = airlight_distances(scene, self.ray, &light_context, light, segment.time)?;
         stream.seek(segment.base + dim::AIRLIGHT);
         let u = stream.next_1d();
         stream.seek(segment.base + dim::AIRLIGHT_CHANNEL);
-        let (event, density) = airlit.sample(&scene.media, &self.ray.media, u, stream.next_1d())?;
+        let (event, density) = distances.sample(&scene.media, &self.ray.media, u, stream.next_1d())?;
         let position = segment.origin + segment.dir * event.t;
         stream.seek(segment.base + dim::AIRLIGHT_POINT);
         let point = stream.next_2d();
         let sample = scene.lights.sample_light(&scene.world, &scene.textures, light, position, segment.time, point)?;
-        let nothing = Scattered { color: Rgb::ZERO, light, event };
+        let nothing = SingleScatterSample { color: Rgb::ZERO, light, event };
         if sample.radiance == Rgb::ZERO {
             return Some(nothing);
         }
         let (phase, phase_pdf) = scene.media.phase(&self.ray.media, &event, -segment.dir, sample.dir);
         let pdf = density * probability * sample.pdf;
         let by_scattering = if sample.delta == DeltaKind::Position { 0.0 } else { square(event.pdf * phase_pdf / pdf) };
-        let weight = weight(self.only, Technique::Light, by_scattering);
+        let weight = mis_weight(self.only, Technique::Light, by_scattering);
         if weight <= 0.0 {
             return Some(nothing);
         }
         let from = (position, Vec3A::ZERO, Vec3A::ZERO);
         let visibility =
-            self.shadow.visibility::<true>(scene, from, &sample, segment.time, segment.inside, self.counters);
-        Some(Scattered { color: event.weight * phase * sample.radiance * visibility * (weight / pdf), ..nothing })
+            self.shadow.visibility::<true>(scene, from, &sample, segment.time, segment.medium_stack, self.counters);
+        Some(SingleScatterSample {
+            color: event.weight * phase * sample.radiance * visibility * (weight / pdf),
+            ..nothing
+        })
     }
 
     /// Returns the medium of an event on the segment. Among several media it is the one that scatters most there.
-    pub fn medium_of(&self, event: &Event) -> u16 {
-        self.scene.media.medium_of(&self.ray.media, event)
+    pub fn medium_of(&self, event: &ScatterEvent) -> u16 {
+        self.scene.media.dominant_medium(&self.ray.media, event)
     }
 
     /// Returns the first emitting medium on the segment.
-    pub fn glowing(&self) -> u16 {
-        self.scene.media.glowing(&self.ray.media)
+    pub fn glowing_medium(&self) -> u16 {
+        self.scene.media.emitting_medium(&self.ray.media)
     }
 
     /// Returns the context of an event for sampling directions toward lights. `None` if there are no lights.
-    fn leaving(&self, segment: &Segment<'_>, position: Vec3A, event: &Event) -> Option<FromPoint> {
-        let (extinction, phase) = self.scene.media.character_at(&self.ray.media, event);
-        (!self.scene.lights.many().is_empty()).then_some(FromPoint {
+    fn direction_context(
+        &self,
+        segment: &Segment<'_>,
+        position: Vec3A,
+        event: &ScatterEvent,
+    ) -> Option<DirectionContext> {
+        let (extinction, phase) = self.scene.media.event_properties(&self.ray.media, event);
+        (!self.scene.lights.sampler().is_empty()).then_some(DirectionContext {
             position,
-            toward: -segment.dir,
+            wo: -segment.dir,
             extinction,
             phase,
         })
     }
 
     /// Samples the direction after an event.
-    pub fn scatter(
+    pub fn sample_direction(
         &mut self,
         segment: &Segment<'_>,
         collision: &Collision,
         stream: &mut SampleStream,
-    ) -> Option<NewDirection> {
+    ) -> Option<DirectionSample> {
         let scene = self.scene;
-        let (media, event, many) = (&scene.media, &collision.event, scene.lights.many());
+        let (media, event, many) = (&scene.media, &collision.event, scene.lights.sampler());
         stream.seek(segment.base + dim::LOBE);
         let mut choice = stream.next_1d();
         stream.seek(segment.base + dim::DIRECTION);
         let u = stream.next_2d();
-        let from = (segment.bounce < GUIDED).then(|| self.leaving(segment, collision.position, event)).flatten();
+        let from = (segment.bounce < MAX_GUIDED_SEGMENTS)
+            .then(|| self.direction_context(segment, collision.position, event))
+            .flatten();
         let mut toward_light = None;
         if let Some(from) = &from {
-            many.weigh_directions(from, self.directions);
-            if choice >= BY_PHASE {
-                choice = (choice - BY_PHASE) / (1.0 - BY_PHASE);
-                stream.seek(segment.base + dim::TOWARD);
-                toward_light = many.sample_direction(from, self.directions, dim::fine(stream.next_2d()), u);
+            many.weigh_directions(from, self.direction_weights);
+            if choice >= PHASE_SHARE {
+                choice = (choice - PHASE_SHARE) / (1.0 - PHASE_SHARE);
+                stream.seek(segment.base + dim::LIGHT_DIRECTION);
+                toward_light =
+                    many.sample_direction(from, self.direction_weights, dim::uniform_48(stream.next_2d()), u);
             } else {
-                choice /= BY_PHASE;
+                choice /= PHASE_SHARE;
             }
         }
-        let by_phase = || media.draw_phase(&self.ray.media, event, choice).sample(-segment.dir, u).wi;
+        let by_phase = || media.sample_phase(&self.ray.media, event, choice).sample(-segment.dir, u).wi;
         let dir = toward_light.unwrap_or_else(by_phase);
         let (value, phase) = media.phase(&self.ray.media, event, -segment.dir, dir);
         let pdf = match &from {
             None => phase,
-            Some(from) => BY_PHASE * phase + (1.0 - BY_PHASE) * many.direction_pdf(from, self.directions, dir, phase),
+            Some(from) => {
+                PHASE_SHARE * phase + (1.0 - PHASE_SHARE) * many.direction_pdf(from, self.direction_weights, dir, phase)
+            }
         };
-        (pdf > 0.0 && phase > 0.0).then(|| NewDirection { dir, pdf, phase, weight: value / pdf })
+        (pdf > 0.0 && phase > 0.0).then(|| DirectionSample { dir, pdf, phase_pdf: phase, weight: value / pdf })
     }
 }

@@ -9,11 +9,11 @@ use femc_geometry::Hit;
 use femc_math::color::luminance;
 use femc_math::glam::Vec3A;
 use femc_math::{Frame, Rgb};
-use femc_prepared::SurfacePoint;
+use femc_prepared::ShadingPoint;
 use femc_scattering::{Bsdf, BsdfSample, LobeKind, Transmitted};
 
 /// Sampler of directions at a vertex.
-pub struct Scattering<'a> {
+pub struct DirectionSampler<'a> {
     bsdf: &'a Bsdf,
     frame: &'a Frame,
     /// Outgoing direction, toward the previous vertex, local frame.
@@ -21,36 +21,36 @@ pub struct Scattering<'a> {
     guide: Option<(Directions<'a>, f32)>,
     /// Light that the vertex scatters toward the previous vertex according to the field, without direct light from sources: albedo
     /// by channel times the luminance of the irradiance, lx. It is 0 if the field has no data here.
-    pub ahead: Rgb,
+    pub light_ahead: Rgb,
 }
 
 /// A sampled direction and its sampler.
-pub struct Drawn {
+pub struct GuidedSample {
     /// Direction, its weight and its density in the mixture of BSDF and guide.
     pub sample: BsdfSample,
     /// Ratio of the density actually used to that of the BSDF alone.
-    pub often: f32,
+    pub pdf_ratio: f32,
     /// Whether the guide sampled the direction.
     pub by_guide: bool,
 }
 
-impl<'a> Scattering<'a> {
+impl<'a> DirectionSampler<'a> {
     /// Creates a sampler without a guide.
     pub fn new(bsdf: &'a Bsdf, frame: &'a Frame, wo: Vec3A) -> Self {
-        Self { bsdf, frame, wo, guide: None, ahead: Rgb::ZERO }
+        Self { bsdf, frame, wo, guide: None, light_ahead: Rgb::ZERO }
     }
 
     /// Adds a field's guide.
-    pub fn guided(mut self, field: &'a Field, (hit, point, back): (&Hit, &SurfacePoint, bool)) -> Self {
+    pub fn with_guide(mut self, field: &'a Field, (hit, point, back): (&Hit, &ShadingPoint, bool)) -> Self {
         // The guide has no data about glossy lobes.
         let diffuse = luminance(self.bsdf.lambertian(self.wo).0);
         let side = if back { Side::Back } else { Side::Front };
         if diffuse <= 0.0 {
             return self;
         }
-        let Some(guided) = field.guided(hit, side, point.position) else { return self };
+        let Some(guided) = field.guide_at(hit, side, point.position) else { return self };
         let albedo = self.bsdf.albedo(self.wo);
-        self.ahead = albedo * guided.light;
+        self.light_ahead = albedo * guided.light;
         self.guide = guided.directions.and_then(|directions| {
             let share = directions.share * (diffuse / luminance(albedo)).min(1.0);
             (share > 0.0).then_some((directions, share))
@@ -77,13 +77,13 @@ impl<'a> Scattering<'a> {
     /// Samples a direction from `u` in [0, 1)^2. The first number also picks the sampler, so that evenly spread points stay so for
     /// the guide's lobes and for the BSDF. `choice` in [0, 1) picks a lobe of the BSDF. `None`: the light is absorbed.
     #[inline]
-    pub fn sample(&self, u: [f32; 2], choice: f32) -> Option<Drawn> {
+    pub fn sample(&self, u: [f32; 2], choice: f32) -> Option<GuidedSample> {
         let Some((directions, share)) = &self.guide else {
             let sample = self.bsdf.sample(self.wo, u, choice)?;
-            return Some(Drawn { sample, often: 1.0, by_guide: false });
+            return Some(GuidedSample { sample, pdf_ratio: 1.0, by_guide: false });
         };
         let by_guide = u[0] < *share;
-        let mut drawn = if by_guide {
+        let mut sample = if by_guide {
             let wi = self.frame.to_local(directions.sample_evenly([u[0] / share, u[1]]));
             let transmitted = if wi.z * self.wo.z < 0.0 { Transmitted::Yes } else { Transmitted::No };
             BsdfSample { wi, weight: Rgb::ZERO, pdf: 0.0, lobe: LobeKind::Diffuse, transmitted, eta: 1.0 }
@@ -92,21 +92,21 @@ impl<'a> Scattering<'a> {
             let rest = ((u[0] - share) / (1.0 - share)).min(1.0 - f32::EPSILON / 2.0);
             self.bsdf.sample(self.wo, [rest, u[1]], choice)?
         };
-        if drawn.lobe == LobeKind::Delta {
-            drawn.weight /= 1.0 - share;
-            drawn.pdf *= 1.0 - share;
-            return Some(Drawn { sample: drawn, often: 1.0 - share, by_guide });
+        if sample.lobe == LobeKind::Delta {
+            sample.weight /= 1.0 - share;
+            sample.pdf *= 1.0 - share;
+            return Some(GuidedSample { sample, pdf_ratio: 1.0 - share, by_guide });
         }
-        let value = self.bsdf.eval(self.wo, drawn.wi);
+        let value = self.bsdf.eval(self.wo, sample.wi);
         if value == Rgb::ZERO {
             return None;
         }
-        let by_bsdf = self.bsdf.pdf(self.wo, drawn.wi);
-        let by_lobes = directions.pdf(self.frame.to_world(drawn.wi));
-        drawn.pdf = by_bsdf * (1.0 - share) + by_lobes * share;
-        drawn.weight = value / drawn.pdf;
+        let by_bsdf = self.bsdf.pdf(self.wo, sample.wi);
+        let by_lobes = directions.pdf(self.frame.to_world(sample.wi));
+        sample.pdf = by_bsdf * (1.0 - share) + by_lobes * share;
+        sample.weight = value / sample.pdf;
         // The BSDF can sample everything that it scatters, so its density is 0 only by rounding.
-        let often = drawn.pdf / by_bsdf.max(1e-6 * drawn.pdf);
-        Some(Drawn { sample: drawn, often, by_guide })
+        let pdf_ratio = sample.pdf / by_bsdf.max(1e-6 * sample.pdf);
+        Some(GuidedSample { sample, pdf_ratio, by_guide })
     }
 }

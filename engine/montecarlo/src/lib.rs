@@ -6,7 +6,7 @@
 #![deny(missing_docs)]
 
 mod dimensions;
-mod first;
+mod first_hit;
 mod fog;
 mod guided;
 mod path;
@@ -14,7 +14,7 @@ pub mod record;
 mod shadow;
 mod technique;
 
-pub use first::{FirstSurface, first_surface};
-pub use path::{Counters, PathSample, PathSettings, PixelFilter, Tracer};
+pub use first_hit::{FirstSurface, first_surface};
+pub use path::{PathSample, PathSettings, PixelFilter, Tracer, TracerCounters};
 pub use record::{Recorder, Recording};
 pub use technique::Technique;

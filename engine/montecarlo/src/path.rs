@@ -1,43 +1,46 @@
 //! Path loop.
 
 use crate::dimensions as dim;
-use crate::fog::{Collision, Fog, FoggyRay, Scattered, Segment};
-use crate::guided::{Drawn, Scattering};
-use crate::record::{Contribution, Found, Hears, Leaving, Place, Recorder, Scatterer, Split, Stop, Vertex};
-use crate::shadow::Shadow;
-use crate::technique::{Technique, weight};
-use femc_emission::{AtPoint, Choice, DeltaKind, Lobes};
+use crate::fog::{Collision, FogSampler, FoggyRay, Segment, SingleScatterSample};
+use crate::guided::{DirectionSampler, GuidedSample};
+use crate::record::{
+    Continuation, Contribution, LightTechnique, LobeSplit, RecordLevel, Recorder, Scatterer, Termination, Vertex,
+    VertexLocation,
+};
+use crate::shadow::ShadowTester;
+use crate::technique::{Technique, mis_weight};
+use femc_emission::{BsdfLobes, DeltaKind, LightWeights, PointContext};
 use femc_field::{Field, Side};
-use femc_geometry::{Ray, offset_origin, segment};
+use femc_geometry::{Ray, offset_origin, shadow_segment};
 use femc_math::color::luminance;
 use femc_math::glam::Vec3A;
 use femc_math::{Frame, Rgb, SampleStream};
 use femc_prepared::camera::View;
+use femc_prepared::camera_emitters::PixelEmitters;
 use femc_prepared::compile::NONE;
-use femc_prepared::media::Inside;
-use femc_prepared::sightings::Seen;
-use femc_prepared::{Crossing, KernelMaterial, Orientation, Prepared, SurfacePoint};
+use femc_prepared::media::MediumStack;
+use femc_prepared::{Crossing, KernelMaterial, Orientation, Prepared, ShadingPoint};
 use femc_scattering::{Bsdf, LobeKind, Transmitted};
 use std::f32::consts::FRAC_1_PI;
 
 /// Number of rays after which Russian roulette may end a path.
-const ROULETTE_FROM: u32 = 4;
+const RR_MIN_RAYS: u32 = 4;
 /// Threshold of Russian roulette in a scene without media. A path survives with certainty while its weight is at least this. A
 /// threshold of 1 would end paths earlier: on Cornell boxes that costs a quarter more variance and saves 15 % of the work.
-const SPARED: f32 = 0.25;
+const RR_THRESHOLD: f32 = 0.25;
 /// Threshold of Russian roulette in a scene with media. There, later vertices of a path cost more (each also has a segment of fog)
 /// and contribute less.
-const SPARED_IN_MEDIA: f32 = 0.8;
+const RR_THRESHOLD_IN_MEDIA: f32 = 0.8;
 /// Minimum survival probability by the field's expectation, relative to the probability by the weight alone.
-const LEAST_KEPT: f32 = 0.5;
+const RR_MIN_SURVIVAL: f32 = 0.5;
 /// Number of rays after which a path may end even without loss of throughput.
-const LONG: u32 = 128;
+const LONG_PATH: u32 = 128;
 /// Number of rays after which a long path ends with a higher probability.
-const VERY_LONG: u32 = 1 << 16;
+const VERY_LONG_PATH: u32 = 1 << 16;
 
 /// Number of points that a sample draws on the small emitters visible in its pixel. Such pixels are few, and partly occluded lamps
 /// would make them the noisiest of all.
-const SIGHTS: u32 = 4;
+const CAMERA_NEXT_EVENTS: u32 = 4;
 
 /// Settings of paths.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -52,7 +55,7 @@ pub struct PathSettings {
 
 /// Work done by a tracer.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Counters {
+pub struct TracerCounters {
     /// Number of closest-hit rays.
     pub rays: u64,
     /// Number of shadow rays.
@@ -84,31 +87,31 @@ pub trait PixelFilter: Copy {
 
 /// The vertex before the current segment, for multiple importance sampling of light that the path hits.
 #[derive(Clone, Copy)]
-struct Previous {
+struct PreviousVertex {
     position: Vec3A,
-    came: Came,
+    origin: SegmentOrigin,
 }
 
 /// Origin of a segment.
 #[derive(Clone, Copy)]
-enum Came {
+enum SegmentOrigin {
     /// Delta origin: a mirror, or the camera if it sees no small emitters.
-    Surely,
+    Delta,
     /// Camera. Its visible small emitters are sampled, too.
     Camera {
         /// Index of the pixel.
         pixel: u32,
         /// Position on the film, pixels.
-        place: [f32; 2],
+        film_position: [f32; 2],
         /// Density of the position on the film, 1/pixel2.
-        density: f32,
+        film_pdf: f32,
         /// Solid angle of a pixel there, sr.
         solid_angle: f32,
     },
     /// Surface.
     Surface {
         /// Context for which the lights were weighed.
-        wanted: AtPoint,
+        light_context: PointContext,
         /// Density of the direction, 1/sr.
         pdf: f32,
     },
@@ -116,14 +119,14 @@ enum Came {
     Medium {
         collision: Collision,
         /// Density of the direction by the phase function alone, 1/sr.
-        phase: f32,
+        phase_pdf: f32,
     },
 }
 
-/// Calls the recorder with an event of the path, if the recorder receives all events of this sample ([`Hears::All`]).
-macro_rules! tell {
+/// Calls the recorder with an event of the path, if the recorder receives all events of this sample ([`RecordLevel::All`]).
+macro_rules! record {
     ($tracer:ident.$what:ident($($about:tt)*)) => {
-        if HEARD {
+        if RECORD_ALL {
             $tracer.recorder.$what($($about)*);
         }
     };
@@ -138,15 +141,15 @@ pub struct Tracer<'a, R = ()> {
     fog: FoggyRay,
     fog_before: FoggyRay,
     /// Weights of the lights for the latest surface, and for directions from a point in fog.
-    at_surface: Choice,
-    directions: Choice,
-    shadow: Shadow,
+    surface_weights: LightWeights,
+    direction_weights: LightWeights,
+    shadow: ShadowTester,
     /// Source of all light except that of emitters, in place of longer paths.
     field: Option<&'a Field>,
     /// Field that guides directions, in addition to the BSDF.
     guide: Option<&'a Field>,
     /// Work done so far.
-    pub counters: Counters,
+    pub counters: TracerCounters,
     /// Recorder of the paths.
     pub recorder: R,
 }
@@ -154,25 +157,25 @@ pub struct Tracer<'a, R = ()> {
 impl<'a> Tracer<'a> {
     /// Creates a tracer of `scene`.
     pub fn new(scene: &'a Prepared, settings: PathSettings) -> Self {
-        Self::recording(scene, settings, ())
+        Self::with_recorder(scene, settings, ())
     }
 }
 
 impl<'a, R: Recorder> Tracer<'a, R> {
     /// Creates a tracer of `scene` that reports its paths to `recorder`. The samples are identical to the bit to those without a
     /// recorder.
-    pub fn recording(scene: &'a Prepared, settings: PathSettings, recorder: R) -> Self {
+    pub fn with_recorder(scene: &'a Prepared, settings: PathSettings, recorder: R) -> Self {
         Self {
             scene,
             settings,
             fog: FoggyRay::default(),
             fog_before: FoggyRay::default(),
-            at_surface: Choice::default(),
-            directions: Choice::default(),
-            shadow: Shadow::default(),
+            surface_weights: LightWeights::default(),
+            direction_weights: LightWeights::default(),
+            shadow: ShadowTester::default(),
             field: None,
             guide: None,
-            counters: Counters::default(),
+            counters: TracerCounters::default(),
             recorder,
         }
     }
@@ -187,7 +190,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
     }
 
     /// Samples directions at surfaces also from the guide of a field. The mean of the samples is unchanged for any field.
-    pub fn guided_by(mut self, field: &'a Field) -> Self {
+    pub fn with_guide(mut self, field: &'a Field) -> Self {
         self.guide = Some(field);
         self
     }
@@ -195,7 +198,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
     /// Computes sample `sample` of `pixel` (row-major index in the whole film).
     #[inline(always)]
     pub fn sample(&mut self, pixel: u32, sample: u32, filter: impl PixelFilter) -> PathSample {
-        let hears = self.recorder.begin(pixel, sample);
+        let record_level = self.recorder.begin_sample(pixel, sample);
         let mut stream = SampleStream::new(self.settings.seed, self.scene.frame, pixel, sample);
         stream.seek(dim::FILM);
         let offset = filter.sample(stream.next_2d());
@@ -205,88 +208,94 @@ impl<'a, R: Recorder> Tracer<'a, R> {
         let time = stream.next_1d();
         let view = self.scene.camera.view(lens, time);
         let center = self.scene.camera.center(pixel);
-        let place = [center[0] + offset[0], center[1] + offset[1]];
-        let ray = view.ray(place);
-        if R::CAMERA {
-            self.recorder.camera(&view, lens, &ray);
+        let film_position = [center[0] + offset[0], center[1] + offset[1]];
+        let ray = view.ray(film_position);
+        if R::WANTS_CAMERA_RAYS {
+            self.recorder.camera_ray(&view, lens, &ray);
         }
-        let mut came = Came::Surely;
-        let mut drawn = Rgb::ZERO;
-        if let Some(seen) = self.scene.sightings.of(pixel) {
-            came = Came::Camera { pixel, place, density: filter.density(offset), solid_angle: view.solid_angle(place) };
-            stream.seek(dim::SIGHT);
+        let mut origin = SegmentOrigin::Delta;
+        let mut camera_light = Rgb::ZERO;
+        if let Some(emitters) = self.scene.camera_emitters.get(pixel) {
+            origin = SegmentOrigin::Camera {
+                pixel,
+                film_position,
+                film_pdf: filter.density(offset),
+                solid_angle: view.solid_angle(film_position),
+            };
+            stream.seek(dim::CAMERA_EMITTER);
             let choice = stream.next_1d();
-            stream.seek(dim::SIGHT_POINT);
+            stream.seek(dim::CAMERA_EMITTER_POINT);
             let point = stream.next_2d();
-            for part in 0..SIGHTS {
-                let number = (choice + part as f32 / SIGHTS as f32).fract();
+            for part in 0..CAMERA_NEXT_EVENTS {
+                let number = (choice + part as f32 / CAMERA_NEXT_EVENTS as f32).fract();
                 // One quarter of the square for each point.
                 let point = [0, 1].map(|axis| 0.5 * (point[axis] + (part >> axis & 1) as f32));
-                drawn += self.sight(seen, &view, time, center, filter, number, point, hears);
+                camera_light +=
+                    self.sample_camera_emitter(emitters, &view, time, center, filter, number, point, record_level);
             }
         }
         // Recorders that only receive the end do not slow the path down.
-        let mut out = match (self.scene.media.is_empty(), hears) {
-            (true, Hears::End) => self.trace::<false, false>(ray, came, stream),
-            (false, Hears::End) => self.trace::<true, false>(ray, came, stream),
-            (true, Hears::All) => self.trace::<false, true>(ray, came, stream),
-            (false, Hears::All) => self.trace::<true, true>(ray, came, stream),
+        let mut out = match (self.scene.media.is_empty(), record_level) {
+            (true, RecordLevel::End) => self.trace::<false, false>(ray, origin, stream),
+            (false, RecordLevel::End) => self.trace::<true, false>(ray, origin, stream),
+            (true, RecordLevel::All) => self.trace::<false, true>(ray, origin, stream),
+            (false, RecordLevel::All) => self.trace::<true, true>(ray, origin, stream),
         };
-        out.color += drawn;
+        out.color += camera_light;
         out
     }
 
-    /// Samples light that travels straight from a small emitter to the camera, with one of [`SIGHTS`] points.
+    /// Samples light that travels straight from a small emitter to the camera, with one of [`CAMERA_NEXT_EVENTS`] points.
     /// - `number`: chooses the emitter, `u` the point; in [0, 1).
-    fn sight(
+    fn sample_camera_emitter(
         &mut self,
-        seen: Seen<'_>,
+        emitters: PixelEmitters<'_>,
         view: &View,
         time: f32,
         center: [f32; 2],
         filter: impl PixelFilter,
         number: f32,
         u: [f32; 2],
-        hears: Hears,
+        record_level: RecordLevel,
     ) -> Rgb {
         let scene = self.scene;
-        let choice = seen.choose(number, center);
+        let choice = emitters.choose(number, center);
         // Point, its position on the film, and the density of that, 1/pixel2.
         let drawn = match &choice.part {
-            Some(part) => part.sample(u).and_then(|place| {
-                let dir = view.ray(place).dir;
+            Some(part) => part.sample(u).and_then(|film_position| {
+                let dir = view.ray(film_position).dir;
                 let point = scene.lights.sample_toward(&scene.textures, choice.light, view.origin, dir)?;
-                Some((point, place, 1.0 / part.area()))
+                Some((point, film_position, 1.0 / part.area()))
             }),
             None => scene
                 .lights
                 .sample_light(&scene.world, &scene.textures, choice.light, view.origin, time, u)
                 .and_then(|point| {
-                    let (place, _) = view.project(point.position)?;
-                    Some((point, place, point.pdf * view.solid_angle(place)))
+                    let (film_position, _) = view.project(point.position)?;
+                    Some((point, film_position, point.pdf * view.solid_angle(film_position)))
                 }),
         };
-        let Some((point, place, pdf)) = drawn else { return Rgb::ZERO };
-        let density = filter.density([place[0] - center[0], place[1] - center[1]]);
+        let Some((point, film_position, pdf)) = drawn else { return Rgb::ZERO };
+        let density = filter.density([film_position[0] - center[0], film_position[1] - center[1]]);
         if density <= 0.0 || point.radiance == Rgb::ZERO {
             return Rgb::ZERO;
         }
-        let pdf = SIGHTS as f32 * choice.probability * pdf;
-        let weight = weight(self.settings.only, Technique::Light, square(density / pdf));
+        let pdf = CAMERA_NEXT_EVENTS as f32 * choice.probability * pdf;
+        let weight = mis_weight(self.settings.only, Technique::Light, square(density / pdf));
         let from = (view.origin, Vec3A::ZERO, Vec3A::ZERO);
         let counters = &mut self.counters;
         let visibility = if scene.media.is_empty() {
-            self.shadow.visibility::<false>(scene, from, &point, time, &scene.camera_inside, counters)
+            self.shadow.visibility::<false>(scene, from, &point, time, &scene.camera_medium_stack, counters)
         } else {
-            self.shadow.visibility::<true>(scene, from, &point, time, &scene.camera_inside, counters)
+            self.shadow.visibility::<true>(scene, from, &point, time, &scene.camera_medium_stack, counters)
         };
         let color = point.radiance * visibility * (weight * density / pdf);
-        if hears == Hears::All {
-            self.recorder.light(|| Contribution {
+        if record_level == RecordLevel::All {
+            self.recorder.contribution(|| Contribution {
                 color,
                 throughput: Rgb::ONE,
                 bounce: 0,
-                found: Found::Sight,
+                technique: LightTechnique::CameraNextEvent,
                 light: Some(choice.light),
                 position: point.position,
             });
@@ -294,94 +303,94 @@ impl<'a, R: Recorder> Tracer<'a, R> {
         color
     }
 
-    fn trace<const MEDIA: bool, const HEARD: bool>(
+    fn trace<const MEDIA: bool, const RECORD_ALL: bool>(
         &mut self,
         mut ray: Ray,
-        came: Came,
+        origin: SegmentOrigin,
         mut stream: SampleStream,
     ) -> PathSample {
         let scene = self.scene;
         let mut out = PathSample { color: Rgb::ZERO, albedo: Rgb::ZERO, depth: f32::INFINITY };
         let mut throughput = Rgb::ONE;
-        let mut inside = scene.camera_inside;
-        let mut previous = Previous { position: ray.origin, came };
+        let mut medium_stack = scene.camera_medium_stack;
+        let mut previous = PreviousVertex { position: ray.origin, origin };
         // Factors of the throughput that Russian roulette must ignore: squares of index ratios, and ratios of densities from the
         // mixtures that replaced the BSDF or the phase function. If only the latest ratio counts, the reference roundabout has 8 %
         // more variance.
         let mut scale = 1.0f32;
         // Light that the field expects of the path at the first vertex for which the field has data.
-        let mut promised = 0.0f32;
+        let mut expected_light = 0.0f32;
         let mut first = true;
         // Current segment of the path, and its number of rays. A segment that goes through clear surfaces has several rays.
         let (mut segment, mut rays, mut vertices) = (0u32, 0u32, 0u32);
         loop {
-            let base = dim::ray(rays);
+            let base = dim::ray_base(rays);
             rays += 1;
             self.counters.rays += 1;
             self.counters.segments += 1;
             let hit = scene.world.intersect(&ray);
             let t_hit = hit.as_ref().map_or(f32::INFINITY, |h| h.t);
 
-            if MEDIA && scene.media.along(ray.origin, ray.dir, t_hit, &inside, &mut self.fog.media) {
+            if MEDIA && scene.media.find_intervals(ray.origin, ray.dir, t_hit, &medium_stack, &mut self.fog.media) {
                 let may_scatter = self.settings.max_depth == 0 || segment + 1 < self.settings.max_depth;
-                let mut fog = Fog {
+                let mut fog = FogSampler {
                     scene,
                     ray: &mut self.fog,
-                    directions: &mut self.directions,
+                    direction_weights: &mut self.direction_weights,
                     shadow: &mut self.shadow,
                     counters: &mut self.counters,
                     only: self.settings.only,
                 };
                 let (origin, dir, time) = (ray.origin, ray.dir, ray.time);
-                let stretch = Segment { origin, dir, time, inside: &inside, bounce: segment, base };
+                let stretch = Segment { origin, dir, time, medium_stack: &medium_stack, bounce: segment, base };
                 let color = throughput * fog.glow(&stretch, &mut stream);
                 out.color += color;
                 if color != Rgb::ZERO {
-                    tell!(self.light(|| Contribution {
+                    record!(self.contribution(|| Contribution {
                         color,
                         throughput,
                         bounce: segment,
-                        found: Found::Glow(fog.glowing()),
+                        technique: LightTechnique::Glow(fog.glowing_medium()),
                         light: None,
                         position: ray.origin,
                     }));
                 }
                 if may_scatter {
-                    fog.weigh(&stretch);
-                    if let Some(scattered) = fog.airlight(&stretch, &mut stream) {
-                        if HEARD
-                            && R::HIDDEN
+                    fog.weigh_lights(&stretch);
+                    if let Some(scattered) = fog.sample_airlight(&stretch, &mut stream) {
+                        if RECORD_ALL
+                            && R::WANTS_OCCLUDERS
                             && scattered.color == Rgb::ZERO
-                            && let Some(shadow) = shadow_of(scene, &stretch, &scattered, &mut stream)
+                            && let Some(shadow) = airlight_shadow_ray(scene, &stretch, &scattered, &mut stream)
                         {
-                            tell!(self.hidden(|| shadow));
+                            record!(self.occluded(|| shadow));
                         }
                         let color = throughput * scattered.color;
                         out.color += color;
-                        if R::DARK || color != Rgb::ZERO {
-                            tell!(self.light(|| Contribution {
+                        if R::WANTS_ZERO_LIGHT || color != Rgb::ZERO {
+                            record!(self.contribution(|| Contribution {
                                 color,
                                 throughput,
                                 bounce: segment,
-                                found: Found::Airlight(fog.medium_of(&scattered.event)),
+                                technique: LightTechnique::Airlight(fog.medium_of(&scattered.event)),
                                 light: Some(scattered.light),
                                 position: ray.origin + ray.dir * scattered.event.t,
                             }));
                         }
                     }
                 }
-                match fog.collide(&stretch, &mut stream) {
+                match fog.sample_collision(&stretch, &mut stream) {
                     Ok(collision) => {
                         first = false;
                         if !may_scatter {
-                            self.recorder.stop(vertices, Stop::Depth, throughput);
+                            self.recorder.terminate(vertices, Termination::Depth, throughput);
                             break;
                         }
                         throughput *= collision.event.weight;
                         let position = collision.position;
                         vertices += 1;
-                        tell!(self.vertex(|| Vertex {
-                            place: Place::Medium(fog.medium_of(&collision.event)),
+                        record!(self.vertex(|| Vertex {
+                            location: VertexLocation::Medium(fog.medium_of(&collision.event)),
                             position,
                             bounce: segment,
                             throughput,
@@ -389,23 +398,30 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                         if let Some(field) = self.field {
                             let color = throughput * field.fog.mean_radiance(position);
                             out.color += color;
-                            tell!(self.light(|| from_field(color, throughput, segment, position)));
-                            self.recorder.stop(vertices, Stop::Field, throughput);
+                            record!(self.contribution(|| field_contribution(color, throughput, segment, position)));
+                            self.recorder.terminate(vertices, Termination::Field, throughput);
                             break;
                         }
-                        let Some(new) = fog.scatter(&stretch, &collision, &mut stream) else {
-                            self.recorder.stop(vertices, Stop::Absorbed, throughput);
+                        let Some(new) = fog.sample_direction(&stretch, &collision, &mut stream) else {
+                            self.recorder.terminate(vertices, Termination::Absorbed, throughput);
                             break;
                         };
-                        tell!(self.leave(Leaving::Scattered { pdf: new.pdf, by: Scatterer::Phase, by_guide: false }));
+                        record!(self.leave(Continuation::Scattered {
+                            pdf: new.pdf,
+                            scatterer: Scatterer::Phase,
+                            by_guide: false
+                        }));
                         throughput *= new.weight;
                         std::mem::swap(&mut self.fog, &mut self.fog_before);
-                        previous = Previous { position, came: Came::Medium { collision, phase: new.phase } };
+                        previous = PreviousVertex {
+                            position,
+                            origin: SegmentOrigin::Medium { collision, phase_pdf: new.phase_pdf },
+                        };
                         ray = Ray { origin: position, dir: new.dir, t_max: f32::INFINITY, time: ray.time };
                         segment += 1;
-                        scale *= new.pdf / new.phase;
+                        scale *= new.pdf / new.phase_pdf;
                         if !survives::<MEDIA>(rays, &mut throughput, scale, None, &mut stream, base) {
-                            self.recorder.stop(vertices, Stop::of_lost(throughput), throughput);
+                            self.recorder.terminate(vertices, Termination::from_throughput(throughput), throughput);
                             break;
                         }
                         continue;
@@ -414,18 +430,18 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                 }
             }
             let Some(hit) = hit else {
-                self.recorder.stop(vertices, Stop::Escaped, throughput);
+                self.recorder.terminate(vertices, Termination::Escaped, throughput);
                 break;
             };
-            let point = scene.surface(&ray, &hit);
+            let point = scene.shading_point(&ray, &hit);
             if point.light != NONE {
-                let color = throughput * self.met_light(&ray, &point, &previous);
+                let color = throughput * self.emitter_hit(&ray, &point, &previous);
                 out.color += color;
-                tell!(self.light(|| Contribution {
+                record!(self.contribution(|| Contribution {
                     color,
                     throughput,
                     bounce: segment,
-                    found: Found::Met,
+                    technique: LightTechnique::EmitterHit,
                     light: Some(point.light),
                     position: point.position,
                 }));
@@ -443,41 +459,49 @@ impl<'a, R: Recorder> Tracer<'a, R> {
             let is_last = self.settings.max_depth != 0 && segment + 1 >= self.settings.max_depth;
             if is_last || matches!(crossing, Crossing::Null { .. }) {
                 let before = throughput;
-                throughput *= crossing.unbent();
-                ray = straight_on(&ray, &point, &mut inside, material, back);
+                throughput *= crossing.straight_through();
+                ray = continue_straight(&ray, &point, &mut medium_stack, material, back);
                 if !survives::<MEDIA>(rays, &mut throughput, scale, None, &mut stream, base) {
-                    self.recorder.stop(vertices, if is_last { Stop::Depth } else { Stop::of_lost(throughput) }, before);
+                    self.recorder.terminate(
+                        vertices,
+                        if is_last { Termination::Depth } else { Termination::from_throughput(throughput) },
+                        before,
+                    );
                     break;
                 }
                 continue;
             }
             vertices += 1;
-            tell!(self.vertex(|| Vertex {
-                place: Place::Surface { instance: hit.instance, primitive: hit.primitive, material: point.material },
+            record!(self.vertex(|| Vertex {
+                location: VertexLocation::Surface {
+                    instance: hit.instance,
+                    primitive: hit.primitive,
+                    material: point.material
+                },
                 position: point.position,
                 bounce: segment,
                 throughput,
             }));
-            let mut scattering = Scattering::new(&bsdf, &frame, wo);
+            let mut scattering = DirectionSampler::new(&bsdf, &frame, wo);
             if let Some(field) = self.guide {
-                scattering = scattering.guided(field, (&hit, &point, back));
+                scattering = scattering.with_guide(field, (&hit, &point, back));
                 self.counters.guided += u64::from(scattering.is_guided());
             }
-            let ahead = luminance(throughput * scattering.ahead);
+            let ahead = luminance(throughput * scattering.light_ahead);
             let is_known = ahead > 0.0 && ahead.is_finite();
-            if promised == 0.0 && is_known {
-                promised = ahead;
+            if expected_light == 0.0 && is_known {
+                expected_light = ahead;
             }
-            let kept = is_known.then(|| ahead / promised);
-            let wanted =
-                scene.lights.at_point(point.position, lit_side(&bsdf, &point, back), lobes(&bsdf, wo, ray.dir));
+            let survival = is_known.then(|| ahead / expected_light);
+            let light_context =
+                scene.lights.point_context(point.position, lit_side(&bsdf, &point, back), lobes(&bsdf, wo, ray.dir));
             if !bsdf.is_delta_only() && !scene.lights.is_empty() {
-                scene.lights.weigh(&wanted, &mut self.at_surface);
+                scene.lights.weigh(&light_context, &mut self.surface_weights);
                 stream.seek(base + dim::LIGHT);
-                let number = dim::fine(stream.next_2d());
-                if let Some(chosen) = scene.lights.choose(&self.at_surface, &wanted, number) {
+                let number = dim::uniform_48(stream.next_2d());
+                if let Some(chosen) = scene.lights.choose(&self.surface_weights, &light_context, number) {
                     let color = throughput
-                        * self.direct::<MEDIA, HEARD>(
+                        * self.sample_next_event::<MEDIA, RECORD_ALL>(
                             chosen,
                             (&bsdf, &scattering),
                             &frame,
@@ -485,17 +509,17 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                             &point,
                             back,
                             ray.time,
-                            &inside,
+                            &medium_stack,
                             base,
                             &mut stream,
                         );
                     out.color += color;
-                    if R::DARK || color != Rgb::ZERO {
-                        tell!(self.light(|| Contribution {
+                    if R::WANTS_ZERO_LIGHT || color != Rgb::ZERO {
+                        record!(self.contribution(|| Contribution {
                             color,
                             throughput,
                             bounce: segment,
-                            found: Found::Surface,
+                            technique: LightTechnique::NextEvent,
                             light: Some(chosen.0),
                             position: point.position,
                         }));
@@ -508,7 +532,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                 Some(field) => {
                     let (reflected, transmitted) = bsdf.lambertian(wo);
                     let (here, behind) = if back { (Side::Back, Side::Front) } else { (Side::Front, Side::Back) };
-                    let facing = if back { -point.shading } else { point.shading };
+                    let facing = if back { -point.shading_normal } else { point.shading_normal };
                     let light = |side, normal| field.irradiance(&hit, side, point.position, normal);
                     let mut color = reflected * light(here, facing);
                     if transmitted != Rgb::ZERO {
@@ -516,39 +540,41 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                     }
                     let color = throughput * color * FRAC_1_PI;
                     out.color += color;
-                    tell!(self.light(|| from_field(color, throughput, segment, point.position)));
+                    record!(self.contribution(|| field_contribution(color, throughput, segment, point.position)));
                     rest = bsdf.without_lambertian();
-                    Scattering::new(&rest, &frame, wo)
+                    DirectionSampler::new(&rest, &frame, wo)
                 }
             };
             stream.seek(base + dim::LOBE);
             let choice = stream.next_1d();
             stream.seek(base + dim::DIRECTION);
-            let Some(Drawn { sample: scattered, often, by_guide }) = scattering.sample(stream.next_2d(), choice) else {
-                self.recorder.stop(
+            let Some(GuidedSample { sample: scattered, pdf_ratio, by_guide }) =
+                scattering.sample(stream.next_2d(), choice)
+            else {
+                self.recorder.terminate(
                     vertices,
-                    if self.field.is_some() { Stop::Field } else { Stop::Absorbed },
+                    if self.field.is_some() { Termination::Field } else { Termination::Absorbed },
                     throughput,
                 );
                 break;
             };
             throughput *= scattered.weight;
-            scale *= often;
+            scale *= pdf_ratio;
             if scattered.lobe == LobeKind::Delta
                 && scattered.transmitted == Transmitted::Yes
                 && crossing != Crossing::Scatter
             {
-                tell!(self.leave(Leaving::Straight));
-                ray = straight_on(&ray, &point, &mut inside, material, back);
+                record!(self.leave(Continuation::Straight));
+                ray = continue_straight(&ray, &point, &mut medium_stack, material, back);
                 if !survives::<MEDIA>(rays, &mut throughput, scale, None, &mut stream, base) {
-                    self.recorder.stop(vertices, Stop::of_lost(throughput), throughput);
+                    self.recorder.terminate(vertices, Termination::from_throughput(throughput), throughput);
                     break;
                 }
                 continue;
             }
             let wi = frame.to_world(scattered.wi);
-            if !same_side(&frame, &point, scattered.wi, wi) {
-                self.recorder.stop(vertices, Stop::Absorbed, throughput);
+            if !sides_agree(&frame, &point, scattered.wi, wi) {
+                self.recorder.terminate(vertices, Termination::Absorbed, throughput);
                 break;
             }
             if scattered.eta != 1.0 {
@@ -556,23 +582,23 @@ impl<'a, R: Recorder> Tracer<'a, R> {
             }
             let leaves_front = point.normal.dot(wi) > 0.0;
             if leaves_front == back {
-                cross(&mut inside, material, back);
+                cross_boundary(&mut medium_stack, material, back);
             }
-            let came = if scattered.lobe == LobeKind::Delta {
-                tell!(self.leave(Leaving::Delta(scattered.transmitted)));
-                Came::Surely
+            let segment_origin = if scattered.lobe == LobeKind::Delta {
+                record!(self.leave(Continuation::Delta(scattered.transmitted)));
+                SegmentOrigin::Delta
             } else {
-                let by = if scattered.lobe == LobeKind::Glossy { Scatterer::Glossy } else { Scatterer::Diffuse };
-                tell!(self.split(|| Split::of(&bsdf, wo, scattered.wi)));
-                tell!(self.leave(Leaving::Scattered { pdf: scattered.pdf, by, by_guide }));
-                Came::Surface { wanted, pdf: scattered.pdf }
+                let scatterer = if scattered.lobe == LobeKind::Glossy { Scatterer::Glossy } else { Scatterer::Diffuse };
+                record!(self.lobe_split(|| LobeSplit::new(&bsdf, wo, scattered.wi)));
+                record!(self.leave(Continuation::Scattered { pdf: scattered.pdf, scatterer, by_guide }));
+                SegmentOrigin::Surface { light_context, pdf: scattered.pdf }
             };
-            previous = Previous { position: point.position, came };
+            previous = PreviousVertex { position: point.position, origin: segment_origin };
             let origin = offset_origin(point.position, point.error, point.normal, wi);
             ray = Ray { origin, dir: wi, t_max: f32::INFINITY, time: ray.time };
             segment += 1;
-            if !survives::<MEDIA>(rays, &mut throughput, scale, kept, &mut stream, base) {
-                self.recorder.stop(vertices, Stop::of_lost(throughput), throughput);
+            if !survives::<MEDIA>(rays, &mut throughput, scale, survival, &mut stream, base) {
+                self.recorder.terminate(vertices, Termination::from_throughput(throughput), throughput);
                 break;
             }
         }
@@ -585,7 +611,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
 
     /// Returns the emission of a surface that the path hit, weighted against the other techniques that could have found it.
     #[inline]
-    fn met_light(&self, ray: &Ray, point: &SurfacePoint, previous: &Previous) -> Rgb {
+    fn emitter_hit(&self, ray: &Ray, point: &ShadingPoint, previous: &PreviousVertex) -> Rgb {
         let (scene, light) = (self.scene, point.light);
         let radiance = scene.lights.radiance(
             &scene.world,
@@ -600,44 +626,44 @@ impl<'a, R: Recorder> Tracer<'a, R> {
             return radiance;
         }
         let at = (point.position, point.normal);
-        let drawn = || scene.lights.pdf(&scene.world, light, previous.position, ray.time, at, ray.dir);
-        let others = match &previous.came {
-            Came::Surely => return radiance,
-            Came::Camera { pixel, place, density, solid_angle } => {
-                let seen = scene.sightings.of(*pixel);
-                let choice = seen.and_then(|seen| seen.find(light, scene.camera.center(*pixel)));
+        let light_pdf = || scene.lights.pdf(&scene.world, light, previous.position, ray.time, at, ray.dir);
+        let others = match &previous.origin {
+            SegmentOrigin::Delta => return radiance,
+            SegmentOrigin::Camera { pixel, film_position, film_pdf, solid_angle } => {
+                let emitters = scene.camera_emitters.get(*pixel);
+                let choice = emitters.and_then(|seen| seen.find(light, scene.camera.center(*pixel)));
                 let Some(choice) = choice else { return radiance };
                 let pdf = match &choice.part {
-                    Some(part) if part.contains(*place) => 1.0 / part.area(),
+                    Some(part) if part.contains(*film_position) => 1.0 / part.area(),
                     Some(_) => return radiance,
-                    None => drawn() * solid_angle,
+                    None => light_pdf() * solid_angle,
                 };
-                square(SIGHTS as f32 * choice.probability * pdf / density)
+                square(CAMERA_NEXT_EVENTS as f32 * choice.probability * pdf / film_pdf)
             }
-            Came::Surface { wanted, pdf } => {
-                square(drawn() * scene.lights.probability(&self.at_surface, wanted, light) / pdf)
+            SegmentOrigin::Surface { light_context, pdf } => {
+                square(light_pdf() * scene.lights.probability(&self.surface_weights, light_context, light) / pdf)
             }
-            Came::Medium { collision, phase } => {
+            SegmentOrigin::Medium { collision, phase_pdf } => {
                 let distance = self.fog_before.airlight_pdf(scene, light, ray.time, &collision.event);
-                square(drawn() * distance / (phase * collision.event.pdf))
+                square(light_pdf() * distance / (phase_pdf * collision.event.pdf))
             }
         };
-        radiance * weight(self.settings.only, Technique::Scatter, others)
+        radiance * mis_weight(self.settings.only, Technique::Scatter, others)
     }
 
     /// Computes direct light on a surface by sampling a light.
     /// - `chosen`: index of the light, and the probability of choosing it.
     #[inline]
-    fn direct<const MEDIA: bool, const HEARD: bool>(
+    fn sample_next_event<const MEDIA: bool, const RECORD_ALL: bool>(
         &mut self,
         chosen: (u32, f32),
-        (bsdf, scattering): (&Bsdf, &Scattering<'_>),
+        (bsdf, scattering): (&Bsdf, &DirectionSampler<'_>),
         frame: &Frame,
         wo: Vec3A,
-        point: &SurfacePoint,
+        point: &ShadingPoint,
         back: bool,
         time: f32,
-        inside: &Inside,
+        medium_stack: &MediumStack,
         base: u32,
         stream: &mut SampleStream,
     ) -> Rgb {
@@ -653,23 +679,23 @@ impl<'a, R: Recorder> Tracer<'a, R> {
         let light = &light;
         let wi = frame.to_local(light.dir);
         let value = bsdf.eval(wo, wi);
-        if value == Rgb::ZERO || light.radiance == Rgb::ZERO || !same_side(frame, point, wi, light.dir) {
+        if value == Rgb::ZERO || light.radiance == Rgb::ZERO || !sides_agree(frame, point, wi, light.dir) {
             return Rgb::ZERO;
         }
         let by_scattering =
             if light.delta == DeltaKind::Position { 0.0 } else { square(scattering.pdf(wi, light.dir) / light.pdf) };
-        let weight = weight(self.settings.only, Technique::Light, by_scattering);
+        let weight = mis_weight(self.settings.only, Technique::Light, by_scattering);
         let contribution = value * light.radiance * (weight / light.pdf);
-        let mut inside = *inside;
+        let mut medium_stack = *medium_stack;
         if MEDIA && (point.normal.dot(light.dir) > 0.0) == back {
-            cross(&mut inside, &scene.materials[point.material as usize], back);
+            cross_boundary(&mut medium_stack, &scene.materials[point.material as usize], back);
         }
         let from = (point.position, point.error, point.normal);
-        let visibility = self.shadow.visibility::<MEDIA>(scene, from, light, time, &inside, &mut self.counters);
+        let visibility = self.shadow.visibility::<MEDIA>(scene, from, light, time, &medium_stack, &mut self.counters);
         if visibility == Rgb::ZERO {
-            tell!(self.hidden(|| segment(from, (light.position, light.error, light.normal), time)));
+            record!(self.occluded(|| shadow_segment(from, (light.position, light.error, light.normal), time)));
         } else {
-            tell!(self.split(|| Split::of(bsdf, wo, wi)));
+            record!(self.lobe_split(|| LobeSplit::new(bsdf, wo, wi)));
         }
         contribution * visibility
     }
@@ -678,40 +704,45 @@ impl<'a, R: Recorder> Tracer<'a, R> {
 /// Returns the ray from a point in fog to the point that was sampled on a lamp, for a sample without light. `None`: the lamp emits
 /// nothing toward the point.
 #[cold]
-fn shadow_of(scene: &Prepared, stretch: &Segment<'_>, scattered: &Scattered, stream: &mut SampleStream) -> Option<Ray> {
+fn airlight_shadow_ray(
+    scene: &Prepared,
+    stretch: &Segment<'_>,
+    scattered: &SingleScatterSample,
+    stream: &mut SampleStream,
+) -> Option<Ray> {
     let position = stretch.origin + stretch.dir * scattered.event.t;
     stream.seek(stretch.base + dim::AIRLIGHT_POINT);
     let (light, time, u) = (scattered.light, stretch.time, stream.next_2d());
     let point = scene.lights.sample_light(&scene.world, &scene.textures, light, position, time, u)?;
     let lamp = (point.position, point.error, point.normal);
-    (point.radiance != Rgb::ZERO).then(|| segment((position, Vec3A::ZERO, Vec3A::ZERO), lamp, time))
+    (point.radiance != Rgb::ZERO).then(|| shadow_segment((position, Vec3A::ZERO, Vec3A::ZERO), lamp, time))
 }
 
 /// Returns the lobes of a surface toward a viewer who looks along `dir`, if they contain more information than its normal.
 #[inline]
-fn lobes(bsdf: &Bsdf, wo: Vec3A, dir: Vec3A) -> Option<Lobes> {
+fn lobes(bsdf: &Bsdf, wo: Vec3A, dir: Vec3A) -> Option<BsdfLobes> {
     let (diffuse, glossy, alpha) = bsdf.glossy_lobes(wo)?;
-    Some(Lobes { diffuse, glossy, alpha, toward: -dir })
+    Some(BsdfLobes { diffuse, glossy, alpha, wo: -dir })
 }
 
 /// Performs Russian roulette, and ends paths with a throughput of 0.
 ///
 /// The survival probability is the remaining weight over the threshold. Where little is absorbed, a path of many segments keeps its
 /// weight. Weights that grew with every segment would have infinite variance. A long path ends all the same: its probability to
-/// have `n` rays is `LONG / n`, so that weights grow no faster than paths, and the square of that over `VERY_LONG`, so that the
-/// mean length is bounded in endless fog that absorbs nothing.
+/// have `n` rays is `LONG_PATH / n`, so that weights grow no faster than paths, and the square of that over `VERY_LONG_PATH`, so
+/// that the mean length is bounded in endless fog that absorbs nothing.
 ///
 /// If a field knows the light that arrives at a vertex, this determines the probability (\[vorba2016\]). A path that a guide has
 /// sent toward much light has a small weight for that reason and is worth continuing. A path of great weight in the dark is not.
-/// The field may be wrong, so the survival probability is at least [`LEAST_KEPT`] times that by the weight.
+/// The field may be wrong, so the survival probability is at least [`RR_MIN_SURVIVAL`] times that by the weight.
 /// - `scale`: factor of the weight here, which removes the changes by guides and refraction;
-/// - `kept`: light that the field expects of the path from here on, relative to that from the first vertex on.
+/// - `survival`: light that the field expects of the path from here on, relative to that from the first vertex on.
 #[inline]
 fn survives<const MEDIA: bool>(
     rays: u32,
     throughput: &mut Rgb,
     scale: f32,
-    kept: Option<f32>,
+    survival: Option<f32>,
     stream: &mut SampleStream,
     base: u32,
 ) -> bool {
@@ -719,17 +750,17 @@ fn survives<const MEDIA: bool>(
     if !throughput.is_finite() || most <= 0.0 {
         return false;
     }
-    if rays < ROULETTE_FROM {
+    if rays < RR_MIN_RAYS {
         return true;
     }
-    let spared = if MEDIA { SPARED_IN_MEDIA } else { SPARED };
-    let mut q = (most * scale / spared).min(1.0);
-    if let Some(kept) = kept {
-        q = kept.clamp(LEAST_KEPT * q, 1.0);
+    let threshold = if MEDIA { RR_THRESHOLD_IN_MEDIA } else { RR_THRESHOLD };
+    let mut q = (most * scale / threshold).min(1.0);
+    if let Some(survival) = survival {
+        q = survival.clamp(RR_MIN_SURVIVAL * q, 1.0);
     }
-    if rays > LONG {
-        let goes_on = (rays - 1) as f32 / rays as f32;
-        q *= if rays > VERY_LONG { square(goes_on) } else { goes_on };
+    if rays > LONG_PATH {
+        let long_survival = (rays - 1) as f32 / rays as f32;
+        q *= if rays > VERY_LONG_PATH { square(long_survival) } else { long_survival };
     }
     stream.seek(base + dim::ROULETTE);
     if stream.next_1d() >= q {
@@ -742,41 +773,47 @@ fn survives<const MEDIA: bool>(
 /// Returns the rest of a ray behind a surface that it goes straight through. The ray stays on its segment: sampled light reaches
 /// the previous vertex through the same surfaces, so light that is hit is weighted against that.
 #[inline]
-fn straight_on(ray: &Ray, point: &SurfacePoint, inside: &mut Inside, material: &KernelMaterial, back: bool) -> Ray {
-    cross(inside, material, back);
+fn continue_straight(
+    ray: &Ray,
+    point: &ShadingPoint,
+    medium_stack: &mut MediumStack,
+    material: &KernelMaterial,
+    back: bool,
+) -> Ray {
+    cross_boundary(medium_stack, material, back);
     Ray { origin: offset_origin(point.position, point.error, point.normal, ray.dir), ..*ray }
 }
 
 /// Creates the contribution of a field at a path's latest vertex.
-fn from_field(color: Rgb, throughput: Rgb, bounce: u32, position: Vec3A) -> Contribution {
-    Contribution { color, throughput, bounce, found: Found::Field, light: None, position }
+fn field_contribution(color: Rgb, throughput: Rgb, bounce: u32, position: Vec3A) -> Contribution {
+    Contribution { color, throughput, bounce, technique: LightTechnique::Field, light: None, position }
 }
 
 /// Returns the BSDF at a point of a material.
 #[inline]
-pub(crate) fn bsdf_at(scene: &Prepared, material: &KernelMaterial, point: &SurfacePoint) -> Bsdf {
+pub(crate) fn bsdf_at(scene: &Prepared, material: &KernelMaterial, point: &ShadingPoint) -> Bsdf {
     match material.map_rd {
         None => material.bsdf,
-        Some(map) => material.textured(scene.textures[map as usize].lookup(point.uv)),
+        Some(map) => material.textured_bsdf(scene.textures[map as usize].lookup(point.uv)),
     }
 }
 
 /// Returns the shading frame, and the direction toward the viewer in it.
 #[inline]
-pub(crate) fn local_wo(material: &KernelMaterial, point: &SurfacePoint, dir: Vec3A) -> (Frame, Vec3A) {
+pub(crate) fn local_wo(material: &KernelMaterial, point: &ShadingPoint, dir: Vec3A) -> (Frame, Vec3A) {
     let outward = -dir;
     let back = point.normal.dot(outward) < 0.0;
-    let mut shading = point.shading;
-    if back && material.faces_viewer == Orientation::TowardViewer {
+    let mut shading = point.shading_normal;
+    if back && material.orientation == Orientation::TowardViewer {
         shading = -shading;
     }
     let mut frame = Frame::from_normal(shading);
     let mut wo = frame.to_local(outward);
     // An interpolated normal may put the viewer on the wrong side of the surface. Then the geometric normal is used for shading.
-    let expected_front = !back || material.faces_viewer == Orientation::TowardViewer;
+    let expected_front = !back || material.orientation == Orientation::TowardViewer;
     if (wo.z > 0.0) != expected_front {
         let normal =
-            if back && material.faces_viewer == Orientation::TowardViewer { -point.normal } else { point.normal };
+            if back && material.orientation == Orientation::TowardViewer { -point.normal } else { point.normal };
         frame = Frame::from_normal(normal);
         wo = frame.to_local(outward);
     }
@@ -786,7 +823,7 @@ pub(crate) fn local_wo(material: &KernelMaterial, point: &SurfacePoint, dir: Vec
 /// Returns the normal of the side from which light is scattered, as context for the choice of a light; zero if the surface
 /// transmits light.
 #[inline]
-fn lit_side(bsdf: &Bsdf, point: &SurfacePoint, back: bool) -> Vec3A {
+fn lit_side(bsdf: &Bsdf, point: &ShadingPoint, back: bool) -> Vec3A {
     if bsdf.transmits() {
         Vec3A::ZERO
     } else if back {
@@ -798,7 +835,7 @@ fn lit_side(bsdf: &Bsdf, point: &SurfacePoint, back: bool) -> Vec3A {
 
 /// Checks whether shading and geometry agree on the side of `wi`.
 #[inline]
-fn same_side(frame: &Frame, point: &SurfacePoint, local: Vec3A, world: Vec3A) -> bool {
+fn sides_agree(frame: &Frame, point: &ShadingPoint, local: Vec3A, world: Vec3A) -> bool {
     // The frame's normal may point away from the front side.
     let turned = frame.normal.dot(point.normal) < 0.0;
     let geometric = point.normal.dot(world);
@@ -807,9 +844,9 @@ fn same_side(frame: &Frame, point: &SurfacePoint, local: Vec3A, world: Vec3A) ->
 
 /// Updates the media when the path crosses a surface, from the front into the object or back out.
 #[inline]
-pub(crate) fn cross(inside: &mut Inside, material: &KernelMaterial, from_back: bool) {
+pub(crate) fn cross_boundary(medium_stack: &mut MediumStack, material: &KernelMaterial, from_back: bool) {
     if let Some(medium) = material.inside {
-        if from_back { inside.remove(medium) } else { inside.push(medium) }
+        if from_back { medium_stack.remove(medium) } else { medium_stack.push(medium) }
     }
 }
 

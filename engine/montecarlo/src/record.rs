@@ -13,7 +13,7 @@ pub use femc_scattering::Transmitted;
 
 /// Events of a sample that a recorder receives.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Hears {
+pub enum RecordLevel {
     /// Only the end: the reason why the path stops, and the sample's radiance.
     End,
     /// The end, and all vertices and contributions before it.
@@ -22,63 +22,63 @@ pub enum Hears {
 
 /// Recorder that the tracer calls for each vertex of a path, for each contribution to a sample, and at the path's end.
 pub trait Recorder {
-    /// Whether the recorder wants the occluders of light ([`Self::hidden`]), which takes work to find.
-    const HIDDEN: bool = true;
+    /// Whether the recorder wants the occluders of light ([`Self::occluded`]), which takes work to find.
+    const WANTS_OCCLUDERS: bool = true;
     /// Whether the recorder wants sampled light that contributes nothing because it is occluded or on a side that does not scatter.
-    const DARK: bool = true;
-    /// Whether the recorder wants camera rays ([`Self::camera`]).
-    const CAMERA: bool = false;
+    const WANTS_ZERO_LIGHT: bool = true;
+    /// Whether the recorder wants camera rays ([`Self::camera_ray`]).
+    const WANTS_CAMERA_RAYS: bool = false;
 
     /// Begins a camera sample and returns the events to report for it.
     /// - `pixel`: row-major index in the whole film;
     /// - `sample`: number of the sample.
-    fn begin(&mut self, pixel: u32, sample: u32) -> Hears;
+    fn begin_sample(&mut self, pixel: u32, sample: u32) -> RecordLevel;
     /// Records the camera ray of the sample, independent of the other events to report.
     /// - `view`: the view of the point `lens` of the lens, in [0, 1)^2, at the ray's time.
-    fn camera(&mut self, _view: &View, _lens: [f32; 2], _ray: &Ray) {}
+    fn camera_ray(&mut self, _view: &View, _lens: [f32; 2], _ray: &Ray) {}
     /// Records that the path reached a surface that may scatter, or a collision in a medium.
     fn vertex(&mut self, vertex: impl FnOnce() -> Vertex);
     /// Records that the path leaves its latest vertex.
-    fn leave(&mut self, way: Leaving);
+    fn leave(&mut self, continuation: Continuation);
     /// Records that a surface occludes the light sampled for the latest vertex, or for a point in fog. Its contribution, which is
     /// reported next, is 0.
-    fn hidden(&mut self, shadow: impl FnOnce() -> Ray);
+    fn occluded(&mut self, shadow: impl FnOnce() -> Ray);
     /// Records the scattering lobes of the latest vertex's surface for the direction that is reported next: the direction in which
     /// the path continues, or that of the sampled light, unless it is occluded. It is not called for mirrors and clear surfaces.
-    fn split(&mut self, _split: impl FnOnce() -> Split) {}
+    fn lobe_split(&mut self, _lobe_split: impl FnOnce() -> LobeSplit) {}
     /// Records a light contribution.
-    fn light(&mut self, contribution: impl FnOnce() -> Contribution);
+    fn contribution(&mut self, contribution: impl FnOnce() -> Contribution);
     /// Records that the path stops.
     /// - `vertices`: number of vertices of the path;
     /// - `throughput`: throughput of the path; 0 if it stops because nothing is left.
-    fn stop(&mut self, vertices: u32, why: Stop, throughput: Rgb);
+    fn terminate(&mut self, vertices: u32, termination: Termination, throughput: Rgb);
     /// Ends the sample.
     /// - `color`: radiance of the sample, cd/m2 by channel; `None`: the film rejects it.
-    fn end(&mut self, color: Option<Rgb>);
+    fn end_sample(&mut self, color: Option<Rgb>);
 }
 
 impl Recorder for () {
     #[inline(always)]
-    fn begin(&mut self, _: u32, _: u32) -> Hears {
-        Hears::End
+    fn begin_sample(&mut self, _: u32, _: u32) -> RecordLevel {
+        RecordLevel::End
     }
     #[inline(always)]
     fn vertex(&mut self, _: impl FnOnce() -> Vertex) {}
     #[inline(always)]
-    fn leave(&mut self, _: Leaving) {}
+    fn leave(&mut self, _: Continuation) {}
     #[inline(always)]
-    fn hidden(&mut self, _: impl FnOnce() -> Ray) {}
+    fn occluded(&mut self, _: impl FnOnce() -> Ray) {}
     #[inline(always)]
-    fn light(&mut self, _: impl FnOnce() -> Contribution) {}
+    fn contribution(&mut self, _: impl FnOnce() -> Contribution) {}
     #[inline(always)]
-    fn stop(&mut self, _: u32, _: Stop, _: Rgb) {}
+    fn terminate(&mut self, _: u32, _: Termination, _: Rgb) {}
     #[inline(always)]
-    fn end(&mut self, _: Option<Rgb>) {}
+    fn end_sample(&mut self, _: Option<Rgb>) {}
 }
 
 /// Reason why a path stops.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Stop {
+pub enum Termination {
     /// The path left the scene.
     Escaped,
     /// Nothing was scattered, or the scattered direction was not possible.
@@ -91,17 +91,17 @@ pub enum Stop {
     Field,
 }
 
-impl Stop {
+impl Termination {
     /// Returns the reason for a path that ended by roulette or because nothing is left.
     #[inline]
-    pub(crate) fn of_lost(throughput: Rgb) -> Self {
+    pub(crate) fn from_throughput(throughput: Rgb) -> Self {
         if throughput.max_element() > 0.0 { Self::Roulette } else { Self::Absorbed }
     }
 }
 
 /// Object or medium at a vertex.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Place {
+pub enum VertexLocation {
     /// A surface of `Prepared::instances`.
     Surface {
         /// Index of the instance.
@@ -119,7 +119,7 @@ pub enum Place {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Vertex {
     /// Surface or medium there.
-    pub place: Place,
+    pub location: VertexLocation,
     /// Position, prepared frame, m.
     pub position: Vec3A,
     /// Index of the segment that ends there; 0: the camera's.
@@ -130,7 +130,7 @@ pub struct Vertex {
 
 /// Way in which a path leaves a vertex.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Leaving {
+pub enum Continuation {
     /// Straight through a clear surface. The path stays on its segment.
     Straight,
     /// Specular reflection, or refraction by glass.
@@ -140,7 +140,7 @@ pub enum Leaving {
         /// Density of the direction, 1/sr.
         pdf: f32,
         /// Kind of the scatterer.
-        by: Scatterer,
+        scatterer: Scatterer,
         /// Whether the direction was sampled from the guide of a first pass.
         by_guide: bool,
     },
@@ -148,16 +148,16 @@ pub enum Leaving {
 
 /// Lobes that scatter light from one direction into another at a surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Split {
+pub struct LobeSplit {
     /// Whether the directions lie on different sides.
     pub transmitted: Transmitted,
     /// Lobes with a contribution.
-    pub lobes: Lobes,
+    pub lobes: LobeShares,
 }
 
 /// Lobes of a surface between two directions.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Lobes {
+pub enum LobeShares {
     /// Only diffuse scattering.
     Diffuse,
     /// Only glossy scattering.
@@ -166,23 +166,23 @@ pub enum Lobes {
     Both(Rgb),
 }
 
-impl Split {
+impl LobeSplit {
     /// Returns the split for light from `wi` to `wo`, unit, local frame, of which a part is scattered. It depends on the side from
     /// which the light comes and on the lobes' shares of the BSDF's value there, not on the sampler of the direction.
     #[inline]
-    pub(crate) fn of(bsdf: &Bsdf, wo: Vec3A, wi: Vec3A) -> Self {
+    pub(crate) fn new(bsdf: &Bsdf, wo: Vec3A, wi: Vec3A) -> Self {
         // By far the most frequent BSDF. It scatters to only one side.
         if matches!(bsdf, Bsdf::Diffuse(_)) {
-            return Self { transmitted: Transmitted::No, lobes: Lobes::Diffuse };
+            return Self { transmitted: Transmitted::No, lobes: LobeShares::Diffuse };
         }
         let transmitted = if wo.z * wi.z < 0.0 { Transmitted::Yes } else { Transmitted::No };
-        Self { transmitted, lobes: Lobes::of(bsdf, wo, wi) }
+        Self { transmitted, lobes: LobeShares::new(bsdf, wo, wi) }
     }
 }
 
-impl Lobes {
+impl LobeShares {
     #[inline(never)]
-    fn of(bsdf: &Bsdf, wo: Vec3A, wi: Vec3A) -> Self {
+    fn new(bsdf: &Bsdf, wo: Vec3A, wi: Vec3A) -> Self {
         let share = bsdf.diffuse_share(wo, wi);
         if share == Rgb::ONE {
             Self::Diffuse
@@ -207,13 +207,13 @@ pub enum Scatterer {
 
 /// Technique that found light.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Found {
+pub enum LightTechnique {
     /// A point on a lamp was sampled from the camera.
-    Sight,
+    CameraNextEvent,
     /// The path hit a lamp.
-    Met,
+    EmitterHit,
     /// A point on a lamp was sampled from a surface, the latest vertex.
-    Surface,
+    NextEvent,
     /// A lamp was sampled for the segment, with a distance by its light that this medium scatters.
     Airlight(u16),
     /// This medium on the segment emits light.
@@ -232,7 +232,7 @@ pub struct Contribution {
     /// Index of the segment that found the light, on it or at its end; 0: the camera's.
     pub bounce: u32,
     /// Technique that found the light.
-    pub found: Found,
+    pub technique: LightTechnique,
     /// Index of the light. `None`: an emitting medium, a field, or no light could be chosen.
     pub light: Option<u32>,
     /// Point on the lamp, if it was hit or sampled from the camera. The segment's start, if a medium emits. Else the point that the
@@ -246,7 +246,7 @@ pub struct Step {
     /// Vertex of the path.
     pub vertex: Vertex,
     /// Way in which the path left. `None`: the path ended there.
-    pub leaving: Option<Leaving>,
+    pub continuation: Option<Continuation>,
 }
 
 /// Recorder that keeps all events of one sample until the next sample begins.
@@ -259,119 +259,120 @@ pub struct Recording {
 }
 
 impl Recorder for Recording {
-    fn begin(&mut self, _: u32, _: u32) -> Hears {
+    fn begin_sample(&mut self, _: u32, _: u32) -> RecordLevel {
         self.steps.clear();
         self.contributions.clear();
-        Hears::All
+        RecordLevel::All
     }
 
     fn vertex(&mut self, vertex: impl FnOnce() -> Vertex) {
-        self.steps.push(Step { vertex: vertex(), leaving: None });
+        self.steps.push(Step { vertex: vertex(), continuation: None });
     }
 
-    fn leave(&mut self, way: Leaving) {
+    fn leave(&mut self, continuation: Continuation) {
         if let Some(step) = self.steps.last_mut() {
-            step.leaving = Some(way);
+            step.continuation = Some(continuation);
         }
     }
 
-    fn light(&mut self, contribution: impl FnOnce() -> Contribution) {
+    fn contribution(&mut self, contribution: impl FnOnce() -> Contribution) {
         let contribution = contribution();
         if contribution.color != Rgb::ZERO {
             self.contributions.push((contribution, self.steps.len()));
         }
     }
 
-    fn hidden(&mut self, _: impl FnOnce() -> Ray) {}
+    fn occluded(&mut self, _: impl FnOnce() -> Ray) {}
 
-    fn stop(&mut self, _: u32, _: Stop, _: Rgb) {}
+    fn terminate(&mut self, _: u32, _: Termination, _: Rgb) {}
 
-    fn end(&mut self, _: Option<Rgb>) {}
+    fn end_sample(&mut self, _: Option<Rgb>) {}
 }
 
 impl Recording {
     /// Returns the vertex from which a path with this number of vertices reached a lamp: the last one that it did not go straight
     /// through. `None`: it came from the camera.
-    pub fn source(&self, vertices: usize) -> Option<&Step> {
-        self.steps[..vertices].iter().rev().find(|step| step.leaving != Some(Leaving::Straight))
+    pub fn last_scattering(&self, vertices: usize) -> Option<&Step> {
+        self.steps[..vertices].iter().rev().find(|step| step.continuation != Some(Continuation::Straight))
     }
 }
 
 /// Pair of recorders of the same paths.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Both<A, B> {
+pub struct RecorderPair<A, B> {
     /// First recorder.
     pub first: A,
     /// Second recorder.
     pub second: B,
-    hears: [bool; 2],
+    record_all: [bool; 2],
 }
 
-impl<A, B> Both<A, B> {
+impl<A, B> RecorderPair<A, B> {
     /// Combines two recorders.
     pub fn new(first: A, second: B) -> Self {
-        Self { first, second, hears: [false; 2] }
+        Self { first, second, record_all: [false; 2] }
     }
 }
 
-impl<A: Recorder, B: Recorder> Recorder for Both<A, B> {
-    const HIDDEN: bool = A::HIDDEN || B::HIDDEN;
-    const DARK: bool = A::DARK || B::DARK;
-    const CAMERA: bool = A::CAMERA || B::CAMERA;
+impl<A: Recorder, B: Recorder> Recorder for RecorderPair<A, B> {
+    const WANTS_OCCLUDERS: bool = A::WANTS_OCCLUDERS || B::WANTS_OCCLUDERS;
+    const WANTS_ZERO_LIGHT: bool = A::WANTS_ZERO_LIGHT || B::WANTS_ZERO_LIGHT;
+    const WANTS_CAMERA_RAYS: bool = A::WANTS_CAMERA_RAYS || B::WANTS_CAMERA_RAYS;
 
-    fn begin(&mut self, pixel: u32, sample: u32) -> Hears {
-        self.hears = [self.first.begin(pixel, sample), self.second.begin(pixel, sample)].map(|it| it == Hears::All);
-        if self.hears == [false; 2] { Hears::End } else { Hears::All }
+    fn begin_sample(&mut self, pixel: u32, sample: u32) -> RecordLevel {
+        self.record_all = [self.first.begin_sample(pixel, sample), self.second.begin_sample(pixel, sample)]
+            .map(|it| it == RecordLevel::All);
+        if self.record_all == [false; 2] { RecordLevel::End } else { RecordLevel::All }
     }
 
-    fn camera(&mut self, view: &View, lens: [f32; 2], ray: &Ray) {
-        self.first.camera(view, lens, ray);
-        self.second.camera(view, lens, ray);
+    fn camera_ray(&mut self, view: &View, lens: [f32; 2], ray: &Ray) {
+        self.first.camera_ray(view, lens, ray);
+        self.second.camera_ray(view, lens, ray);
     }
 
     fn vertex(&mut self, vertex: impl FnOnce() -> Vertex) {
-        both(self, vertex, |it, vertex| it.vertex(|| vertex), |it, vertex| it.vertex(|| vertex));
+        record_both(self, vertex, |it, vertex| it.vertex(|| vertex), |it, vertex| it.vertex(|| vertex));
     }
 
-    fn leave(&mut self, way: Leaving) {
-        both(self, || way, |it, way| it.leave(way), |it, way| it.leave(way));
+    fn leave(&mut self, continuation: Continuation) {
+        record_both(self, || continuation, |it, way| it.leave(way), |it, way| it.leave(way));
     }
 
-    fn hidden(&mut self, shadow: impl FnOnce() -> Ray) {
-        both(self, shadow, |it, shadow| it.hidden(|| shadow), |it, shadow| it.hidden(|| shadow));
+    fn occluded(&mut self, shadow: impl FnOnce() -> Ray) {
+        record_both(self, shadow, |it, shadow| it.occluded(|| shadow), |it, shadow| it.occluded(|| shadow));
     }
 
-    fn split(&mut self, split: impl FnOnce() -> Split) {
-        both(self, split, |it, split| it.split(|| split), |it, split| it.split(|| split));
+    fn lobe_split(&mut self, split: impl FnOnce() -> LobeSplit) {
+        record_both(self, split, |it, split| it.lobe_split(|| split), |it, split| it.lobe_split(|| split));
     }
 
-    fn light(&mut self, contribution: impl FnOnce() -> Contribution) {
-        both(self, contribution, |it, found| it.light(|| found), |it, found| it.light(|| found));
+    fn contribution(&mut self, contribution: impl FnOnce() -> Contribution) {
+        record_both(self, contribution, |it, found| it.contribution(|| found), |it, found| it.contribution(|| found));
     }
 
-    fn stop(&mut self, vertices: u32, why: Stop, throughput: Rgb) {
-        self.first.stop(vertices, why, throughput);
-        self.second.stop(vertices, why, throughput);
+    fn terminate(&mut self, vertices: u32, termination: Termination, throughput: Rgb) {
+        self.first.terminate(vertices, termination, throughput);
+        self.second.terminate(vertices, termination, throughput);
     }
 
-    fn end(&mut self, color: Option<Rgb>) {
-        self.first.end(color);
-        self.second.end(color);
+    fn end_sample(&mut self, color: Option<Rgb>) {
+        self.first.end_sample(color);
+        self.second.end_sample(color);
     }
 }
 
 /// Calls those of two recorders that receive events of the sample.
-fn both<A, B, T: Copy>(
-    Both { first, second, hears }: &mut Both<A, B>,
-    what: impl FnOnce() -> T,
+fn record_both<A, B, T: Copy>(
+    RecorderPair { first, second, record_all }: &mut RecorderPair<A, B>,
+    event: impl FnOnce() -> T,
     to_first: impl FnOnce(&mut A, T),
     to_second: impl FnOnce(&mut B, T),
 ) {
-    let what = what();
-    if hears[0] {
-        to_first(first, what);
+    let event = event();
+    if record_all[0] {
+        to_first(first, event);
     }
-    if hears[1] {
-        to_second(second, what);
+    if record_all[1] {
+        to_second(second, event);
     }
 }

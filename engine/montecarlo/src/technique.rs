@@ -13,7 +13,7 @@ pub enum Technique {
 /// Returns the weight of a technique by the power heuristic, or of a single technique.
 /// - `others`: the squared densities of the other techniques, as multiples of its own.
 #[inline]
-pub(crate) fn weight(only: Option<Technique>, own: Technique, others: f32) -> f32 {
+pub(crate) fn mis_weight(only: Option<Technique>, own: Technique, others: f32) -> f32 {
     match only {
         None => 1.0 / (1.0 + others),
         Some(only) => f32::from(u8::from(only == own)),

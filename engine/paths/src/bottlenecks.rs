@@ -8,39 +8,41 @@
 //! contributions of the sample in proportion to their light. It is multiplied by the squared weight of the sample in its pixel and
 //! divided by the squared mean of its block of 16 x 16 pixels, as in the relative error of a block.
 //!
-//! There are two kinds of samples ([`Weighed`]). The brightest samples of each portion are all known and count once. The other
+//! There are two kinds of samples ([`WeightedPath`]). The brightest samples of each portion are all known and count once. The other
 //! samples are known through the fair subset, and each counts as the inverse of the subset's share. So a rare bright sample is
 //! neither missed nor counted more often than once.
 //!
 //! Long paths are attributed to the first intersection of a path, which all paths through a pixel of that part share. The measure
-//! is the throughput that is left when they reach intersection number [`DEEP`]. Later intersections say little, because a longer
-//! path has more of them.
+//! is the throughput that is left when they reach intersection number [`DEEP_PATH_DEPTH`]. Later intersections say little, because
+//! a longer path has more of them.
 
-use crate::pixels::Maps;
-use crate::record::{Found, Interaction, Intersection, Light, Name, Names, Path, PathKey, luminance};
-use crate::statistics::{DEEP, IMAGE_BITS, PortionKey, Statistics, brightness};
+use crate::pixels::PixelMaps;
+use crate::record::{
+    InteractionKind, Intersection, LightPath, LightRecord, LightTechnique, Name, Names, PathKey, luminance,
+};
+use crate::statistics::{DEEP_PATH_DEPTH, IMAGE_BITS, LightStatistics, PortionKey, brightness};
 use std::collections::BTreeMap;
 
 /// Part of the scene that scattered light.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct Part {
+pub struct ScenePart {
     /// Object. None for the camera, a medium, or an unnamed object.
     pub object: Name,
     /// Material or medium.
     pub material: Name,
     /// Interaction with which the path continued, or through which light arrived. `None`: any interaction, or the camera.
-    pub interaction: Option<Interaction>,
+    pub interaction: Option<InteractionKind>,
 }
 
-impl Part {
-    fn of(it: &Intersection) -> Self {
+impl ScenePart {
+    fn from_intersection(it: &Intersection) -> Self {
         Self { object: it.object, material: it.material, interaction: Some(it.interaction) }
     }
 }
 
 /// Criterion that distinguishes parts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum By {
+pub enum Grouping {
     /// Object, material and interaction.
     Part,
     /// Object.
@@ -49,55 +51,55 @@ pub enum By {
     Material,
 }
 
-impl By {
-    fn of(self, part: Part) -> Part {
+impl Grouping {
+    fn group(self, part: ScenePart) -> ScenePart {
         match self {
             Self::Part => part,
-            Self::Object => Part { object: part.object, ..Part::default() },
-            Self::Material => Part { material: part.material, ..Part::default() },
+            Self::Object => ScenePart { object: part.object, ..ScenePart::default() },
+            Self::Material => ScenePart { material: part.material, ..ScenePart::default() },
         }
     }
 }
 
 /// Statistics of a part.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Evidence {
+pub struct PartStatistics {
     /// Intersections of recorded paths.
     pub records: u64,
     /// Estimated number of intersections of all samples.
     pub intersections: f64,
-    /// Estimated throughput that arrives at the part at intersection number [`DEEP`] or later, summed over all samples.
-    pub deep: f64,
+    /// Estimated throughput that arrives at the part at intersection number [`DEEP_PATH_DEPTH`] or later, summed over all samples.
+    pub deep_throughput: f64,
     /// Number of recorded paths whose first intersection is this part. Intersections that a path goes straight through are skipped.
-    pub begun: u64,
+    pub first_hits: u64,
     /// Sum of the depths of those paths.
-    pub depths: u64,
-    /// Sum of the throughputs with which those paths reach intersection number [`DEEP`].
-    pub left: f64,
+    pub depth_sum: u64,
+    /// Sum of the throughputs with which those paths reach intersection number [`DEEP_PATH_DEPTH`].
+    pub remaining_throughput: f64,
     /// Light in the image whose last scattering is at this part, cd/m2, summed over the pixels.
     pub light: f64,
     /// Noise of the image: relative variance of its blocks, summed over the blocks.
     pub noise: f64,
 }
 
-impl Evidence {
+impl PartStatistics {
     /// Returns the mean depth of the paths that begin at the part.
-    pub fn depth(&self) -> f64 {
-        self.depths as f64 / self.begun.max(1) as f64
+    pub fn mean_depth(&self) -> f64 {
+        self.depth_sum as f64 / self.first_hits.max(1) as f64
     }
 
-    /// Returns the mean throughput of these paths at intersection number [`DEEP`].
-    pub fn left(&self) -> f64 {
-        self.left / self.begun.max(1) as f64
+    /// Returns the mean throughput of these paths at intersection number [`DEEP_PATH_DEPTH`].
+    pub fn mean_remaining_throughput(&self) -> f64 {
+        self.remaining_throughput / self.first_hits.max(1) as f64
     }
 
     fn merge(&mut self, other: &Self) {
         self.records += other.records;
         self.intersections += other.intersections;
-        self.deep += other.deep;
-        self.begun += other.begun;
-        self.depths += other.depths;
-        self.left += other.left;
+        self.deep_throughput += other.deep_throughput;
+        self.first_hits += other.first_hits;
+        self.depth_sum += other.depth_sum;
+        self.remaining_throughput += other.remaining_throughput;
         self.light += other.light;
         self.noise += other.noise;
     }
@@ -106,9 +108,9 @@ impl Evidence {
     #[must_use]
     fn without(&self, one: &Self) -> Self {
         Self {
-            begun: self.begun.saturating_sub(one.begun),
-            depths: self.depths.saturating_sub(one.depths),
-            left: (self.left - one.left).max(0.0),
+            first_hits: self.first_hits.saturating_sub(one.first_hits),
+            depth_sum: self.depth_sum.saturating_sub(one.depth_sum),
+            remaining_throughput: (self.remaining_throughput - one.remaining_throughput).max(0.0),
             ..Self::default()
         }
     }
@@ -116,11 +118,11 @@ impl Evidence {
 
 /// Statistics of a lamp.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Lamp {
+pub struct LampStatistics {
     /// Number of times that recorded paths sampled or hit the lamp.
     pub records: u64,
     /// Number of times that the lamp was occluded.
-    pub hidden: u64,
+    pub occluded: u64,
     /// Light of the lamp in the image, cd/m2, summed over the pixels.
     pub light: f64,
     /// Noise caused by the lamp.
@@ -135,26 +137,26 @@ pub struct Firefly {
     /// Luminance of the sample, cd/m2.
     pub luminance: f32,
     /// Mean of the other samples of the pixel, cd/m2.
-    pub others: f64,
+    pub mean_of_others: f64,
     /// Contribution to the noise.
     pub noise: f64,
     /// Part that scattered the largest contribution of the sample.
-    pub part: Part,
+    pub part: ScenePart,
     /// Lamp of the largest contribution.
     pub lamp: Name,
     /// Technique that found the largest contribution.
-    pub found: Found,
+    pub technique: LightTechnique,
 }
 
 /// Sources of noise and long paths in one or more frames.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Bottlenecks {
     /// Totals over all parts.
-    pub total: Evidence,
-    /// Statistics by part, as distinguished by [`By`].
-    pub parts: BTreeMap<Part, Evidence>,
+    pub total: PartStatistics,
+    /// Statistics by part, as distinguished by [`Grouping`].
+    pub parts: BTreeMap<ScenePart, PartStatistics>,
     /// Statistics by lamp. The empty name is the first pass.
-    pub lamps: BTreeMap<Name, Lamp>,
+    pub lamps: BTreeMap<Name, LampStatistics>,
     /// Samples that add most to the noise, in descending order. Each has the index of its frame among the merged frames.
     pub fireflies: Vec<(usize, Firefly)>,
     /// Number of frames.
@@ -169,17 +171,17 @@ pub struct Bottlenecks {
 
 /// A path with the number of samples that it represents.
 #[derive(Clone, Copy, Debug)]
-pub struct Weighed<'a> {
+pub struct WeightedPath<'a> {
     /// The path.
-    pub path: &'a Path,
+    pub path: &'a LightPath,
     /// Number of samples.
     pub weight: f64,
 }
 
 /// Returns paths that represent all samples: all paths that are brighter than the dimmest of the brightest records of their
 /// portion, and, of the rest, the paths chosen by hash.
-pub fn weighed(all: &Statistics) -> Vec<Weighed<'_>> {
-    let top = all.scope.top as usize;
+pub fn weighted_paths(all: &LightStatistics) -> Vec<WeightedPath<'_>> {
+    let top = all.scope.sketch_size as usize;
     // A portion that holds fewer bright records than it may holds all its samples there.
     let mut cuts: BTreeMap<PortionKey, (usize, f32)> = BTreeMap::new();
     for path in all.brightest.values() {
@@ -188,7 +190,7 @@ pub fn weighed(all: &Statistics) -> Vec<Weighed<'_>> {
             (*count, *least) = (*count + 1, least.min(brightness(path)));
         }
     }
-    let cut = |path: &Path| {
+    let cut = |path: &LightPath| {
         let (count, least) =
             all.portion_of(path.key).and_then(|portion| cuts.get(&portion).copied()).unwrap_or_default();
         match (top, count < top) {
@@ -200,47 +202,47 @@ pub fn weighed(all: &Statistics) -> Vec<Weighed<'_>> {
     let bright = all.brightest.values().filter(|path| brightness(path) > cut(path));
     let others = all.paths.values().filter(|path| brightness(path) <= cut(path));
     let weight = 1.0 / all.share().max(f64::MIN_POSITIVE);
-    let bright = bright.map(|path| Weighed { path, weight: 1.0 });
-    bright.chain(others.map(|path| Weighed { path, weight })).collect()
+    let bright = bright.map(|path| WeightedPath { path, weight: 1.0 });
+    bright.chain(others.map(|path| WeightedPath { path, weight })).collect()
 }
 
 /// Returns the part that scattered the light.
-pub fn scattered_by(path: &Path, light: &Light) -> Part {
-    let volume = |material| Part { material, interaction: Some(Interaction::Volume), ..Part::default() };
+pub fn scattering_part(path: &LightPath, light: &LightRecord) -> ScenePart {
+    let volume = |material| ScenePart { material, interaction: Some(InteractionKind::Volume), ..ScenePart::default() };
     let vertices = &path.intersections[..path.intersections.len().min(light.vertex as usize)];
-    let vertex = match light.found {
+    let vertex = match light.technique {
         // Airlight was scattered on the segment after the vertex.
-        Found::Airlight => return volume(light.medium),
-        Found::Glow => return volume(light.light),
-        Found::Sight => None,
-        Found::Met => vertices.iter().rev().find(|it| it.interaction != Interaction::Straight),
-        Found::Surface | Found::Field => vertices.last(),
+        LightTechnique::Airlight => return volume(light.medium),
+        LightTechnique::Glow => return volume(light.light),
+        LightTechnique::CameraNextEvent => None,
+        LightTechnique::EmitterHit => vertices.iter().rev().find(|it| it.interaction != InteractionKind::Straight),
+        LightTechnique::NextEvent | LightTechnique::Field => vertices.last(),
     };
-    vertex.map(Part::of).unwrap_or_default()
+    vertex.map(ScenePart::from_intersection).unwrap_or_default()
 }
 
 /// Maximum number of bright samples kept.
-const FIREFLIES: usize = 1000;
+const MAX_FIREFLIES: usize = 1000;
 
 impl Bottlenecks {
     /// Computes the statistics of a frame.
-    pub fn of(all: &Statistics, by: By) -> Self {
-        let maps = Maps::of(all);
+    pub fn from_statistics(all: &LightStatistics, grouping: Grouping) -> Self {
+        let maps = PixelMaps::from_statistics(all);
         let mut found = Self { frames: 1, samples: all.samples(), names: all.names.clone(), ..Self::default() };
-        found.deep_samples = all.totals().depth[DEEP as usize..].iter().sum();
+        found.deep_samples = all.totals().depth[DEEP_PATH_DEPTH as usize..].iter().sum();
         let weight = 1.0 / all.share().max(f64::MIN_POSITIVE);
         for path in all.paths.values() {
-            found.count(path, weight, by);
+            found.count(path, weight, grouping);
         }
-        let blocks = Blocks::of(&maps);
-        for Weighed { path, weight } in weighed(all) {
+        let blocks = Blocks::from_maps(&maps);
+        for WeightedPath { path, weight } in weighted_paths(all) {
             let (own, image) = (f64::from(path.luminance()), image_weight(all, path));
             let noise = blocks.noise(&maps, path, image);
             for light in &path.lights {
                 let part = f64::from(luminance(light.radiance));
                 let noise = if own > 0.0 { weight * noise * part / own } else { 0.0 };
                 let light_of = weight * image * part;
-                let evidence = found.parts.entry(by.of(scattered_by(path, light))).or_default();
+                let evidence = found.parts.entry(grouping.group(scattering_part(path, light))).or_default();
                 for it in [evidence, &mut found.total] {
                     it.light += light_of;
                     it.noise += noise;
@@ -250,29 +252,45 @@ impl Bottlenecks {
                 lamp.noise += noise;
             }
         }
-        found.fireflies = fireflies(all, &maps, &blocks, by).into_iter().map(|it| (0, it)).collect();
+        found.fireflies = find_fireflies(all, &maps, &blocks, grouping).into_iter().map(|it| (0, it)).collect();
         found
     }
 
     /// Adds the intersections and lamps of a recorded path.
-    fn count(&mut self, path: &Path, weight: f64, by: By) {
+    fn count(&mut self, path: &LightPath, weight: f64, grouping: Grouping) {
         let greatest = |it: &Intersection| f64::from(it.throughput.into_iter().fold(0.0, f32::max));
-        let mut add = |it: &Intersection, evidence: Evidence| {
-            self.parts.entry(by.of(Part::of(it))).or_default().merge(&evidence);
+        let mut add = |it: &Intersection, evidence: PartStatistics| {
+            self.parts.entry(grouping.group(ScenePart::from_intersection(it))).or_default().merge(&evidence);
             self.total.merge(&evidence);
         };
         for (number, it) in (1..).zip(&path.intersections) {
-            let deep = if number < DEEP { 0.0 } else { weight * greatest(it) };
-            add(it, Evidence { records: 1, intersections: weight, deep, ..Evidence::default() });
+            let deep = if number < DEEP_PATH_DEPTH { 0.0 } else { weight * greatest(it) };
+            add(
+                it,
+                PartStatistics {
+                    records: 1,
+                    intersections: weight,
+                    deep_throughput: deep,
+                    ..PartStatistics::default()
+                },
+            );
         }
-        if let Some(first) = path.intersections.iter().find(|it| it.interaction != Interaction::Straight) {
-            let left = path.intersections.get(DEEP as usize - 1).map_or(0.0, greatest);
-            add(first, Evidence { begun: 1, depths: path.depth.into(), left, ..Evidence::default() });
+        if let Some(first) = path.intersections.iter().find(|it| it.interaction != InteractionKind::Straight) {
+            let left = path.intersections.get(DEEP_PATH_DEPTH as usize - 1).map_or(0.0, greatest);
+            add(
+                first,
+                PartStatistics {
+                    first_hits: 1,
+                    depth_sum: path.depth.into(),
+                    remaining_throughput: left,
+                    ..PartStatistics::default()
+                },
+            );
         }
         for light in &path.lights {
             let lamp = self.lamps.entry(light.light).or_default();
             lamp.records += 1;
-            lamp.hidden += u64::from(light.occluder.is_some());
+            lamp.occluded += u64::from(light.occluder.is_some());
         }
     }
 
@@ -285,44 +303,45 @@ impl Bottlenecks {
         for (name, lamp) in other.lamps {
             let own = self.lamps.entry(name).or_default();
             own.records += lamp.records;
-            own.hidden += lamp.hidden;
+            own.occluded += lamp.occluded;
             own.light += lamp.light;
             own.noise += lamp.noise;
         }
         let later = other.fireflies.into_iter().map(|(frame, it)| (self.frames + frame, it));
         self.fireflies.extend(later);
         self.fireflies.sort_by(|a, b| b.1.noise.total_cmp(&a.1.noise));
-        self.fireflies.truncate(FIREFLIES);
+        self.fireflies.truncate(MAX_FIREFLIES);
         self.frames += other.frames;
         self.samples += other.samples;
         self.deep_samples += other.deep_samples;
         self.names.extend(other.names);
     }
 
-    /// Returns the parts sorted by `of`, in descending order.
-    pub fn ranked(&self, of: impl Fn(&Evidence) -> f64) -> Vec<(Part, Evidence)> {
-        let mut all: Vec<(Part, Evidence)> = self.parts.iter().map(|(part, evidence)| (*part, *evidence)).collect();
-        all.sort_by(|a, b| of(&b.1).total_cmp(&of(&a.1)).then(a.0.cmp(&b.0)));
+    /// Returns the parts sorted by `key`, in descending order.
+    pub fn ranked(&self, key: impl Fn(&PartStatistics) -> f64) -> Vec<(ScenePart, PartStatistics)> {
+        let mut all: Vec<(ScenePart, PartStatistics)> =
+            self.parts.iter().map(|(part, evidence)| (*part, *evidence)).collect();
+        all.sort_by(|a, b| key(&b.1).total_cmp(&key(&a.1)).then(a.0.cmp(&b.0)));
         all
     }
 
     /// Returns the totals of the paths that do not begin at a part.
     #[must_use]
-    pub fn others(&self, of: &Evidence) -> Evidence {
-        self.total.without(of)
+    pub fn without_part(&self, part: &PartStatistics) -> PartStatistics {
+        self.total.without(part)
     }
 
-    /// Returns the part of the variance of the throughput at intersection number [`DEEP`] that lies between the paths that begin at
-    /// a part and all other paths: p (1 - p) d^2, where p is the share of paths and d the difference of the means. It is 0 if the
-    /// paths of the part have less throughput left.
-    pub fn lengthening(&self, of: &Evidence) -> f64 {
-        let share = of.begun as f64 / self.total.begun.max(1) as f64;
-        let more = (of.left() - self.others(of).left()).max(0.0);
+    /// Returns the part of the variance of the throughput at intersection number [`DEEP_PATH_DEPTH`] that lies between the paths
+    /// that begin at a part and all other paths: p (1 - p) d^2, where p is the share of paths and d the difference of the means. It
+    /// is 0 if the paths of the part have less throughput left.
+    pub fn lengthening(&self, part: &PartStatistics) -> f64 {
+        let share = part.first_hits as f64 / self.total.first_hits.max(1) as f64;
+        let more = (part.mean_remaining_throughput() - self.without_part(part).mean_remaining_throughput()).max(0.0);
         share * (1.0 - share) * more * more
     }
 
     /// Returns the text of a name, if it has one.
-    pub fn text(&self, name: Name) -> Option<&str> {
+    pub fn name_text(&self, name: Name) -> Option<&str> {
         self.names.get(&name).map(|(_, text)| text.as_str())
     }
 }
@@ -339,54 +358,54 @@ struct Blocks {
 }
 
 impl Blocks {
-    fn of(maps: &Maps) -> Self {
+    fn from_maps(maps: &PixelMaps) -> Self {
         let [width, height] = maps.film.map(|size| size.max(1));
         let columns = width.div_ceil(BLOCK);
         let mut blocks = Self { columns, width, squares: vec![0.0; (columns * height.div_ceil(BLOCK)) as usize] };
         for (number, pixel) in (0..).zip(maps.pixels()) {
-            let block = blocks.number(number);
+            let block = blocks.block_index(number);
             blocks.squares[block] += pixel.luminance;
         }
         blocks.squares.iter_mut().for_each(|sum| *sum *= *sum);
         blocks
     }
 
-    fn number(&self, pixel: u32) -> usize {
+    fn block_index(&self, pixel: u32) -> usize {
         let [x, y] = [pixel % self.width, pixel / self.width].map(|place| place / BLOCK);
         (y * self.columns + x) as usize
     }
 
     /// Returns the contribution of a sample to the relative variance of its block.
     /// - `image`: weight of the sample in its pixel.
-    fn noise(&self, maps: &Maps, path: &Path, image: f64) -> f64 {
+    fn noise(&self, maps: &PixelMaps, path: &LightPath, image: f64) -> f64 {
         let own = path.luminance();
-        let excess = maps.others(path.key.pixel, own).map_or(0.0, |others| (f64::from(own) - others).max(0.0));
-        let square = self.squares.get(self.number(path.key.pixel)).copied().unwrap_or(0.0);
+        let excess = maps.mean_of_others(path.key.pixel, own).map_or(0.0, |others| (f64::from(own) - others).max(0.0));
+        let square = self.squares.get(self.block_index(path.key.pixel)).copied().unwrap_or(0.0);
         if square > 0.0 { (image * excess).powi(2) / square } else { 0.0 }
     }
 }
 
-fn image_weight(all: &Statistics, path: &Path) -> f64 {
+fn image_weight(all: &LightStatistics, path: &LightPath) -> f64 {
     all.image_weight(path.key) as f64 / (1u64 << IMAGE_BITS) as f64
 }
 
 /// Returns the brightest samples, sorted by their noise in descending order.
-fn fireflies(all: &Statistics, maps: &Maps, blocks: &Blocks, by: By) -> Vec<Firefly> {
-    let one = |path: &Path| {
-        let others = maps.others(path.key.pixel, path.luminance())?;
+fn find_fireflies(all: &LightStatistics, maps: &PixelMaps, blocks: &Blocks, grouping: Grouping) -> Vec<Firefly> {
+    let one = |path: &LightPath| {
+        let others = maps.mean_of_others(path.key.pixel, path.luminance())?;
         let light = path.lights.iter().max_by(|a, b| luminance(a.radiance).total_cmp(&luminance(b.radiance)))?;
         Some(Firefly {
             key: path.key,
             luminance: path.luminance(),
-            others,
+            mean_of_others: others,
             noise: blocks.noise(maps, path, image_weight(all, path)),
-            part: by.of(scattered_by(path, light)),
+            part: grouping.group(scattering_part(path, light)),
             lamp: light.light,
-            found: light.found,
+            technique: light.technique,
         })
     };
     let mut found: Vec<Firefly> = all.brightest.values().filter_map(one).filter(|it| it.noise > 0.0).collect();
     found.sort_by(|a, b| b.noise.total_cmp(&a.noise).then(a.key.cmp(&b.key)));
-    found.truncate(FIREFLIES);
+    found.truncate(MAX_FIREFLIES);
     found
 }

@@ -1,15 +1,19 @@
 //! Histograms of records: of each attribute in 64 bins, and of each pair of attributes of one table in 64 x 64 bins.
 //!
-//! They are exact over the samples that [`Statistics::threshold`] chose: integer counts of the records. Divided by
-//! [`Statistics::share`] they estimate the counts of all samples. If the [scope is full](crate::Scope::is_full), histograms of
-//! single attributes also exist for all samples ([`Histograms::of_all`]). Each histogram exists twice:
+//! They are exact over the samples that [`LightStatistics::threshold`] chose: integer counts of the records. Divided by
+//! [`LightStatistics::share`] they estimate the counts of all samples. If the [scope is full](crate::Scope::is_full), histograms of
+//! single attributes also exist for all samples ([`Histograms::attributes_of_all_samples`]). Each histogram exists twice:
 //!
 //! - by samples: a record counts 1;
 //! - by image: a record counts the part of the image that its sample is, in units of 2^-32 of a pixel
-//!   ([`Statistics::image_weight`]). If tiles have different numbers of samples, only this one shows what is visible in the image.
+//!   ([`LightStatistics::image_weight`]). If tiles have different numbers of samples, only this one shows what is visible in the
+//!   image.
 
-use crate::schema::{AXES, Attribute, FINE, INTERSECTION, LIGHT, PATH, intersection_bins, light_bins, path_bins};
-use crate::statistics::{Statistics, image_weight};
+use crate::schema::{
+    ATTRIBUTE_COUNTS, Attribute, FINE_BINS, INTERSECTION_ATTRIBUTES, LIGHT_ATTRIBUTES, PATH_ATTRIBUTES,
+    intersection_bins, light_bins, path_bins,
+};
+use crate::statistics::{LightStatistics, image_weight};
 
 /// A table of records.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -44,9 +48,9 @@ impl Table {
     /// Returns the attributes of the table.
     pub fn attributes(self) -> &'static [Attribute] {
         match self {
-            Self::Paths => &PATH,
-            Self::Intersections => &INTERSECTION,
-            Self::Lights => &LIGHT,
+            Self::Paths => &PATH_ATTRIBUTES,
+            Self::Intersections => &INTERSECTION_ATTRIBUTES,
+            Self::Lights => &LIGHT_ATTRIBUTES,
         }
     }
 }
@@ -92,10 +96,11 @@ pub struct Histograms {
 
 impl Histograms {
     /// Computes the histograms of the records of one table.
-    pub fn of(statistics: &Statistics, table: Table) -> Self {
+    pub fn from_statistics(statistics: &LightStatistics, table: Table) -> Self {
         let axes = table.attributes().len();
-        let attributes = vec![Counts::new(FINE); axes];
-        let mut all = Self { table, attributes, pairs: vec![Counts::new(FINE * FINE); axes * (axes - 1) / 2] };
+        let attributes = vec![Counts::new(FINE_BINS); axes];
+        let mut all =
+            Self { table, attributes, pairs: vec![Counts::new(FINE_BINS * FINE_BINS); axes * (axes - 1) / 2] };
         for path in statistics.paths.values() {
             let weight = statistics.image_weight(path.key);
             match table {
@@ -111,20 +116,20 @@ impl Histograms {
 
     /// Returns the histograms of single attributes over all samples, in order, or `None` if the [scope is not
     /// full](crate::Scope::is_full).
-    pub fn of_all(statistics: &Statistics, table: Table) -> Option<Vec<Counts>> {
-        if !statistics.scope.is_full {
+    pub fn attributes_of_all_samples(statistics: &LightStatistics, table: Table) -> Option<Vec<Counts>> {
+        if !statistics.scope.has_full_histograms {
             return None;
         }
-        let [paths, intersections, _] = AXES;
+        let [paths, intersections, _] = ATTRIBUTE_COUNTS;
         let (skipped, axes) = match table {
             Table::Paths => (0, paths),
             Table::Intersections => (paths, intersections),
-            Table::Lights => (paths + intersections, LIGHT.len()),
+            Table::Lights => (paths + intersections, LIGHT_ATTRIBUTES.len()),
         };
-        let mut all = vec![Counts::new(FINE); axes];
+        let mut all = vec![Counts::new(FINE_BINS); axes];
         for (key, counters) in &statistics.portions {
             let weight = image_weight(statistics.half_counts(key.tile), key.half);
-            let own = counters.bins.as_chunks::<FINE>().0.iter().skip(skipped);
+            let own = counters.bins.as_chunks::<FINE_BINS>().0.iter().skip(skipped);
             for (sums, counts) in all.iter_mut().zip(own) {
                 for (bin, count) in counts.iter().enumerate() {
                     sums.samples[bin] = sums.samples[bin].saturating_add(*count);
@@ -140,7 +145,7 @@ impl Histograms {
         for (a, &row) in bins.iter().enumerate() {
             self.attributes[a].add(usize::from(row), weight);
             for &column in &bins[a + 1..] {
-                self.pairs[pair].add(usize::from(row) * FINE + usize::from(column), weight);
+                self.pairs[pair].add(usize::from(row) * FINE_BINS + usize::from(column), weight);
                 pair += 1;
             }
         }

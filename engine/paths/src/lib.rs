@@ -1,10 +1,10 @@
 //! Light statistics: records of paths, and counts over all samples, merged exactly.
 //!
-//! A renderer reports its samples. [`Statistics`] keeps integer counters of all samples and whole [`Path`]s of some: those whose
-//! hash of (seed, frame, pixel, sample) is least. Which samples these are depends only on the set of all samples. So parts of a
-//! frame are united in any order and grouping, and a part that arrives twice counts once. Everything else is a function of the
-//! records: [`histogram`]s, exact over the samples that the hash chose, a small [`representative`](represent) set for plots, and
-//! the energy of the scene in an [`octree`]. The founding documents are \[simons2016\] and the thesis on which it is based.
+//! A renderer reports its samples. [`LightStatistics`] keeps integer counters of all samples and whole [`LightPath`]s of some:
+//! those whose hash of (seed, frame, pixel, sample) is least. Which samples these are depends only on the set of all samples. So
+//! parts of a frame are united in any order and grouping, and a part that arrives twice counts once. Everything else is a function
+//! of the records: [`histogram`]s, exact over the samples that the hash chose, a small [`representative`](represent) set for plots,
+//! and the energy of the scene in an [`octree`]. The founding documents are \[simons2016\] and the thesis on which it is based.
 //!
 //! This crate does not render, does not read files and knows nothing about the farm.
 #![deny(missing_docs)]
@@ -22,6 +22,8 @@ pub mod schema;
 pub mod statistics;
 
 pub use codec::PathsError;
-pub use frames::Frames;
-pub use record::{End, Found, Interaction, Intersection, Kind, Light, Name, Named, Path, PathKey};
-pub use statistics::{Counters, PortionKey, Scope, Statistics, UnionError};
+pub use frames::FrameStatistics;
+pub use record::{
+    InteractionKind, Intersection, LightPath, LightRecord, LightTechnique, Name, NameEntry, NameKind, PathEnd, PathKey,
+};
+pub use statistics::{LightStatistics, MergeError, PortionKey, SampleCounters, Scope};

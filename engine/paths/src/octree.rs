@@ -4,7 +4,7 @@
 //! of the three channels. Sums are integers, so adding trees of disjoint records gives the same result in any order. Only leaves
 //! are stored. A voxel of a coarser level is the sum of its leaves.
 
-use crate::record::Path;
+use crate::record::LightPath;
 use femc_stats::ExactSum;
 use std::collections::BTreeMap;
 
@@ -12,7 +12,7 @@ use std::collections::BTreeMap;
 pub type EnergySum = ExactSum<40>;
 
 /// Maximum number of levels below the root.
-pub const MOST_LEVELS: u8 = 20;
+pub const MAX_LEVELS: u8 = 20;
 
 /// The box and the finest voxels of a tree. Trees with equal roots can be added and compared, so the variants of a sweep share one
 /// root.
@@ -22,7 +22,7 @@ pub struct Root {
     pub lower: [f64; 3],
     /// Width of the cube, m; above 0.
     pub width: f64,
-    /// Number of halvings from the cube to a leaf, at most [`MOST_LEVELS`].
+    /// Number of halvings from the cube to a leaf, at most [`MAX_LEVELS`].
     pub levels: u8,
 }
 
@@ -31,12 +31,12 @@ impl Root {
     pub fn around(lower: [f64; 3], upper: [f64; 3], levels: u8) -> Self {
         let width = (0..3).map(|axis| upper[axis] - lower[axis]).fold(0.0, f64::max);
         let width = if width.is_finite() && width > 0.0 { width } else { 1.0 };
-        Self { lower, width, levels: levels.min(MOST_LEVELS) }
+        Self { lower, width, levels: levels.min(MAX_LEVELS) }
     }
 
     /// Returns the code of the leaf that contains a point: three bits a level, x the lowest, the coarsest level highest. `None`:
     /// the point is outside.
-    pub fn code(&self, position: [f64; 3]) -> Option<u64> {
+    pub fn morton_code(&self, position: [f64; 3]) -> Option<u64> {
         let leaves = (1u64 << self.levels) as f64;
         let mut code = 0;
         for (axis, (position, lower)) in position.into_iter().zip(self.lower).enumerate() {
@@ -46,25 +46,25 @@ impl Root {
             if !(0.0..leaves).contains(&place) {
                 return None;
             }
-            code |= spread(place as u64) << axis;
+            code |= spread_bits(place as u64) << axis;
         }
         Some(code)
     }
 
     /// Returns the lower corner and the width of a voxel of a level, m.
     pub fn voxel(&self, level: u8, code: u64) -> ([f64; 3], f64) {
-        let width = self.width / (1u64 << level.min(MOST_LEVELS)) as f64;
-        (std::array::from_fn(|axis| self.lower[axis] + width * gather(code >> axis) as f64), width)
+        let width = self.width / (1u64 << level.min(MAX_LEVELS)) as f64;
+        (std::array::from_fn(|axis| self.lower[axis] + width * compact_bits(code >> axis) as f64), width)
     }
 }
 
 /// Spreads the bits of a number of 20 bits to every third position.
-fn spread(x: u64) -> u64 {
-    (0..u32::from(MOST_LEVELS)).fold(0, |code, bit| code | (x >> bit & 1) << (3 * bit))
+fn spread_bits(x: u64) -> u64 {
+    (0..u32::from(MAX_LEVELS)).fold(0, |code, bit| code | (x >> bit & 1) << (3 * bit))
 }
 
-fn gather(code: u64) -> u64 {
-    (0..u32::from(MOST_LEVELS)).fold(0, |x, bit| x | (code >> (3 * bit) & 1) << bit)
+fn compact_bits(code: u64) -> u64 {
+    (0..u32::from(MAX_LEVELS)).fold(0, |x, bit| x | (code >> (3 * bit) & 1) << bit)
 }
 
 /// Contents of a voxel.
@@ -111,17 +111,17 @@ impl Octree {
     }
 
     /// Creates a tree of the intersections of paths.
-    pub fn of<'a>(root: Root, paths: impl IntoIterator<Item = &'a Path>) -> Self {
+    pub fn from_paths<'a>(root: Root, paths: impl IntoIterator<Item = &'a LightPath>) -> Self {
         let mut tree = Self::new(root);
         paths.into_iter().for_each(|path| tree.add(path));
         tree
     }
 
     /// Adds the intersections of a path.
-    pub fn add(&mut self, path: &Path) {
+    pub fn add(&mut self, path: &LightPath) {
         for it in &path.intersections {
             let energy = it.radiance.iter().map(|value| f64::from(*value)).sum::<f64>() / 3.0;
-            match (self.root.code(it.position), EnergySum::quantize(energy)) {
+            match (self.root.morton_code(it.position), EnergySum::quantize(energy)) {
                 (Some(code), Ok(units)) => {
                     let voxel = Voxel { count: 1, energy: EnergySum::from_units(units) };
                     self.leaves.entry((it.bounce, code)).or_default().merge(voxel);
@@ -177,14 +177,14 @@ mod tests {
         let root = Root::around([-1.0, 0.0, 2.0], [3.0, 1.0, 5.0], 6);
         assert_eq!(root.width, 4.0);
         for point in [[0.3, 0.9, 4.9], [-1.0, 0.0, 2.0], [2.99, 3.9, 2.01], [3.0, 4.0, 6.0]] {
-            let code = root.code(point).unwrap();
+            let code = root.morton_code(point).unwrap();
             for level in 0..=6 {
                 let (lower, width) = root.voxel(level, code >> (3 * (6 - u32::from(level))));
                 assert_eq!(width, 4.0 / f64::from(1 << level));
                 assert!((0..3).all(|axis| (lower[axis]..=lower[axis] + width).contains(&point[axis])), "{point:?}");
             }
         }
-        assert_eq!(root.code([3.1, 0.0, 2.0]), None);
-        assert_eq!(root.code([f64::NAN, 0.0, 2.0]), None);
+        assert_eq!(root.morton_code([3.1, 0.0, 2.0]), None);
+        assert_eq!(root.morton_code([f64::NAN, 0.0, 2.0]), None);
     }
 }

@@ -12,16 +12,16 @@
 //!
 //! Sums saturate at the largest value of their type.
 
-use crate::statistics::{PortionKey, Statistics};
+use crate::statistics::{LightStatistics, PortionKey};
 
 /// Fraction bits of a luminance.
 const LUMINANCE_BITS: i32 = 16;
 /// Fraction bits of a throughput.
 const THROUGHPUT_BITS: i32 = 12;
 /// Largest term of the luminance, cd/m2.
-const MOST_LUMINANCE: f32 = (1u64 << 32) as f32;
+const MAX_LUMINANCE: f32 = (1u64 << 32) as f32;
 /// Largest term of the throughput.
-const MOST_THROUGHPUT: f32 = (1u64 << 8) as f32;
+const MAX_THROUGHPUT: f32 = (1u64 << 8) as f32;
 
 /// Sums of some samples of one pixel.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -53,10 +53,10 @@ impl PixelSums {
         let units = |value: f32, bits: i32, most: f32| {
             (f64::from(value.clamp(0.0, most)) * f64::from(1u32 << bits) + BIAS).to_bits() - BIAS.to_bits()
         };
-        let light = units(luminance, LUMINANCE_BITS, MOST_LUMINANCE);
+        let light = units(luminance, LUMINANCE_BITS, MAX_LUMINANCE);
         self.samples = self.samples.saturating_add(1);
         self.depth = self.depth.saturating_add(depth);
-        let throughput = units(throughput, THROUGHPUT_BITS, MOST_THROUGHPUT);
+        let throughput = units(throughput, THROUGHPUT_BITS, MAX_THROUGHPUT);
         self.throughput = self.throughput.saturating_add(throughput as u32);
         self.luminance = self.luminance.saturating_add(light);
         self.set_squares(self.squares().saturating_add(u128::from(light) * u128::from(light)));
@@ -121,7 +121,7 @@ pub struct Pixel {
 }
 
 impl Pixel {
-    fn of([a, b]: [PixelSums; 2]) -> Self {
+    fn from_halves([a, b]: [PixelSums; 2]) -> Self {
         let halves: Vec<PixelSums> = [a, b].into_iter().filter(|half| half.samples > 0).collect();
         let mean = |sum: &dyn Fn(&PixelSums) -> f64| {
             halves.iter().map(|half| half.mean(sum(half))).sum::<f64>() / halves.len().max(1) as f64
@@ -142,20 +142,20 @@ impl Pixel {
 
 /// All pixels of a film.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Maps {
+pub struct PixelMaps {
     /// Width and height, pixels.
     pub film: [u32; 2],
     /// Sums of each half, row by row.
     sums: Vec<[PixelSums; 2]>,
 }
 
-impl Maps {
-    /// Computes the pixels of statistics, preferably of those that [count](Statistics::counted).
-    pub fn of(statistics: &Statistics) -> Self {
+impl PixelMaps {
+    /// Computes the pixels of statistics, preferably of those that [count](LightStatistics::counted).
+    pub fn from_statistics(statistics: &LightStatistics) -> Self {
         let scope = &statistics.scope;
-        let mut sums = vec![[PixelSums::default(); 2]; scope.pixels() as usize];
+        let mut sums = vec![[PixelSums::default(); 2]; scope.pixel_count() as usize];
         for (key, counters) in &statistics.portions {
-            for (pixel, own) in scope.pixels_of(key.tile).zip(&counters.pixels) {
+            for (pixel, own) in scope.tile_pixels(key.tile).zip(&counters.pixels) {
                 sums[pixel as usize][usize::from(key.half)].merge(own);
             }
         }
@@ -164,13 +164,13 @@ impl Maps {
 
     /// Returns the pixels, row by row. Pixels without samples are 0.
     pub fn pixels(&self) -> impl ExactSizeIterator<Item = Pixel> + '_ {
-        self.sums.iter().map(|sums| Pixel::of(*sums))
+        self.sums.iter().map(|sums| Pixel::from_halves(*sums))
     }
 
     /// Returns the mean luminance of all samples of a pixel except one, cd/m2. `None`: the pixel has no other sample.
     /// - `pixel`: row-major index of the pixel;
     /// - `luminance`: luminance of the excluded sample, cd/m2.
-    pub fn others(&self, pixel: u32, luminance: f32) -> Option<f64> {
+    pub fn mean_of_others(&self, pixel: u32, luminance: f32) -> Option<f64> {
         let [a, b] = self.sums.get(pixel as usize)?;
         let samples = u64::from(a.samples) + u64::from(b.samples);
         let sum = (a.luminance as f64 + b.luminance as f64) / f64::from(1u32 << LUMINANCE_BITS);
@@ -180,7 +180,7 @@ impl Maps {
 }
 
 /// Checks that a portion has exactly the pixels of its tile, and no more samples of each than its key says.
-pub(crate) fn are_sound(key: PortionKey, area: u64, good: u64, pixels: &[PixelSums]) -> bool {
+pub(crate) fn are_valid(key: PortionKey, area: u64, good: u64, pixels: &[PixelSums]) -> bool {
     pixels.len() as u64 == area
         && pixels.iter().all(|pixel| pixel.samples <= key.samples())
         && pixels.iter().map(|pixel| u64::from(pixel.samples)).sum::<u64>() == good
@@ -192,18 +192,18 @@ mod tests {
 
     #[test]
     fn the_mean_is_of_the_halves_and_the_variance_about_each() {
-        let of = |values: &[f32]| {
+        let sums_of = |values: &[f32]| {
             let mut sums = PixelSums::default();
             values.iter().for_each(|value| sums.count(*value, value / 4.0, 3));
             sums
         };
-        let pixel = Pixel::of([of(&[1.0, 2.0, 6.0]), of(&[4.0, 6.0])]);
+        let pixel = Pixel::from_halves([sums_of(&[1.0, 2.0, 6.0]), sums_of(&[4.0, 6.0])]);
         assert_eq!((pixel.samples, pixel.luminance, pixel.depth), (5, 4.0, 3.0));
         assert_eq!((pixel.variance, pixel.throughput), ((14.0 + 2.0) / 3.0, 1.0));
-        let alone = Pixel::of([of(&[1.0, 3.0]), PixelSums::default()]);
+        let alone = Pixel::from_halves([sums_of(&[1.0, 3.0]), PixelSums::default()]);
         assert_eq!((alone.samples, alone.luminance, alone.variance), (2, 2.0, 2.0));
-        assert_eq!(Pixel::of([of(&[3.0]), of(&[5.0])]).variance, 0.0);
-        assert_eq!(Pixel::of(Default::default()), Pixel::default());
+        assert_eq!(Pixel::from_halves([sums_of(&[3.0]), sums_of(&[5.0])]).variance, 0.0);
+        assert_eq!(Pixel::from_halves(Default::default()), Pixel::default());
     }
 
     #[test]
@@ -225,6 +225,6 @@ mod tests {
         }
         assert_eq!((parts[0].luminance, parts[0].squares(), parts[0].samples), (u64::MAX, u128::MAX, u32::MAX));
         assert_eq!(PixelSums::from_words(parts[0].words()), parts[0]);
-        assert!(Pixel::of(parts).variance.is_finite());
+        assert!(Pixel::from_halves(parts).variance.is_finite());
     }
 }

@@ -11,18 +11,18 @@
 //! | --- | --- | --- |
 //! | `bounce`, `position.x` `.y` `.z`, `radiance.r` `.g` `.b`, `throughput.r` `.g` `.b` | the intersection | number |
 //! | `object`, `material` | the intersection | name |
-//! | `interaction` | the intersection | a word of [`Interaction`] |
+//! | `interaction` | the intersection | a word of [`InteractionKind`] |
 //! | `light`, `occluder` | any light sampled there | name |
 //! | `light.radiance.r` `.g` `.b` | any of them | number |
-//! | `found` | any of them | a word of [`Found`] |
+//! | `technique` | any of them | a word of [`LightTechnique`] |
 //! | `path.radiance.r` `.g` `.b`, `path.throughput.r` `.g` `.b`, `depth`, `pixel.x`, `pixel.y`, `sample` | the path | number |
-//! | `end` | the path | a word of [`End`] |
+//! | `end` | the path | a word of [`PathEnd`] |
 //!
 //! Numbers are compared with `==`, `!=`, `<`, `<=`, `>`, `>=`, words with the first two. A name matches an object and everything in
 //! it: `room` matches `room.wall`, too. A missing value equals nothing: `occluder != door` holds if nothing is in the way,
 //! `occluder == door` does not.
 
-use crate::record::{End, Found, Interaction, Intersection, Light, Name, Names, Path};
+use crate::record::{InteractionKind, Intersection, LightPath, LightRecord, LightTechnique, Name, Names, PathEnd};
 use crate::statistics::Scope;
 use std::collections::BTreeSet;
 
@@ -47,14 +47,14 @@ pub enum Condition {
     /// The condition does not hold.
     Not(Box<Self>),
     /// Comparison of a number.
-    Number(Number, Order, f64),
+    Number(NumberField, CompareOp, f64),
     /// Comparison of a word or a name.
-    Word(Word, Equality, String),
+    Word(WordField, EqualityOp, String),
 }
 
 /// Comparison operator of numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Order {
+pub enum CompareOp {
     /// `==`
     Equal,
     /// `!=`
@@ -69,8 +69,8 @@ pub enum Order {
     AtLeast,
 }
 
-impl Order {
-    fn holds(self, a: f64, b: f64) -> bool {
+impl CompareOp {
+    fn compare(self, a: f64, b: f64) -> bool {
         match self {
             Self::Equal => a == b,
             Self::Unequal => a != b,
@@ -84,7 +84,7 @@ impl Order {
 
 /// Comparison operator of words.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Equality {
+pub enum EqualityOp {
     /// `==`
     Is,
     /// `!=`
@@ -93,7 +93,7 @@ pub enum Equality {
 
 /// A number of a path, an intersection or a light.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Number {
+pub enum NumberField {
     /// `bounce`
     Bounce,
     /// `position`, by axis
@@ -118,7 +118,7 @@ pub enum Number {
 
 /// A word of a path, an intersection or a light.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Word {
+pub enum WordField {
     /// `object`
     Object,
     /// `material`
@@ -129,7 +129,7 @@ pub enum Word {
     Light,
     /// `occluder`
     Occluder,
-    /// `found`
+    /// `technique`
     Found,
     /// `end`
     End,
@@ -150,7 +150,7 @@ pub enum QueryError {
     },
     /// Unknown name.
     #[error("column {column}: unknown name {name:?}; known names: {}", KNOWN.join(", "))]
-    Name {
+    UnknownName {
         /// Column in the text, from 1.
         column: usize,
         /// The name.
@@ -158,7 +158,7 @@ pub enum QueryError {
     },
     /// Unknown word.
     #[error("column {column}: {name} cannot be {word:?}; it is one of {}", .words.join(", "))]
-    NoWord {
+    UnknownWord {
         /// Column in the text, from 1.
         column: usize,
         /// Name that is compared.
@@ -203,71 +203,71 @@ const MOST_DEPTH: usize = 64;
 const MOST_TOKENS: usize = 2048;
 
 enum Field {
-    Number(Number),
-    Word(Word),
+    Number(NumberField),
+    Word(WordField),
 }
 
-fn field(name: &str) -> Option<Field> {
+fn parse_field(name: &str) -> Option<Field> {
     let part = |prefix: &str, parts: &str| {
         let rest = name.strip_prefix(prefix)?;
         (rest.len() == 1).then(|| parts.find(rest)).flatten()
     };
     let number = match name {
-        "bounce" => Some(Number::Bounce),
-        "depth" => Some(Number::Depth),
-        "sample" => Some(Number::Sample),
+        "bounce" => Some(NumberField::Bounce),
+        "depth" => Some(NumberField::Depth),
+        "sample" => Some(NumberField::Sample),
         _ => None,
     };
     let number = number
-        .or_else(|| part("position.", "xyz").map(Number::Position))
-        .or_else(|| part("radiance.", "rgb").map(Number::Radiance))
-        .or_else(|| part("throughput.", "rgb").map(Number::Throughput))
-        .or_else(|| part("light.radiance.", "rgb").map(Number::LightRadiance))
-        .or_else(|| part("path.radiance.", "rgb").map(Number::PathRadiance))
-        .or_else(|| part("path.throughput.", "rgb").map(Number::PathThroughput))
-        .or_else(|| part("pixel.", "xy").map(Number::Pixel));
+        .or_else(|| part("position.", "xyz").map(NumberField::Position))
+        .or_else(|| part("radiance.", "rgb").map(NumberField::Radiance))
+        .or_else(|| part("throughput.", "rgb").map(NumberField::Throughput))
+        .or_else(|| part("light.radiance.", "rgb").map(NumberField::LightRadiance))
+        .or_else(|| part("path.radiance.", "rgb").map(NumberField::PathRadiance))
+        .or_else(|| part("path.throughput.", "rgb").map(NumberField::PathThroughput))
+        .or_else(|| part("pixel.", "xy").map(NumberField::Pixel));
     let word = match name {
-        "object" => Some(Word::Object),
-        "material" => Some(Word::Material),
-        "interaction" => Some(Word::Interaction),
-        "light" => Some(Word::Light),
-        "occluder" => Some(Word::Occluder),
-        "found" => Some(Word::Found),
-        "end" => Some(Word::End),
+        "object" => Some(WordField::Object),
+        "material" => Some(WordField::Material),
+        "interaction" => Some(WordField::Interaction),
+        "light" => Some(WordField::Light),
+        "occluder" => Some(WordField::Occluder),
+        "found" => Some(WordField::Found),
+        "end" => Some(WordField::End),
         _ => None,
     };
     number.map(Field::Number).or(word.map(Field::Word))
 }
 
 /// Returns the known words. It is empty for names, which may be anything.
-fn words(word: Word) -> Vec<&'static str> {
+fn known_words(word: WordField) -> Vec<&'static str> {
     match word {
-        Word::Object | Word::Material | Word::Light | Word::Occluder => Vec::new(),
-        Word::Interaction => Interaction::ALL.iter().map(|it| it.word()).collect(),
-        Word::Found => Found::ALL.iter().map(|it| it.word()).collect(),
-        Word::End => End::ALL.iter().map(|it| it.word()).collect(),
+        WordField::Object | WordField::Material | WordField::Light | WordField::Occluder => Vec::new(),
+        WordField::Interaction => InteractionKind::ALL.iter().map(|it| it.word()).collect(),
+        WordField::Found => LightTechnique::ALL.iter().map(|it| it.word()).collect(),
+        WordField::End => PathEnd::ALL.iter().map(|it| it.word()).collect(),
     }
 }
 
 impl Condition {
     /// Parses a condition.
     pub fn parse(text: &str) -> Result<Self, QueryError> {
-        let mut parser = Parser { tokens: tokens(text)?, at: 0, depth: 0 };
-        let condition = parser.any()?;
+        let mut parser = Parser { tokens: tokenize(text)?, at: 0, depth: 0 };
+        let condition = parser.disjunction()?;
         match parser.tokens.get(parser.at) {
             None => Ok(condition),
             Some(_) => Err(parser.expected("`and`, `or` or the end")),
         }
     }
 
-    fn holds(&self, at: &At<'_>) -> bool {
+    fn holds(&self, context: &QueryContext<'_>) -> bool {
         match self {
-            Self::And(a, b) => a.holds(at) && b.holds(at),
-            Self::Or(a, b) => a.holds(at) || b.holds(at),
-            Self::Not(condition) => !condition.holds(at),
-            Self::Number(number, order, value) => at.has_number(*number, |own| order.holds(own, *value)),
-            Self::Word(word, Equality::Is, value) => at.has_word(*word, value),
-            Self::Word(word, Equality::IsNot, value) => !at.has_word(*word, value),
+            Self::And(a, b) => a.holds(context) && b.holds(context),
+            Self::Or(a, b) => a.holds(context) || b.holds(context),
+            Self::Not(condition) => !condition.holds(context),
+            Self::Number(number, order, value) => context.has_number(*number, |own| order.compare(own, *value)),
+            Self::Word(word, EqualityOp::Is, value) => context.has_word(*word, value),
+            Self::Word(word, EqualityOp::IsNot, value) => !context.has_word(*word, value),
         }
     }
 }
@@ -275,7 +275,7 @@ impl Condition {
 /// A token of a condition, with its column.
 type Token = (usize, String);
 
-fn tokens(text: &str) -> Result<Vec<Token>, QueryError> {
+fn tokenize(text: &str) -> Result<Vec<Token>, QueryError> {
     let (mut all, mut rest) = (Vec::new(), text);
     loop {
         rest = rest.trim_start();
@@ -316,7 +316,7 @@ impl Parser {
         token
     }
 
-    fn takes(&mut self, word: &str) -> bool {
+    fn accept(&mut self, word: &str) -> bool {
         let takes = self.tokens.get(self.at).is_some_and(|(_, token)| token == word);
         self.at += usize::from(takes);
         takes
@@ -328,32 +328,32 @@ impl Parser {
         QueryError::Expected { column, found, expected }
     }
 
-    fn any(&mut self) -> Result<Condition, QueryError> {
-        let mut all = self.every()?;
-        while self.takes("or") {
-            all = Condition::Or(Box::new(all), Box::new(self.every()?));
+    fn disjunction(&mut self) -> Result<Condition, QueryError> {
+        let mut all = self.conjunction()?;
+        while self.accept("or") {
+            all = Condition::Or(Box::new(all), Box::new(self.conjunction()?));
         }
         Ok(all)
     }
 
-    fn every(&mut self) -> Result<Condition, QueryError> {
-        let mut all = self.one()?;
-        while self.takes("and") {
-            all = Condition::And(Box::new(all), Box::new(self.one()?));
+    fn conjunction(&mut self) -> Result<Condition, QueryError> {
+        let mut all = self.term()?;
+        while self.accept("and") {
+            all = Condition::And(Box::new(all), Box::new(self.term()?));
         }
         Ok(all)
     }
 
-    fn one(&mut self) -> Result<Condition, QueryError> {
+    fn term(&mut self) -> Result<Condition, QueryError> {
         self.depth += 1;
         if self.depth > MOST_DEPTH {
             return Err(QueryError::TooDeep);
         }
-        let condition = if self.takes("not") {
-            Condition::Not(Box::new(self.one()?))
-        } else if self.takes("(") {
-            let inner = self.any()?;
-            if !self.takes(")") {
+        let condition = if self.accept("not") {
+            Condition::Not(Box::new(self.term()?))
+        } else if self.accept("(") {
+            let inner = self.disjunction()?;
+            if !self.accept(")") {
                 return Err(self.expected("`)`"));
             }
             inner
@@ -370,8 +370,8 @@ impl Parser {
         if !name.starts_with(char::is_alphabetic) {
             return Err(missing);
         }
-        let field = field(&name).ok_or_else(|| QueryError::Name { column, name: name.clone() })?;
-        let order = self.order()?;
+        let field = parse_field(&name).ok_or_else(|| QueryError::UnknownName { column, name: name.clone() })?;
+        let order = self.compare_op()?;
         match field {
             Field::Number(number) => {
                 let missing = self.expected("a number");
@@ -380,8 +380,8 @@ impl Parser {
             }
             Field::Word(word) => {
                 let equality = match order {
-                    Order::Equal => Equality::Is,
-                    Order::Unequal => Equality::IsNot,
+                    CompareOp::Equal => EqualityOp::Is,
+                    CompareOp::Unequal => EqualityOp::IsNot,
                     _ => {
                         self.at -= 1;
                         return Err(self.expected("`==` or `!=`"));
@@ -394,82 +394,82 @@ impl Parser {
                     None if value.starts_with(|c| "()=!<>".contains(c)) => return Err(missing),
                     None => value,
                 };
-                let words = words(word);
+                let words = known_words(word);
                 if !words.is_empty() && !words.contains(&value.as_str()) {
-                    return Err(QueryError::NoWord { column, name, word: value, words });
+                    return Err(QueryError::UnknownWord { column, name, word: value, words });
                 }
                 Ok(Condition::Word(word, equality, value))
             }
         }
     }
 
-    fn order(&mut self) -> Result<Order, QueryError> {
+    fn compare_op(&mut self) -> Result<CompareOp, QueryError> {
         let missing = self.expected("`==`, `!=`, `<`, `<=`, `>` or `>=`");
         match self.next().as_ref().map(|(_, token)| token.as_str()) {
-            Some("==" | "=") => Ok(Order::Equal),
-            Some("!=") => Ok(Order::Unequal),
-            Some("<") => Ok(Order::Below),
-            Some("<=") => Ok(Order::AtMost),
-            Some(">") => Ok(Order::Above),
-            Some(">=") => Ok(Order::AtLeast),
+            Some("==" | "=") => Ok(CompareOp::Equal),
+            Some("!=") => Ok(CompareOp::Unequal),
+            Some("<") => Ok(CompareOp::Below),
+            Some("<=") => Ok(CompareOp::AtMost),
+            Some(">") => Ok(CompareOp::Above),
+            Some(">=") => Ok(CompareOp::AtLeast),
             _ => Err(missing),
         }
     }
 }
 
 /// An intersection of a path, or only the path.
-struct At<'a> {
+struct QueryContext<'a> {
     scope: &'a Scope,
     names: &'a Names,
-    path: &'a Path,
+    path: &'a LightPath,
     /// Index of the intersection in the path.
-    place: Option<usize>,
+    index: Option<usize>,
 }
 
-impl At<'_> {
+impl QueryContext<'_> {
     fn intersection(&self) -> Option<&Intersection> {
-        self.place.and_then(|place| self.path.intersections.get(place))
+        self.index.and_then(|place| self.path.intersections.get(place))
     }
 
-    fn lights(&self) -> impl Iterator<Item = &Light> {
-        let vertex = self.place.map_or(0, |place| place as u32 + 1);
+    fn lights(&self) -> impl Iterator<Item = &LightRecord> {
+        let vertex = self.index.map_or(0, |place| place as u32 + 1);
         self.path.lights.iter().filter(move |light| light.vertex == vertex)
     }
 
-    fn has_number(&self, number: Number, holds: impl Fn(f64) -> bool) -> bool {
+    fn has_number(&self, number: NumberField, holds: impl Fn(f64) -> bool) -> bool {
         let of_intersection = |get: &dyn Fn(&Intersection) -> f64| self.intersection().is_some_and(|it| holds(get(it)));
         let width = self.scope.film[0].max(1);
         match number {
-            Number::Bounce => of_intersection(&|it| f64::from(it.bounce)),
-            Number::Position(axis) => of_intersection(&|it| it.position[axis]),
-            Number::Radiance(channel) => of_intersection(&|it| f64::from(it.radiance[channel])),
-            Number::Throughput(channel) => of_intersection(&|it| f64::from(it.throughput[channel])),
-            Number::LightRadiance(channel) => self.lights().any(|it| holds(f64::from(it.radiance[channel]))),
-            Number::PathRadiance(channel) => holds(f64::from(self.path.radiance[channel])),
-            Number::PathThroughput(channel) => holds(f64::from(self.path.throughput[channel])),
-            Number::Depth => holds(f64::from(self.path.depth)),
-            Number::Pixel(0) => holds(f64::from(self.path.key.pixel % width)),
-            Number::Pixel(_) => holds(f64::from(self.path.key.pixel / width)),
-            Number::Sample => holds(f64::from(self.path.key.sample)),
+            NumberField::Bounce => of_intersection(&|it| f64::from(it.bounce)),
+            NumberField::Position(axis) => of_intersection(&|it| it.position[axis]),
+            NumberField::Radiance(channel) => of_intersection(&|it| f64::from(it.radiance[channel])),
+            NumberField::Throughput(channel) => of_intersection(&|it| f64::from(it.throughput[channel])),
+            NumberField::LightRadiance(channel) => self.lights().any(|it| holds(f64::from(it.radiance[channel]))),
+            NumberField::PathRadiance(channel) => holds(f64::from(self.path.radiance[channel])),
+            NumberField::PathThroughput(channel) => holds(f64::from(self.path.throughput[channel])),
+            NumberField::Depth => holds(f64::from(self.path.depth)),
+            NumberField::Pixel(0) => holds(f64::from(self.path.key.pixel % width)),
+            NumberField::Pixel(_) => holds(f64::from(self.path.key.pixel / width)),
+            NumberField::Sample => holds(f64::from(self.path.key.sample)),
         }
     }
 
-    fn has_word(&self, word: Word, value: &str) -> bool {
+    fn has_word(&self, word: WordField, value: &str) -> bool {
         let is = |name: Name| is_named(self.names, name, value);
         match word {
-            Word::Object => self.intersection().is_some_and(|it| is(it.object)),
-            Word::Material => self.intersection().is_some_and(|it| is(it.material)),
-            Word::Interaction => self.intersection().is_some_and(|it| it.interaction.word() == value),
-            Word::Light => self.lights().any(|it| is(it.light)),
-            Word::Occluder => self.lights().any(|it| it.occluder.is_some_and(is)),
-            Word::Found => self.lights().any(|it| it.found.word() == value),
-            Word::End => self.path.end.word() == value,
+            WordField::Object => self.intersection().is_some_and(|it| is(it.object)),
+            WordField::Material => self.intersection().is_some_and(|it| is(it.material)),
+            WordField::Interaction => self.intersection().is_some_and(|it| it.interaction.word() == value),
+            WordField::Light => self.lights().any(|it| is(it.light)),
+            WordField::Occluder => self.lights().any(|it| it.occluder.is_some_and(is)),
+            WordField::Found => self.lights().any(|it| it.technique.word() == value),
+            WordField::End => self.path.end.word() == value,
         }
     }
 }
 
 /// Checks whether a name is `value` or lies in `value`.
-pub fn is_in(names: &Names, name: Name, value: &str) -> bool {
+pub fn is_within(names: &Names, name: Name, value: &str) -> bool {
     is_named(names, name, value)
 }
 
@@ -481,7 +481,7 @@ fn is_named(names: &Names, name: Name, value: &str) -> bool {
 impl Query {
     /// Returns the indices of the intersections of a path that match, or `None` if the path does not match. A path without
     /// intersections can match with an empty set.
-    pub fn matches(&self, scope: &Scope, names: &Names, path: &Path) -> Option<BTreeSet<usize>> {
+    pub fn matches(&self, scope: &Scope, names: &Names, path: &LightPath) -> Option<BTreeSet<usize>> {
         let mut later = path.intersections.iter();
         for object in &self.objects {
             later.find(|it| is_named(names, it.object, object))?;
@@ -492,8 +492,8 @@ impl Query {
             (0..3).all(|axis| (low[axis]..=high[axis]).contains(&position[axis]))
         };
         let holds = |place: Option<usize>| {
-            let at = At { scope, names, path, place };
-            self.condition.as_ref().is_none_or(|condition| condition.holds(&at))
+            let context = QueryContext { scope, names, path, index: place };
+            self.condition.as_ref().is_none_or(|condition| condition.holds(&context))
         };
         if path.intersections.is_empty() {
             return (self.within.is_none() && holds(None)).then(BTreeSet::new);
@@ -505,6 +505,6 @@ impl Query {
 }
 
 /// Checks whether a name is known, as the name of an object or of a parent of objects.
-pub fn is_known(names: &Names, value: &str) -> bool {
+pub fn is_known_name(names: &Names, value: &str) -> bool {
     names.keys().any(|name| is_named(names, *name, value))
 }

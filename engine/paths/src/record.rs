@@ -1,6 +1,6 @@
 //! Records of light: a path, its intersections, and its light contributions.
 
-use femc_math::hash::{Begun, begun};
+use femc_math::hash::{HashPrefix, hash_prefix};
 use std::collections::{BTreeMap, HashMap};
 use std::hash::{BuildHasherDefault, Hasher};
 
@@ -30,14 +30,14 @@ impl PathKey {
 
     /// Returns the common prefix state of the hashes of all samples of a pixel.
     #[inline]
-    pub fn pixel_hash(self, seed: u64) -> Begun {
-        begun(&[SALT, seed, u64::from(self.frame) << 32 | u64::from(self.pixel)])
+    pub fn pixel_hash(self, seed: u64) -> HashPrefix {
+        hash_prefix(&[SALT, seed, u64::from(self.frame) << 32 | u64::from(self.pixel)])
     }
 
     /// Returns [`Self::hash`], computed from the value of [`Self::pixel_hash`] for its pixel.
     #[inline]
-    pub fn hash_in_pixel(self, pixel: Begun) -> u64 {
-        pixel.end(&[u64::from(self.sample)]).min(u64::MAX - 1)
+    pub fn hash_in_pixel(self, pixel: HashPrefix) -> u64 {
+        pixel.finish(&[u64::from(self.sample)]).min(u64::MAX - 1)
     }
 
     /// Returns the half that the sample belongs to: A (0) has the even numbers, B (1) the odd ones.
@@ -49,7 +49,7 @@ impl PathKey {
 
 /// Kind of a named thing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum Kind {
+pub enum NameKind {
     /// An object of the scene, by its dotted name.
     Object,
     /// A material.
@@ -60,13 +60,13 @@ pub enum Kind {
     Lamp,
 }
 
-impl Kind {
+impl NameKind {
     /// All kinds, in the order of their numbers.
     pub const ALL: [Self; 4] = [Self::Object, Self::Material, Self::Medium, Self::Lamp];
 }
 
 /// A kind and a text.
-pub type Named = (Kind, String);
+pub type NameEntry = (NameKind, String);
 
 /// A stable key of an object, a material, a medium or a lamp. It is a hash of the kind and the name, so it is the same in all
 /// frames, jobs and variants. [`Statistics::names`](crate::Statistics::names) has the texts.
@@ -78,7 +78,7 @@ impl Name {
     pub const NONE: Self = Self(0);
 
     /// Creates the name of a kind and a text. An empty text gives [`Self::NONE`].
-    pub fn of(kind: Kind, text: &str) -> Self {
+    pub fn new(kind: NameKind, text: &str) -> Self {
         if text.is_empty() {
             return Self::NONE;
         }
@@ -90,10 +90,10 @@ impl Name {
 }
 
 /// The texts of names.
-pub type Names = BTreeMap<Name, Named>;
+pub type Names = BTreeMap<Name, NameEntry>;
 
 /// Map from names. Its iteration order has no meaning.
-pub(crate) type ByName<T> = HashMap<Name, T, BuildHasherDefault<KeyHasher>>;
+pub(crate) type NameMap<T> = HashMap<Name, T, BuildHasherDefault<KeyHasher>>;
 
 /// Hasher that passes names through, since they are hashes already.
 #[derive(Default)]
@@ -133,7 +133,7 @@ macro_rules! numbered {
 
 numbered! {
     /// Reason why a path ended.
-    End:
+    PathEnd:
     /// The path left the scene.
     Escaped = "escaped",
     /// Nothing was scattered, or the scattered direction was not possible.
@@ -148,7 +148,7 @@ numbered! {
 
 numbered! {
     /// Interaction with which a path continued from an intersection.
-    Interaction:
+    InteractionKind:
     /// The path ended there.
     Absorbed = "absorbed",
     /// The path ended at an emitter.
@@ -169,13 +169,13 @@ numbered! {
 
 numbered! {
     /// Technique that found light.
-    Found:
+    LightTechnique:
     /// A point on a lamp was sampled from the camera.
-    Sight = "sight",
+    CameraNextEvent = "sight",
     /// The path hit a lamp.
-    Met = "met",
+    EmitterHit = "met",
     /// A point on a lamp was sampled from a surface.
-    Surface = "surface",
+    NextEvent = "surface",
     /// A lamp was sampled, with a distance by its light that a medium scatters.
     Airlight = "airlight",
     /// A medium emits light.
@@ -186,27 +186,27 @@ numbered! {
 
 /// One sample of a pixel: a light path from the camera.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Path {
+pub struct LightPath {
     /// Key of the sample.
     pub key: PathKey,
     /// Contribution of the sample to its pixel, cd/m2 by channel; finite, not negative.
     pub radiance: [f32; 3],
     /// Throughput of the path at its end, 0 if nothing is left; finite, not negative.
     pub throughput: [f32; 3],
-    /// Number of its intersections, including those past [`MOST_INTERSECTIONS`].
+    /// Number of its intersections, including those past [`MAX_INTERSECTIONS`].
     pub depth: u32,
     /// Reason why the path ended.
-    pub end: End,
+    pub end: PathEnd,
     /// First intersections of the path, in order from the camera.
     pub intersections: Vec<Intersection>,
     /// First light contributions of the path, in the order in which they were found.
-    pub lights: Vec<Light>,
+    pub lights: Vec<LightRecord>,
 }
 
 /// Maximum number of intersections in a record.
-pub const MOST_INTERSECTIONS: usize = 255;
+pub const MAX_INTERSECTIONS: usize = 255;
 /// Maximum number of lights in a record.
-pub const MOST_LIGHTS: usize = 1023;
+pub const MAX_LIGHTS: usize = 1023;
 
 /// A vertex of a path: a surface or a point in a medium.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -225,27 +225,27 @@ pub struct Intersection {
     /// Material or medium.
     pub material: Name,
     /// Interaction with which the path continued.
-    pub interaction: Interaction,
+    pub interaction: InteractionKind,
 }
 
 /// A light contribution at a vertex of a path, possibly occluded.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Light {
+pub struct LightRecord {
     /// Number of the path's intersections up to then; 0: at the camera.
     pub vertex: u32,
     /// Lamp, or the medium that emits. None for the light of a first pass.
     pub light: Name,
-    /// Medium that scattered the lamp's light into the segment ([`Found::Airlight`]), else none.
+    /// Medium that scattered the lamp's light into the segment ([`LightTechnique::Airlight`]), else none.
     pub medium: Name,
     /// Contribution to the sample, cd/m2: 0 if the lamp is occluded. Finite, not negative.
     pub radiance: [f32; 3],
     /// Nearest object that hides the lamp from the vertex, or from the point in the medium.
     pub occluder: Option<Name>,
     /// Technique that found the light.
-    pub found: Found,
+    pub technique: LightTechnique,
 }
 
-impl Path {
+impl LightPath {
     /// Returns the luminance of the sample, cd/m2.
     pub fn luminance(&self) -> f32 {
         luminance(self.radiance)
@@ -253,36 +253,40 @@ impl Path {
 
     /// Returns the radiance that leaves each intersection along the path, cd/m2: the sum of the record's lights from there on, last
     /// ones first, divided by the throughput on arrival. It is 0 where the throughput is 0.
-    /// - `emits`: whether the last lamp hit before an intersection was counted lies at that intersection itself, so that its light
-    ///   is included.
-    pub fn sent(&self, emits: impl Fn(usize) -> bool) -> Vec<[f32; 3]> {
+    /// - `includes_emission`: whether the last lamp hit before an intersection was counted lies at that intersection itself, so
+    ///   that its light is included.
+    pub fn outgoing_radiance(&self, includes_emission: impl Fn(usize) -> bool) -> Vec<[f32; 3]> {
         let (mut sum, mut earlier) = ([0f32; 3], &self.lights[..]);
-        let mut sent = vec![[0f32; 3]; self.intersections.len()];
-        for (index, (it, sent)) in self.intersections.iter().zip(&mut sent).enumerate().rev() {
+        let mut outgoing = vec![[0f32; 3]; self.intersections.len()];
+        for (index, (it, sent)) in self.intersections.iter().zip(&mut outgoing).enumerate().rev() {
             while let Some((light, before)) = earlier.split_last()
                 && light.vertex as usize > index
             {
-                sum = added(sum, light.radiance);
+                sum = add_rgb(sum, light.radiance);
                 earlier = before;
             }
             let mut here = earlier.iter().rev().take_while(|light| light.vertex as usize == index);
-            let own = here.find(|light| light.found == Found::Met).filter(|_| emits(index));
-            let all = own.map_or(sum, |own| added(sum, own.radiance));
+            let own =
+                here.find(|light| light.technique == LightTechnique::EmitterHit).filter(|_| includes_emission(index));
+            let all = own.map_or(sum, |own| add_rgb(sum, own.radiance));
             *sent = std::array::from_fn(|channel| {
                 let (light, factor) = (all[channel], it.throughput[channel]);
                 if factor > 0.0 { (light / factor).min(f32::MAX) } else { 0.0 }
             });
         }
-        sent
+        outgoing
     }
 
     /// Returns the sum of its lights, cd/m2. Lights sampled from the camera are added last, as in a renderer.
-    pub(crate) fn sum(&self) -> [f32; 3] {
-        let of = |is_sight: bool| {
-            let lights = self.lights.iter().filter(|light| (light.found == Found::Sight) == is_sight);
-            lights.fold([0f32; 3], |sum, light| added(sum, light.radiance))
+    pub(crate) fn sum_of_lights(&self) -> [f32; 3] {
+        let sum_lights = |is_camera_next_event: bool| {
+            let lights = self
+                .lights
+                .iter()
+                .filter(|light| (light.technique == LightTechnique::CameraNextEvent) == is_camera_next_event);
+            lights.fold([0f32; 3], |sum, light| add_rgb(sum, light.radiance))
         };
-        added(of(false), of(true))
+        add_rgb(sum_lights(false), sum_lights(true))
     }
 
     /// Returns all names in the record.
@@ -293,15 +297,15 @@ impl Path {
     }
 
     /// Checks that all numbers are in their valid ranges.
-    pub fn is_sound(&self) -> bool {
+    pub fn is_valid(&self) -> bool {
         let is_light = |rgb: [f32; 3]| rgb.iter().all(|value| value.is_finite() && *value >= 0.0);
         let are_sound = self.intersections.iter().all(|it| {
             is_light(it.radiance) && is_light(it.throughput) && it.position.iter().all(|axis| axis.is_finite())
         });
         let kept = self.intersections.len();
-        kept <= MOST_INTERSECTIONS
-            && self.lights.len() <= MOST_LIGHTS
-            && (self.depth as usize == kept || kept == MOST_INTERSECTIONS && self.depth as usize > kept)
+        kept <= MAX_INTERSECTIONS
+            && self.lights.len() <= MAX_LIGHTS
+            && (self.depth as usize == kept || kept == MAX_INTERSECTIONS && self.depth as usize > kept)
             && is_light(self.radiance)
             && is_light(self.throughput)
             && are_sound
@@ -309,7 +313,7 @@ impl Path {
     }
 }
 
-fn added(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
+fn add_rgb(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
     std::array::from_fn(|channel| a[channel] + b[channel])
 }
 

@@ -11,15 +11,15 @@
 //! | [`Scale::Class`] | the number of the word, 0: none | the same |
 //! | [`Scale::Name`] | 0: none, else 1 + key mod 63: names may share a bin | `10 f / 64` |
 
-use crate::record::{Name, Path, luminance};
+use crate::record::{LightPath, Name, luminance};
 use crate::statistics::Scope;
 
 /// Version of the attributes and their bins.
 pub const VERSION: u32 = 1;
 /// Number of fine bins of an attribute.
-pub const FINE: usize = 64;
+pub const FINE_BINS: usize = 64;
 /// Number of coarse bins of an attribute, as in the founding documents.
-pub const COARSE: usize = 10;
+pub const COARSE_BINS: usize = 10;
 
 /// Mapping from numbers to bins.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -45,9 +45,9 @@ impl Scale {
     #[inline]
     pub fn coarse(self, fine: u8) -> u8 {
         match self {
-            Self::Count | Self::Class => fine.min(COARSE as u8 - 1),
+            Self::Count | Self::Class => fine.min(COARSE_BINS as u8 - 1),
             Self::Film | Self::World | Self::Radiance | Self::Throughput | Self::Name => {
-                (u32::from(fine) * COARSE as u32 / FINE as u32) as u8
+                (u32::from(fine) * COARSE_BINS as u32 / FINE_BINS as u32) as u8
             }
         }
     }
@@ -62,128 +62,128 @@ pub struct Attribute {
     pub scale: Scale,
 }
 
-const fn of(name: &'static str, scale: Scale) -> Attribute {
+const fn attribute(name: &'static str, scale: Scale) -> Attribute {
     Attribute { name, scale }
 }
 
 /// Attributes of a path, in the order of the axes of a parallel coordinates plot. `first` and `last` are its intersections, `light`
 /// is the light that contributed the most.
-pub const PATH: [Attribute; 20] = [
-    of("pixel.x", Scale::Film),
-    of("pixel.y", Scale::Film),
-    of("radiance.r", Scale::Radiance),
-    of("radiance.g", Scale::Radiance),
-    of("radiance.b", Scale::Radiance),
-    of("throughput.r", Scale::Throughput),
-    of("throughput.g", Scale::Throughput),
-    of("throughput.b", Scale::Throughput),
-    of("depth", Scale::Count),
-    of("end", Scale::Class),
-    of("first.x", Scale::World),
-    of("first.y", Scale::World),
-    of("first.z", Scale::World),
-    of("first.interaction", Scale::Class),
-    of("first.object", Scale::Name),
-    of("last.x", Scale::World),
-    of("last.y", Scale::World),
-    of("last.z", Scale::World),
-    of("light.radiance", Scale::Radiance),
-    of("light", Scale::Name),
+pub const PATH_ATTRIBUTES: [Attribute; 20] = [
+    attribute("pixel.x", Scale::Film),
+    attribute("pixel.y", Scale::Film),
+    attribute("radiance.r", Scale::Radiance),
+    attribute("radiance.g", Scale::Radiance),
+    attribute("radiance.b", Scale::Radiance),
+    attribute("throughput.r", Scale::Throughput),
+    attribute("throughput.g", Scale::Throughput),
+    attribute("throughput.b", Scale::Throughput),
+    attribute("depth", Scale::Count),
+    attribute("end", Scale::Class),
+    attribute("first.x", Scale::World),
+    attribute("first.y", Scale::World),
+    attribute("first.z", Scale::World),
+    attribute("first.interaction", Scale::Class),
+    attribute("first.object", Scale::Name),
+    attribute("last.x", Scale::World),
+    attribute("last.y", Scale::World),
+    attribute("last.z", Scale::World),
+    attribute("light.radiance", Scale::Radiance),
+    attribute("light", Scale::Name),
 ];
 
 /// Attributes of an intersection.
-pub const INTERSECTION: [Attribute; 10] = [
-    of("bounce", Scale::Count),
-    of("position.x", Scale::World),
-    of("position.y", Scale::World),
-    of("position.z", Scale::World),
-    of("radiance.r", Scale::Radiance),
-    of("radiance.g", Scale::Radiance),
-    of("radiance.b", Scale::Radiance),
-    of("object", Scale::Name),
-    of("material", Scale::Name),
-    of("interaction", Scale::Class),
+pub const INTERSECTION_ATTRIBUTES: [Attribute; 10] = [
+    attribute("bounce", Scale::Count),
+    attribute("position.x", Scale::World),
+    attribute("position.y", Scale::World),
+    attribute("position.z", Scale::World),
+    attribute("radiance.r", Scale::Radiance),
+    attribute("radiance.g", Scale::Radiance),
+    attribute("radiance.b", Scale::Radiance),
+    attribute("object", Scale::Name),
+    attribute("material", Scale::Name),
+    attribute("interaction", Scale::Class),
 ];
 
 /// Attributes of a light record.
-pub const LIGHT: [Attribute; 6] = [
-    of("radiance.r", Scale::Radiance),
-    of("radiance.g", Scale::Radiance),
-    of("radiance.b", Scale::Radiance),
-    of("light", Scale::Name),
-    of("occluder", Scale::Name),
-    of("found", Scale::Class),
+pub const LIGHT_ATTRIBUTES: [Attribute; 6] = [
+    attribute("radiance.r", Scale::Radiance),
+    attribute("radiance.g", Scale::Radiance),
+    attribute("radiance.b", Scale::Radiance),
+    attribute("light", Scale::Name),
+    attribute("occluder", Scale::Name),
+    attribute("found", Scale::Class),
 ];
 
 /// Numbers of attributes of paths, intersections and lights.
-pub const AXES: [usize; 3] = [PATH.len(), INTERSECTION.len(), LIGHT.len()];
+pub const ATTRIBUTE_COUNTS: [usize; 3] = [PATH_ATTRIBUTES.len(), INTERSECTION_ATTRIBUTES.len(), LIGHT_ATTRIBUTES.len()];
 /// Number of bins of all attributes.
-pub const ALL_BINS: usize = FINE * (AXES[0] + AXES[1] + AXES[2]);
+pub const ALL_BINS: usize = FINE_BINS * (ATTRIBUTE_COUNTS[0] + ATTRIBUTE_COUNTS[1] + ATTRIBUTE_COUNTS[2]);
 
 /// Returns the fine bins of a path.
-pub fn path_bins(scope: &Scope, path: &Path) -> [u8; PATH.len()] {
+pub fn path_bins(scope: &Scope, path: &LightPath) -> [u8; PATH_ATTRIBUTES.len()] {
     let [width, height] = scope.film;
     let (x, y) = (path.key.pixel % width.max(1), path.key.pixel / width.max(1));
-    let [r, g, b] = path.radiance.map(radiance);
-    let [tr, tg, tb] = path.throughput.map(throughput);
+    let [r, g, b] = path.radiance.map(radiance_bin);
+    let [tr, tg, tb] = path.throughput.map(throughput_bin);
     let (first, last) = (path.intersections.first(), path.intersections.last());
-    let [fx, fy, fz] = first.map_or([0; 3], |it| world(scope, it.position));
-    let [lx, ly, lz] = last.map_or([0; 3], |it| world(scope, it.position));
+    let [fx, fy, fz] = first.map_or([0; 3], |it| world_bins(scope, it.position));
+    let [lx, ly, lz] = last.map_or([0; 3], |it| world_bins(scope, it.position));
     let brightest = path.lights.iter().max_by(|a, b| luminance(a.radiance).total_cmp(&luminance(b.radiance)));
     [
-        film(x, width),
-        film(y, height),
+        film_bin(x, width),
+        film_bin(y, height),
         r,
         g,
         b,
         tr,
         tg,
         tb,
-        count(path.depth),
+        count_bin(path.depth),
         path.end as u8 + 1,
         fx,
         fy,
         fz,
         first.map_or(0, |it| it.interaction as u8 + 1),
-        first.map_or(0, |it| name(it.object)),
+        first.map_or(0, |it| name_bin(it.object)),
         lx,
         ly,
         lz,
-        brightest.map_or(0, |it| radiance(luminance(it.radiance))),
-        brightest.map_or(0, |it| name(it.light)),
+        brightest.map_or(0, |it| radiance_bin(luminance(it.radiance))),
+        brightest.map_or(0, |it| name_bin(it.light)),
     ]
 }
 
 /// Returns the fine bins of a path's intersections.
 pub fn intersection_bins<'a>(
     scope: &'a Scope,
-    path: &'a Path,
-) -> impl Iterator<Item = [u8; INTERSECTION.len()]> + use<'a> {
+    path: &'a LightPath,
+) -> impl Iterator<Item = [u8; INTERSECTION_ATTRIBUTES.len()]> + use<'a> {
     path.intersections.iter().map(|it| {
-        let [x, y, z] = world(scope, it.position);
-        let [r, g, b] = it.radiance.map(radiance);
-        [count(it.bounce), x, y, z, r, g, b, name(it.object), name(it.material), it.interaction as u8 + 1]
+        let [x, y, z] = world_bins(scope, it.position);
+        let [r, g, b] = it.radiance.map(radiance_bin);
+        [count_bin(it.bounce), x, y, z, r, g, b, name_bin(it.object), name_bin(it.material), it.interaction as u8 + 1]
     })
 }
 
 /// Returns the fine bins of a path's lights.
-pub fn light_bins(path: &Path) -> impl Iterator<Item = [u8; LIGHT.len()]> + use<'_> {
+pub fn light_bins(path: &LightPath) -> impl Iterator<Item = [u8; LIGHT_ATTRIBUTES.len()]> + use<'_> {
     path.lights.iter().map(|it| {
-        let [r, g, b] = it.radiance.map(radiance);
-        [r, g, b, name(it.light), it.occluder.map_or(0, name), it.found as u8 + 1]
+        let [r, g, b] = it.radiance.map(radiance_bin);
+        [r, g, b, name_bin(it.light), it.occluder.map_or(0, name_bin), it.technique as u8 + 1]
     })
 }
 
-fn film(place: u32, size: u32) -> u8 {
-    (u64::from(place) * FINE as u64 / u64::from(size.max(1))).min(FINE as u64 - 1) as u8
+fn film_bin(place: u32, size: u32) -> u8 {
+    (u64::from(place) * FINE_BINS as u64 / u64::from(size.max(1))).min(FINE_BINS as u64 - 1) as u8
 }
 
-fn world(scope: &Scope, position: [f64; 3]) -> [u8; 3] {
+fn world_bins(scope: &Scope, position: [f64; 3]) -> [u8; 3] {
     std::array::from_fn(|axis| {
         let (low, high) = (scope.lower[axis], scope.upper[axis]);
         let part = (position[axis] - low) / (high - low);
         // If the box has no extent, all points are in its first part: NaN becomes 0.
-        1 + (part * (FINE - 1) as f64).clamp(0.0, (FINE - 2) as f64) as u8
+        1 + (part * (FINE_BINS - 1) as f64).clamp(0.0, (FINE_BINS - 2) as f64) as u8
     })
 }
 
@@ -203,14 +203,14 @@ fn fourths(value: f32) -> i32 {
 
 /// Returns the fine bin of a radiance, cd/m2; finite, not negative.
 #[inline]
-pub fn radiance(value: f32) -> u8 {
-    if value > 0.0 { (fourths(value).div_euclid(2) + RADIANCE_BASE).clamp(1, FINE as i32 - 1) as u8 } else { 0 }
+pub fn radiance_bin(value: f32) -> u8 {
+    if value > 0.0 { (fourths(value).div_euclid(2) + RADIANCE_BASE).clamp(1, FINE_BINS as i32 - 1) as u8 } else { 0 }
 }
 
 /// Returns the fine bin of a factor; finite, not negative.
 #[inline]
-pub fn throughput(value: f32) -> u8 {
-    if value > 0.0 { (fourths(value) + THROUGHPUT_BASE).clamp(1, FINE as i32 - 1) as u8 } else { 0 }
+pub fn throughput_bin(value: f32) -> u8 {
+    if value > 0.0 { (fourths(value) + THROUGHPUT_BASE).clamp(1, FINE_BINS as i32 - 1) as u8 } else { 0 }
 }
 
 /// Bin of a radiance of 1 cd/m2.
@@ -220,29 +220,29 @@ const THROUGHPUT_BASE: i32 = 49;
 
 /// Returns the lower edge of a fine bin of radiances; 0 for bins 0 and 1.
 pub fn radiance_edge(bin: u8) -> f64 {
-    edge(bin, 2 * (i32::from(bin) - RADIANCE_BASE))
+    lower_edge(bin, 2 * (i32::from(bin) - RADIANCE_BASE))
 }
 
 /// Returns the lower edge of a fine bin of factors; 0 for bins 0 and 1.
 pub fn throughput_edge(bin: u8) -> f64 {
-    edge(bin, i32::from(bin) - THROUGHPUT_BASE)
+    lower_edge(bin, i32::from(bin) - THROUGHPUT_BASE)
 }
 
-fn edge(bin: u8, fourths: i32) -> f64 {
+fn lower_edge(bin: u8, fourths: i32) -> f64 {
     let octave = f32::from_bits(((fourths.div_euclid(4) + 127) as u32) << 23);
     if bin < 2 { 0.0 } else { f64::from(octave * FOURTHS[fourths.rem_euclid(4) as usize]) }
 }
 
 /// Returns the fine bin of a number of items.
 #[inline]
-pub fn count(number: u32) -> u8 {
-    number.min(FINE as u32 - 1) as u8
+pub fn count_bin(number: u32) -> u8 {
+    number.min(FINE_BINS as u32 - 1) as u8
 }
 
 /// Returns the fine bin of a name.
 #[inline]
-pub fn name(name: Name) -> u8 {
-    if name == Name::NONE { 0 } else { 1 + (name.0 % (FINE as u64 - 1)) as u8 }
+pub fn name_bin(name: Name) -> u8 {
+    if name == Name::NONE { 0 } else { 1 + (name.0 % (FINE_BINS as u64 - 1)) as u8 }
 }
 
 #[cfg(test)]
@@ -253,7 +253,7 @@ mod tests {
     fn bins_begin_at_their_edges() {
         type Bin = fn(f32) -> u8;
         type Edge = fn(u8) -> f64;
-        for (bin, lower) in [(radiance as Bin, radiance_edge as Edge), (throughput, throughput_edge)] {
+        for (bin, lower) in [(radiance_bin as Bin, radiance_edge as Edge), (throughput_bin, throughput_edge)] {
             assert_eq!((bin(0.0), bin(f32::MIN_POSITIVE), bin(f32::from_bits(1)), bin(f32::MAX)), (0, 1, 1, 63));
             for number in 2..64 {
                 let edge = lower(number) as f32;
@@ -261,15 +261,15 @@ mod tests {
                 assert_eq!(bin(edge.next_down()), number - 1, "below {edge}");
             }
         }
-        assert_eq!((radiance(1.0), throughput(1.0)), (22, 49));
+        assert_eq!((radiance_bin(1.0), throughput_bin(1.0)), (22, 49));
         assert_eq!((radiance_edge(2), throughput_edge(2)), (1.0 / 1024.0, f64::from(FOURTHS[1]) / 4096.0));
         assert_eq!(radiance_edge(63), f64::from(std::f32::consts::SQRT_2 * 1048576.0));
     }
 
     #[test]
     fn every_fine_bin_has_a_coarse_one_and_none_is_empty() {
-        for attribute in PATH.iter().chain(&INTERSECTION).chain(&LIGHT) {
-            let coarse: Vec<u8> = (0..FINE as u8).map(|fine| attribute.scale.coarse(fine)).collect();
+        for attribute in PATH_ATTRIBUTES.iter().chain(&INTERSECTION_ATTRIBUTES).chain(&LIGHT_ATTRIBUTES) {
+            let coarse: Vec<u8> = (0..FINE_BINS as u8).map(|fine| attribute.scale.coarse(fine)).collect();
             assert!(coarse.is_sorted() && coarse[0] == 0 && coarse[63] == 9, "{attribute:?}");
             assert!(coarse.windows(2).all(|pair| pair[1] - pair[0] <= 1), "{attribute:?}");
         }
@@ -277,11 +277,11 @@ mod tests {
 
     #[test]
     fn places_on_the_film_and_in_the_world_are_cut_into_equal_parts() {
-        assert_eq!((film(0, 512), film(7, 512), film(8, 512), film(511, 512)), (0, 0, 1, 63));
+        assert_eq!((film_bin(0, 512), film_bin(7, 512), film_bin(8, 512), film_bin(511, 512)), (0, 0, 1, 63));
         let scope = Scope { lower: [0.0; 3], upper: [63.0, 126.0, 0.0], ..Scope::default() };
-        assert_eq!(world(&scope, [0.0, 0.0, 0.0]), [1, 1, 1], "a box without extent has one part");
-        assert_eq!(world(&scope, [62.5, 125.9, 9.0]), [63, 63, 63]);
-        assert_eq!(world(&scope, [-1.0, 2.0, 0.0]), [1, 2, 1]);
-        assert_eq!(world(&scope, [1e9, 1.99, 0.0])[..2], [63, 1]);
+        assert_eq!(world_bins(&scope, [0.0, 0.0, 0.0]), [1, 1, 1], "a box without extent has one part");
+        assert_eq!(world_bins(&scope, [62.5, 125.9, 9.0]), [63, 63, 63]);
+        assert_eq!(world_bins(&scope, [-1.0, 2.0, 0.0]), [1, 2, 1]);
+        assert_eq!(world_bins(&scope, [1e9, 1.99, 0.0])[..2], [63, 1]);
     }
 }

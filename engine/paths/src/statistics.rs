@@ -6,11 +6,11 @@
 //!
 //! Records are the bottom-k of all samples by hash (\[cohen2007\]): `threshold` is at most the (k+1)-th least hash of all samples,
 //! and all samples of lesser hashes are present. So they are a fair subset, and any count over them is exact over a known subset
-//! with the share [`Statistics::share`]. Records of samples that turn out not to count are dropped. All samples that count and lie
-//! below the same threshold remain.
+//! with the share [`LightStatistics::share`]. Records of samples that turn out not to count are dropped. All samples that count and
+//! lie below the same threshold remain.
 
 use crate::pixels::{self, PixelSums};
-use crate::record::{ByName, Names, Path, PathKey};
+use crate::record::{LightPath, NameMap, Names, PathKey};
 use crate::schema;
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Bound;
@@ -25,44 +25,44 @@ pub struct Scope {
     /// Width and height of the film, pixels; not 0.
     pub film: [u32; 2],
     /// Width and height of a tile, pixels; not 0.
-    pub edge: u32,
+    pub tile_size: u32,
     /// Lower corner of the box for positions, world, m.
     pub lower: [f64; 3],
     /// Upper corner of the box.
     pub upper: [f64; 3],
     /// Maximum number of records chosen by hash (k).
-    pub keep: u32,
+    pub max_records: u32,
     /// Maximum number of records of each sketch for each portion.
-    pub top: u32,
+    pub sketch_size: u32,
     /// Whether the histograms of single attributes count all samples.
-    pub is_full: bool,
+    pub has_full_histograms: bool,
 }
 
 impl Scope {
     /// Returns the number of tiles in a row, and the number of all tiles.
-    pub(crate) fn tiles(&self) -> [u64; 2] {
-        let [columns, rows] = self.film.map(|size| u64::from(size.div_ceil(self.edge.max(1))));
+    pub(crate) fn tile_counts(&self) -> [u64; 2] {
+        let [columns, rows] = self.film.map(|size| u64::from(size.div_ceil(self.tile_size.max(1))));
         [columns, columns * rows]
     }
 
     /// Returns the index of the tile of a pixel, row by row.
     pub fn tile_of(&self, pixel: u32) -> u32 {
-        let (width, edge) = (self.film[0].max(1), self.edge.max(1));
+        let (width, edge) = (self.film[0].max(1), self.tile_size.max(1));
         let (x, y) = (pixel % width / edge, pixel / width / edge);
         y * width.div_ceil(edge) + x
     }
 
     /// Returns the number of pixels of a tile.
-    pub fn area(&self, tile: u32) -> u64 {
+    pub fn tile_area(&self, tile: u32) -> u64 {
         let [width, height] = self.film.map(u64::from);
-        let (columns, edge) = (self.tiles()[0].max(1), u64::from(self.edge));
+        let (columns, edge) = (self.tile_counts()[0].max(1), u64::from(self.tile_size));
         let (x, y) = (u64::from(tile) % columns * edge, u64::from(tile) / columns * edge);
         edge.min(width.saturating_sub(x)) * edge.min(height.saturating_sub(y))
     }
 
     /// Returns the pixels of a tile, row by row.
-    pub fn pixels_of(&self, tile: u32) -> impl Iterator<Item = u32> + use<> {
-        let (edge, [width, height]) = (self.edge.max(1), self.film);
+    pub fn tile_pixels(&self, tile: u32) -> impl Iterator<Item = u32> + use<> {
+        let (edge, [width, height]) = (self.tile_size.max(1), self.film);
         let columns = width.div_ceil(edge).max(1);
         let [x, y] = [tile % columns, tile / columns].map(|place| place.saturating_mul(edge));
         let end = |begin: u32, size: u32| begin.saturating_add(edge).min(size);
@@ -72,31 +72,31 @@ impl Scope {
 
     /// Returns the grid spacing, m. Positions of intersections are whole multiples of it. It is a power of two, 2^-20 to 2^-19 of
     /// the box's greatest extent.
-    pub fn grid(&self) -> f64 {
+    pub fn grid_spacing(&self) -> f64 {
         let extents = self.lower.iter().zip(&self.upper).map(|(low, high)| high - low);
         let extent = extents.fold(0.0, f64::max).clamp(1e-30, 1e30);
         // Keeps only the exponent.
         f64::from_bits(extent.to_bits() >> 52 << 52) / f64::from(1u32 << 19)
     }
 
-    /// Returns the nearest position on the [grid](Self::grid).
-    pub fn on_grid(&self, position: [f64; 3]) -> [f64; 3] {
-        let grid = self.grid();
+    /// Returns the nearest position on the [grid](Self::grid_spacing).
+    pub fn snap_to_grid(&self, position: [f64; 3]) -> [f64; 3] {
+        let grid = self.grid_spacing();
         // Turns a negative zero into zero.
         position.map(|axis| (axis / grid).round() * grid + 0.0)
     }
 
     /// Returns the number of pixels of the film.
-    pub(crate) fn pixels(&self) -> u64 {
+    pub(crate) fn pixel_count(&self) -> u64 {
         self.film.iter().map(|size| u64::from(*size)).product()
     }
 
-    pub(crate) fn is_sound(&self) -> bool {
-        let sizes = [self.film[0], self.film[1], self.edge];
+    pub(crate) fn is_valid(&self) -> bool {
+        let sizes = [self.film[0], self.film[1], self.tile_size];
         let corners = || self.lower.iter().zip(&self.upper);
         sizes.iter().all(|size| (1..=1 << 16).contains(size))
             && corners().all(|(low, high)| low.is_finite() && high.is_finite() && low <= high)
-            && self.keep > 0
+            && self.max_records > 0
     }
 }
 
@@ -120,52 +120,52 @@ impl PortionKey {
         below(self.end) - below(self.begin)
     }
 
-    fn has(self, sample: u32) -> bool {
+    fn contains(self, sample: u32) -> bool {
         (self.begin..self.end).contains(&sample) && sample % 2 == u32::from(self.half)
     }
 }
 
 /// Integer counts of all samples of a portion.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Counters {
+pub struct SampleCounters {
     /// Number of invalid samples (not finite, or negative). The film ignores them, and so do all statistics here.
     pub bad: u64,
     /// Valid samples by the fine bin of their luminance.
-    pub luminance: [u64; schema::FINE],
+    pub luminance: [u64; schema::FINE_BINS],
     /// Valid samples by the fine bin of their depth.
-    pub depth: [u64; schema::FINE],
-    /// Valid samples by the reason why the path ended, in the order of [`End::ALL`](crate::End::ALL).
+    pub depth: [u64; schema::FINE_BINS],
+    /// Valid samples by the reason why the path ended, in the order of [`PathEnd::ALL`](crate::PathEnd::ALL).
     pub ends: [u64; ENDS],
     /// Sums of each pixel of the tile, row by row.
     pub pixels: Vec<PixelSums>,
     /// Histograms of all attributes of all tables, one after the other, if the [scope is full](Scope::is_full); else empty.
-    pub bins: Bins,
+    pub bins: BinCounts,
 }
 
 /// Counts of all attributes of paths, then of intersections, then of lights, each in its fine bins; or empty.
-pub type Bins = Vec<u64>;
+pub type BinCounts = Vec<u64>;
 
 /// Number of reasons why a path ends.
-pub(crate) const ENDS: usize = crate::End::ALL.len();
+pub(crate) const ENDS: usize = crate::PathEnd::ALL.len();
 
-impl Default for Counters {
+impl Default for SampleCounters {
     fn default() -> Self {
-        let (luminance, depth) = ([0; schema::FINE], [0; schema::FINE]);
-        Self { bad: 0, luminance, depth, ends: [0; ENDS], pixels: Vec::new(), bins: Bins::new() }
+        let (luminance, depth) = ([0; schema::FINE_BINS], [0; schema::FINE_BINS]);
+        Self { bad: 0, luminance, depth, ends: [0; ENDS], pixels: Vec::new(), bins: BinCounts::new() }
     }
 }
 
-impl Counters {
+impl SampleCounters {
     /// Creates counters without samples, for a tile with this number of pixels.
-    pub fn of_pixels(pixels: usize) -> Self {
+    pub fn with_pixels(pixels: usize) -> Self {
         Self { pixels: vec![PixelSums::default(); pixels], ..Self::default() }
     }
 
     /// Counts a sample by luminance, depth and end, but not in its pixel.
     #[inline]
-    pub fn count(&mut self, luminance: f32, depth: u32, end: crate::End) {
-        self.luminance[usize::from(schema::radiance(luminance))] += 1;
-        self.depth[usize::from(schema::count(depth))] += 1;
+    pub fn count(&mut self, luminance: f32, depth: u32, end: crate::PathEnd) {
+        self.luminance[usize::from(schema::radiance_bin(luminance))] += 1;
+        self.depth[usize::from(schema::count_bin(depth))] += 1;
         self.ends[end as usize] += 1;
     }
 
@@ -182,11 +182,12 @@ impl Counters {
     }
 
     /// Counts a path of the frame in the histograms of all attributes.
-    pub fn count_bins(&mut self, scope: &Scope, path: &Path) {
+    pub fn count_bins(&mut self, scope: &Scope, path: &LightPath) {
         self.bins.resize(schema::ALL_BINS, 0);
-        let mut counts = self.bins.as_chunks_mut::<{ schema::FINE }>().0.iter_mut();
-        let [paths, intersections, lights] = schema::AXES.map(|axes| counts.by_ref().take(axes).collect::<Vec<_>>());
-        fn add(mut counts: Vec<&mut [u64; schema::FINE]>, bins: impl Iterator<Item = impl AsRef<[u8]>>) {
+        let mut counts = self.bins.as_chunks_mut::<{ schema::FINE_BINS }>().0.iter_mut();
+        let [paths, intersections, lights] =
+            schema::ATTRIBUTE_COUNTS.map(|axes| counts.by_ref().take(axes).collect::<Vec<_>>());
+        fn add(mut counts: Vec<&mut [u64; schema::FINE_BINS]>, bins: impl Iterator<Item = impl AsRef<[u8]>>) {
             for bins in bins {
                 for (counts, bin) in counts.iter_mut().zip(bins.as_ref()) {
                     counts[usize::from(*bin)] += 1;
@@ -199,7 +200,7 @@ impl Counters {
     }
 
     /// Adds histograms of other samples.
-    pub fn merge_bins(&mut self, other: &Bins) {
+    pub fn merge_bins(&mut self, other: &BinCounts) {
         self.bins.resize(self.bins.len().max(other.len()), 0);
         self.bins.iter_mut().zip(other).for_each(|(mine, theirs)| *mine = mine.saturating_add(*theirs));
     }
@@ -210,17 +211,17 @@ impl Counters {
     }
 
     /// Checks that all counts cover the same number of samples.
-    pub(crate) fn is_sound(&self, key: PortionKey, scope: &Scope) -> bool {
-        let (ends, area) = (sum(&self.ends), scope.area(key.tile));
-        let mut counts = self.bins.as_chunks::<{ schema::FINE }>().0.iter().map(|counts| sum(counts));
+    pub(crate) fn is_valid(&self, key: PortionKey, scope: &Scope) -> bool {
+        let (ends, area) = (sum(&self.ends), scope.tile_area(key.tile));
+        let mut counts = self.bins.as_chunks::<{ schema::FINE_BINS }>().0.iter().map(|counts| sum(counts));
         // Each path is in one bin of each path attribute, and so are its intersections and lights for their attributes.
         let mut are_alike = |axes: usize, expected: Option<u64>| {
             let first = counts.next();
             first == expected.or(first) && counts.by_ref().take(axes - 1).all(|sum| Some(sum) == first)
         };
-        let [paths, intersections, lights] = schema::AXES;
+        let [paths, intersections, lights] = schema::ATTRIBUTE_COUNTS;
         let has_bins = are_alike(paths, Some(ends)) && are_alike(intersections, None) && are_alike(lights, None);
-        let are_there = if scope.is_full {
+        let are_there = if scope.has_full_histograms {
             self.bins.len() == schema::ALL_BINS && has_bins || ends == 0 && self.bins.is_empty()
         } else {
             self.bins.is_empty()
@@ -228,7 +229,7 @@ impl Counters {
         are_there
             && sum(&self.luminance) == ends
             && sum(&self.depth) == ends
-            && pixels::are_sound(key, area, ends, &self.pixels)
+            && pixels::are_valid(key, area, ends, &self.pixels)
     }
 
     pub(crate) fn words(&self) -> impl Iterator<Item = u64> + '_ {
@@ -246,7 +247,7 @@ fn sum(counts: &[u64]) -> u64 {
 
 /// Reason why parts cannot be united.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum UnionError {
+pub enum MergeError {
     /// The parts differ in frame, film, box or size.
     #[error("the statistics belong to different frames or settings")]
     Scope,
@@ -255,45 +256,45 @@ pub enum UnionError {
     Overlap(PortionKey),
     /// A portion arrived twice with different counts.
     #[error("samples {} to {} of half {} of tile {} have two different counts", .0.begin, .0.end, .0.half, .0.tile)]
-    Unlike(PortionKey),
+    Conflict(PortionKey),
 }
 
 /// Light statistics of some samples of a frame.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Statistics {
+pub struct LightStatistics {
     /// Frame and settings.
     pub scope: Scope,
     /// Hash threshold. `paths` has exactly the records of those samples of the portions whose hash is below it.
     pub threshold: u64,
     /// Counters by portion.
-    pub portions: BTreeMap<PortionKey, Counters>,
+    pub portions: BTreeMap<PortionKey, SampleCounters>,
     /// Records chosen by hash.
     pub paths: Records,
     /// Records of greatest luminance of each portion: fireflies.
     pub brightest: Records,
-    /// Records of greatest throughput of each portion, among paths with at least [`DEEP`] intersections: bottlenecks.
+    /// Records of greatest throughput of each portion, among paths with at least [`DEEP_PATH_DEPTH`] intersections: bottlenecks.
     pub deepest: Records,
     /// Texts of the names in the records.
     pub names: Names,
 }
 
 /// Records in order of hash and key.
-pub type Records = BTreeMap<(u64, PathKey), Path>;
+pub type Records = BTreeMap<(u64, PathKey), LightPath>;
 
 /// Minimum number of intersections of a deep path.
-pub const DEEP: u32 = 8;
+pub const DEEP_PATH_DEPTH: u32 = 8;
 
 /// Returns the rank of a path among the brightest: its luminance, cd/m2.
-pub fn brightness(path: &Path) -> f32 {
+pub fn brightness(path: &LightPath) -> f32 {
     path.luminance()
 }
 
 /// Returns the rank of a path among the deepest: its greatest throughput. `None` if the path is not deep.
-pub fn depth_rank(path: &Path) -> Option<f32> {
-    (path.depth >= DEEP).then(|| path.throughput.into_iter().fold(0.0, f32::max))
+pub fn depth_rank(path: &LightPath) -> Option<f32> {
+    (path.depth >= DEEP_PATH_DEPTH).then(|| path.throughput.into_iter().fold(0.0, f32::max))
 }
 
-impl Statistics {
+impl LightStatistics {
     /// Creates statistics without samples.
     /// - `share`: the initial share of samples whose paths are recorded, in (0, 1].
     pub fn new(scope: Scope, share: f64) -> Self {
@@ -313,60 +314,60 @@ impl Statistics {
     }
 
     /// Returns the sums of the counters of all portions, without pixels.
-    pub fn totals(&self) -> Counters {
-        let mut all = Counters::default();
+    pub fn totals(&self) -> SampleCounters {
+        let mut all = SampleCounters::default();
         self.portions.values().for_each(|counters| all.merge_counts(counters));
         all
     }
 
     /// Checks whether the path of a sample must be recorded.
     #[inline]
-    pub fn wants(&self, key: PathKey) -> bool {
+    pub fn must_record(&self, key: PathKey) -> bool {
         key.hash(self.scope.seed) < self.threshold
     }
 
     /// Returns the portion that contains a sample.
     pub fn portion_of(&self, key: PathKey) -> Option<PortionKey> {
-        portion_of(&self.scope, &self.portions, key)
+        find_portion(&self.scope, &self.portions, key)
     }
 
     /// Adds another part of the frame. Data that both parts have counts once. An error changes nothing.
-    pub fn unite(&mut self, other: Self) -> Result<(), UnionError> {
+    pub fn merge(&mut self, other: Self) -> Result<(), MergeError> {
         self.add(other)?;
-        self.settle();
+        self.trim();
         Ok(())
     }
 
-    /// Adds several parts of the frame, as [`Self::unite`] does. An error leaves the parts before it added, but not settled.
-    pub fn unite_all(&mut self, others: impl IntoIterator<Item = Self>) -> Result<(), UnionError> {
+    /// Adds several parts of the frame, as [`Self::merge`] does. An error leaves the parts before it added, but not settled.
+    pub fn merge_all(&mut self, others: impl IntoIterator<Item = Self>) -> Result<(), MergeError> {
         for other in others {
-            self.absorb(other)?;
+            self.merge_untrimmed(other)?;
         }
-        self.settle();
+        self.trim();
         Ok(())
     }
 
-    /// Adds another part without trimming the records to the limits of the scope. Call [`Self::settle`] after the last part. If
+    /// Adds another part without trimming the records to the limits of the scope. Call [`Self::trim`] after the last part. If
     /// there are more than twice as many records as the limit, it trims at once, so that memory does not grow with the number of
     /// parts.
-    pub fn absorb(&mut self, other: Self) -> Result<(), UnionError> {
+    pub fn merge_untrimmed(&mut self, other: Self) -> Result<(), MergeError> {
         self.add(other)?;
-        if self.paths.len() > 2 * self.scope.keep as usize {
-            self.settle();
+        if self.paths.len() > 2 * self.scope.max_records as usize {
+            self.trim();
         }
         Ok(())
     }
 
-    fn add(&mut self, other: Self) -> Result<(), UnionError> {
+    fn add(&mut self, other: Self) -> Result<(), MergeError> {
         if self.scope != other.scope {
-            return Err(UnionError::Scope);
+            return Err(MergeError::Scope);
         }
         for (key, counters) in &other.portions {
             match self.portions.get(key) {
-                Some(mine) if mine != counters => return Err(UnionError::Unlike(*key)),
+                Some(mine) if mine != counters => return Err(MergeError::Conflict(*key)),
                 Some(_) => {}
-                None if is_clear(&self.portions, *key) => {}
-                None => return Err(UnionError::Overlap(*key)),
+                None if is_disjoint(&self.portions, *key) => {}
+                None => return Err(MergeError::Overlap(*key)),
             }
         }
         self.portions.extend(other.portions);
@@ -382,25 +383,25 @@ impl Statistics {
 
     /// Trims the records to the limits of the scope, and the names to those that the records use. The result is a function of the
     /// samples.
-    pub fn settle(&mut self) {
-        if let Some(((hash, _), _)) = self.paths.iter().nth(self.scope.keep as usize) {
+    pub fn trim(&mut self) {
+        if let Some(((hash, _), _)) = self.paths.iter().nth(self.scope.max_records as usize) {
             self.threshold = self.threshold.min(*hash);
         }
         drop(self.paths.split_off(&(self.threshold, PathKey::default())));
-        let most = self.scope.top as usize;
+        let most = self.scope.sketch_size as usize;
         let mut brightest = std::mem::take(&mut self.brightest);
         self.keep_best(&mut brightest, most, |path| Some(brightness(path)));
         let mut deepest = std::mem::take(&mut self.deepest);
         self.keep_best(&mut deepest, most, depth_rank);
         (self.brightest, self.deepest) = (brightest, deepest);
         let records = [&self.paths, &self.brightest, &self.deepest];
-        let all = records.into_iter().flat_map(|records| records.values()).flat_map(Path::names);
-        let used: ByName<()> = all.map(|name| (name, ())).collect();
+        let all = records.into_iter().flat_map(|records| records.values()).flat_map(LightPath::names);
+        let used: NameMap<()> = all.map(|name| (name, ())).collect();
         self.names.retain(|name, _| used.contains_key(name));
     }
 
     /// Keeps the `most` records of greatest `rank` of each portion. Among equal ranks, the record with the lesser hash wins.
-    fn keep_best(&self, records: &mut Records, most: usize, rank: impl Fn(&Path) -> Option<f32>) {
+    fn keep_best(&self, records: &mut Records, most: usize, rank: impl Fn(&LightPath) -> Option<f32>) {
         let mut by_portion = BTreeMap::<PortionKey, Vec<(f32, (u64, PathKey))>>::new();
         for (key, path) in records.iter() {
             if let (Some(rank), Some(portion)) = (rank(path), self.portion_of(key.1)) {
@@ -421,10 +422,10 @@ impl Statistics {
     /// not recognize a joined portion as the portions it consists of.
     /// - `ends`: returns, for a tile and a half, one past the last sample that counts.
     #[must_use]
-    pub fn counted(mut self, begin: u32, ends: impl Fn(u32, u8) -> u32) -> Self {
+    pub fn into_image_samples(mut self, begin: u32, ends: impl Fn(u32, u8) -> u32) -> Self {
         let counts = |key: &PortionKey| key.begin >= begin && key.end <= ends(key.tile, key.half);
         self.portions.retain(|key, _| counts(key));
-        let mut joined = BTreeMap::<PortionKey, Counters>::new();
+        let mut joined = BTreeMap::<PortionKey, SampleCounters>::new();
         for (key, counters) in std::mem::take(&mut self.portions) {
             match joined.last_entry() {
                 Some(last) if (last.key().tile, last.key().half, last.key().end) == (key.tile, key.half, key.begin) => {
@@ -438,21 +439,21 @@ impl Statistics {
         self.portions = joined;
         for records in [&mut self.paths, &mut self.brightest, &mut self.deepest] {
             let mut all = std::mem::take(records);
-            all.retain(|(_, key), _| portion_of(&self.scope, &self.portions, *key).is_some());
+            all.retain(|(_, key), _| find_portion(&self.scope, &self.portions, *key).is_some());
             *records = all;
         }
-        self.settle();
+        self.trim();
         self
     }
 
     /// Returns the records of greatest luminance of all portions, in descending order.
-    pub fn fireflies(&self) -> Vec<&Path> {
-        ranked(&self.brightest, |path| Some(brightness(path)))
+    pub fn fireflies(&self) -> Vec<&LightPath> {
+        sort_by_rank(&self.brightest, |path| Some(brightness(path)))
     }
 
     /// Returns the deep records of greatest throughput of all portions, in descending order.
-    pub fn bottlenecks(&self) -> Vec<&Path> {
-        ranked(&self.deepest, depth_rank)
+    pub fn bottlenecks(&self) -> Vec<&LightPath> {
+        sort_by_rank(&self.deepest, depth_rank)
     }
 
     /// Returns the part of the image that a sample is, in units of 2^-[`IMAGE_BITS`] of its pixel. With n_A samples of half A in
@@ -479,32 +480,32 @@ const TWO_64: f64 = 18_446_744_073_709_551_616.0;
 /// Fraction bits of a part of a pixel.
 pub const IMAGE_BITS: u32 = 32;
 
-/// Computes [`Statistics::image_weight`] from the numbers of samples of the halves.
+/// Computes [`LightStatistics::image_weight`] from the numbers of samples of the halves.
 pub fn image_weight(counts: [u64; 2], half: u8) -> u64 {
     let [own, other] = if half == 0 { counts } else { [counts[1], counts[0]] };
     let parts = if other == 0 { own } else { 2 * own };
     ((1 << IMAGE_BITS) + parts / 2).checked_div(parts).unwrap_or(0)
 }
 
-fn portion_of(scope: &Scope, portions: &BTreeMap<PortionKey, Counters>, key: PathKey) -> Option<PortionKey> {
+fn find_portion(scope: &Scope, portions: &BTreeMap<PortionKey, SampleCounters>, key: PathKey) -> Option<PortionKey> {
     let (tile, half) = (scope.tile_of(key.pixel), key.half());
     let after = PortionKey { tile, half, begin: key.sample, end: u32::MAX };
     let (portion, _) = portions.range(..=after).next_back()?;
-    (portion.tile == tile && portion.has(key.sample)).then_some(*portion)
+    (portion.tile == tile && portion.contains(key.sample)).then_some(*portion)
 }
 
-fn ranked(records: &Records, rank: impl Fn(&Path) -> Option<f32>) -> Vec<&Path> {
-    let mut all: Vec<(f32, &Path)> = records.values().filter_map(|path| Some((rank(path)?, path))).collect();
+fn sort_by_rank(records: &Records, rank: impl Fn(&LightPath) -> Option<f32>) -> Vec<&LightPath> {
+    let mut all: Vec<(f32, &LightPath)> = records.values().filter_map(|path| Some((rank(path)?, path))).collect();
     all.sort_by(|a, b| b.0.total_cmp(&a.0));
     all.into_iter().map(|(_, path)| path).collect()
 }
 
 /// Checks that no other portion has samples of this one.
-pub(crate) fn is_clear(portions: &BTreeMap<PortionKey, Counters>, key: PortionKey) -> bool {
-    let is_clear = |other: &PortionKey| {
+pub(crate) fn is_disjoint(portions: &BTreeMap<PortionKey, SampleCounters>, key: PortionKey) -> bool {
+    let is_disjoint = |other: &PortionKey| {
         (other.tile, other.half) != (key.tile, key.half) || other.end <= key.begin || key.end <= other.begin
     };
     let before = portions.range(..key).next_back();
     let after = portions.range((Bound::Excluded(key), Bound::Unbounded)).next();
-    [before, after].into_iter().flatten().all(|(other, _)| is_clear(other))
+    [before, after].into_iter().flatten().all(|(other, _)| is_disjoint(other))
 }

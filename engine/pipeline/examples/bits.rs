@@ -7,17 +7,17 @@
 use femc_film::Frame;
 use femc_film::exr::{Provenance, encode};
 use femc_math::elementary::{self, double};
-use femc_pipeline::{BUILD, Settings, Source, Stop, plan, prepare, render_tile};
+use femc_pipeline::{BUILD, SceneSource, Settings, StopCondition, plan_job, prepare_frame, render_tile};
 use std::error::Error;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 
-type Shot = (&'static str, &'static str, [u32; 2], u32, &'static [u32]);
+type RenderCase = (&'static str, &'static str, [u32; 2], u32, &'static [u32]);
 
 /// Scene, camera, film, samples a pixel, and frames. Together they cover every kind of surface, medium, light, texture, photometry
 /// and motion, seen by pinholes and lenses, at rest and in motion.
-const SHOTS: [Shot; 10] = [
+const RENDER_CASES: [RenderCase; 10] = [
     ("zoo.mgf", "main", [96, 64], 32, &[1, 7]),
     ("zoo.mgf", "close", [64, 48], 16, &[4]),
     ("zoo.mgf", "moving", [64, 48], 16, &[1, 12]),
@@ -32,25 +32,29 @@ const SHOTS: [Shot; 10] = [
 
 fn main() -> Result<(), Box<dyn Error>> {
     println!("engine {BUILD}");
-    elementary_functions();
-    images()?;
-    for (file, camera, size, spp, frames) in SHOTS {
-        shots(file, camera, size, spp, frames)?;
+    print_function_digests();
+    print_image_digests()?;
+    for (file, camera, size, spp, frames) in RENDER_CASES {
+        render_frames(file, camera, size, spp, frames)?;
     }
     Ok(())
 }
 
 /// Renders the frames `frames`, and prints digests of the description, the exact sums and the finished file.
-fn shots(file: &str, camera: &str, size: [u32; 2], spp: u32, frames: &[u32]) -> Result<(), Box<dyn Error>> {
+fn render_frames(file: &str, camera: &str, size: [u32; 2], spp: u32, frames: &[u32]) -> Result<(), Box<dyn Error>> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenes").join(file);
-    let scene = Arc::new(femc_import::load_path(&path)?.scene);
+    let scene = Arc::new(femc_import::load_scene_file(&path)?.scene);
     println!("{file} {}", scene.digest());
-    let settings =
-        Settings { camera: Some(camera.to_owned()), size: Some(size), stop: Stop::Spp(spp), ..Settings::default() };
-    let (source, plan) = (Source::new(scene.clone()), plan(&scene, &settings, Some(frames))?);
+    let settings = Settings {
+        camera: Some(camera.to_owned()),
+        size: Some(size),
+        stop: StopCondition::Spp(spp),
+        ..Settings::default()
+    };
+    let (source, plan) = (SceneSource::new(scene.clone()), plan_job(&scene, &settings, Some(frames))?);
     let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
     for &frame in frames {
-        let prepared = prepare(&source, &settings, frame, None)?;
+        let prepared = prepare_frame(&source, &settings, frame, None)?;
         let (mut film, mut sums) = (Frame::new(plan.tiling), blake3::Hasher::new());
         for rect in plan.tiling.rects() {
             let tile = render_tile(&prepared, &settings, rect, 0..spp, &cancel, &progress)?.tile;
@@ -66,7 +70,7 @@ fn shots(file: &str, camera: &str, size: [u32; 2], spp: u32, frames: &[u32]) -> 
 }
 
 /// Prints digests of images as used by textures.
-fn images() -> Result<(), Box<dyn Error>> {
+fn print_image_digests() -> Result<(), Box<dyn Error>> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../import/tests/files");
     for name in ["orange.jpg", "grey.jpg"] {
         let scene = format!("m wall =\n rd .5\n map_rd {name}\n");
@@ -74,14 +78,14 @@ fn images() -> Result<(), Box<dyn Error>> {
             vec![("image.mgf".to_owned(), scene.into_bytes()), (name.to_owned(), std::fs::read(folder.join(name))?)];
         println!(
             "{name} {}",
-            femc_import::load(&femc_import::Bundle(files.into_iter().collect()), "image.mgf")?.scene.digest()
+            femc_import::load_scene(&femc_import::Bundle(files.into_iter().collect()), "image.mgf")?.scene.digest()
         );
     }
     Ok(())
 }
 
 /// Prints a digest of each function's values over arguments of all magnitudes.
-fn elementary_functions() {
+fn print_function_digests() {
     type Single = fn(f32) -> f32;
     type Double = fn(f64) -> f64;
     let singles: [(&str, Single, Double); 15] = [
@@ -102,16 +106,16 @@ fn elementary_functions() {
         ("sin_cos.1", |x| elementary::sin_cos(x).1, |x| double::sin_cos(x).1),
     ];
     for (name, single, double) in singles {
-        print(name, |x, _| single(x), |x, _| double(x));
+        print_digest(name, |x, _| single(x), |x, _| double(x));
     }
-    print("atan2", elementary::atan2, double::atan2);
-    print("pow", elementary::pow, double::pow);
-    print("hypot", elementary::hypot, double::hypot);
-    print("fmod", elementary::fmod, double::fmod);
+    print_digest("atan2", elementary::atan2, double::atan2);
+    print_digest("pow", elementary::pow, double::pow);
+    print_digest("hypot", elementary::hypot, double::hypot);
+    print_digest("fmod", elementary::fmod, double::fmod);
 }
 
 /// Evaluates arguments of all signs and magnitudes, and the same number of arguments between -8 and 8.
-fn print(name: &str, single: impl Fn(f32, f32) -> f32, double: impl Fn(f64, f64) -> f64) {
+fn print_digest(name: &str, single: impl Fn(f32, f32) -> f32, double: impl Fn(f64, f64) -> f64) {
     let mut hash = blake3::Hasher::new();
     // The sign and payload of a NaN are undefined. No result may depend on them.
     let canonical = |x: f64| if x.is_nan() { f64::NAN.to_bits() } else { x.to_bits() };

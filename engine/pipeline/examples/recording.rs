@@ -6,10 +6,12 @@
 //! With `without` or `with` as a fifth argument it renders once and only in that way, for counting instructions.
 
 use femc_film::{Rect, Tiling};
-use femc_pipeline::paths::represent::{Bins, Distance, Target, best_of, representative};
+use femc_pipeline::paths::represent::{Distance, PathBins, Target, best_random_set, choose_representative};
 use femc_pipeline::paths::schema::path_bins;
-use femc_pipeline::paths::{PathsError, Statistics};
-use femc_pipeline::{Prepared, Settings, Source, StatisticsPlan, Stop, prepare, render_tile, render_with_statistics};
+use femc_pipeline::paths::{LightStatistics, PathsError};
+use femc_pipeline::{
+    Prepared, SceneSource, Settings, StatisticsPlan, StopCondition, prepare_frame, render_tile, render_with_statistics,
+};
 use std::error::Error;
 use std::path::Path;
 use std::sync::Arc;
@@ -29,37 +31,37 @@ fn main() -> Result<(), Box<dyn Error>> {
     let (width, height) = size.split_once('x').ok_or("the size is WIDTHxHEIGHT")?;
     let size = Some([width.parse()?, height.parse()?]);
     rayon::ThreadPoolBuilder::new().num_threads(1).build_global()?;
-    let source = Source::new(Arc::new(femc_import::load_path(Path::new(file))?.scene));
-    let settings = Settings { size, seed: 7, stop: Stop::Spp(samples.parse()?), ..Settings::default() };
-    let prepared = prepare(&source, &settings, 1, None)?;
+    let source = SceneSource::new(Arc::new(femc_import::load_scene_file(Path::new(file))?.scene));
+    let settings = Settings { size, seed: 7, stop: StopCondition::Spp(samples.parse()?), ..Settings::default() };
+    let prepared = prepare_frame(&source, &settings, 1, None)?;
     if let [way] = way {
-        let (seconds, hash) = frame(&prepared, &settings, way == "with")?;
+        let (seconds, hash) = render_frame(&prepared, &settings, way == "with")?;
         println!("{hash} {seconds:.3} s");
         return Ok(());
     }
-    let ([without, with], parts) = by_turns(&prepared, &settings, pairs.parse()?)?;
+    let ([without, with], parts) = render_alternately(&prepared, &settings, pairs.parse()?)?;
     println!("rendered in {without:.3} s, with statistics in {with:.3} s: {:+.2} %", 100.0 * (with / without - 1.0));
-    let all = united(&parts, without)?;
-    represent(&all);
+    let all = merge_statistics(&parts, without)?;
+    print_representatives(&all);
     Ok(())
 }
 
 /// Renders all tiles of a frame in one way. Returns the seconds, and the hash of the tiles.
-fn frame(prepared: &Prepared, settings: &Settings, with: bool) -> Result<(f64, blake3::Hash), Box<dyn Error>> {
+fn render_frame(prepared: &Prepared, settings: &Settings, with: bool) -> Result<(f64, blake3::Hash), Box<dyn Error>> {
     let mut hasher = blake3::Hasher::new();
     let began = Instant::now();
     for rect in tiling(prepared).rects() {
-        hasher.update(&rendered(prepared, settings, rect, with)?.0);
+        hasher.update(&render_encoded(prepared, settings, rect, with)?.0);
     }
     Ok((began.elapsed().as_secs_f64(), hasher.finalize()))
 }
 
 /// Seconds without and with statistics, and the statistics of the tiles.
-type Turns = ([f64; 2], Vec<Vec<u8>>);
+type AlternateRuns = ([f64; 2], Vec<Vec<u8>>);
 
 /// Renders each tile `turns` times in both ways, alternately. The seconds of a frame are the sum of the minimum of each tile: other
 /// load on the machine lengthens some turns, but hardly ever all turns of a tile.
-fn by_turns(prepared: &Prepared, settings: &Settings, turns: u32) -> Result<Turns, Box<dyn Error>> {
+fn render_alternately(prepared: &Prepared, settings: &Settings, turns: u32) -> Result<AlternateRuns, Box<dyn Error>> {
     let (mut sums, mut parts) = ([0.0; 2], Vec::new());
     for rect in tiling(prepared).rects() {
         let (mut least, mut tiles) = ([f64::INFINITY; 2], [Vec::new(), Vec::new()]);
@@ -67,7 +69,7 @@ fn by_turns(prepared: &Prepared, settings: &Settings, turns: u32) -> Result<Turn
         for turn in 0..2 * turns {
             let with = turn % 2 == 1;
             let began = Instant::now();
-            let (tile, own) = rendered(prepared, settings, rect, with)?;
+            let (tile, own) = render_encoded(prepared, settings, rect, with)?;
             let way = usize::from(with);
             least[way] = least[way].min(began.elapsed().as_secs_f64());
             tiles[way] = tile;
@@ -88,30 +90,36 @@ fn tiling(prepared: &Prepared) -> Tiling {
 }
 
 /// Bytes of a tile, and of its statistics.
-type Packed = (Vec<u8>, Option<Vec<u8>>);
+type EncodedTile = (Vec<u8>, Option<Vec<u8>>);
 
 /// Renders and packs a tile, as a task of the farm does.
-fn rendered(prepared: &Prepared, settings: &Settings, rect: Rect, with: bool) -> Result<Packed, Box<dyn Error>> {
+fn render_encoded(
+    prepared: &Prepared,
+    settings: &Settings,
+    rect: Rect,
+    with: bool,
+) -> Result<EncodedTile, Box<dyn Error>> {
     let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
-    let Stop::Spp(spp) = settings.stop else { return Err("samples are not counted".into()) };
+    let StopCondition::Spp(spp) = settings.stop else { return Err("samples are not counted".into()) };
     if !with {
         let done = render_tile(prepared, settings, rect, 0..spp, &cancel, &progress)?;
         return Ok((done.tile.encode(), None));
     }
-    let plan = StatisticsPlan::of(prepared, settings, EDGE);
+    let plan = StatisticsPlan::new(prepared, settings, EDGE);
     let (done, statistics) = render_with_statistics(prepared, settings, &plan, rect, 0..spp, &cancel, &progress)?;
     let part = statistics.encode();
     Ok((done.tile.encode(), Some(part)))
 }
 
 /// Unites the tiles as the last task of a frame does.
-fn united(parts: &[Vec<u8>], render: f64) -> Result<Statistics, Box<dyn Error>> {
+fn merge_statistics(parts: &[Vec<u8>], render: f64) -> Result<LightStatistics, Box<dyn Error>> {
     let began = Instant::now();
-    let decoded: Result<Vec<Statistics>, PathsError> = parts.iter().map(|part| Statistics::decode(part)).collect();
+    let decoded: Result<Vec<LightStatistics>, PathsError> =
+        parts.iter().map(|part| LightStatistics::decode(part)).collect();
     let mut decoded = decoded?.into_iter();
     let mut all = decoded.next().ok_or("no tiles")?;
-    all.unite_all(decoded)?;
-    let all = all.counted(0, |_, _| u32::MAX);
+    all.merge_all(decoded)?;
+    let all = all.into_image_samples(0, |_, _| u32::MAX);
     let file = all.encode();
     let seconds = began.elapsed().as_secs_f64();
     println!(
@@ -131,20 +139,20 @@ fn united(parts: &[Vec<u8>], render: f64) -> Result<Statistics, Box<dyn Error>> 
     Ok(all)
 }
 
-fn represent(all: &Statistics) {
+fn print_representatives(all: &LightStatistics) {
     let began = Instant::now();
-    let bins: Vec<Bins> = all.paths.values().map(|path| path_bins(&all.scope, path)).collect();
-    let target = Target::of(&bins);
+    let bins: Vec<PathBins> = all.paths.values().map(|path| path_bins(&all.scope, path)).collect();
+    let target = Target::from_paths(&bins);
     println!("bins of {} paths in {:.1} ms", bins.len(), 1e3 * began.elapsed().as_secs_f64());
     let candidates = &bins[..bins.len().min(8 * N)];
-    println!("the first {N}: {:?}", Distance::of(candidates.iter().take(N), &target));
+    println!("the first {N}: {:?}", Distance::between(candidates.iter().take(N), &target));
     for sets in [10, 100] {
         let began = Instant::now();
-        let best = best_of(candidates, &target, N, sets);
+        let best = best_random_set(candidates, &target, N, sets);
         println!("best of {sets}: {best:?} in {:.1} ms", 1e3 * began.elapsed().as_secs_f64());
     }
     let began = Instant::now();
-    let found = representative(candidates, &target, N);
+    let found = choose_representative(candidates, &target, N);
     let milliseconds = 1e3 * began.elapsed().as_secs_f64();
-    println!("exchanged: {:?} in {milliseconds:.1} ms, worth {:.0}", found.distance, found.effective);
+    println!("exchanged: {:?} in {milliseconds:.1} ms, worth {:.0}", found.distance, found.effective_size);
 }

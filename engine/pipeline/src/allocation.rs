@@ -2,12 +2,12 @@
 
 use crate::round::RoundVerdict;
 use crate::settings::MAX_SPP;
-use femc_film::{SampleRange, Stops, TileErrors, Tiling};
+use femc_film::{SampleRange, SamplingState, TileErrors, Tiling};
 use serde::{Deserialize, Serialize};
 
 /// Number of samples of each pixel, by tile.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Allocation {
+pub struct SampleAllocation {
     /// First sample that counts.
     pub begin: u32,
     /// One past the last sample of each tile, in order.
@@ -30,10 +30,10 @@ pub enum AllocationError {
     },
 }
 
-impl Allocation {
+impl SampleAllocation {
     /// Creates the allocation of a frame from the samples of its tiles. `None`: they do not begin at the same sample, or there is
     /// no tile.
-    pub fn of(samples: &[SampleRange]) -> Option<Self> {
+    pub fn from_tile_samples(samples: &[SampleRange]) -> Option<Self> {
         let begin = samples.first()?.start;
         let is_even = samples.iter().all(|range| range.start == begin);
         is_even.then(|| Self { begin, ends: samples.iter().map(|range| range.end).collect() })
@@ -62,12 +62,17 @@ impl Allocation {
     }
 
     /// Returns the verdict after the first round: all remaining samples.
-    pub(crate) fn next(&self, tiles: &[TileErrors], stops: &mut Stops, may_go_on: bool) -> RoundVerdict {
+    pub(crate) fn verdict(
+        &self,
+        tiles: &[TileErrors],
+        stops: &mut SamplingState,
+        has_next_round: bool,
+    ) -> RoundVerdict {
         let is_whole = tiles.iter().zip(&self.ends).all(|(tile, &end)| tile.samples.end >= end);
-        if is_whole || !may_go_on {
+        if is_whole || !has_next_round {
             return RoundVerdict::Done;
         }
-        stops.pace.begin = self.begin;
+        stops.progress.first_sample = self.begin;
         RoundVerdict::Steps(self.ends.clone())
     }
 }
@@ -78,7 +83,7 @@ mod tests {
 
     #[test]
     fn an_allocation_is_rendered_in_two_rounds_at_most() {
-        let rounds = |begin, ends: &[u32]| Allocation { begin, ends: ends.to_vec() }.rounds();
+        let rounds = |begin, ends: &[u32]| SampleAllocation { begin, ends: ends.to_vec() }.rounds();
         assert_eq!(rounds(4, &[5, 90, 17]), [4, 90]);
         assert_eq!(rounds(0, &[9, 7]), [7, 9]);
         assert_eq!(rounds(0, &[9, 9]), [9]);
@@ -86,11 +91,11 @@ mod tests {
 
     #[test]
     fn what_no_frame_has_is_refused() {
-        let refused = |begin, ends: &[u32]| Allocation { begin, ends: ends.to_vec() }.check().is_err();
+        let refused = |begin, ends: &[u32]| SampleAllocation { begin, ends: ends.to_vec() }.check().is_err();
         assert!(refused(0, &[]) && refused(0, &[1, 0]) && refused(4, &[9, 4]) && refused(0, &[MAX_SPP + 1]));
         assert!(!refused(4, &[9, 5]));
         let tiling = Tiling::new(64, 32, 32).unwrap();
-        let tiles = |count| Allocation { begin: 0, ends: vec![3; count] }.check_tiles(&tiling);
+        let tiles = |count| SampleAllocation { begin: 0, ends: vec![3; count] }.check_tiles(&tiling);
         assert_eq!((tiles(2), tiles(3)), (Ok(()), Err(AllocationError::Tiles { found: 3, expected: 2 })));
     }
 }

@@ -14,82 +14,83 @@
 
 use crate::round::RoundVerdict;
 use crate::settings::MAX_SPP;
-use femc_film::stops::Pace;
-use femc_film::{Stops, TileErrors};
+use femc_film::sampling_state::TimedProgress;
+use femc_film::{SamplingState, TileErrors};
 
 /// Number of samples a pixel of the pilot.
-pub(crate) const PILOT: u32 = 4;
+pub(crate) const PILOT_SPP: u32 = 4;
 /// Maximum share of the pilot in the work that fits into the time after it.
 const PILOT_SHARE: f64 = 0.125;
 /// Maximum share of the time at which the pilot may end. If it would end later, it is not traced.
 const PILOT_END: f64 = 0.6;
-/// Share of the remaining time for a round, if more than [`LAST`] of the time is left. The next round corrects its clock.
-const ROUND: f64 = 0.7;
+/// Share of the remaining time for a round, if more than [`LAST_ROUND_SHARE`] of the time is left. The next round corrects its
+/// clock.
+const ROUND_SHARE: f64 = 0.7;
 /// Remaining share of the time up to which a round uses all of it.
-const LAST: f64 = 0.15;
+const LAST_ROUND_SHARE: f64 = 0.15;
 /// Remaining share of the time up to which the frame is done.
-const ENOUGH: f64 = 0.012;
+const DONE_SHARE: f64 = 0.012;
 /// Range of the samples of a tile, as shares of the mean. The limits exist because the pilot is a guess.
-const SHARES: std::ops::RangeInclusive<f64> = 0.25..=16.0;
+const SHARE_RANGE: std::ops::RangeInclusive<f64> = 0.25..=16.0;
 /// Seconds per pixel of a round apart from its rays, for uniting the tiles and deciding. It is used until they are measured, and as
 /// a maximum. The pilot is also slower because it is the first to load the scene.
 const ROUND_SECONDS: f64 = 2.5e-6;
 
 /// Returns the verdict after a round of a frame with a time limit of `seconds`.
-/// - `so_far`: seconds from the frame's first lease until now;
-/// - `may_go_on`: whether another round may follow.
-pub(crate) fn next(
+/// - `elapsed`: seconds from the frame's first lease until now;
+/// - `has_next_round`: whether another round may follow.
+pub(crate) fn verdict(
     seconds: f64,
     tiles: &[TileErrors],
-    stops: &mut Stops,
-    so_far: f64,
-    may_go_on: bool,
+    stops: &mut SamplingState,
+    elapsed: f64,
+    has_next_round: bool,
 ) -> RoundVerdict {
-    let pace = &mut stops.pace;
-    let work: u64 = tiles.iter().map(|tile| tile.work).sum();
+    let progress = &mut stops.progress;
+    let work: u64 = tiles.iter().map(|tile| tile.rays).sum();
     let drawn = tiles.iter().map(|tile| tile.samples.end).max().unwrap_or(0);
-    let now = Clock::of(pace, so_far, work, tiles);
+    let now = RenderSpeed::estimate(progress, elapsed, work, tiles);
     // After a round its tiles are united. After the last one the image is made, which takes about as long.
-    let left = seconds - so_far - 2.0 * now.round;
-    if !may_go_on || left <= ENOUGH * seconds {
+    let left = seconds - elapsed - 2.0 * now.round;
+    if !has_next_round || left <= DONE_SHARE * seconds {
         return RoundVerdict::Done;
     }
-    let is_pilot = pace.shares.is_empty() && drawn == PILOT;
-    let before = std::mem::replace(pace, Pace { seconds: so_far, work, ..pace.clone() });
+    let is_pilot = progress.shares.is_empty() && drawn == PILOT_SPP;
+    let before = std::mem::replace(progress, TimedProgress { seconds: elapsed, rays: work, ..progress.clone() });
     if is_pilot {
-        pace.pilot = (so_far - before.seconds, work - before.work.min(work));
+        progress.pilot = (elapsed - before.seconds, work - before.rays.min(work));
     }
-    if pace.shares.is_empty() {
-        let pilot_end = so_far * f64::from(PILOT) / f64::from(drawn.max(1));
-        if drawn < PILOT && pilot_end <= PILOT_END * seconds {
-            return RoundVerdict::Steps(vec![PILOT; tiles.len()]);
+    if progress.shares.is_empty() {
+        let pilot_end = elapsed * f64::from(PILOT_SPP) / f64::from(drawn.max(1));
+        if drawn < PILOT_SPP && pilot_end <= PILOT_END * seconds {
+            return RoundVerdict::Steps(vec![PILOT_SPP; tiles.len()]);
         }
         let is_cheap = work as f64 <= PILOT_SHARE * now.rate * left;
         if is_pilot && is_cheap {
-            (pace.begin, pace.work, pace.shares) = (PILOT, 0, shares(tiles));
+            (progress.first_sample, progress.rays, progress.shares) = (PILOT_SPP, 0, shares(tiles));
         } else {
-            pace.shares = vec![1.0; tiles.len()];
+            progress.shares = vec![1.0; tiles.len()];
         }
     }
-    let part = if left > LAST * seconds { ROUND } else { 1.0 };
-    let steps = divide(part * left * now.rate, tiles, pace);
+    let part = if left > LAST_ROUND_SHARE * seconds { ROUND_SHARE } else { 1.0 };
+    let steps = allocate_samples(part * left * now.rate, tiles, progress);
     let is_more = steps.iter().zip(tiles).any(|(&steps, tile)| steps > tile.samples.end);
     if is_more { RoundVerdict::Steps(steps) } else { RoundVerdict::Done }
 }
 
 /// Rendering speed of a frame.
-struct Clock {
+struct RenderSpeed {
     /// Rays per second.
     rate: f64,
     /// Seconds of a round apart from its rays.
     round: f64,
 }
 
-impl Clock {
+impl RenderSpeed {
     /// Estimates the speed from the last round and the pilot's, which had fewer rays: seconds grow linearly with rays, from a fixed
     /// time per round.
-    fn of(before: &Pace, so_far: f64, work: u64, tiles: &[TileErrors]) -> Self {
-        let (seconds, rays) = ((so_far - before.seconds).max(1e-3), work.saturating_sub(before.work) as f64);
+    fn estimate(before: &TimedProgress, elapsed: f64, work: u64, tiles: &[TileErrors]) -> Self {
+        let (seconds, rays) = ((elapsed - before.seconds).max(1e-3), work.saturating_sub(before.rays) as f64);
         let (short, few) = (before.pilot.0, before.pilot.1 as f64);
         let pixels: u64 = tiles.iter().flat_map(|tile| &tile.blocks).map(|it| it.block.rect.area()).sum();
         let most = pixels as f64 * ROUND_SECONDS;
@@ -104,8 +105,8 @@ impl Clock {
 
 /// Returns the samples of each tile as shares of the mean tile's, from the pilot.
 fn shares(tiles: &[TileErrors]) -> Vec<f64> {
-    let [a, b] = Stops::first(tiles).floors;
-    let found: Vec<Option<f64>> = tiles.iter().map(|tile| worth(tile, 0.5 * (a + b))).collect();
+    let [a, b] = SamplingState::after_first_round(tiles).floors;
+    let found: Vec<Option<f64>> = tiles.iter().map(|tile| neyman_weight(tile, 0.5 * (a + b))).collect();
     let known = || found.iter().flatten();
     let mean = known().sum::<f64>() / known().count().max(1) as f64;
     // A tile without data gets the mean share.
@@ -114,12 +115,12 @@ fn shares(tiles: &[TileErrors]) -> Vec<f64> {
 }
 
 fn clamp(share: f64) -> f64 {
-    share.clamp(*SHARES.start(), *SHARES.end())
+    share.clamp(*SHARE_RANGE.start(), *SHARE_RANGE.end())
 }
 
 /// Returns the relative standard deviation of the blocks of a tile over the square root of the rays of a sample of a pixel. `None`:
 /// the pilot found no light.
-fn worth(tile: &TileErrors, floor: f64) -> Option<f64> {
+fn neyman_weight(tile: &TileErrors, floor: f64) -> Option<f64> {
     let (mut squares, mut pixels) = (0.0, 0.0);
     for block in tile.blocks.iter().map(|it| it.block) {
         let area = block.rect.area() as f64;
@@ -130,21 +131,23 @@ fn worth(tile: &TileErrors, floor: f64) -> Option<f64> {
         }
         pixels += area;
     }
-    let rays = tile.work as f64 / pixels / f64::from(tile.samples.len().max(1));
+    let rays = tile.rays as f64 / pixels / f64::from(tile.samples.len().max(1));
     let worth = (squares / pixels / rays.max(1.0)).sqrt();
     (worth > 0.0).then_some(worth)
 }
 
 /// Returns the total samples a pixel of each tile, so that the additional ones cost `rays` rays and each tile has its share.
-fn divide(rays: f64, tiles: &[TileErrors], pace: &Pace) -> Vec<u32> {
-    let begin = f64::from(pace.begin);
-    let cost: Vec<f64> = tiles.iter().map(|it| it.work as f64 / f64::from(it.samples.len().max(1))).collect();
+fn allocate_samples(rays: f64, tiles: &[TileErrors], progress: &TimedProgress) -> Vec<u32> {
+    let begin = f64::from(progress.first_sample);
+    let cost: Vec<f64> = tiles.iter().map(|it| it.rays as f64 / f64::from(it.samples.len().max(1))).collect();
     // After the pilot each tile has at least one sample that counts.
-    let least = |tile: &TileErrors| tile.samples.end.max(pace.begin + u32::from(pace.begin > 0)).min(MAX_SPP);
+    let least = |tile: &TileErrors| {
+        tile.samples.end.max(progress.first_sample + u32::from(progress.first_sample > 0)).min(MAX_SPP)
+    };
     let ideal = |mean: f64, (share, tile): (&f64, &TileErrors)| {
         (begin + mean * share).clamp(f64::from(least(tile)), f64::from(MAX_SPP))
     };
-    let all = || pace.shares.iter().zip(tiles);
+    let all = || progress.shares.iter().zip(tiles);
     let rays_of = |mean: f64| -> f64 {
         all().zip(&cost).map(|(it, cost)| (ideal(mean, it) - f64::from(it.1.samples.end)) * cost).sum()
     };
@@ -168,20 +171,20 @@ fn divide(rays: f64, tiles: &[TileErrors], pace: &Pace) -> Vec<u32> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::settings::{Settings, Stop};
-    use femc_film::tile::OPEN;
+    use crate::settings::{Settings, StopCondition};
+    use femc_film::tile::NONE_HELD;
     use femc_film::{Block, HalfBlock, Rect, TileBlock};
 
     /// A tile of one block of 256 pixels with luminance 1: variance of a pixel's sample, rays of a pixel's sample.
     #[derive(Clone, Copy)]
-    struct Model {
+    struct TileModel {
         variance: f64,
         rays: f64,
     }
 
     /// A machine and the tiles that it renders.
-    struct World {
-        tiles: Vec<Model>,
+    struct SimulatedMachine {
+        tiles: Vec<TileModel>,
         /// Rays per second.
         rate: f64,
         /// Seconds until the first ray.
@@ -190,7 +193,7 @@ mod tests {
         round: f64,
     }
 
-    struct Ended {
+    struct SimulatedFrame {
         seconds: f64,
         /// Number of samples of each tile that count.
         counted: Vec<u32>,
@@ -198,9 +201,9 @@ mod tests {
         rounds: usize,
     }
 
-    impl World {
+    impl SimulatedMachine {
         fn errors(&self, samples: &[std::ops::Range<u32>]) -> Vec<TileErrors> {
-            let tile = |(model, samples): (&Model, &std::ops::Range<u32>)| {
+            let tile = |(model, samples): (&TileModel, &std::ops::Range<u32>)| {
                 let spp = f64::from(samples.end - samples.start);
                 let rect = Rect { x: 0, y: 0, width: 16, height: 16 };
                 let block = Block { rect, sum: 256.0, variance: 256.0 * model.variance / spp, freedom: 256.0 };
@@ -209,18 +212,18 @@ mod tests {
                 TileErrors {
                     samples: samples.clone().into(),
                     bad: 0,
-                    work,
-                    ends: OPEN,
+                    rays: work,
+                    ends: NONE_HELD,
                     blocks: vec![TileBlock { block, halves }],
                 }
             };
             self.tiles.iter().zip(samples).map(tile).collect()
         }
 
-        fn render(&self, seconds: f64) -> Ended {
-            let settings = Settings { stop: Stop::Time(seconds), ..Settings::default() };
+        fn render(&self, seconds: f64) -> SimulatedFrame {
+            let settings = Settings { stop: StopCondition::Time(seconds), ..Settings::default() };
             let rounds = settings.rounds();
-            let cost = |spp: u32, model: &Model| 256.0 * f64::from(spp) * model.rays / self.rate;
+            let cost = |spp: u32, model: &TileModel| 256.0 * f64::from(spp) * model.rays / self.rate;
             let mut samples = vec![0..rounds[0]; self.tiles.len()];
             let mut clock = self.before + self.tiles.iter().map(|model| cost(1, model)).sum::<f64>();
             let mut stops = None;
@@ -230,12 +233,17 @@ mod tests {
                 let (verdict, left) = settings.verdict(&self.errors(&samples), stops.take(), clock, planned);
                 let RoundVerdict::Steps(steps) = verdict else {
                     let counted = samples.iter().map(|it| it.end - it.start).collect();
-                    return Ended { seconds: clock + self.round, counted, begin: left.pace.begin, rounds: round + 1 };
+                    return SimulatedFrame {
+                        seconds: clock + self.round,
+                        counted,
+                        begin: left.progress.first_sample,
+                        rounds: round + 1,
+                    };
                 };
                 for ((range, steps), model) in samples.iter_mut().zip(steps).zip(&self.tiles) {
                     assert!(steps >= range.end, "fewer samples than there are");
                     clock += cost(steps - range.end, model);
-                    *range = left.pace.begin..steps;
+                    *range = left.progress.first_sample..steps;
                 }
                 stops = Some(left);
             }
@@ -243,14 +251,14 @@ mod tests {
         }
     }
 
-    fn mixed() -> Vec<Model> {
-        (0..200).map(|i| Model { variance: 0.1 * f64::from(1 + i % 9), rays: f64::from(2 + i % 5) }).collect()
+    fn mixed_tiles() -> Vec<TileModel> {
+        (0..200).map(|i| TileModel { variance: 0.1 * f64::from(1 + i % 9), rays: f64::from(2 + i % 5) }).collect()
     }
 
     #[test]
     fn a_frame_takes_its_time_on_fast_machines_and_on_slow_ones() {
         for (rate, before, round) in [(1e6, 0.0, 0.0), (3e6, 0.4, 0.03), (2e5, 1.0, 0.1), (4e7, 0.05, 0.02)] {
-            let world = World { tiles: mixed(), rate, before, round };
+            let world = SimulatedMachine { tiles: mixed_tiles(), rate, before, round };
             for seconds in [10.0, 60.0, 600.0] {
                 let ended = world.render(seconds);
                 let error = ended.seconds / seconds - 1.0;
@@ -262,10 +270,11 @@ mod tests {
 
     #[test]
     fn tile_samples_follow_standard_deviation_over_root_of_cost() {
-        let tiles = [(1.0, 4.0), (4.0, 4.0), (1.0, 16.0), (4.0, 1.0)].map(|(variance, rays)| Model { variance, rays });
-        let world = World { tiles: tiles.to_vec(), rate: 1e6, before: 0.0, round: 0.0 };
-        let Ended { counted, begin, .. } = world.render(60.0);
-        assert_eq!(begin, PILOT, "the pilot does not count");
+        let tiles =
+            [(1.0, 4.0), (4.0, 4.0), (1.0, 16.0), (4.0, 1.0)].map(|(variance, rays)| TileModel { variance, rays });
+        let world = SimulatedMachine { tiles: tiles.to_vec(), rate: 1e6, before: 0.0, round: 0.0 };
+        let SimulatedFrame { counted, begin, .. } = world.render(60.0);
+        assert_eq!(begin, PILOT_SPP, "the pilot does not count");
         let ratio = |tile: usize| f64::from(counted[tile]) / f64::from(counted[0]);
         for (tile, expected) in [(1, 2.0), (2, 0.5), (3, 4.0)] {
             assert!((ratio(tile) / expected - 1.0).abs() < 0.01, "tile {tile}: {} for {expected}", ratio(tile));
@@ -274,23 +283,23 @@ mod tests {
 
     #[test]
     fn costly_pilot_counts_fully_and_tiles_get_equal_samples() {
-        let world = World { tiles: mixed(), rate: 2e5, before: 0.0, round: 0.1 };
+        let world = SimulatedMachine { tiles: mixed_tiles(), rate: 2e5, before: 0.0, round: 0.1 };
         // A sample of all pixels takes one second.
         for seconds in [10.0, 20.0, 32.0] {
-            let Ended { counted, begin, seconds: taken, .. } = world.render(seconds);
+            let SimulatedFrame { counted, begin, seconds: taken, .. } = world.render(seconds);
             let (least, most) = (counted.iter().min().unwrap(), counted.iter().max().unwrap());
             assert!(begin == 0 && most - least <= 1, "{seconds} s: {least} to {most} samples");
             assert!((taken / seconds - 1.0).abs() < 0.02, "{seconds} s: {taken}");
         }
-        let Ended { counted, .. } = world.render(0.1);
+        let SimulatedFrame { counted, .. } = world.render(0.1);
         assert_eq!(counted, vec![1; 200], "one sample at least");
     }
 
     #[test]
     fn tiles_dark_or_without_error_in_the_pilot_get_a_share() {
-        let mut tiles = mixed();
+        let mut tiles = mixed_tiles();
         tiles[7].variance = 0.0;
-        let ended = World { tiles, rate: 1e7, before: 0.0, round: 0.0 }.render(30.0);
+        let ended = SimulatedMachine { tiles, rate: 1e7, before: 0.0, round: 0.0 }.render(30.0);
         let mean = ended.counted.iter().map(|n| f64::from(*n)).sum::<f64>() / 200.0;
         assert!(f64::from(ended.counted[7]) > 0.2 * mean, "{} of {mean}", ended.counted[7]);
     }

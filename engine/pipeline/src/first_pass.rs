@@ -1,50 +1,51 @@
 //! The first pass as a separate task: the inputs of its solution, and the solution as bytes.
 
-use crate::render::{RenderError, spec};
+use crate::render::{RenderError, frame_spec};
 use crate::settings::{Method, Settings};
-use femc_field::{Field, Statistics};
-use femc_prepared::{PrepareError, Prepared, Source};
-use femc_radiosity::{Options, Report, Solution};
+use femc_field::{Field, SolveStatistics};
+use femc_prepared::{PrepareError, Prepared, SceneSource};
+use femc_radiosity::{Solution, SolveOptions, SolveReport};
 use femc_scene::FrameKey;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 /// Maximum error of a link if the solution guides paths. Such a solution need not be exact; it only has to know where light comes
 /// from.
-const GUIDING: f32 = 1.0;
+const GUIDING_ERROR: f32 = 1.0;
 
 /// Returns the accuracy, limits and purpose of all solutions of a method.
-pub(crate) fn options(method: Method) -> Options {
+pub(crate) fn solver_options(method: Method) -> SolveOptions {
     match method {
-        Method::Femc => Options { error: GUIDING, guides: true, ..Options::default() },
-        Method::Auto | Method::Pt | Method::Fem => Options::default(),
+        Method::Femc => SolveOptions { error: GUIDING_ERROR, guides: true, ..SolveOptions::default() },
+        Method::Auto | Method::Pt | Method::Fem => SolveOptions::default(),
     }
 }
 
 /// Solves the finite-element first pass of a prepared frame. Returns its light and a report of the work. The result depends only on
 /// the inputs of the digest [`first_pass_key`].
 /// - errors: `cancel` was set, or the solution cannot be trusted.
-pub fn first_pass(prepared: &Prepared, method: Method, cancel: &AtomicBool) -> Result<Solution, RenderError> {
-    let solution = femc_radiosity::solve(prepared, &options(method), cancel).map_err(|_| RenderError::Cancelled)?;
+pub fn solve_first_pass(prepared: &Prepared, method: Method, cancel: &AtomicBool) -> Result<Solution, RenderError> {
+    let solution =
+        femc_radiosity::solve(prepared, &solver_options(method), cancel).map_err(|_| RenderError::Cancelled)?;
     solution.verify(prepared)?;
     Ok(solution)
 }
 
 /// Returns the world of a frame for its first pass: with lamps of brightness 1. Frames with equal keys ([`first_pass_key`]) have
-/// the same world, and the light of each frame is that of this world, scaled to the brightness of its lamps ([`brightened`]).
+/// the same world, and the light of each frame is that of this world, scaled to the brightness of its lamps ([`scale_field`]).
 pub fn first_pass_world(
-    source: &Source,
+    source: &SceneSource,
     settings: &Settings,
     frame: u32,
     previous: Option<&Prepared>,
 ) -> Result<Prepared, PrepareError> {
-    femc_prepared::prepare_of_brightness_one(source, &spec(settings, frame), previous)
+    femc_prepared::prepare_frame_at_unit_brightness(source, &frame_spec(settings, frame), previous)
 }
 
 /// Scales the light of a [`first_pass_world`] for a frame.
 /// - `brightness`: brightness of the frame's lamps.
-pub fn brightened(field: Arc<Field>, brightness: f32) -> Arc<Field> {
-    if brightness == 1.0 { field } else { Arc::new(Arc::unwrap_or_clone(field).times(brightness)) }
+pub fn scale_field(field: Arc<Field>, brightness: f32) -> Arc<Field> {
+    if brightness == 1.0 { field } else { Arc::new(Arc::unwrap_or_clone(field).scaled(brightness)) }
 }
 
 /// Computes the digest of all inputs of a solution: the frame's world around its origin, except for the common brightness of all
@@ -53,7 +54,7 @@ pub fn brightened(field: Arc<Field>, brightness: f32) -> Arc<Field> {
 /// - `blocks`: value of [`first_pass_blocks`](crate::first_pass_blocks). It changes no bit of the solution, but frames that share
 ///   the solution also share the tasks that compute it.
 pub fn first_pass_key(frame_key: &FrameKey, method: Method, blocks: u32) -> [u8; 32] {
-    let Options { error, memory, guides } = options(method);
+    let SolveOptions { error, memory, guides } = solver_options(method);
     let mut hasher = blake3::Hasher::new();
     hasher.update(b"femc first pass 4");
     hasher.update(&frame_key.light.0);
@@ -68,7 +69,7 @@ pub fn first_pass_key(frame_key: &FrameKey, method: Method, blocks: u32) -> [u8;
 
 /// Encodes a solution as bytes, for [`Field::decode`].
 pub fn encode_solution(solution: &Solution) -> Vec<u8> {
-    let Report {
+    let SolveReport {
         elements,
         leaves,
         links,
@@ -84,7 +85,7 @@ pub fn encode_solution(solution: &Solution) -> Vec<u8> {
         corrected: _,
         census: _,
     } = solution.report;
-    let statistics = Statistics {
+    let statistics = SolveStatistics {
         elements: elements as u64,
         leaves: leaves as u64,
         links: links as u64,
@@ -100,9 +101,9 @@ pub fn encode_solution(solution: &Solution) -> Vec<u8> {
 
 /// Assigns the light of the first pass to a frame.
 /// - errors: the light belongs to other surfaces.
-pub fn light(prepared: &mut Prepared, field: Arc<Field>) -> Result<(), OtherWorld> {
-    if !field.fits(prepared.instances.iter().map(|group| group.compiled.primitives.len())) {
-        return Err(OtherWorld);
+pub fn attach_first_pass(prepared: &mut Prepared, field: Arc<Field>) -> Result<(), FieldMismatch> {
+    if !field.matches_primitives(prepared.instances.iter().map(|group| group.compiled.primitives.len())) {
+        return Err(FieldMismatch);
     }
     prepared.field = Some(field);
     Ok(())
@@ -111,4 +112,4 @@ pub fn light(prepared: &mut Prepared, field: Arc<Field>) -> Result<(), OtherWorl
 /// Error: a field does not match a frame's surfaces.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the light of the first pass belongs to other surfaces than the frame's")]
-pub struct OtherWorld;
+pub struct FieldMismatch;

@@ -3,7 +3,7 @@
 use crate::render::{RenderError, render_tile};
 use crate::round::RoundVerdict;
 use crate::settings::Settings;
-use femc_film::{Errors, FilmError, Frame, Rect, Stops, Tile, TileErrors, Tiling};
+use femc_film::{ErrorStatistics, FilmError, Frame, Rect, SamplingState, Tile, TileErrors, Tiling};
 use femc_prepared::Prepared;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -26,7 +26,7 @@ pub struct RoundEnd<'a> {
     /// Errors of all tiles, in order.
     pub tiles: &'a [TileErrors],
     /// State left by the decision before. `None`: this is the first one.
-    pub before: Option<Stops>,
+    pub before: Option<SamplingState>,
     /// Number of rays traced so far.
     pub rays: u64,
     /// Samples a pixel at the end of the next round. `None`: this was the last one.
@@ -49,7 +49,7 @@ pub fn render_frame(
     progress: &AtomicU64,
 ) -> Result<RenderedFrame, RenderError> {
     let draw = |rect, samples| Ok(render_tile(prepared, settings, rect, samples, cancel, progress)?.tile);
-    by_rounds(tiling, rounds, draw, |end| settings.verdict(end.tiles, end.before, seconds(end.rays), end.next))
+    render_rounds(tiling, rounds, draw, |end| settings.verdict(end.tiles, end.before, seconds(end.rays), end.next))
 }
 
 /// Draws a frame round by round, with a decision rule.
@@ -57,19 +57,19 @@ pub fn render_frame(
 /// - `draw`: renders samples of a tile, on many threads at once;
 /// - `decide`: returns the verdict after a round.
 /// - errors: those of `draw`, and tiles that do not belong to the frame or to its samples.
-pub fn by_rounds<E: From<FilmError> + Send>(
+pub fn render_rounds<E: From<FilmError> + Send>(
     tiling: Tiling,
     rounds: &[u32],
     draw: impl Fn(Rect, Range<u32>) -> Result<Tile, E> + Sync,
-    mut decide: impl FnMut(RoundEnd<'_>) -> (RoundVerdict, Stops),
+    mut decide: impl FnMut(RoundEnd<'_>) -> (RoundVerdict, SamplingState),
 ) -> Result<RenderedFrame, E> {
     let mut frame = Frame::new(tiling);
     let mut ends = vec![rounds.first().copied().unwrap_or(0); tiling.count()];
-    let (mut stops, mut begin) = (None::<Stops>, 0);
+    let (mut stops, mut begin) = (None::<SamplingState>, 0);
     let (mut samples, mut rays) = (0, 0);
     for round in 0..rounds.len() {
-        if let Some(stops) = stops.as_ref().filter(|stops| stops.pace.begin > begin) {
-            begin = stops.pace.begin;
+        if let Some(stops) = stops.as_ref().filter(|stops| stops.progress.first_sample > begin) {
+            begin = stops.progress.first_sample;
             frame = Frame::new(tiling);
         }
         let mut work: Vec<(Rect, Range<u32>)> = Vec::new();
@@ -86,10 +86,10 @@ pub fn by_rounds<E: From<FilmError> + Send>(
         let drawn: Vec<Result<Tile, E>> = work.into_par_iter().map(|(rect, samples)| draw(rect, samples)).collect();
         for tile in drawn {
             let tile = tile?;
-            rays += tile.work();
+            rays += tile.rays();
             frame.insert(tile)?;
         }
-        let tiles = Errors::of(&frame, 0..tiling.count())?.into_tiles();
+        let tiles = ErrorStatistics::from_frame(&frame, 0..tiling.count())?.into_tiles();
         let next = rounds.get(round + 1).copied();
         let (verdict, left) = decide(RoundEnd { tiles: &tiles, before: stops.take(), rays, next });
         stops = Some(left);

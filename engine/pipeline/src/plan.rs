@@ -1,9 +1,9 @@
 //! Plans: the stages that run, and the features that are left out, with reasons.
 
-use crate::first_pass_steps::{first_pass_blocks, in_blocks};
-use crate::layers::{feature_layout, unknown_label};
-use crate::settings::{Method, Settings, SettingsError, Stop};
-use crate::stage::{Stage, fan, stages, with_layers, with_statistics};
+use crate::first_pass_steps::{first_pass_blocks, split_first_pass};
+use crate::layers::{check_labels, feature_layout};
+use crate::settings::{Method, Settings, SettingsError, StopCondition};
+use crate::stage::{Stage, job_stages, tiles_per_group, with_layer_stages, with_statistics_stages};
 use femc_film::{FilmError, Tiling};
 use femc_scene::Scene;
 use serde::{Deserialize, Serialize};
@@ -24,12 +24,12 @@ pub struct Plan {
     /// Stages that run. Each stage is identified by its index.
     pub stages: Vec<Stage>,
     /// Features that are left out.
-    pub left_out: Vec<LeftOut>,
+    pub left_out: Vec<OmittedFeature>,
 }
 
 /// A feature that does not run.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct LeftOut {
+pub struct OmittedFeature {
     /// Name of the feature that does not run.
     pub what: String,
     /// Reason why it does not run.
@@ -37,7 +37,7 @@ pub struct LeftOut {
 }
 
 /// Name of the feature that a plan leaves out for path tracing alone.
-pub const FIRST_PASS: &str = "finite-element first pass";
+pub const FIRST_PASS_FEATURE: &str = "finite-element first pass";
 
 /// Reason why there is no plan.
 #[derive(Debug, thiserror::Error)]
@@ -76,9 +76,9 @@ impl Plan {
 }
 
 /// Plans a job. `frames`: the requested frames; `None`: all. The overrides must have been applied to `scene`.
-pub fn plan(scene: &Scene, settings: &Settings, frames: Option<&[u32]>) -> Result<Plan, PlanError> {
+pub fn plan_job(scene: &Scene, settings: &Settings, frames: Option<&[u32]>) -> Result<Plan, PlanError> {
     settings.check()?;
-    unknown_label(scene, &settings.layers).map_err(SettingsError::Layers)?;
+    check_labels(scene, &settings.layers).map_err(SettingsError::Layers)?;
     let camera = femc_prepared::find_camera(&scene.cameras, settings.camera.as_deref())?;
     let film = settings.size.unwrap_or(camera.film);
     let last = scene.frame_count();
@@ -101,22 +101,27 @@ pub fn plan(scene: &Scene, settings: &Settings, frames: Option<&[u32]>) -> Resul
     }
     // A pilot decides whether a first pass is worth it (`auto`). Settings that arrive here already contain its result.
     let method = if settings.method == Method::Auto { Method::Pt } else { settings.method };
-    let stages = in_blocks(stages(&tiling, &rounds, fan(&tiling), method), method, first_pass_blocks(scene));
-    let stages = if settings.statistics { with_statistics(stages) } else { stages };
-    let stages = if settings.has_layers() { with_layers(stages, &tiling, weight_of_layers(settings)) } else { stages };
-    let left_out = |what: &str, reason: &str| LeftOut { what: what.into(), reason: reason.into() };
+    let stages = split_first_pass(
+        job_stages(&tiling, &rounds, tiles_per_group(&tiling), method),
+        method,
+        first_pass_blocks(scene),
+    );
+    let stages = if settings.statistics { with_statistics_stages(stages) } else { stages };
+    let stages =
+        if settings.has_layers() { with_layer_stages(stages, &tiling, weight_of_layers(settings)) } else { stages };
+    let left_out = |what: &str, reason: &str| OmittedFeature { what: what.into(), reason: reason.into() };
     let mut left_out = match method {
         Method::Fem => {
             vec![left_out("paths beyond the first diffuse surface", "the method `fem` takes that light from elements")]
         }
         Method::Femc => Vec::new(),
         Method::Auto | Method::Pt => vec![left_out(
-            FIRST_PASS,
+            FIRST_PASS_FEATURE,
             "path tracing does not use it; `--method femc` guides paths with its solution, `--method fem` renders its solution",
         )],
     };
-    let spared = scene.spared(camera).into_iter();
-    left_out.extend(spared.map(|s| LeftOut { what: s.feature.to_string(), reason: s.reason }));
+    let spared = scene.unused_features(camera).into_iter();
+    left_out.extend(spared.map(|s| OmittedFeature { what: s.feature.to_string(), reason: s.reason }));
     Ok(Plan { camera: camera.name.clone(), tiling, rounds, frames, method, stages, left_out })
 }
 
@@ -133,16 +138,16 @@ fn weight_of_layers(settings: &Settings) -> usize {
 const UNEVEN_EDGES: [u32; 2] = [16, 32];
 
 /// Maximum number of tiles of one block in a film.
-const MOST_OF_ONE_BLOCK: u32 = 1024;
+const MAX_ONE_BLOCK_TILES: u32 = 1024;
 
 /// Returns the edge of a tile: tasks have about a quarter of a million samples, and a frame has at least a few tasks.
-fn tile_edge(stop: Stop, film: [u32; 2]) -> u32 {
+fn tile_edge(stop: StopCondition, film: [u32; 2]) -> u32 {
     let tiles = |edge: u32| film[0].div_ceil(edge) * film[1].div_ceil(edge);
     let spp = match stop {
-        Stop::Spp(n) => n,
-        Stop::Error(_) | Stop::Time(_) => {
+        StopCondition::Spp(n) => n,
+        StopCondition::Error(_) | StopCondition::Time(_) => {
             let [one, four] = UNEVEN_EDGES;
-            return if tiles(one) <= MOST_OF_ONE_BLOCK { one } else { four };
+            return if tiles(one) <= MAX_ONE_BLOCK_TILES { one } else { four };
         }
     };
     let mut edge = 128u32;

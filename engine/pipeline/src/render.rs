@@ -1,12 +1,12 @@
 //! Preparation of frames and rendering of tiles.
 
-use crate::first_pass::{brightened, first_pass, first_pass_world};
+use crate::first_pass::{first_pass_world, scale_field, solve_first_pass};
 use crate::settings::{Method, Settings};
 use femc_film::{FilmError, Filter, Rect, Sample, Tile};
 use femc_layers::Feature;
 use femc_montecarlo::{PathSample, PathSettings, PixelFilter, Recorder, Tracer};
-use femc_prepared::{FrameSpec, PrepareError, Prepared, Source};
-use femc_radiosity::Untrusted;
+use femc_prepared::{FrameSpec, PrepareError, Prepared, SceneSource};
+use femc_radiosity::VerifyError;
 use femc_scene::FrameKey;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -15,8 +15,8 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 /// Prepares frame `frame` (from 1) of `source`, which has the overrides applied, for rendering. Solves its first pass if the method
 /// has one. `previous`: any other frame; common parts are shared.
-pub fn prepare(
-    source: &Source,
+pub fn prepare_frame(
+    source: &SceneSource,
     settings: &Settings,
     frame: u32,
     previous: Option<&Prepared>,
@@ -24,34 +24,35 @@ pub fn prepare(
     let mut prepared = prepare_world(source, settings, frame, previous)?;
     if settings.method.has_first_pass() && prepared.field.is_none() {
         let world = first_pass_world(source, settings, frame, Some(&prepared))?;
-        let solution = first_pass(&world, settings.method, &AtomicBool::new(false));
+        let solution = solve_first_pass(&world, settings.method, &AtomicBool::new(false));
         let solution = solution.map_err(|error| PrepareError::FirstPass { reason: error.to_string() })?;
-        prepared.field = Some(brightened(Arc::new(solution.field), prepared.brightness));
+        prepared.field = Some(scale_field(Arc::new(solution.field), prepared.brightness));
     }
     Ok(prepared)
 }
 
-/// Prepares a frame as [`prepare`] does, but without the first pass: [`first_pass`](crate::first_pass()) solves it,
-/// [`light`](crate::light) applies a solution.
+/// Prepares a frame as [`prepare_frame`] does, but without the first pass: [`solve_first_pass`](crate::solve_first_pass()) solves
+/// it, [`light`](crate::light) applies a solution.
 pub fn prepare_world(
-    source: &Source,
+    source: &SceneSource,
     settings: &Settings,
     frame: u32,
     previous: Option<&Prepared>,
 ) -> Result<Prepared, PrepareError> {
-    femc_prepared::prepare(source, &spec(settings, frame), previous)
+    femc_prepared::prepare_frame(source, &frame_spec(settings, frame), previous)
 }
 
-/// Returns the key of the inputs from which [`prepare`] makes the frame, including the next frame if the frame has motion vectors.
-pub fn frame_key(source: &Source, settings: &Settings, frame: u32) -> Result<FrameKey, PrepareError> {
-    let key = femc_prepared::frame_key(source, &spec(settings, frame))?;
+/// Returns the key of the inputs from which [`prepare_frame`] makes the frame, including the next frame if the frame has motion
+/// vectors.
+pub fn frame_key(source: &SceneSource, settings: &Settings, frame: u32) -> Result<FrameKey, PrepareError> {
+    let key = femc_prepared::frame_key(source, &frame_spec(settings, frame))?;
     if !settings.features.contains(&Feature::Motion) || frame >= source.scene().frame_count() {
         return Ok(key);
     }
-    Ok(key.before(&femc_prepared::frame_key(source, &spec(settings, frame + 1))?))
+    Ok(key.with_next(&femc_prepared::frame_key(source, &frame_spec(settings, frame + 1))?))
 }
 
-pub(crate) fn spec(settings: &Settings, frame: u32) -> FrameSpec {
+pub(crate) fn frame_spec(settings: &Settings, frame: u32) -> FrameSpec {
     FrameSpec { camera: settings.camera.clone(), size: settings.size, frame, filter_radius: settings.filter.radius() }
 }
 
@@ -65,7 +66,7 @@ pub struct RenderedTile {
     /// Number of shadow rays.
     pub shadow_rays: u64,
     /// Number of vertices at which the guide of a first pass sampled a share of the directions.
-    pub guided: u64,
+    pub guided_vertices: u64,
 }
 
 /// Reason why a tile was not rendered.
@@ -79,7 +80,7 @@ pub enum RenderError {
     Film(#[from] FilmError),
     /// The solution of the first pass cannot be trusted.
     #[error("the finite-element solution cannot be trusted: {0}; use `--method pt`")]
-    Untrusted(#[from] Untrusted),
+    Untrusted(#[from] VerifyError),
 }
 
 /// Renders samples `samples` of the pixels `rect` on the calling thread's rayon pool. `progress` counts finished camera samples.
@@ -96,7 +97,7 @@ pub fn render_tile(
 }
 
 /// Rows of pixels rendered by one thread, one after the other, and its tracer.
-type Run<'a, R> = (Vec<Tile>, Tracer<'a, R>);
+type TracedRows<'a, R> = (Vec<Tile>, Tracer<'a, R>);
 
 /// Renders a tile as [`render_tile`] does, to the bit, with a recorder for each run of rows of pixels. Returns the recorders in
 /// order, too.
@@ -112,10 +113,10 @@ pub fn render_rows<R: Recorder + Send>(
     let path = PathSettings { seed: settings.seed, max_depth: settings.max_depth, only: None };
     // Adjacent rows share a tracer while the same thread renders them.
     let tracer = || {
-        let tracer = Tracer::recording(prepared, path, recorder());
+        let tracer = Tracer::with_recorder(prepared, path, recorder());
         match (settings.method, prepared.field.as_deref()) {
             (Method::Fem, Some(field)) => tracer.with_field(field),
-            (Method::Femc, Some(field)) => tracer.guided_by(field),
+            (Method::Femc, Some(field)) => tracer.with_guide(field),
             _ => tracer,
         }
     };
@@ -140,7 +141,7 @@ pub fn render_rows<R: Recorder + Send>(
             Ok((strips, tracer))
         },
     );
-    let runs: Vec<Result<Run<'_, R>, RenderError>> = rows.collect();
+    let runs: Vec<Result<TracedRows<'_, R>, RenderError>> = rows.collect();
     let (mut tiles, mut rays, mut shadow_rays, mut guided) = (Vec::with_capacity(rect.height as usize), 0, 0, 0);
     let mut recorders = Vec::with_capacity(runs.len());
     for run in runs {
@@ -152,8 +153,8 @@ pub fn render_rows<R: Recorder + Send>(
         recorders.push(tracer.recorder);
     }
     let mut tile = Tile::from_strips(rect, samples, tiles)?;
-    tile.charge(rays + shadow_rays);
-    Ok((RenderedTile { tile, rays, shadow_rays, guided }, recorders))
+    tile.add_rays(rays + shadow_rays);
+    Ok((RenderedTile { tile, rays, shadow_rays, guided_vertices: guided }, recorders))
 }
 
 /// Converts a sample for the film.
@@ -164,9 +165,9 @@ pub(crate) fn film_sample(drawn: &PathSample) -> Sample {
 
 /// Adapter of a film's filter for the tracer.
 #[derive(Clone, Copy)]
-pub struct Places(pub Filter);
+pub struct FilterAdapter(pub Filter);
 
-impl PixelFilter for Places {
+impl PixelFilter for FilterAdapter {
     #[inline]
     fn sample(self, u: [f32; 2]) -> [f32; 2] {
         self.0.sample(u)
@@ -195,9 +196,9 @@ fn render_pixel<R: Recorder>(
         if cancel.load(Ordering::Relaxed) {
             return Err(RenderError::Cancelled);
         }
-        let drawn = tracer.sample(pixel, index, Places(settings.filter));
+        let drawn = tracer.sample(pixel, index, FilterAdapter(settings.filter));
         let fault = tile.add(x, y, index, &film_sample(&drawn));
-        tracer.recorder.end(fault.is_none().then_some(drawn.color));
+        tracer.recorder.end_sample(fault.is_none().then_some(drawn.color));
     }
     Ok(())
 }

@@ -1,8 +1,8 @@
 //! Replay of samples of a finished frame. A sample is a function of the settings, so data that was not recorded during rendering
 //! can be computed afterwards.
 
-use crate::render::{Places, film_sample};
-use crate::settings::{Method, Settings, Stop};
+use crate::render::{FilterAdapter, film_sample};
+use crate::settings::{Method, Settings, StopCondition};
 use femc_math::Rgb;
 use femc_montecarlo::{PathSettings, Recorder, Recording, Tracer};
 use femc_prepared::Prepared;
@@ -18,18 +18,18 @@ pub struct Replay<'a, R = Recording> {
 impl<'a> Replay<'a> {
     /// Creates a replay of a frame with these settings.
     pub fn new(prepared: &'a Prepared, settings: &'a Settings) -> Self {
-        Self::recording(prepared, settings, Recording::default())
+        Self::with_recorder(prepared, settings, Recording::default())
     }
 }
 
 impl<'a, R: Recorder> Replay<'a, R> {
     /// Creates a replay with another recorder.
-    pub fn recording(prepared: &'a Prepared, settings: &'a Settings, recorder: R) -> Self {
+    pub fn with_recorder(prepared: &'a Prepared, settings: &'a Settings, recorder: R) -> Self {
         let path = PathSettings { seed: settings.seed, max_depth: settings.max_depth, only: None };
-        let mut tracer = Tracer::recording(prepared, path, recorder);
+        let mut tracer = Tracer::with_recorder(prepared, path, recorder);
         match (settings.method, prepared.field.as_deref()) {
             (Method::Fem, Some(field)) => tracer = tracer.with_field(field),
-            (Method::Femc, Some(field)) => tracer = tracer.guided_by(field),
+            (Method::Femc, Some(field)) => tracer = tracer.with_guide(field),
             _ => (),
         }
         Self { tracer, settings, width: prepared.camera.film[0] }
@@ -37,9 +37,9 @@ impl<'a, R: Recorder> Replay<'a, R> {
 
     /// Traces sample number `sample` of a pixel. Returns its color, cd/m2, or `None` if the film rejects it, and its recording.
     pub fn sample(&mut self, (x, y): (u32, u32), sample: u32) -> (Option<Rgb>, &R) {
-        let drawn = self.tracer.sample(y * self.width + x, sample, Places(self.settings.filter));
+        let drawn = self.tracer.sample(y * self.width + x, sample, FilterAdapter(self.settings.filter));
         let color = film_sample(&drawn).fault().is_none().then_some(drawn.color);
-        self.tracer.recorder.end(color);
+        self.tracer.recorder.end_sample(color);
         (color, &self.tracer.recorder)
     }
 
@@ -51,19 +51,19 @@ impl<'a, R: Recorder> Replay<'a, R> {
 
 /// Samples that a pixel's mean consists of. If the halves end separately, it is the mean of their means.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Counted {
+pub struct CountedSamples {
     /// First sample.
     pub begin: u32,
     /// One past the last sample of each half.
     pub ends: [u32; 2],
 }
 
-impl Counted {
+impl CountedSamples {
     /// Returns all possibilities for a frame of these settings and a pixel whose file says `samples` samples.
     pub fn candidates(settings: &Settings, samples: u32) -> Vec<Self> {
         match (settings.stop, &settings.allocation) {
-            (Stop::Spp(spp), _) => return vec![Self { begin: 0, ends: [spp; 2] }],
-            (Stop::Time(_), Some(allocation)) => {
+            (StopCondition::Spp(spp), _) => return vec![Self { begin: 0, ends: [spp; 2] }],
+            (StopCondition::Time(_), Some(allocation)) => {
                 let begin = allocation.begin;
                 return vec![Self { begin, ends: [begin.saturating_add(samples); 2] }];
             }
@@ -75,7 +75,7 @@ impl Counted {
     }
 
     /// Returns the first `samples` samples of a pixel.
-    pub fn first(samples: u32) -> Self {
+    pub fn first_samples(samples: u32) -> Self {
         Self { begin: 0, ends: [samples; 2] }
     }
 
@@ -96,7 +96,7 @@ impl Counted {
     }
 
     /// Checks whether a sample counts.
-    pub fn has(self, sample: u32) -> bool {
+    pub fn contains(self, sample: u32) -> bool {
         sample >= self.begin && sample < self.ends[sample as usize % 2]
     }
 
@@ -104,7 +104,7 @@ impl Counted {
     pub fn mean(self, samples: &[Option<Rgb>]) -> Rgb {
         let (mut sums, mut counts) = ([[0f64; 3]; 2], [0u32; 2]);
         let taken = (0u32..).zip(samples).filter_map(|(index, color)| Some((index, (*color)?)));
-        for (index, color) in taken.filter(|(index, _)| self.has(*index)) {
+        for (index, color) in taken.filter(|(index, _)| self.contains(*index)) {
             let half = index as usize % 2;
             counts[half] += 1;
             sums[half].iter_mut().zip(color.to_array()).for_each(|(sum, value)| *sum += f64::from(value));
@@ -139,36 +139,36 @@ impl Counted {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Allocation;
+    use crate::SampleAllocation;
 
-    fn of(begin: u32, ends: [u32; 2]) -> Counted {
-        Counted { begin, ends }
+    fn counted(begin: u32, ends: [u32; 2]) -> CountedSamples {
+        CountedSamples { begin, ends }
     }
 
     #[test]
     fn the_samples_of_a_pixel_are_found_by_their_number() {
-        let even = Settings { stop: Stop::Spp(7), ..Settings::default() };
-        assert_eq!(Counted::candidates(&even, 7), [of(0, [7; 2])]);
-        assert_eq!(of(0, [7; 2]).count(), 7);
+        let even = Settings { stop: StopCondition::Spp(7), ..Settings::default() };
+        assert_eq!(CountedSamples::candidates(&even, 7), [counted(0, [7; 2])]);
+        assert_eq!(counted(0, [7; 2]).count(), 7);
         let uneven = Settings::default();
-        assert_eq!(Counted::candidates(&uneven, 14), [of(0, [12, 16]), of(0, [16, 12])]);
-        assert_eq!(Counted::candidates(&uneven, 24).len(), 3, "16 and 32, 24 twice, 32 and 16");
-        assert_eq!(Counted::candidates(&uneven, 21), []);
-        let allocation = Some(Allocation { begin: 4, ends: vec![11, 60] });
-        let timed = Settings { stop: Stop::Time(9.0), allocation, ..Settings::default() };
-        assert_eq!(Counted::candidates(&timed, 7), [of(4, [11; 2])]);
-        assert_eq!(of(4, [11; 2]).count(), 7);
+        assert_eq!(CountedSamples::candidates(&uneven, 14), [counted(0, [12, 16]), counted(0, [16, 12])]);
+        assert_eq!(CountedSamples::candidates(&uneven, 24).len(), 3, "16 and 32, 24 twice, 32 and 16");
+        assert_eq!(CountedSamples::candidates(&uneven, 21), []);
+        let allocation = Some(SampleAllocation { begin: 4, ends: vec![11, 60] });
+        let timed = Settings { stop: StopCondition::Time(9.0), allocation, ..Settings::default() };
+        assert_eq!(CountedSamples::candidates(&timed, 7), [counted(4, [11; 2])]);
+        assert_eq!(counted(4, [11; 2]).count(), 7);
     }
 
     #[test]
     fn mean_averages_half_means_and_skips_samples_the_film_refuses() {
         let gray = |value: f32| Rgb::splat(value);
         let samples = [Some(1.0), Some(10.0), Some(3.0), Some(99.0), None, Some(99.0)].map(|it| it.map(gray));
-        assert_eq!(of(0, [6, 2]).mean(&samples), gray(6.0), "1 and 3, and 10 alone");
-        assert_eq!(of(0, [6, 2]).count(), 4);
-        let even = of(0, [3; 2]).mean(&samples).to_array()[1];
+        assert_eq!(counted(0, [6, 2]).mean(&samples), gray(6.0), "1 and 3, and 10 alone");
+        assert_eq!(counted(0, [6, 2]).count(), 4);
+        let even = counted(0, [3; 2]).mean(&samples).to_array()[1];
         assert!((even - 14.0 / 3.0).abs() < 1e-6, "{even}: of 1, 10 and 3");
-        assert!((of(0, [7; 2]).variance_factor() - 1.0 / 7.0).abs() < 1e-12);
-        assert!((of(0, [8, 4]).variance_factor() - 0.25 * (0.25 + 0.5)).abs() < 1e-12);
+        assert!((counted(0, [7; 2]).variance_factor() - 1.0 / 7.0).abs() < 1e-12);
+        assert!((counted(0, [8, 4]).variance_factor() - 0.25 * (0.25 + 0.5)).abs() < 1e-12);
     }
 }

@@ -1,8 +1,8 @@
 //! Decision after a round of samples: which tiles of a frame get more samples.
 //!
 //! The decision is a function of the tiles' own samples. It does not depend on clocks, order of arrival, or number of workers, so
-//! every process decides alike. The one exception is [`Stop::Time`], which the user requests ([`crate::budget`]): the image states
-//! how its samples were divided, and the same division gives the same image ([`Allocation`](crate::Allocation)).
+//! every process decides alike. The one exception is [`StopCondition::Time`], which the user requests ([`crate::budget`]): the
+//! image states how its samples were divided, and the same division gives the same image ([`Allocation`](crate::Allocation)).
 //!
 //! A rule that stops on the same estimates that it reports favors estimates that look good, and those are the ones that miss a rare
 //! bright path. Such images are too dark (by a third in examples with heavy tails). Here the samples of a tile form two independent
@@ -13,9 +13,9 @@
 //! after its end are held and do not count.
 
 use crate::budget;
-use crate::settings::{Settings, Stop};
-use femc_film::tile::{Ends, HALVES};
-use femc_film::{Stops, TileErrors};
+use crate::settings::{Settings, StopCondition};
+use femc_film::tile::{HALVES, HalfEnds};
+use femc_film::{SamplingState, TileErrors};
 
 /// Decision after a round of samples.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -35,35 +35,35 @@ impl Settings {
     /// Returns the decision after a round, and the ends of the halves of the tiles.
     /// - `tiles`: all tiles of the frame, in order;
     /// - `before`: state left by the decision before; `None`: this is the first one;
-    /// - `seconds`: seconds since the frame's first lease, only for [`Stop::Time`];
+    /// - `seconds`: seconds since the frame's first lease, only for [`StopCondition::Time`];
     /// - `planned`: samples a pixel at the end of the next round; `None`: this was the last one.
     pub fn verdict(
         &self,
         tiles: &[TileErrors],
-        before: Option<Stops>,
+        before: Option<SamplingState>,
         seconds: f64,
         planned: Option<u32>,
-    ) -> (RoundVerdict, Stops) {
-        let mut stops = before.unwrap_or_else(|| Stops::first(tiles));
+    ) -> (RoundVerdict, SamplingState) {
+        let mut stops = before.unwrap_or_else(|| SamplingState::after_first_round(tiles));
         let verdict = match (self.stop, &self.allocation) {
-            (Stop::Error(most), _) => {
+            (StopCondition::Error(most), _) => {
                 for (tile, ends) in tiles.iter().zip(&mut stops.ends) {
-                    end(tile, stops.floors, most, ends);
+                    end_halves(tile, stops.floors, most, ends);
                 }
-                next(tiles, &stops.ends, planned)
+                next_verdict(tiles, &stops.ends, planned)
             }
-            (Stop::Time(_), Some(allocation)) => allocation.next(tiles, &mut stops, planned.is_some()),
-            (Stop::Time(most), None) => budget::next(most, tiles, &mut stops, seconds, planned.is_some()),
-            (Stop::Spp(_), _) => RoundVerdict::Done,
+            (StopCondition::Time(_), Some(allocation)) => allocation.verdict(tiles, &mut stops, planned.is_some()),
+            (StopCondition::Time(most), None) => budget::verdict(most, tiles, &mut stops, seconds, planned.is_some()),
+            (StopCondition::Spp(_), _) => RoundVerdict::Done,
         };
         (verdict, stops)
     }
 }
 
 /// Returns the decision if tiles end one by one.
-fn next(tiles: &[TileErrors], ends: &[Ends], planned: Option<u32>) -> RoundVerdict {
+fn next_verdict(tiles: &[TileErrors], ends: &[HalfEnds], planned: Option<u32>) -> RoundVerdict {
     let Some(planned) = planned else { return RoundVerdict::Done };
-    let is_enough = |(tile, ends): &(&TileErrors, &Ends)| ends.iter().all(|&end| end <= tile.samples.end);
+    let is_enough = |(tile, ends): &(&TileErrors, &HalfEnds)| ends.iter().all(|&end| end <= tile.samples.end);
     let all = || tiles.iter().zip(ends);
     let enough = all().filter(is_enough).count();
     if enough == tiles.len() {
@@ -72,7 +72,7 @@ fn next(tiles: &[TileErrors], ends: &[Ends], planned: Option<u32>) -> RoundVerdi
     if enough == 0 {
         return RoundVerdict::Continue;
     }
-    let steps = |it: (&TileErrors, &Ends)| {
+    let steps = |it: (&TileErrors, &HalfEnds)| {
         let samples = it.0.samples.end;
         if is_enough(&it) { samples } else { planned.max(samples) }
     };
@@ -80,7 +80,7 @@ fn next(tiles: &[TileErrors], ends: &[Ends], planned: Option<u32>) -> RoundVerdi
 }
 
 /// Ends each half of a tile if the other half says that the number of samples is sufficient.
-fn end(tile: &TileErrors, floors: [f64; HALVES], most: f64, ends: &mut Ends) {
+fn end_halves(tile: &TileErrors, floors: [f64; HALVES], most: f64, ends: &mut HalfEnds) {
     let samples = tile.samples.end;
     let unlit = if samples >= UNLIT_SPP { 0.0 } else { f64::INFINITY };
     for (half, floor) in floors.into_iter().enumerate() {
@@ -94,8 +94,8 @@ fn end(tile: &TileErrors, floors: [f64; HALVES], most: f64, ends: &mut Ends) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use femc_film::tile::OPEN;
-    use femc_film::{Block, HalfBlock, Pace, Rect, TileBlock};
+    use femc_film::tile::NONE_HELD;
+    use femc_film::{Block, HalfBlock, Rect, TileBlock, TimedProgress};
 
     const TIME: f64 = 4.0;
     const RECT: Rect = Rect { x: 0, y: 0, width: 1, height: 1 };
@@ -108,14 +108,14 @@ mod tests {
         };
         let block = Block { rect: RECT, sum: 1.0, variance: 0.0, freedom: 3.0 };
         let blocks = vec![TileBlock { block, halves: errors.map(half) }];
-        TileErrors { samples: (0..samples).into(), bad: 0, work: 0, ends: OPEN, blocks }
+        TileErrors { samples: (0..samples).into(), bad: 0, rays: 0, ends: NONE_HELD, blocks }
     }
 
-    fn stops(tiles: usize) -> Option<Stops> {
-        Some(Stops { floors: [0.01; 2], ends: vec![OPEN; tiles], pace: Pace::default() })
+    fn stops(tiles: usize) -> Option<SamplingState> {
+        Some(SamplingState { floors: [0.01; 2], ends: vec![NONE_HELD; tiles], progress: TimedProgress::default() })
     }
 
-    fn settings(stop: Stop) -> Settings {
+    fn settings(stop: StopCondition) -> Settings {
         Settings { stop, ..Settings::default() }
     }
 
@@ -123,17 +123,17 @@ mod tests {
     fn halves_stop_by_each_other_and_tiles_when_both_have_stopped() {
         let errors = [[0.04, 0.04], [0.06, 0.04], [0.04, 0.06], [0.06, 0.06]].map(|pair| pair.map(Some));
         let tiles = errors.map(|pair| tile(16, pair));
-        let (verdict, left) = settings(Stop::Error(0.05)).verdict(&tiles, stops(4), TIME, Some(24));
-        assert_eq!(left.ends, [[16, 16], [16, u32::MAX], [u32::MAX, 16], OPEN]);
+        let (verdict, left) = settings(StopCondition::Error(0.05)).verdict(&tiles, stops(4), TIME, Some(24));
+        assert_eq!(left.ends, [[16, 16], [16, u32::MAX], [u32::MAX, 16], NONE_HELD]);
         assert_eq!(verdict, RoundVerdict::Steps(vec![16, 24, 24, 24]));
 
         // In the next round, the half that ended no longer affects its own end.
         let errors = [[0.9, 0.9], [0.01, 0.9], [0.9, 0.9], [0.01, 0.01]].map(|pair| pair.map(Some));
         let tiles: Vec<TileErrors> = errors.into_iter().zip([16, 24, 24, 24]).map(|(e, n)| tile(n, e)).collect();
-        let (verdict, left) = settings(Stop::Error(0.05)).verdict(&tiles, Some(left), TIME, Some(32));
+        let (verdict, left) = settings(StopCondition::Error(0.05)).verdict(&tiles, Some(left), TIME, Some(32));
         assert_eq!(left.ends, [[16, 16], [16, 24], [u32::MAX, 16], [24, 24]]);
         assert_eq!(verdict, RoundVerdict::Steps(vec![16, 24, 32, 24]));
-        let (verdict, _) = settings(Stop::Error(0.05)).verdict(&tiles, Some(left), TIME, None);
+        let (verdict, _) = settings(StopCondition::Error(0.05)).verdict(&tiles, Some(left), TIME, None);
         assert_eq!(verdict, RoundVerdict::Done, "it was the last round");
     }
 
@@ -141,7 +141,8 @@ mod tests {
     fn unlit_tiles_continue_to_a_limit_and_unknown_ones_continue() {
         let is_over = |samples: u32, errors: [Option<f64>; 2]| {
             let tiles = [tile(samples, errors)];
-            settings(Stop::Error(0.05)).verdict(&tiles, stops(1), TIME, Some(samples + 8)).0 == RoundVerdict::Done
+            settings(StopCondition::Error(0.05)).verdict(&tiles, stops(1), TIME, Some(samples + 8)).0
+                == RoundVerdict::Done
         };
         assert!(!is_over(UNLIT_SPP - 8, [None; 2]) && is_over(UNLIT_SPP, [None; 2]));
         assert!(!is_over(UNLIT_SPP, [None, Some(0.9)]));
@@ -152,11 +153,11 @@ mod tests {
     fn dark_blocks_are_measured_against_the_first_round_floor() {
         let tiles = [tile(16, [Some(0.5); 2])];
         let with = |floors| {
-            let before = Some(Stops { floors, ..stops(1).unwrap() });
-            settings(Stop::Error(0.05)).verdict(&tiles, before, TIME, Some(24)).1.ends[0]
+            let before = Some(SamplingState { floors, ..stops(1).unwrap() });
+            settings(StopCondition::Error(0.05)).verdict(&tiles, before, TIME, Some(24)).1.ends[0]
         };
         assert_eq!(with([10.1, 9.9]), [u32::MAX, 16], "the floor that a half's error is measured against is its own");
-        let (_, first) = settings(Stop::Error(0.05)).verdict(&tiles, None, TIME, Some(24));
+        let (_, first) = settings(StopCondition::Error(0.05)).verdict(&tiles, None, TIME, Some(24));
         assert_eq!(first.floors, [0.01; 2], "a hundredth of the mean");
     }
 
@@ -165,7 +166,7 @@ mod tests {
         let tiles = [tile(16, [Some(0.0); 2]), tile(16, [Some(9.0); 2])];
         let verdict = |stop, time| settings(stop).verdict(&tiles, stops(2), time, Some(64));
         let late = 1e9;
-        assert_eq!(verdict(Stop::Time(5.0), late).0, RoundVerdict::Done);
-        assert_eq!(verdict(Stop::Error(0.05), late), verdict(Stop::Error(0.05), TIME));
+        assert_eq!(verdict(StopCondition::Time(5.0), late).0, RoundVerdict::Done);
+        assert_eq!(verdict(StopCondition::Error(0.05), late), verdict(StopCondition::Error(0.05), TIME));
     }
 }

@@ -1,7 +1,7 @@
 //! Render settings, shared by the command line, job files and the wire format.
 
-use crate::allocation::{Allocation, AllocationError};
-use crate::budget::PILOT;
+use crate::allocation::{AllocationError, SampleAllocation};
+use crate::budget::PILOT_SPP;
 use femc_film::Filter;
 use femc_layers::{Feature, Layer, LayerError};
 use femc_scene::{Scene, SelectorError};
@@ -16,7 +16,7 @@ pub struct Settings {
     /// Film size in pixels; `None`: the camera's.
     pub size: Option<[u32; 2]>,
     /// Condition under which a frame is done.
-    pub stop: Stop,
+    pub stop: StopCondition,
     /// Method of computing light.
     pub method: Method,
     /// Maximum path length in segments (directly visible light is 1); 0: unlimited.
@@ -40,7 +40,7 @@ pub struct Settings {
     pub features: BTreeSet<Feature>,
     /// Division of the samples in the first render of a frame with a time limit. `None`: division by the clock.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub allocation: Option<Allocation>,
+    pub allocation: Option<SampleAllocation>,
 }
 
 impl Default for Settings {
@@ -48,7 +48,7 @@ impl Default for Settings {
         Self {
             camera: None,
             size: None,
-            stop: Stop::Error(0.05),
+            stop: StopCondition::Error(0.05),
             method: Method::Auto,
             max_depth: 0,
             filter: Filter::Box,
@@ -66,7 +66,7 @@ impl Default for Settings {
 /// Condition under which a frame is done.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Stop {
+pub enum StopCondition {
     /// This number of samples a pixel.
     Spp(u32),
     /// Maximum relative error of the mean luminance of every 16 x 16 block (95 % confidence).
@@ -120,13 +120,13 @@ pub enum SettingsError {
     #[error(
         "the method `fem` does not support `max-depth` {0}: the light of its elements has no path lengths; use `pt`"
     )]
-    DepthOfElements(u32),
+    MaxDepthWithFem(u32),
     /// Invalid layers.
     #[error(transparent)]
     Layers(#[from] LayerError),
     /// The light of elements has no paths.
     #[error("the method `fem` does not support layers: the paths of its light are not known; use `pt` or `femc`")]
-    LayersOfElements,
+    LayersWithFem,
     /// Invalid allocation of samples.
     #[error(transparent)]
     Allocation(#[from] AllocationError),
@@ -148,9 +148,9 @@ impl Settings {
     pub fn check(&self) -> Result<(), SettingsError> {
         let refuse = |setting, value: String, domain| Err(SettingsError::Domain { setting, value, domain });
         match self.stop {
-            Stop::Spp(n) if n == 0 || n > MAX_SPP => refuse("spp", n.to_string(), "from 1 to 16777216"),
-            Stop::Error(e) if !(e > 0.0 && e < 10.0) => refuse("error", e.to_string(), "above 0 and below 10"),
-            Stop::Time(t) if !(t > 0.0 && t.is_finite()) => refuse("time", t.to_string(), "a positive time"),
+            StopCondition::Spp(n) if n == 0 || n > MAX_SPP => refuse("spp", n.to_string(), "from 1 to 16777216"),
+            StopCondition::Error(e) if !(e > 0.0 && e < 10.0) => refuse("error", e.to_string(), "above 0 and below 10"),
+            StopCondition::Time(t) if !(t > 0.0 && t.is_finite()) => refuse("time", t.to_string(), "a positive time"),
             _ => Ok(()),
         }?;
         if let Some([w, h]) = self.size
@@ -159,13 +159,13 @@ impl Settings {
             return refuse("size", format!("{w}x{h}"), "from 1x1 to 32768x32768");
         }
         if self.method == Method::Fem && self.max_depth != 0 {
-            return Err(SettingsError::DepthOfElements(self.max_depth));
+            return Err(SettingsError::MaxDepthWithFem(self.max_depth));
         }
-        femc_layers::parse_all(&self.layers)?;
+        femc_layers::parse_layers(&self.layers)?;
         if self.method == Method::Fem && !self.layers.is_empty() {
-            return Err(SettingsError::LayersOfElements);
+            return Err(SettingsError::LayersWithFem);
         }
-        Ok(self.allocation.as_ref().map_or(Ok(()), Allocation::check)?)
+        Ok(self.allocation.as_ref().map_or(Ok(()), SampleAllocation::check)?)
     }
 
     /// Checks whether frames have a file of layers or features.
@@ -175,7 +175,7 @@ impl Settings {
 
     /// Returns the settings as stated in an image. They do not distinguish a render by the clock from a render with the stated
     /// division.
-    pub fn stated(&self) -> Self {
+    pub fn without_allocation(&self) -> Self {
         Self { allocation: None, ..self.clone() }
     }
 
@@ -187,16 +187,16 @@ impl Settings {
         Ok(())
     }
 
-    /// Returns the samples a pixel at the end of each round, ascending. With [`Stop::Error`] and [`Stop::Time`] a frame may end
-    /// after any round. With [`Stop::Time`] only the first number and the last are certain.
+    /// Returns the samples a pixel at the end of each round, ascending. With [`StopCondition::Error`] and [`StopCondition::Time`] a
+    /// frame may end after any round. With [`StopCondition::Time`] only the first number and the last are certain.
     pub fn rounds(&self) -> Vec<u32> {
         match (self.stop, &self.allocation) {
-            (Stop::Spp(n), _) => vec![n],
-            (Stop::Time(_), Some(allocation)) => allocation.rounds(),
-            (Stop::Time(_), None) => {
-                (0..).map(|round| PILOT.saturating_pow(round)).take_while(|n| *n <= MAX_SPP).collect()
+            (StopCondition::Spp(n), _) => vec![n],
+            (StopCondition::Time(_), Some(allocation)) => allocation.rounds(),
+            (StopCondition::Time(_), None) => {
+                (0..).map(|round| PILOT_SPP.saturating_pow(round)).take_while(|n| *n <= MAX_SPP).collect()
             }
-            (Stop::Error(_), _) => {
+            (StopCondition::Error(_), _) => {
                 // 8, 12, 16, 24 ..: all halves and replicates have equal numbers.
                 let doubled = std::iter::successors(Some(FIRST_ROUND), |n| (*n < LAST_ROUND_SPP).then_some(n * 2));
                 doubled.flat_map(|n| [n, n + n / 2]).take_while(|&n| n <= LAST_ROUND_SPP).collect()

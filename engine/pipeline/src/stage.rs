@@ -151,7 +151,7 @@ pub struct Loop {
 }
 
 impl Stage {
-    pub(crate) fn of_frame(kind: StageKind, sizes: Vec<(u32, u64)>, makes: &[Role]) -> Self {
+    pub(crate) fn per_frame(kind: StageKind, sizes: Vec<(u32, u64)>, makes: &[Role]) -> Self {
         let makes = makes.to_vec();
         Self { kind, scope: Scope::Frame, sizes, steps: Vec::new(), needs: Vec::new(), makes, closes: None }
     }
@@ -168,29 +168,29 @@ const GROUP_TILES: u64 = 256;
 const GROUP_PIXELS: u64 = 1 << 18;
 
 /// Returns the maximum number of such tiles in a group.
-pub fn fan(tiling: &Tiling) -> NonZeroU32 {
+pub fn tiles_per_group(tiling: &Tiling) -> NonZeroU32 {
     let tile = u64::from(tiling.edge) * u64::from(tiling.edge);
     let tiles = (GROUP_PIXELS / tile.max(1)).min(GROUP_TILES) as u32;
     NonZeroU32::new(tiles).unwrap_or(NonZeroU32::MIN)
 }
 
-/// Returns the stages of a job of frames: the first pass if the method has one; tiles; groups of `fan` tiles if there are more
-/// tiles or several rounds; a decision if there are several rounds; the image.
+/// Returns the stages of a job of frames: the first pass if the method has one; tiles; groups of `tiles_per_group` tiles if there
+/// are more tiles or several rounds; a decision if there are several rounds; the image.
 /// - `rounds`: samples a pixel at the end of each round, ascending.
-pub fn stages(tiling: &Tiling, rounds: &[u32], fan: NonZeroU32, method: Method) -> Vec<Stage> {
+pub fn job_stages(tiling: &Tiling, rounds: &[u32], fan: NonZeroU32, method: Method) -> Vec<Stage> {
     let groups = (tiling.count() as u32).div_ceil(fan.get());
-    let render = Stage::of_frame(StageKind::Render, areas(tiling), &[Role::Tile]);
+    let render = Stage::per_frame(StageKind::Render, tile_areas(tiling), &[Role::Tile]);
     let mut render = Stage { steps: rounds.to_vec(), ..render };
     let mut all = Vec::new();
     if method.has_first_pass() {
-        let first_pass = Stage::of_frame(StageKind::FirstPass, vec![(1, 1)], &[Role::Field]);
+        let first_pass = Stage::per_frame(StageKind::FirstPass, vec![(1, 1)], &[Role::Field]);
         all.push(Stage { scope: Scope::Content, ..first_pass });
         render = render.reads(0, Role::Field, Reach::All);
     }
     let first = all.len() as u16;
     all.push(render);
     let reduce = |makes: &[Role]| {
-        let reduce = Stage::of_frame(StageKind::Reduce, vec![(groups, 1)], makes);
+        let reduce = Stage::per_frame(StageKind::Reduce, vec![(groups, 1)], makes);
         reduce.reads(first, Role::Tile, Reach::Fan(fan))
     };
     let mut finished = (first + 1, Role::Pixels);
@@ -200,7 +200,7 @@ pub fn stages(tiling: &Tiling, rounds: &[u32], fan: NonZeroU32, method: Method) 
         let stops = before(first + 2, Role::Stops, Reach::All);
         let mut reduce = reduce(&[Role::Pixels, Role::Errors, Role::Sums]);
         reduce.needs.extend([before(first + 1, Role::Sums, Reach::Same), stops]);
-        let decide = Stage::of_frame(StageKind::Decide, vec![(1, 1)], &[Role::Stops]);
+        let decide = Stage::per_frame(StageKind::Decide, vec![(1, 1)], &[Role::Stops]);
         let mut decide = decide.reads(first + 1, Role::Errors, Reach::All);
         decide.needs.push(stops);
         let closes = Some(Loop { first, rounds: rounds.len() as u32 });
@@ -210,7 +210,7 @@ pub fn stages(tiling: &Tiling, rounds: &[u32], fan: NonZeroU32, method: Method) 
     } else {
         finished = (first, Role::Tile);
     }
-    let image = Stage::of_frame(StageKind::Image, vec![(1, 1)], &[Role::Image, Role::Preview]);
+    let image = Stage::per_frame(StageKind::Image, vec![(1, 1)], &[Role::Image, Role::Preview]);
     all.push(image.reads(finished.0, finished.1, Reach::All));
     all
 }
@@ -219,7 +219,7 @@ pub fn stages(tiling: &Tiling, rounds: &[u32], fan: NonZeroU32, method: Method) 
 const PATHS_FAN: NonZeroU32 = NonZeroU32::new(256).expect("it is not 0");
 
 /// Adds light statistics to the stages of a job. Its images do not change.
-pub fn with_statistics(mut stages: Vec<Stage>) -> Vec<Stage> {
+pub fn with_statistics_stages(mut stages: Vec<Stage>) -> Vec<Stage> {
     let find = |stages: &[Stage], kind| stages.iter().position(|stage| stage.kind == kind);
     let (Some(render), Some(mut image)) = (find(&stages, StageKind::Render), stages.pop()) else { return stages };
     let decide = find(&stages, StageKind::Decide);
@@ -229,7 +229,7 @@ pub fn with_statistics(mut stages: Vec<Stage>) -> Vec<Stage> {
     // The last decision determines which samples count.
     if tiles > PATHS_FAN.get() {
         let groups = vec![(tiles.div_ceil(PATHS_FAN.get()), 1)];
-        let mut reduce = Stage::of_frame(StageKind::Reduce, groups, &[Role::Paths]);
+        let mut reduce = Stage::per_frame(StageKind::Reduce, groups, &[Role::Paths]);
         reduce.needs.push(of(render, Role::Paths, Reach::Fan(PATHS_FAN)));
         image = image.reads(stages.len() as u16, Role::Paths, Reach::All);
         stages.push(reduce);
@@ -250,7 +250,7 @@ const GROUP_SUMS: u64 = 1 << 20;
 /// Adds layers to the stages of a job. Its images do not change. After the loop, when it is known which samples count, groups of
 /// tiles are resolved, and the image task writes them.
 /// - `layers`: number of layers, plus the equivalent of the features; not 0.
-pub fn with_layers(mut stages: Vec<Stage>, tiling: &Tiling, layers: usize) -> Vec<Stage> {
+pub fn with_layer_stages(mut stages: Vec<Stage>, tiling: &Tiling, layers: usize) -> Vec<Stage> {
     let find = |stages: &[Stage], kind| stages.iter().position(|stage| stage.kind == kind);
     let (Some(render), Some(mut image)) = (find(&stages, StageKind::Render), stages.pop()) else { return stages };
     let decide = find(&stages, StageKind::Decide);
@@ -258,7 +258,7 @@ pub fn with_layers(mut stages: Vec<Stage>, tiling: &Tiling, layers: usize) -> Ve
     let tile = u64::from(tiling.edge) * u64::from(tiling.edge) * layers as u64;
     let fan = (GROUP_SUMS / tile.max(1)).clamp(1, GROUP_TILES) as u32;
     let groups = (tiling.count() as u32).div_ceil(fan);
-    let mut reduce = Stage::of_frame(StageKind::Reduce, vec![(groups, 1)], &[Role::LayerPixels]);
+    let mut reduce = Stage::per_frame(StageKind::Reduce, vec![(groups, 1)], &[Role::LayerPixels]);
     let reach = Reach::Fan(NonZeroU32::new(fan).unwrap_or(NonZeroU32::MIN));
     reduce.needs.push(Need { stage: render as u16, role: Role::Layers, reach, round: Round::Every });
     if let Some(decide) = decide {
@@ -271,7 +271,7 @@ pub fn with_layers(mut stages: Vec<Stage>, tiling: &Tiling, layers: usize) -> Ve
 }
 
 /// Returns the tiles as runs of equal numbers of pixels.
-fn areas(tiling: &Tiling) -> Vec<(u32, u64)> {
+fn tile_areas(tiling: &Tiling) -> Vec<(u32, u64)> {
     let areas: Vec<u64> = tiling.rects().map(|rect| rect.area()).collect();
     areas.chunk_by(|a, b| a == b).map(|run| (run.len() as u32, run[0])).collect()
 }
@@ -286,12 +286,12 @@ mod tests {
 
     fn kinds(film: [u32; 2], edge: u32, rounds: &[u32]) -> Vec<StageKind> {
         let tiling = tiling(film, edge);
-        stages(&tiling, rounds, fan(&tiling), Method::Pt).iter().map(|stage| stage.kind).collect()
+        job_stages(&tiling, rounds, tiles_per_group(&tiling), Method::Pt).iter().map(|stage| stage.kind).collect()
     }
 
     #[test]
     fn groups_stay_within_their_tile_and_pixel_limits() {
-        let fan = |edge| fan(&tiling([3840, 2160], edge)).get();
+        let fan = |edge| tiles_per_group(&tiling([3840, 2160], edge)).get();
         assert_eq!((fan(16), fan(64), fan(1024)), (256, 64, 1), "64 x 64 x 64 pixels");
     }
 
@@ -302,7 +302,7 @@ mod tests {
         assert_eq!(kinds([256, 256], 16, &[4]), [Render, Image]);
         assert_eq!(kinds([272, 256], 16, &[4]), [Render, Reduce, Image]);
         let tiling = tiling([100, 50], 32);
-        let all = stages(&tiling, &[4], NonZeroU32::new(3).unwrap(), Method::Pt);
+        let all = job_stages(&tiling, &[4], NonZeroU32::new(3).unwrap(), Method::Pt);
         assert_eq!(all[0].sizes, [(3, 1024), (1, 128), (3, 576), (1, 72)]);
         assert_eq!(all[1].sizes, [(3, 1)], "8 tiles in threes");
     }
@@ -316,14 +316,14 @@ mod tests {
         let tiling = tiling([64, 64], 16);
         for fan in [3, 16].map(|fan| NonZeroU32::new(fan).unwrap()) {
             let makes = |rounds: &[u32], role: Role| -> Vec<bool> {
-                stages(&tiling, rounds, fan, Method::Pt).iter().map(|stage| stage.makes.contains(&role)).collect()
+                job_stages(&tiling, rounds, fan, Method::Pt).iter().map(|stage| stage.makes.contains(&role)).collect()
             };
             for role in [Role::Sums, Role::Errors] {
                 assert!(!makes(&[8], role).contains(&true));
                 assert_eq!(makes(&[4, 8], role), [false, true, false, false]);
             }
             let closes = |rounds: &[u32]| {
-                stages(&tiling, rounds, fan, Method::Pt).iter().rposition(|stage| stage.closes.is_some())
+                job_stages(&tiling, rounds, fan, Method::Pt).iter().rposition(|stage| stage.closes.is_some())
             };
             assert_eq!((closes(&[8]), closes(&[4, 8, 16])), (None, Some(2)));
         }
@@ -333,8 +333,8 @@ mod tests {
     fn light_statistics_add_an_output_and_a_stage_for_many_tiles() {
         let all = |film, rounds: &[u32], method| {
             let tiling = tiling(film, 16);
-            let without = stages(&tiling, rounds, fan(&tiling), method);
-            (without.clone(), with_statistics(without))
+            let without = job_stages(&tiling, rounds, tiles_per_group(&tiling), method);
+            (without.clone(), with_statistics_stages(without))
         };
         for method in [Method::Pt, Method::Fem] {
             for rounds in [&[4][..], &[4, 8]] {
@@ -357,8 +357,8 @@ mod tests {
     fn first_pass_runs_once_per_world_and_only_tiles_read_it() {
         let (tiling, method) = (tiling([272, 256], 16), Method::Fem);
         for rounds in [&[4][..], &[4, 8]] {
-            let without = stages(&tiling, rounds, fan(&tiling), Method::Pt);
-            let with = stages(&tiling, rounds, fan(&tiling), method);
+            let without = job_stages(&tiling, rounds, tiles_per_group(&tiling), Method::Pt);
+            let with = job_stages(&tiling, rounds, tiles_per_group(&tiling), method);
             let [first_pass, render, others @ ..] = &with[..] else { panic!("{with:?}") };
             assert_eq!((first_pass.kind, first_pass.scope), (StageKind::FirstPass, Scope::Content));
             assert_eq!((&first_pass.sizes[..], &first_pass.makes[..]), (&[(1, 1)][..], &[Role::Field][..]));

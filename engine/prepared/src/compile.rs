@@ -3,8 +3,8 @@
 //! Each group that is placed by itself gets a BVH. Static groups inside it are baked in if their copies are few or small. Groups
 //! that have not changed since the previous frame are reused.
 
+use crate::duplicates::{self, Duplicates};
 use crate::lights::PhotometryTables;
-use crate::twins::{self, Twins};
 use femc_emission::light::{Face, Light};
 use femc_geometry::{Blas, Cull, Facing as KernelFacing, Quadric as KernelShape, ShapeInput, TriangleInput};
 use femc_math::elementary::double::cbrt;
@@ -23,9 +23,9 @@ pub const NONE: u32 = u32::MAX;
 pub struct Primitive {
     /// Index of the material.
     pub material: u32,
-    /// Index into [`Compiled::corners`], or [`NONE`].
+    /// Index into [`CompiledGroup::corners`], or [`NONE`].
     pub corners: u32,
-    /// Index into [`Compiled::emitters`], or [`NONE`].
+    /// Index into [`CompiledGroup::emitters`], or [`NONE`].
     pub emitter: u32,
 }
 
@@ -66,7 +66,7 @@ pub struct Emitter {
 
 /// A group that is ready to trace.
 #[derive(Debug)]
-pub struct Compiled {
+pub struct CompiledGroup {
     /// Tree over the primitives.
     pub blas: Arc<Blas>,
     /// Primitives by primitive index of the tree.
@@ -85,9 +85,9 @@ pub struct Compiled {
 
 /// A compiled group with its placement.
 #[derive(Clone, Debug)]
-pub struct Placed {
+pub struct GroupPlacement {
     /// The compiled group.
-    pub compiled: Arc<Compiled>,
+    pub compiled: Arc<CompiledGroup>,
     /// Motions from the group's frame to the world, innermost first.
     pub motions: Vec<Motion>,
     /// Whether the group was mirrored (x to -x) when it was compiled, so that its pose preserves orientation.
@@ -95,7 +95,7 @@ pub struct Placed {
 }
 
 /// Compiled groups by (group, mirrored).
-pub type Cache = BTreeMap<(GroupId, bool), Arc<Compiled>>;
+pub type Cache = BTreeMap<(GroupId, bool), Arc<CompiledGroup>>;
 
 /// Properties of a material that the tracer needs: whether backs are invisible, and whether it emits.
 #[derive(Clone, Copy, Debug)]
@@ -109,7 +109,7 @@ pub struct SurfaceClass {
 /// Compiler that compiles and places everything that is visible at one time.
 pub struct Compiler<'a> {
     scene: &'a Scene,
-    now: &'a Scalars,
+    scalars: &'a Scalars,
     photometry: &'a PhotometryTables,
     classes: &'a [SurfaceClass],
     hidden: Vec<bool>,
@@ -119,71 +119,71 @@ pub struct Compiler<'a> {
     /// Compiled groups; the next frame's `previous`.
     pub cache: Cache,
     /// Placed groups: the result.
-    pub placed: Vec<Placed>,
-    expanded: Vec<u64>,
-    mirror_at: &'a dyn Fn(&Motion) -> DAffine3,
+    pub placements: Vec<GroupPlacement>,
+    primitive_counts: Vec<u64>,
+    pose_at_opening: &'a dyn Fn(&Motion) -> DAffine3,
 }
 
 impl<'a> Compiler<'a> {
     /// Creates a compiler for `scene`, whose materials have `classes`. `pose` returns a motion's transform at shutter opening.
     pub fn new(
         scene: &'a Scene,
-        now: &'a Scalars,
+        scalars: &'a Scalars,
         photometry: &'a PhotometryTables,
         classes: &'a [SurfaceClass],
         origin: DVec3,
         previous: &'a Cache,
         pose: &'a dyn Fn(&Motion) -> DAffine3,
     ) -> Self {
-        let hidden = femc_scene::objects::hidden_objects(&now.objects);
-        let mut expanded = vec![u64::MAX; scene.groups.len()];
+        let hidden = femc_scene::objects::hidden_objects(&scalars.objects);
+        let mut primitive_counts = vec![u64::MAX; scene.groups.len()];
         for g in 0..scene.groups.len() {
-            expand(scene, GroupId(g as u32), &mut expanded);
+            count_primitives(scene, GroupId(g as u32), &mut primitive_counts);
         }
         Self {
             scene,
-            now,
+            scalars,
             photometry,
             classes,
             hidden,
             origin,
             previous,
             cache: Cache::new(),
-            placed: Vec::new(),
-            expanded,
-            mirror_at: pose,
+            placements: Vec::new(),
+            primitive_counts,
+            pose_at_opening: pose,
         }
     }
 
     /// Compiles the world and everything placed in it.
     pub fn run(&mut self) {
-        self.place(GroupId(0), &[], false);
+        self.place_group(GroupId(0), &[], false);
     }
 
-    fn place(&mut self, group: GroupId, motions: &[Motion], mirrored: bool) {
+    fn place_group(&mut self, group: GroupId, motions: &[Motion], mirrored: bool) {
         let mut builder = Builder::default();
-        let start = if mirrored { mirror() } else { DAffine3::IDENTITY };
+        let start = if mirrored { mirror_transform() } else { DAffine3::IDENTITY };
         let mut pending = Vec::new();
-        self.gather(group, start, &mut builder, &mut pending);
-        let compiled = self.finish(group, mirrored, &builder);
+        self.collect_group(group, start, &mut builder, &mut pending);
+        let compiled = self.compile_or_reuse(group, mirrored, &builder);
         if !compiled.primitives.is_empty() || !compiled.emitters.is_empty() {
-            self.placed.push(Placed { compiled, motions: motions.to_vec(), mirrored });
+            self.placements.push(GroupPlacement { compiled, motions: motions.to_vec(), mirrored });
         }
         for (within, child, motion) in pending {
             // `within` maps the child's parent to this group's compiled frame; this removes the mirror that it contains.
-            let within = if mirrored { mirror() * within } else { within };
+            let within = if mirrored { mirror_transform() * within } else { within };
             let mut chain = vec![motion];
             if within != DAffine3::IDENTITY {
                 chain.push(Motion::fixed(within));
             }
             chain.extend_from_slice(motions);
-            let flips = chain.iter().filter(|m| (self.mirror_at)(m).matrix3.determinant() < 0.0).count();
-            self.place(child, &chain, flips % 2 == 1);
+            let flips = chain.iter().filter(|m| (self.pose_at_opening)(m).matrix3.determinant() < 0.0).count();
+            self.place_group(child, &chain, flips % 2 == 1);
         }
     }
 
     /// Adds the surfaces of `group` and of the groups that are baked into it. Leaves the other groups in `pending`.
-    fn gather(
+    fn collect_group(
         &self,
         group: GroupId,
         to_compiled: DAffine3,
@@ -196,25 +196,25 @@ impl<'a> Compiler<'a> {
         source.instances.iter().for_each(|i| *copies_of.entry(i.group).or_default() += 1);
         for instance in &source.instances {
             let copies = copies_of[&instance.group];
-            let size = self.expanded[instance.group.index()];
+            let size = self.primitive_counts[instance.group.index()];
             match instance.motion.as_static() {
                 Some(pose) if copies == 1 || size <= 8 || size.saturating_mul(copies) <= 20_000 => {
-                    self.gather(instance.group, to_compiled * pose, builder, pending);
+                    self.collect_group(instance.group, to_compiled * pose, builder, pending);
                 }
                 _ => pending.push((to_compiled, instance.group, instance.motion.clone())),
             }
         }
     }
 
-    fn visible(&self, object: Option<ObjectId>) -> bool {
+    fn is_visible(&self, object: Option<ObjectId>) -> bool {
         object.is_none_or(|o| !self.hidden[o.index()])
     }
 
-    fn finish(&mut self, group: GroupId, mirrored: bool, builder: &Builder) -> Arc<Compiled> {
+    fn compile_or_reuse(&mut self, group: GroupId, mirrored: bool, builder: &Builder) -> Arc<CompiledGroup> {
         if let Some(done) = self.cache.get(&(group, mirrored)) {
             return done.clone();
         }
-        let key = self.key(group, builder);
+        let key = self.input_key(group, builder);
         if let Some(old) = self.previous.get(&(group, mirrored))
             && old.key == key
         {
@@ -229,7 +229,7 @@ impl<'a> Compiler<'a> {
 
     /// Returns a hash of the inputs that affect the compiled form besides the description itself: visibility, culling, emission,
     /// and for the world the origin.
-    fn key(&self, group: GroupId, builder: &Builder) -> u64 {
+    fn input_key(&self, group: GroupId, builder: &Builder) -> u64 {
         let mut key = 0u64;
         let mut add = |word: u64| key = combine(&[key, word]);
         if group == GroupId(0) {
@@ -241,10 +241,10 @@ impl<'a> Compiler<'a> {
         };
         for (group, _) in &builder.sources {
             let source = &self.scene.groups[group.index()];
-            source.faces.iter().for_each(|f| add(word(self.visible(f.object), f.material.0)));
-            source.quadrics.iter().for_each(|q| add(word(self.visible(q.object), q.material.0)));
-            for luminaire in &self.now.luminaires[group.index()] {
-                add(u64::from(self.visible(luminaire.object)));
+            source.faces.iter().for_each(|f| add(word(self.is_visible(f.object), f.material.0)));
+            source.quadrics.iter().for_each(|q| add(word(self.is_visible(q.object), q.material.0)));
+            for luminaire in &self.scalars.luminaires[group.index()] {
+                add(u64::from(self.is_visible(luminaire.object)));
                 add(luminaire.multiplier.to_bits());
             }
         }
@@ -255,7 +255,7 @@ impl<'a> Compiler<'a> {
     ///
     /// `center`: origin of the compiled frame. For the world it is the prepared frame's own origin, so its pose is the identity.
     /// Then nothing is rounded twice, and the tracer needs no top level.
-    fn compile(&self, builder: &Builder, center: DVec3, key: u64) -> Compiled {
+    fn compile(&self, builder: &Builder, center: DVec3, key: u64) -> CompiledGroup {
         let mut out = Output::default();
         for (group, to_compiled) in &builder.sources {
             let to_local = DAffine3::from_translation(-center) * *to_compiled;
@@ -265,8 +265,8 @@ impl<'a> Compiler<'a> {
         }
         for (group, to_compiled) in &builder.sources {
             let to_local = DAffine3::from_translation(-center) * *to_compiled;
-            let luminaires = &self.now.luminaires[group.index()];
-            for luminaire in luminaires.iter().filter(|l| self.visible(l.object)) {
+            let luminaires = &self.scalars.luminaires[group.index()];
+            for luminaire in luminaires.iter().filter(|l| self.is_visible(l.object)) {
                 self.add_luminaire(&Luminaire { to_group: to_local * luminaire.to_group, ..*luminaire }, &mut out);
             }
         }
@@ -276,7 +276,7 @@ impl<'a> Compiler<'a> {
         out.objects.extend(out.shape_objects.iter().map(|&(first, object)| (triangles + first, object)));
         let Output { primitives, corners, emitters, objects, .. } = out;
         let blas = Arc::new(Blas::build(out.triangles, out.shapes));
-        Compiled { blas, primitives, corners, emitters, objects, center, key }
+        CompiledGroup { blas, primitives, corners, emitters, objects, center, key }
     }
 
     /// Returns a round point near the middle of the compiled surfaces, so that their coordinates are small. Returns zero if they
@@ -284,7 +284,7 @@ impl<'a> Compiler<'a> {
     fn center(&self, builder: &Builder) -> DVec3 {
         let (mut min, mut max) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
         for (group, to_compiled) in &builder.sources {
-            for place in self.scene.groups[group.index()].places() {
+            for place in self.scene.groups[group.index()].positions() {
                 let p = to_compiled.transform_point3(place);
                 (min, max) = (min.min(p), max.max(p));
             }
@@ -296,24 +296,24 @@ impl<'a> Compiler<'a> {
     }
 
     fn add_faces(&self, source: &Group, to_local: &DAffine3, out: &mut Output) {
-        let sides = |material: femc_scene::MaterialId| self.now.materials[material.index()].sides;
-        for face in source.faces.iter().filter(|f| self.visible(f.object)) {
+        let sides = |material: femc_scene::MaterialId| self.scalars.materials[material.index()].sides;
+        for face in source.faces.iter().filter(|f| self.is_visible(f.object)) {
             let first = face.first_triangle as usize;
             let triangles = &source.triangles[first..first + face.triangle_count as usize];
             let material = face.material.0;
             let class = self.classes[face.material.index()];
             let textured = {
-                let m = &self.now.materials[face.material.index()];
+                let m = &self.scalars.materials[face.material.index()];
                 m.map_rd.is_some() || m.map_ed.is_some() || m.map_n.is_some()
             };
-            begin(&mut out.objects, out.primitives.len(), face.object);
+            start_object(&mut out.objects, out.primitives.len(), face.object);
             let (object, location) = (face.object, face.location);
             let pair = if class.emits && !textured { parallelogram(source, triangles) } else { None };
             let shared = pair.map(|[o, a, b]| {
                 let q = to_local.transform_point3(o);
                 let [a, b] = [a, b].map(|edge| to_local.transform_vector3(edge));
                 let corners = [q, q + a, q + b, q + a + b].map(|p| p.as_vec3a());
-                let surface = twins::flat(&corners, a.cross(b).as_vec3a(), sides(face.material));
+                let surface = duplicates::flat_key(&corners, a.cross(b).as_vec3a(), sides(face.material));
                 let shape = EmitterShape::Parallelogram([q, a, b]);
                 out.emitter(Emitter { shape, material, object, location }, surface)
             });
@@ -324,7 +324,7 @@ impl<'a> Compiler<'a> {
                     (Some(shared), _) => shared,
                     (None, true) => {
                         let normal = (p[1] - p[0]).cross(p[2] - p[0]).as_vec3a();
-                        let mut surface = twins::flat(&p.map(|p| p.as_vec3a()), normal, sides(face.material));
+                        let mut surface = duplicates::flat_key(&p.map(|p| p.as_vec3a()), normal, sides(face.material));
                         if textured {
                             // Twins may have different texture coordinates, so their number is part of the key.
                             surface.push(out.emitters.len() as u32);
@@ -349,15 +349,15 @@ impl<'a> Compiler<'a> {
     }
 
     fn add_quadrics(&self, source: &Group, to_local: &DAffine3, out: &mut Output) {
-        for quadric in source.quadrics.iter().filter(|q| self.visible(q.object)) {
+        for quadric in source.quadrics.iter().filter(|q| self.is_visible(q.object)) {
             let class = self.classes[quadric.material.index()];
             let shape = transform_shape(&quadric.shape, to_local);
             let material = quadric.material.0;
             let (object, location) = (quadric.object, quadric.location);
-            begin(&mut out.shape_objects, out.shape_primitives.len(), object);
+            start_object(&mut out.shape_objects, out.shape_primitives.len(), object);
             let emitter = if class.emits {
-                let sides = self.now.materials[quadric.material.index()].sides;
-                let surface = twins::curved(&kernel_shape(&shape), sides);
+                let sides = self.scalars.materials[quadric.material.index()].sides;
+                let surface = duplicates::curved_key(&kernel_shape(&shape), sides);
                 out.emitter(Emitter { shape: EmitterShape::Curved(shape), material, object, location }, surface)
             } else {
                 NONE
@@ -377,8 +377,8 @@ impl<'a> Compiler<'a> {
         let light = self.photometry.light(luminaire, &luminaire.to_group);
         let Light::PhotometricSolid(solid) = light else { return };
         let primitive = Primitive { material, corners: NONE, emitter };
-        begin(&mut out.objects, out.primitives.len(), object);
-        begin(&mut out.shape_objects, out.shape_primitives.len(), object);
+        start_object(&mut out.objects, out.primitives.len(), object);
+        start_object(&mut out.shape_objects, out.shape_primitives.len(), object);
         for face in solid.faces() {
             match face {
                 Face::Parallelogram { origin, edge_u, edge_v } => {
@@ -413,14 +413,14 @@ struct Output {
     emitters: Vec<Emitter>,
     objects: Vec<(u32, Option<ObjectId>)>,
     shape_objects: Vec<(u32, Option<ObjectId>)>,
-    twins: Twins,
+    duplicates: Duplicates,
 }
 
 impl Output {
     /// Returns the index of a surface's emitter. A twin of an earlier surface shares its emitter.
     fn emitter(&mut self, emitter: Emitter, surface: Vec<u32>) -> u32 {
         let fresh = self.emitters.len() as u32;
-        let index = self.twins.emitter(emitter.material, surface, fresh);
+        let index = self.duplicates.get_or_insert(emitter.material, surface, fresh);
         if index == fresh {
             self.emitters.push(emitter);
         }
@@ -429,28 +429,28 @@ impl Output {
 }
 
 /// Records that primitives from `first` on belong to `object`.
-fn begin(objects: &mut Vec<(u32, Option<ObjectId>)>, first: usize, object: Option<ObjectId>) {
+fn start_object(objects: &mut Vec<(u32, Option<ObjectId>)>, first: usize, object: Option<ObjectId>) {
     if objects.last().is_none_or(|(_, latest)| *latest != object) {
         objects.push((first as u32, object));
     }
 }
 
 /// Returns the number of primitives of a group including everything static in it, counted once each.
-fn expand(scene: &Scene, group: GroupId, sizes: &mut [u64]) -> u64 {
+fn count_primitives(scene: &Scene, group: GroupId, sizes: &mut [u64]) -> u64 {
     if sizes[group.index()] != u64::MAX {
         return sizes[group.index()];
     }
     let source = &scene.groups[group.index()];
     let mut size = (source.triangles.len() + source.quadrics.len() + source.luminaires.len()) as u64;
     for instance in &source.instances {
-        size = size.saturating_add(expand(scene, instance.group, sizes)).min(u64::MAX - 1);
+        size = size.saturating_add(count_primitives(scene, instance.group, sizes)).min(u64::MAX - 1);
     }
     sizes[group.index()] = size;
     size
 }
 
 /// Returns the mirror that is baked into compiled groups whose placements reverse orientation.
-pub fn mirror() -> DAffine3 {
+pub fn mirror_transform() -> DAffine3 {
     DAffine3::from_mat3(DMat3::from_diagonal(DVec3::new(-1.0, 1.0, 1.0)))
 }
 

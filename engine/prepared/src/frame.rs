@@ -1,12 +1,12 @@
 //! Preparation of a frame: places compiled groups, collects lights, and converts media and camera.
 
 use crate::camera::{CameraPose, KernelCamera};
-use crate::compile::{Cache, Compiled, Compiler, NONE, Placed, mirror, surface_class};
-use crate::lights::{Entry, Lights, PhotometryTables};
+use crate::camera_emitters::CameraEmitters;
+use crate::compile::{Cache, CompiledGroup, Compiler, GroupPlacement, NONE, mirror_transform, surface_class};
+use crate::lights::{LightInstance, Lights, PhotometryTables};
 use crate::material::{Crossing, KernelMaterial};
-use crate::media::{Inside, KernelMedium, Media, Profile};
-use crate::sightings::Sightings;
-use crate::source::Source;
+use crate::media::{DensityProfile, KernelMedium, Media, MediumStack};
+use crate::scene_source::SceneSource;
 use crate::texture::Texture;
 use femc_emission::Light;
 use femc_field::Field;
@@ -71,9 +71,9 @@ pub enum PrepareError {
 
 /// An instance of a compiled group, for the kernels.
 #[derive(Clone, Debug)]
-pub struct PlacedGroup {
+pub struct GroupInstance {
     /// Surfaces of the group.
-    pub compiled: Arc<Compiled>,
+    pub compiled: Arc<CompiledGroup>,
     /// Motions from the group's frame to the world, innermost first.
     pub motions: Vec<Motion>,
     /// Whether the group was mirrored when it was compiled.
@@ -94,7 +94,7 @@ pub struct Prepared {
     /// All surfaces.
     pub world: Arc<World>,
     /// Instances by instance index of `world`.
-    pub instances: Arc<Vec<PlacedGroup>>,
+    pub instances: Arc<Vec<GroupInstance>>,
     /// Materials by material index of the description.
     pub materials: Arc<Vec<KernelMaterial>>,
     /// Textures by image index of the description.
@@ -108,13 +108,13 @@ pub struct Prepared {
     /// The camera.
     pub camera: KernelCamera,
     /// Small light sources, listed by the pixels that see them.
-    pub sightings: Sightings,
+    pub camera_emitters: CameraEmitters,
     /// World position of the prepared frame's origin, m.
     pub origin: DVec3,
     /// Minimum distance between a light and a ray, m; smaller distances are raised to it. It is a millionth of the scene's extent.
     pub least_distance: f32,
     /// Media of the closed objects that contain the camera.
-    pub camera_inside: Inside,
+    pub camera_medium_stack: MediumStack,
     /// Whether light can go straight through a surface. If so, shadow rays examine the surfaces that they hit.
     pub has_clear_surfaces: bool,
     /// Brightness of the lamps ([`Scalars::brightness`]).
@@ -125,17 +125,17 @@ pub struct Prepared {
 }
 
 /// Viewpoint of a frame.
-pub(crate) struct Sight<'a> {
+pub(crate) struct FrameView<'a> {
     pub camera: &'a Camera,
     pub film: [u32; 2],
     pub shutter: [f64; 2],
     pub origin: DVec3,
 }
 
-impl<'a> Sight<'a> {
-    fn of(source: &Source, now: &'a Scalars, spec: &FrameSpec) -> Result<Self, PrepareError> {
+impl<'a> FrameView<'a> {
+    fn new(source: &SceneSource, scalars: &'a Scalars, spec: &FrameSpec) -> Result<Self, PrepareError> {
         let scene = source.scene();
-        let camera = find_camera(&now.cameras, spec.camera.as_deref())?;
+        let camera = find_camera(&scalars.cameras, spec.camera.as_deref())?;
         Ok(Self {
             camera,
             film: spec.size.unwrap_or(camera.film),
@@ -144,47 +144,51 @@ impl<'a> Sight<'a> {
         })
     }
 
-    fn frame_key(&self, source: &Source, now: &Scalars, frame: u32) -> FrameKey {
+    fn frame_key(&self, source: &SceneSource, scalars: &Scalars, frame: u32) -> FrameKey {
         let Self { camera, film, shutter, origin } = *self;
-        source.scene().frame_key(source.static_digest(), now, &Viewpoint { camera, film, frame, shutter, origin })
+        source.scene().frame_key(source.static_digest(), scalars, &Viewpoint { camera, film, frame, shutter, origin })
     }
 }
 
 /// Returns the digests of the inputs of a frame, without preparing it.
-pub fn frame_key(source: &Source, spec: &FrameSpec) -> Result<FrameKey, PrepareError> {
+pub fn frame_key(source: &SceneSource, spec: &FrameSpec) -> Result<FrameKey, PrepareError> {
     let scene = source.scene();
-    let now = scene.scalars_at(scene.frame_time(spec.frame))?;
-    Ok(Sight::of(source, &now, spec)?.frame_key(source, &now, spec.frame))
+    let scalars = scene.scalars_at(scene.frame_time(spec.frame))?;
+    Ok(FrameView::new(source, &scalars, spec)?.frame_key(source, &scalars, spec.frame))
 }
 
 /// Prepares a frame. `previous` is any other frame; the two share what they have in common. If their worlds are equal, this is
 /// everything but the camera. If one scene is a variant of the other, it is the unchanged surfaces.
-pub fn prepare(source: &Source, spec: &FrameSpec, previous: Option<&Prepared>) -> Result<Prepared, PrepareError> {
+pub fn prepare_frame(
+    source: &SceneSource,
+    spec: &FrameSpec,
+    previous: Option<&Prepared>,
+) -> Result<Prepared, PrepareError> {
     let scene = source.scene();
     prepare_with(source, spec, &scene.scalars_at(scene.frame_time(spec.frame))?, previous)
 }
 
-/// Prepares a frame like [`prepare`], but with lamps of brightness 1 ([`Scalars::of_brightness_one`]). Frames with equal
+/// Prepares a frame like [`prepare_frame`], but with lamps of brightness 1 ([`Scalars::with_unit_brightness`]). Frames with equal
 /// [`FrameKey::light`] give the same world.
-pub fn prepare_of_brightness_one(
-    source: &Source,
+pub fn prepare_frame_at_unit_brightness(
+    source: &SceneSource,
     spec: &FrameSpec,
     previous: Option<&Prepared>,
 ) -> Result<Prepared, PrepareError> {
     let scene = source.scene();
-    prepare_with(source, spec, &scene.scalars_at(scene.frame_time(spec.frame))?.of_brightness_one(), previous)
+    prepare_with(source, spec, &scene.scalars_at(scene.frame_time(spec.frame))?.with_unit_brightness(), previous)
 }
 
 fn prepare_with(
-    source: &Source,
+    source: &SceneSource,
     spec: &FrameSpec,
-    now: &Scalars,
+    scalars: &Scalars,
     previous: Option<&Prepared>,
 ) -> Result<Prepared, PrepareError> {
     let scene = source.scene();
-    let sight = Sight::of(source, now, spec)?;
-    let frame_key = sight.frame_key(source, now, spec.frame);
-    let camera = kernel_camera(&now.paths, spec, &sight)?;
+    let view = FrameView::new(source, scalars, spec)?;
+    let frame_key = view.frame_key(source, scalars, spec.frame);
+    let camera = kernel_camera(&scalars.paths, spec, &view)?;
     let mut prepared = match previous.filter(|p| p.frame_key.static_digest == frame_key.static_digest) {
         Some(previous) if previous.frame_key.world == frame_key.world => Prepared {
             scene: scene.clone(),
@@ -198,75 +202,75 @@ fn prepare_with(
             lights: previous.lights.clone(),
             media: previous.media.clone(),
             camera,
-            sightings: Sightings::default(),
+            camera_emitters: CameraEmitters::default(),
             origin: previous.origin,
             least_distance: previous.least_distance,
-            camera_inside: Inside::default(),
+            camera_medium_stack: MediumStack::default(),
             has_clear_surfaces: previous.has_clear_surfaces,
             brightness: previous.brightness,
             field: previous.field.clone(),
             cache: previous.cache.clone(),
         },
-        previous => build(scene, now, &sight, frame_key, camera, spec.frame, previous)?,
+        previous => build_world(scene, scalars, &view, frame_key, camera, spec.frame, previous)?,
     };
     if prepared.materials.iter().any(|m| m.inside.is_some()) {
-        prepared.camera_inside = prepared.media_around(prepared.camera.eye());
+        prepared.camera_medium_stack = prepared.media_at(prepared.camera.eye());
     }
-    prepared.sightings = Sightings::new(&prepared.camera, &prepared.lights, spec.filter_radius);
+    prepared.camera_emitters = CameraEmitters::new(&prepared.camera, &prepared.lights, spec.filter_radius);
     Ok(prepared)
 }
 
 /// Builds a world. `previous`: a frame of a variant of the same scene, if any.
-fn build(
+fn build_world(
     scene: &Arc<Scene>,
-    now: &Scalars,
-    sight: &Sight<'_>,
+    scalars: &Scalars,
+    view: &FrameView<'_>,
     frame_key: FrameKey,
     camera: KernelCamera,
     frame: u32,
     previous: Option<&Prepared>,
 ) -> Result<Prepared, PrepareError> {
-    let Sight { shutter, origin, .. } = *sight;
+    let FrameView { shutter, origin, .. } = *view;
     let (textures, photometry) = match previous {
         Some(previous) => (previous.textures.clone(), previous.photometry.clone()),
         None => (Arc::new(scene.images.iter().map(Texture::new).collect()), Arc::new(PhotometryTables::new(scene)?)),
     };
 
-    let classes: Vec<_> = now.materials.iter().map(surface_class).collect();
+    let classes: Vec<_> = scalars.materials.iter().map(surface_class).collect();
     let empty = Cache::new();
-    let at_open = |motion: &Motion| motion.at(&now.paths, shutter[0]);
-    let known = previous.map_or(&empty, |p| &p.cache);
-    let mut compiler = Compiler::new(scene, now, &photometry, &classes, origin, known, &at_open);
+    let at_open = |motion: &Motion| motion.at(&scalars.paths, shutter[0]);
+    let previous_cache = previous.map_or(&empty, |p| &p.cache);
+    let mut compiler = Compiler::new(scene, scalars, &photometry, &classes, origin, previous_cache, &at_open);
     compiler.run();
-    let (placed, cache) = (compiler.placed, compiler.cache);
+    let (placements, cache) = (compiler.placements, compiler.cache);
 
     // The last material is the black body behind the openings of luminaires.
     let black = femc_scene::Material::default();
-    let is_nothing = |medium: femc_scene::MediumId| now.media[medium.index()].is_nothing();
+    let is_nothing = |medium: femc_scene::MediumId| scalars.media[medium.index()].is_vacuum();
     let kernel = |material: &femc_scene::Material| KernelMaterial {
         inside: material.inside.filter(|&medium| !is_nothing(medium)).map(|medium| medium.0 as u16),
         ..KernelMaterial::new(material)
     };
-    let materials: Vec<_> = now.materials.iter().chain([&black]).map(kernel).collect();
+    let materials: Vec<_> = scalars.materials.iter().chain([&black]).map(kernel).collect();
     let mut assembly = Assembly {
-        now,
+        scalars,
         photometry: &photometry,
         origin,
         shutter,
         inputs: Vec::new(),
         instances: Vec::new(),
         lights: Vec::new(),
-        entries: Vec::new(),
+        light_instances: Vec::new(),
     };
-    for group in placed {
-        assembly.place(group);
+    for group in placements {
+        assembly.add_group(group);
     }
-    let media = media(scene, now, origin, materials.iter().any(|m| m.inside.is_some()));
+    let media = convert_media(scene, scalars, origin, materials.iter().any(|m| m.inside.is_some()));
     let has_clear_surfaces = materials.iter().any(|m| m.crossing.iter().any(|&c| c != Crossing::Scatter));
-    let Assembly { inputs, instances, lights, entries, .. } = assembly;
+    let Assembly { inputs, instances, lights, light_instances, .. } = assembly;
     let world = World::build(inputs);
     let extent = world.bounds().size().max_element();
-    let lights = Lights::new(lights, entries, &world, |point| media.extinction_at(point));
+    let lights = Lights::new(lights, light_instances, &world, |point| media.extinction_at(point));
     Ok(Prepared {
         scene: scene.clone(),
         frame_key,
@@ -280,11 +284,11 @@ fn build(
         lights: Arc::new(lights),
         media: Arc::new(media),
         camera,
-        sightings: Sightings::default(),
+        camera_emitters: CameraEmitters::default(),
         origin,
-        camera_inside: Inside::default(),
+        camera_medium_stack: MediumStack::default(),
         has_clear_surfaces,
-        brightness: now.brightness() as f32,
+        brightness: scalars.brightness() as f32,
         field: None,
         cache,
     })
@@ -293,12 +297,12 @@ fn build(
 impl Prepared {
     /// Returns the media of the closed objects that contain `point`. These are the objects whose surfaces a ray from the point
     /// leaves without having entered them.
-    fn media_around(&self, point: Vec3A) -> Inside {
+    fn media_at(&self, point: Vec3A) -> MediumStack {
         let mut ray = Ray { origin: point, dir: Vec3A::new(0.36, 0.48, 0.8), t_max: f32::INFINITY, time: 0.0 };
-        let (mut entered, mut left) = (Inside::default(), Vec::new());
+        let (mut entered, mut left) = (MediumStack::default(), Vec::new());
         for _ in 0..10_000 {
             let Some(hit) = self.world.intersect(&ray) else { break };
-            let surface = self.surface(&ray, &hit);
+            let surface = self.shading_point(&ray, &hit);
             if let Some(medium) = self.materials[surface.material as usize].inside {
                 if surface.normal.dot(ray.dir) < 0.0 {
                     entered.push(medium);
@@ -310,7 +314,7 @@ impl Prepared {
             }
             ray.origin = offset_origin(surface.position, surface.error, surface.normal, ray.dir);
         }
-        let mut inside = Inside::default();
+        let mut inside = MediumStack::default();
         left.into_iter().rev().for_each(|m| inside.push(m));
         inside
     }
@@ -328,30 +332,30 @@ pub fn find_camera<'a>(cameras: &'a [Camera], name: Option<&str>) -> Result<&'a 
 }
 
 /// Returns the origin for the camera's position at the start of the clip, so that it is the same for every frame.
-fn rebase_origin(source: &Source, camera: Option<&str>) -> Result<DVec3, PrepareError> {
+fn rebase_origin(source: &SceneSource, camera: Option<&str>) -> Result<DVec3, PrepareError> {
     let scene = source.scene();
     let camera = find_camera(&scene.cameras, camera)?.at(&scene.paths, scene.frame_time(1));
     Ok(source.origin(camera.origin))
 }
 
 struct Assembly<'a> {
-    now: &'a Scalars,
+    scalars: &'a Scalars,
     photometry: &'a PhotometryTables,
     origin: DVec3,
     shutter: [f64; 2],
     inputs: Vec<InstanceInput>,
-    instances: Vec<PlacedGroup>,
+    instances: Vec<GroupInstance>,
     lights: Vec<Light>,
-    entries: Vec<Entry>,
+    light_instances: Vec<LightInstance>,
 }
 
 impl Assembly<'_> {
-    fn place(&mut self, placed: Placed) {
-        let (paths, origin) = (&self.now.paths, self.origin);
-        let instance = PlacedGroup {
-            compiled: placed.compiled,
-            motions: placed.motions,
-            mirrored: placed.mirrored,
+    fn add_group(&mut self, placement: GroupPlacement) {
+        let (paths, origin) = (&self.scalars.paths, self.origin);
+        let instance = GroupInstance {
+            compiled: placement.compiled,
+            motions: placement.motions,
+            mirrored: placement.mirrored,
             first_light: self.lights.len() as u32,
         };
         let (pose, first) = instance.pose_over(self.shutter, paths, origin);
@@ -367,33 +371,34 @@ impl Assembly<'_> {
             let scale = double::cbrt(first.matrix3.determinant().abs()) as f32;
             let shift = first.translation.abs().max_element() as f32;
             let slack = femc_math::gamma(8) * (local * scale + shift);
-            self.entries[instance.first_light as usize..].iter_mut().for_each(|e| e.slack = slack);
+            self.light_instances[instance.first_light as usize..].iter_mut().for_each(|e| e.slack = slack);
         }
         self.inputs.push(InstanceInput { blas: instance.compiled.blas.clone(), pose });
         self.instances.push(instance);
     }
 
-    fn add_emitters(&mut self, compiled: &Compiled, carrier: u32, to_frame: &DAffine3) {
+    fn add_emitters(&mut self, compiled: &CompiledGroup, carrier: u32, to_frame: &DAffine3) {
         let first = self.lights.len();
         for emitter in &compiled.emitters {
-            let material = self.now.materials.get(emitter.material as usize);
-            let shape = crate::lights::placed(emitter, to_frame);
-            self.lights.push(crate::lights::light_of(&shape, material, self.photometry));
+            let material = self.scalars.materials.get(emitter.material as usize);
+            let shape = crate::lights::transform_emitter_shape(emitter, to_frame);
+            self.lights.push(crate::lights::light_from_shape(&shape, material, self.photometry));
             let texture = material.and_then(|m| m.map_ed).map_or(NONE, |m| m.0);
-            self.entries.push(Entry { carrier, texture, ..Entry::default() });
+            self.light_instances.push(LightInstance { carrier, texture, ..LightInstance::default() });
         }
         for primitive in compiled.primitives.iter().filter(|p| p.emitter != NONE && p.corners != NONE) {
-            self.entries[first + primitive.emitter as usize].uv = compiled.corners[primitive.corners as usize].uv;
+            self.light_instances[first + primitive.emitter as usize].uv =
+                compiled.corners[primitive.corners as usize].uv;
         }
     }
 }
 
-impl PlacedGroup {
+impl GroupInstance {
     /// Returns the transform from compiled frame to prepared frame at `time`, s.
     fn pose(&self, time: f64, paths: &[MotionPath], origin: DVec3) -> DAffine3 {
         let mut pose = DAffine3::from_translation(self.compiled.center);
         if self.mirrored {
-            pose = mirror() * pose;
+            pose = mirror_transform() * pose;
         }
         for motion in &self.motions {
             pose = motion.at(paths, time) * pose;
@@ -432,26 +437,26 @@ fn affine(t: &DAffine3) -> Affine3A {
     }
 }
 
-/// Returns the media; a medium without any effect fills nothing. `carried`: whether some are behind surfaces.
-fn media(scene: &Scene, now: &Scalars, origin: DVec3, carried: bool) -> Media {
+/// Returns the media; a medium without any effect fills nothing. `has_interior_media`: whether some are behind surfaces.
+fn convert_media(scene: &Scene, scalars: &Scalars, origin: DVec3, has_interior_media: bool) -> Media {
     let color = |c: [f64; 3], amount: f64| Rgb::from_array(c.map(|c| (c * amount).max(0.0) as f32));
-    let kernels = now.media.iter().map(|m| {
+    let kernels = scalars.media.iter().map(|m| {
         let sigma_s = color(m.color, m.sigma_s);
         KernelMedium {
             sigma_s,
             sigma_t: sigma_s + color(m.absorption_color, m.sigma_a),
             glow: color(m.glow_color, m.glow / (4.0 * PI)),
-            phase: phase(&m.phase),
+            phase: convert_phase(&m.phase),
             profile: match m.density {
-                Density::Uniform => Profile::Uniform,
+                Density::Uniform => DensityProfile::Uniform,
                 Density::Height { z0, scale } => {
-                    Profile::Height { z0: (z0 - origin.z) as f32, inverse_scale: (1.0 / scale) as f32 }
+                    DensityProfile::Height { z0: (z0 - origin.z) as f32, inverse_scale: (1.0 / scale) as f32 }
                 }
             },
         }
     });
-    let mut media = Media::new(kernels.collect(), carried);
-    for region in scene.regions.iter().filter(|region| !now.media[region.medium.index()].is_nothing()) {
+    let mut media = Media::new(kernels.collect(), has_interior_media);
+    for region in scene.regions.iter().filter(|region| !scalars.media[region.medium.index()].is_vacuum()) {
         let medium = region.medium.0 as u16;
         match &region.bounds {
             RegionBounds::Everywhere => media.fill_everywhere(medium),
@@ -467,7 +472,7 @@ fn media(scene: &Scene, now: &Scalars, origin: DVec3, carried: bool) -> Media {
     media
 }
 
-fn phase(phase: &femc_scene::Phase) -> Phase {
+fn convert_phase(phase: &femc_scene::Phase) -> Phase {
     // A value below 1 may round to 1, where the density is zero.
     let most = 1f32.next_down();
     let inside = |parameter: f64| (parameter as f32).clamp(-most, most);
@@ -482,9 +487,9 @@ fn phase(phase: &femc_scene::Phase) -> Phase {
 pub(crate) fn kernel_camera(
     paths: &[MotionPath],
     spec: &FrameSpec,
-    sight: &Sight<'_>,
+    view: &FrameView<'_>,
 ) -> Result<KernelCamera, PrepareError> {
-    let Sight { camera, film, shutter, origin } = *sight;
+    let FrameView { camera, film, shutter, origin } = *view;
     let steps = if camera.is_animated(paths) && shutter[1] > shutter[0] { 5 } else { 1 };
     let poses = (0..steps).map(|k| {
         let time = shutter[0] + (shutter[1] - shutter[0]) * f64::from(k) / f64::from((steps - 1).max(1));

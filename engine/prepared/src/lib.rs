@@ -6,26 +6,28 @@
 //! scene, are shared.
 #![deny(missing_docs)]
 
-pub mod airlit;
 pub mod camera;
 pub mod compile;
 pub mod lights;
 pub mod material;
 pub mod media;
+pub mod single_scatter;
 pub mod texture;
 
+pub mod camera_emitters;
+mod duplicates;
+pub mod film_polygon;
 mod frame;
 pub mod names;
-mod next;
-pub mod outline;
-pub mod sightings;
-mod source;
-mod surface;
-mod twins;
+mod next_frame;
+mod scene_source;
+mod shading_point;
 
-pub use frame::{FrameSpec, PrepareError, Prepared, find_camera, frame_key, prepare, prepare_of_brightness_one};
+pub use frame::{
+    FrameSpec, PrepareError, Prepared, find_camera, frame_key, prepare_frame, prepare_frame_at_unit_brightness,
+};
 pub use lights::Lights;
 pub use material::{Crossing, KernelMaterial, Orientation};
-pub use next::NextFrame;
-pub use source::Source;
-pub use surface::SurfacePoint;
+pub use next_frame::NextFrame;
+pub use scene_source::SceneSource;
+pub use shading_point::ShadingPoint;

@@ -6,8 +6,9 @@ use femc_emission::light::{
     Cone, Parallelogram, PhotometricPoint, PhotometricSolid, Ring, Solid, Sphere, Torus, Triangle,
 };
 use femc_emission::{
-    AlongSegment, AtPoint, Choice, Emission, EmissionCone, IntensityDistribution, Light, LightBounds, LightSample,
-    Lobes, ManyLights, PhotometryError, PhotometryKind, Profile, Sides, Wanting,
+    AngularProfile, BsdfLobes, Emission, EmissionCone, EmittingSides, IntensityDistribution, Light, LightBounds,
+    LightSample, LightSampleContext, LightSampler, LightWeights, PhotometryError, PhotometryKind, PointContext,
+    SegmentContext,
 };
 use femc_geometry::{Aabb, World};
 use femc_math::Rgb;
@@ -17,25 +18,25 @@ use femc_scene::{Facing, Luminaire, Material, Opening, Photometry, PhotometryTyp
 use std::sync::Arc;
 
 /// Optical depth beyond which fog hides almost everything; light from there is not sampled deliberately.
-const DEEPEST: f32 = 10.0;
+const MAX_OPTICAL_DEPTH: f32 = 10.0;
 
 /// All light sources. A light is fixed in the prepared frame, or in the frame of an instance that moves during the shutter.
 #[derive(Debug, Default)]
 pub struct Lights {
     lights: Vec<Light>,
-    entries: Vec<Entry>,
+    instances: Vec<LightInstance>,
     /// Centers of the lights, in the frames in which they are stored.
     centers: Vec<Vec3A>,
     /// Bounds of the lights over the shutter, prepared frame, and their flux, lm.
-    places: Vec<(Aabb, f32)>,
-    many: ManyLights,
+    bounds_and_power: Vec<(Aabb, f32)>,
+    sampler: LightSampler,
     /// Maximum length of a ray segment that is considered when a light is chosen for it, m.
     reach: f32,
 }
 
 /// Carrier and texture of a light.
 #[derive(Clone, Copy, Debug)]
-pub struct Entry {
+pub struct LightInstance {
     /// Moving instance that carries it, or `NONE`.
     pub carrier: u32,
     /// Texture of its emission, or `NONE`.
@@ -46,7 +47,7 @@ pub struct Entry {
     pub slack: f32,
 }
 
-impl Default for Entry {
+impl Default for LightInstance {
     fn default() -> Self {
         Self { carrier: NONE, texture: NONE, uv: [Vec2::ZERO; 3], slack: 0.0 }
     }
@@ -54,41 +55,50 @@ impl Default for Entry {
 
 impl Lights {
     /// Combines lights with their entries (same length and order) in `world`.
-    /// - `haze`: extinction of the media at a point of the prepared frame, 1/m.
-    pub fn new(lights: Vec<Light>, entries: Vec<Entry>, world: &World, haze: impl Fn(Vec3A) -> f32) -> Self {
-        debug_assert_eq!(lights.len(), entries.len());
+    /// - `extinction`: extinction of the media at a point of the prepared frame, 1/m.
+    pub fn new(
+        lights: Vec<Light>,
+        instances: Vec<LightInstance>,
+        world: &World,
+        extinction: impl Fn(Vec3A) -> f32,
+    ) -> Self {
+        debug_assert_eq!(lights.len(), instances.len());
         let centers = lights.iter().map(Light::center).collect();
-        let bounds: Vec<_> =
-            lights.iter().zip(&entries).map(|(light, entry)| bounds(light, entry, world, &haze)).collect();
+        let bounds: Vec<_> = lights
+            .iter()
+            .zip(&instances)
+            .map(|(light, instance)| bounds(light, instance, world, &extinction))
+            .collect();
         let reach = 4.0 * world.bounds().size().max_element();
         let reach = if reach.is_finite() && reach > 0.0 { reach } else { 1e6 };
-        let places = bounds.iter().map(|it| (Aabb { min: it.low, max: it.high }, it.power)).collect();
-        Self { many: ManyLights::new(&bounds), lights, entries, centers, places, reach }
+        let bounds_and_power =
+            bounds.iter().map(|light| (Aabb { min: light.low, max: light.high }, light.power)).collect();
+        Self { sampler: LightSampler::new(&bounds), lights, instances, centers, bounds_and_power, reach }
     }
 
     /// Returns whether there are no lights.
     pub fn is_empty(&self) -> bool {
-        self.entries.is_empty()
+        self.instances.is_empty()
     }
 
     /// Returns the number of lights.
     pub fn len(&self) -> usize {
-        self.entries.len()
+        self.instances.len()
     }
 
     /// Returns the bounds of a light over the whole shutter, prepared frame, m.
     pub fn bounds(&self, light: u32) -> Aabb {
-        self.places[light as usize].0
+        self.bounds_and_power[light as usize].0
     }
 
     /// Returns the luminous flux of a light, lm.
     pub fn power(&self, light: u32) -> f32 {
-        self.places[light as usize].1
+        self.bounds_and_power[light as usize].1
     }
 
     /// Returns the maximum luminous flux of a light with its texture, lm. A texture's values may be above 1.
     pub fn power_at_most(&self, textures: &[Texture], light: u32) -> f32 {
-        let texture = match self.entries[light as usize].texture {
+        let texture = match self.instances[light as usize].texture {
             NONE => 1.0,
             texture => textures[texture as usize].brightest().max(1.0),
         };
@@ -96,7 +106,7 @@ impl Lights {
     }
 
     /// Returns whether rays can hit a light, because it is not a point.
-    pub(crate) fn may_be_met(&self, light: u32) -> bool {
+    pub(crate) fn can_be_hit(&self, light: u32) -> bool {
         !matches!(self.lights[light as usize], Light::PhotometricPoint(_))
     }
 
@@ -104,8 +114,8 @@ impl Lights {
     /// - `normal`: normal of the side that light is scattered from; zero if light counts from all sides.
     /// - `lobes`: scattering lobes at the point, if they are known.
     #[inline]
-    pub fn at_point(&self, position: Vec3A, normal: Vec3A, lobes: Option<Lobes>) -> AtPoint {
-        AtPoint { position, normal, lobes }
+    pub fn point_context(&self, position: Vec3A, normal: Vec3A, lobes: Option<BsdfLobes>) -> PointContext {
+        PointContext { position, normal, lobes }
     }
 
     /// Describes a ray segment that receives light.
@@ -114,36 +124,43 @@ impl Lights {
     ///   ([`Media::character`](crate::media::Media::character)).
     /// - `angles`: angles at which each light is evaluated.
     #[inline]
-    pub fn along(&self, origin: Vec3A, dir: Vec3A, range: (f32, f32), fog: (f32, f32), angles: u32) -> AlongSegment {
+    pub fn segment_context(
+        &self,
+        origin: Vec3A,
+        dir: Vec3A,
+        range: (f32, f32),
+        fog: (f32, f32),
+        angles: u32,
+    ) -> SegmentContext {
         let (extinction, phase) = fog;
-        let reach = self.reach.min(DEEPEST / extinction.max(f32::MIN_POSITIVE));
+        let reach = self.reach.min(MAX_OPTICAL_DEPTH / extinction.max(f32::MIN_POSITIVE));
         let (start, end) = range;
-        AlongSegment { origin, dir, range: (start, end.min(start + reach)), end, angles, extinction, phase }
+        SegmentContext { origin, dir, range: (start, end.min(start + reach)), end, angles, extinction, phase }
     }
 
-    /// Computes weights of all lights for a point or segment. Later choices read them from `choice`.
+    /// Computes weights of all lights for a point or segment. Later choices read them from `weights`.
     #[inline]
-    pub fn weigh(&self, place: &impl Wanting, choice: &mut Choice) {
-        self.many.weigh(place, choice);
+    pub fn weigh(&self, context: &impl LightSampleContext, weights: &mut LightWeights) {
+        self.sampler.weigh(context, weights);
     }
 
     /// Chooses a light for a weighed point or segment, with `u` in [0, 1). Returns (index, probability), or `None` if no light can
     /// reach it.
     #[inline]
-    pub fn choose(&self, choice: &Choice, place: &impl Wanting, u: f64) -> Option<(u32, f32)> {
-        self.many.choose(choice, place, u)
+    pub fn choose(&self, weights: &LightWeights, context: &impl LightSampleContext, u: f64) -> Option<(u32, f32)> {
+        self.sampler.choose(weights, context, u)
     }
 
     /// Returns the probability that [`Lights::choose`] chooses a light.
     #[inline]
-    pub fn probability(&self, choice: &Choice, place: &impl Wanting, light: u32) -> f32 {
-        self.many.probability(choice, place, light)
+    pub fn probability(&self, weights: &LightWeights, context: &impl LightSampleContext, light: u32) -> f32 {
+        self.sampler.probability(weights, context, light)
     }
 
     /// Returns all lights, for sampling directions that pass near them.
     #[inline]
-    pub fn many(&self) -> &ManyLights {
-        &self.many
+    pub fn sampler(&self) -> &LightSampler {
+        &self.sampler
     }
 
     /// Returns the intensities of a stationary light with measured photometry along some directions (unit, away from it), cd;
@@ -151,7 +168,7 @@ impl Lights {
     #[inline]
     pub(crate) fn intensities(&self, light: u32, directions: impl FnOnce() -> [Vec3A; 8]) -> Option<[f32; 8]> {
         let source = &self.lights[light as usize];
-        let stands = self.entries[light as usize].carrier == NONE;
+        let stands = self.instances[light as usize].carrier == NONE;
         (stands && source.has_intensity()).then(|| directions().map(|dir| source.intensity(dir).unwrap_or(0.0)))
     }
 
@@ -166,55 +183,55 @@ impl Lights {
         time: f32,
         u: [f32; 2],
     ) -> Option<LightSample> {
-        let entry = &self.entries[light as usize];
-        let mut sample = if entry.carrier == NONE {
+        let instance = &self.instances[light as usize];
+        let mut sample = if instance.carrier == NONE {
             self.lights[light as usize].sample(reference, u)?
         } else {
-            let pose = world.pose_at(entry.carrier, time);
-            carried(&self.lights[light as usize], &pose, reference, u)?
+            let pose = world.pose_at(instance.carrier, time);
+            sample_moving(&self.lights[light as usize], &pose, reference, u)?
         };
-        sample.error += entry.slack;
-        if entry.texture != NONE {
-            sample.radiance *= entry.texel(textures, sample.uv);
+        sample.error += instance.slack;
+        if instance.texture != NONE {
+            sample.radiance *= instance.texel(textures, sample.uv);
         }
         Some(sample)
     }
 
     /// Returns the corners of a stationary flat polygonal light, prepared frame, m; empty for other lights.
     pub(crate) fn corners(&self, light: u32) -> Vec<Vec3A> {
-        let stands = self.entries[light as usize].carrier == NONE;
+        let stands = self.instances[light as usize].carrier == NONE;
         if stands { self.lights[light as usize].corners() } else { Vec::new() }
     }
 
     /// Returns a stationary flat polygonal light that is uniformly bright in position and direction; `None` for other lights. The
     /// result is its corners, counter-clockwise about the front normal, the luminance of its sides, and whether the back emits,
     /// too.
-    pub fn even_polygon(&self, light: u32) -> Option<(Vec<Vec3A>, Rgb, bool)> {
+    pub fn uniform_polygon(&self, light: u32) -> Option<(Vec<Vec3A>, Rgb, bool)> {
         let (normal, emission) = match &self.lights[light as usize] {
-            Light::Triangle(it) => (it.normal(), it.emission),
-            Light::Parallelogram(it) => (it.normal(), it.emission),
+            Light::Triangle(triangle) => (triangle.normal(), triangle.emission),
+            Light::Parallelogram(parallelogram) => (parallelogram.normal(), parallelogram.emission),
             _ => return None,
         };
         let mut corners = self.corners(light);
-        let even = emission.profile == Profile::Lambertian && self.entries[light as usize].texture == NONE;
+        let even = emission.profile == AngularProfile::Lambertian && self.instances[light as usize].texture == NONE;
         if corners.len() < 3 || !even {
             return None;
         }
         if femc_math::cross(corners[1] - corners[0], corners[2] - corners[0]).dot(normal) < 0.0 {
             corners.reverse();
         }
-        let both = emission.sides == Sides::Two;
+        let both = emission.sides == EmittingSides::Two;
         Some((corners, emission.radiance(1.0), both))
     }
 
     /// Samples the point of a stationary flat light that is seen from `reference` in direction `dir` (unit), with density 1.
     #[inline]
     pub fn sample_toward(&self, textures: &[Texture], light: u32, reference: Vec3A, dir: Vec3A) -> Option<LightSample> {
-        let entry = &self.entries[light as usize];
-        let mut sample = self.lights[light as usize].toward(reference, dir)?;
-        sample.error += entry.slack;
-        if entry.texture != NONE {
-            sample.radiance *= entry.texel(textures, sample.uv);
+        let instance = &self.instances[light as usize];
+        let mut sample = self.lights[light as usize].sample_in_direction(reference, dir)?;
+        sample.error += instance.slack;
+        if instance.texture != NONE {
+            sample.radiance *= instance.texel(textures, sample.uv);
         }
         Some(sample)
     }
@@ -222,17 +239,25 @@ impl Lights {
     /// Returns the density, 1/sr, with which [`Lights::sample_light`] samples a point that a ray hit, without the light's
     /// probability.
     #[inline]
-    pub fn pdf(&self, world: &World, light: u32, reference: Vec3A, time: f32, at: (Vec3A, Vec3A), dir: Vec3A) -> f32 {
-        let entry = &self.entries[light as usize];
+    pub fn pdf(
+        &self,
+        world: &World,
+        light: u32,
+        reference: Vec3A,
+        time: f32,
+        point: (Vec3A, Vec3A),
+        dir: Vec3A,
+    ) -> f32 {
+        let instance = &self.instances[light as usize];
         let source = &self.lights[light as usize];
-        if entry.carrier == NONE {
-            return source.pdf(reference, at.0, at.1, dir);
+        if instance.carrier == NONE {
+            return source.pdf(reference, point.0, point.1, dir);
         }
-        let back = inverse(&world.pose_at(entry.carrier, time));
+        let back = inverse(&world.pose_at(instance.carrier, time));
         source.pdf(
             back.transform_point3a(reference),
-            back.transform_point3a(at.0),
-            back.transform_vector3a(at.1).normalize_or_zero(),
+            back.transform_point3a(point.0),
+            back.transform_vector3a(point.1).normalize_or_zero(),
             back.transform_vector3a(dir).normalize_or_zero(),
         )
     }
@@ -249,18 +274,18 @@ impl Lights {
         dir: Vec3A,
         parametric: [f32; 2],
     ) -> Rgb {
-        let entry = &self.entries[light as usize];
+        let instance = &self.instances[light as usize];
         let source = &self.lights[light as usize];
-        let mut radiance = if entry.carrier == NONE {
+        let mut radiance = if instance.carrier == NONE {
             source.radiance(dir, normal)
         } else {
-            let pose = world.pose_at(entry.carrier, time);
+            let pose = world.pose_at(instance.carrier, time);
             let back = inverse(&pose);
             let local = |v: Vec3A| back.transform_vector3a(v).normalize_or_zero();
-            source.radiance(local(dir), local(normal)) * dilution(source, scale_of(&pose))
+            source.radiance(local(dir), local(normal)) * radiance_scale(source, pose_scale(&pose))
         };
-        if entry.texture != NONE {
-            radiance *= entry.texel(textures, parametric);
+        if instance.texture != NONE {
+            radiance *= instance.texel(textures, parametric);
         }
         radiance
     }
@@ -269,14 +294,14 @@ impl Lights {
     #[inline]
     pub fn center(&self, world: &World, light: u32, time: f32) -> Vec3A {
         let center = self.centers[light as usize];
-        match self.entries[light as usize].carrier {
+        match self.instances[light as usize].carrier {
             NONE => center,
             carrier => world.pose_at(carrier, time).transform_point3a(center),
         }
     }
 }
 
-impl Entry {
+impl LightInstance {
     fn texel(&self, textures: &[Texture], parametric: [f32; 2]) -> Rgb {
         let [b1, b2] = parametric;
         let uv = self.uv[0] * (1.0 - b1 - b2) + self.uv[1] * b1 + self.uv[2] * b2;
@@ -292,49 +317,49 @@ fn inverse(pose: &Affine3A) -> Affine3A {
 
 /// Samples a point on a light that a moving instance carries. Poses are similarities: densities per steradian stay the same,
 /// lengths scale.
-fn carried(light: &Light, pose: &Affine3A, reference: Vec3A, u: [f32; 2]) -> Option<LightSample> {
+fn sample_moving(light: &Light, pose: &Affine3A, reference: Vec3A, u: [f32; 2]) -> Option<LightSample> {
     let back = inverse(pose);
     let mut sample = light.sample(back.transform_point3a(reference), u)?;
-    let scale = scale_of(pose);
+    let scale = pose_scale(pose);
     sample.dir = pose.transform_vector3a(sample.dir).normalize_or_zero();
     sample.position = pose.transform_point3a(sample.position);
     sample.normal = pose.transform_vector3a(sample.normal).normalize_or_zero();
     sample.error = pose.matrix3.abs() * sample.error + sample.position.abs() * femc_math::gamma(4);
     sample.distance *= scale;
-    sample.radiance *= dilution(light, scale);
+    sample.radiance *= radiance_scale(light, scale);
     Some(sample)
 }
 
 /// Returns the factor by which a pose, which is a similarity, scales lengths.
 #[inline]
-fn scale_of(pose: &Affine3A) -> f32 {
+fn pose_scale(pose: &Affine3A) -> f32 {
     pose.matrix3.x_axis.length()
 }
 
 /// Returns the factor on the radiance of a light that a pose has scaled. Surfaces keep their radiance. A luminaire keeps its
 /// intensity, which now comes from a larger opening, or from farther away.
 #[inline]
-fn dilution(light: &Light, scale: f32) -> f32 {
+fn radiance_scale(light: &Light, scale: f32) -> f32 {
     if light.has_intensity() { 1.0 / (scale * scale) } else { 1.0 }
 }
 
 /// Returns the bounds with which a light is chosen, in the prepared frame over the whole shutter.
-fn bounds(light: &Light, entry: &Entry, world: &World, haze: impl Fn(Vec3A) -> f32) -> LightBounds {
+fn bounds(light: &Light, instance: &LightInstance, world: &World, extinction: impl Fn(Vec3A) -> f32) -> LightBounds {
     let ((low, high), power) = (light.bounds(), light.power());
-    if entry.carrier == NONE {
+    if instance.carrier == NONE {
         let center = light.center();
-        return LightBounds { low, high, center, power, haze: haze(center), cone: light.emission_cone() };
+        return LightBounds { low, high, center, power, extinction: extinction(center), cone: light.emission_cone() };
     }
-    let swept = world.swept(entry.carrier, &Aabb { min: low, max: high });
-    let scale = scale_of(&world.pose_at(entry.carrier, 0.5));
+    let swept = world.swept_bounds(instance.carrier, &Aabb { min: low, max: high });
+    let scale = pose_scale(&world.pose_at(instance.carrier, 0.5));
     let power = if light.has_intensity() { power } else { power * scale * scale };
     let (low, high) = (swept.min, swept.max);
     let center = (low + high) * 0.5;
-    LightBounds { low, high, center, power, haze: haze(center), cone: EmissionCone::ALL }
+    LightBounds { low, high, center, power, extinction: extinction(center), cone: EmissionCone::ALL }
 }
 
 /// Returns the shape of an emitter in the frame in which its light is stored.
-pub fn placed(emitter: &Emitter, to_frame: &DAffine3) -> EmitterShape {
+pub fn transform_emitter_shape(emitter: &Emitter, to_frame: &DAffine3) -> EmitterShape {
     match emitter.shape {
         EmitterShape::Triangle(p) => EmitterShape::Triangle(p.map(|p| to_frame.transform_point3(p))),
         EmitterShape::Parallelogram([o, a, b]) => EmitterShape::Parallelogram([
@@ -393,16 +418,16 @@ impl PhotometryTables {
 }
 
 /// Returns the light of an emitter. `material` is that of its surface; luminaires have none.
-pub fn light_of(shape: &EmitterShape, material: Option<&Material>, tables: &PhotometryTables) -> Light {
+pub fn light_from_shape(shape: &EmitterShape, material: Option<&Material>, tables: &PhotometryTables) -> Light {
     let black = Material::default();
     let material = material.unwrap_or(&black);
     let c = material.ed.color.map(|c| (c * material.ed.amount).max(0.0) as f32);
     let emission = Emission {
         emittance: Rgb::from_array(c),
-        profile: material.lobe.map_or(Profile::Lambertian, |n| Profile::Lobe { exponent: n as f32 }),
+        profile: material.lobe.map_or(AngularProfile::Lambertian, |n| AngularProfile::Lobe { exponent: n as f32 }),
         sides: match material.sides {
-            femc_scene::Sides::One => Sides::One,
-            femc_scene::Sides::Two => Sides::Two,
+            femc_scene::Sides::One => EmittingSides::One,
+            femc_scene::Sides::Two => EmittingSides::Two,
         },
     };
     let v = |p: &DVec3| p.as_vec3a();

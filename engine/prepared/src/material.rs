@@ -4,7 +4,7 @@ use crate::texture::Texture;
 use femc_math::Rgb;
 use femc_math::glam::{Vec2, Vec3A};
 use femc_scattering::{Bsdf, MaterialParameters, Sides as KernelSides};
-use femc_scene::{Material, Sides, Tinted};
+use femc_scene::{Material, Sides, TintedScalar};
 
 /// Effect of a surface on light that hits it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,7 +26,7 @@ pub enum Crossing {
 impl Crossing {
     /// Returns the share of the radiance that goes straight on.
     #[inline]
-    pub fn unbent(self) -> Rgb {
+    pub fn straight_through(self) -> Rgb {
         match self {
             Self::Scatter => Rgb::ZERO,
             Self::Clear { tint } | Self::Null { tint } => tint,
@@ -44,7 +44,7 @@ pub struct KernelMaterial {
     /// Effects on light from the front and from the back.
     pub crossing: [Crossing; 2],
     /// Orientation of the shading frame: toward the viewer if there is no solid behind the surface.
-    pub faces_viewer: Orientation,
+    pub orientation: Orientation,
     /// Medium behind the surface.
     pub inside: Option<u16>,
     /// Texture of `rd`.
@@ -65,7 +65,7 @@ pub enum Orientation {
 }
 
 /// Returns the linear Rec.709 product of a scalar and its color; channels are at least 0 and finite.
-fn product(tinted: &Tinted) -> Rgb {
+fn product(tinted: &TintedScalar) -> Rgb {
     Rgb::from_array(tinted.color.map(|c| (c * tinted.amount).clamp(0.0, f64::from(f32::MAX)) as f32))
 }
 
@@ -95,21 +95,21 @@ impl KernelMaterial {
             && material.td.amount == 0.0
             && material.rs.amount == 0.0;
         let bsdf = Bsdf::from_parameters(&parameters);
-        let tint = bsdf.unbent();
-        let met = if tint == Rgb::ZERO { Crossing::Scatter } else { Crossing::Clear { tint } };
+        let tint = bsdf.straight_through();
+        let crossing_if_hit = if tint == Rgb::ZERO { Crossing::Scatter } else { Crossing::Clear { tint } };
         let crossing = if matched {
             [Crossing::Null { tint }; 2]
         } else if material.sides == Sides::One && !solid && material.inside.is_some() {
             // Such a surface is invisible from behind. Rays only hit it there because a medium ends (see `surface_class`).
-            [met, Crossing::Null { tint: Rgb::ONE }]
+            [crossing_if_hit, Crossing::Null { tint: Rgb::ONE }]
         } else {
-            [met; 2]
+            [crossing_if_hit; 2]
         };
         Self {
             bsdf,
             parameters,
             crossing,
-            faces_viewer: if solid { Orientation::Front } else { Orientation::TowardViewer },
+            orientation: if solid { Orientation::Front } else { Orientation::TowardViewer },
             inside: material.inside.map(|m| m.0 as u16),
             map_rd: material.map_rd.map(|m| m.0),
             map_ed: material.map_ed.map(|m| m.0),
@@ -118,7 +118,7 @@ impl KernelMaterial {
     }
 
     /// Returns the BSDF at a point where the texture of `rd` has the value `texel`.
-    pub fn textured(&self, texel: Rgb) -> Bsdf {
+    pub fn textured_bsdf(&self, texel: Rgb) -> Bsdf {
         self.bsdf.with_diffuse_factor(texel.clamp(Rgb::ZERO, Rgb::ONE))
     }
 }

@@ -13,11 +13,11 @@ use femc_scattering::Phase;
 use femc_scene::Medium;
 
 /// Maximum distance along a ray, m. It replaces infinity in products that must stay finite.
-pub const FAR: f32 = 1e30;
+pub const MAX_DISTANCE: f32 = 1e30;
 
 /// Relative density of a medium over height.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Profile {
+pub enum DensityProfile {
     /// 1 everywhere.
     Uniform,
     /// 1 below `z0`, `exp(-(z - z0) / scale)` above; prepared frame.
@@ -41,7 +41,7 @@ pub struct KernelMedium {
     /// Phase function.
     pub phase: Phase,
     /// Density over height.
-    pub profile: Profile,
+    pub profile: DensityProfile,
 }
 
 impl KernelMedium {
@@ -51,16 +51,16 @@ impl KernelMedium {
 
     fn density(&self, z: f32) -> f32 {
         match self.profile {
-            Profile::Uniform => 1.0,
-            Profile::Height { z0, inverse_scale } => exp(-((z - z0) * inverse_scale).max(0.0)),
+            DensityProfile::Uniform => 1.0,
+            DensityProfile::Height { z0, inverse_scale } => exp(-((z - z0) * inverse_scale).max(0.0)),
         }
     }
 
     /// Returns the integral of the density over [a, b] along a ray with heights `oz + dz t`, m.
-    fn column(&self, oz: f32, dz: f32, a: f32, b: f32) -> f32 {
-        let Profile::Height { z0, inverse_scale } = self.profile else { return b - a };
+    fn density_integral(&self, oz: f32, dz: f32, a: f32, b: f32) -> f32 {
+        let DensityProfile::Height { z0, inverse_scale } = self.profile else { return b - a };
         // Split at the height of full density, then integrate an exponential over the part above it.
-        let crossing = if dz != 0.0 { (z0 - oz) / dz } else { FAR };
+        let crossing = if dz != 0.0 { (z0 - oz) / dz } else { MAX_DISTANCE };
         let (below, above) = if dz > 0.0 {
             let c = crossing.clamp(a, b);
             (c - a, (c, b))
@@ -79,7 +79,8 @@ impl KernelMedium {
         let start = exp(-((oz + dz * above.0 - z0) * inverse_scale).max(0.0));
         let rate = dz * inverse_scale * length;
         let mean = if rate.abs() < 1e-3 { 1.0 - 0.5 * rate } else { -exp_m1(-rate) / rate };
-        // On a descending ray far above the fog, `start` underflows while `mean` overflows, so measure from the dense end instead.
+        // On a descending ray far above the fog, `start` underflows while `channel_mean` overflows, so measure from the dense end
+        // instead.
         if rate < -60.0 {
             let end = exp(-((oz + dz * above.1 - z0) * inverse_scale).max(0.0));
             return below + end / (-dz * inverse_scale);
@@ -100,19 +101,19 @@ enum Bounds {
 pub struct Media {
     media: Vec<KernelMedium>,
     regions: Vec<(u16, Bounds)>,
-    carried: bool,
+    has_interior_media: bool,
     glows: bool,
 }
 
 /// Media of the closed objects that a path is inside: a multiset of medium indices.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Inside {
-    media: [u16; Medium::MOST_NESTED],
+pub struct MediumStack {
+    media: [u16; Medium::MAX_NESTED],
     count: u8,
 }
 
-impl Inside {
-    /// Enters `medium`. At most [`Medium::MOST_NESTED`] nested media are tracked. Deeper ones are ignored, which `femc check`
+impl MediumStack {
+    /// Enters `medium`. At most [`Medium::MAX_NESTED`] nested media are tracked. Deeper ones are ignored, which `femc check`
     /// reports.
     pub fn push(&mut self, medium: u16) {
         if let Some(slot) = self.media.get_mut(usize::from(self.count)) {
@@ -145,7 +146,7 @@ struct Interval {
     sigma_t: Rgb,
     sigma_s: Rgb,
     /// Extinction of the uniform media that scatter. Distances are sampled by it.
-    drawn: Rgb,
+    sampled_sigma_t: Rgb,
     glow: Rgb,
     /// First of the interval's media in `MediaRay::active`.
     first: u32,
@@ -154,7 +155,7 @@ struct Interval {
     varies: bool,
 }
 
-/// Buffers of [`Media::along`], reused for all rays.
+/// Buffers of [`Media::find_intervals`], reused for all rays.
 #[derive(Default)]
 pub struct MediaRay {
     crossings: Vec<(f32, u32, i32)>,
@@ -167,11 +168,11 @@ pub struct MediaRay {
 
 /// A scattering event on a ray.
 #[derive(Clone, Copy, Debug)]
-pub struct Event {
+pub struct ScatterEvent {
     /// Distance, m.
     pub t: f32,
-    /// Transmittance from the ray's origin times the scattering coefficient at `t`. [`Media::draw`] divides it by the density of
-    /// `t`; [`Media::event_at`] does not.
+    /// Transmittance from the ray's origin times the scattering coefficient at `t`. [`Media::sample_distance`] divides it by the
+    /// density of `t`; [`Media::event_at`] does not.
     pub weight: Rgb,
     /// Density of the distance, 1/m.
     pub pdf: f32,
@@ -181,9 +182,9 @@ pub struct Event {
 
 /// Outcome of sampling a distance.
 #[derive(Clone, Copy, Debug)]
-pub enum Distance {
+pub enum DistanceSample {
     /// A scattering event.
-    Scatter(Event),
+    Scatter(ScatterEvent),
     /// The ray passed through; the weight is transmittance / probability.
     Through {
         /// Transmittance to the end, divided by its probability.
@@ -192,10 +193,11 @@ pub enum Distance {
 }
 
 impl Media {
-    /// Creates media, in order of their indices. `carried`: whether surfaces have media behind them (see [`Inside`]).
-    pub fn new(media: Vec<KernelMedium>, carried: bool) -> Self {
+    /// Creates media, in order of their indices. `has_interior_media`: whether surfaces have media behind them (see
+    /// [`MediumStack`]).
+    pub fn new(media: Vec<KernelMedium>, has_interior_media: bool) -> Self {
         let glows = media.iter().any(|m| m.glow.max_element() > 0.0);
-        Self { media, regions: Vec::new(), carried, glows }
+        Self { media, regions: Vec::new(), has_interior_media, glows }
     }
 
     /// Fills all space with `medium`.
@@ -210,7 +212,7 @@ impl Media {
 
     /// Returns whether no path can ever be in a medium.
     pub fn is_empty(&self) -> bool {
-        self.regions.is_empty() && !self.carried
+        self.regions.is_empty() && !self.has_interior_media
     }
 
     /// Returns whether some medium emits.
@@ -219,7 +221,7 @@ impl Media {
     }
 
     /// Iterates over the media at a point, without those inside closed objects.
-    fn at(&self, point: Vec3A) -> impl Iterator<Item = &KernelMedium> {
+    fn media_at(&self, point: Vec3A) -> impl Iterator<Item = &KernelMedium> {
         let holds = move |bounds: &Bounds| match bounds {
             Bounds::Everywhere => true,
             Bounds::Box { to_local, min, max } => {
@@ -232,27 +234,28 @@ impl Media {
 
     /// Returns the extinction at a point, 1/m, by luminance. Media inside closed objects do not count.
     pub fn extinction_at(&self, point: Vec3A) -> f32 {
-        self.at(point).map(|medium| luminance(medium.sigma_t) * medium.density(point.z)).sum()
+        self.media_at(point).map(|medium| luminance(medium.sigma_t) * medium.density(point.z)).sum()
     }
 
     /// Returns the extinction at a point by channel, 1/m. Media inside closed objects do not count.
     pub fn extinction_color_at(&self, point: Vec3A) -> Rgb {
-        self.at(point).map(|medium| medium.sigma_t * medium.density(point.z)).sum()
+        self.media_at(point).map(|medium| medium.sigma_t * medium.density(point.z)).sum()
     }
 
     /// Returns the extinction if all media together are gray and uniform everywhere, 1/m. Media inside closed objects do not count.
-    pub fn even_extinction(&self) -> Option<f32> {
+    pub fn uniform_extinction(&self) -> Option<f32> {
         let even = |(medium, bounds): &(u16, Bounds)| {
-            let it = self.medium(*medium);
-            let gray = it.sigma_t.min_element() == it.sigma_t.max_element();
-            (matches!(bounds, Bounds::Everywhere) && it.profile == Profile::Uniform && gray).then_some(it.sigma_t.x)
+            let medium = self.medium(*medium);
+            let gray = medium.sigma_t.min_element() == medium.sigma_t.max_element();
+            (matches!(bounds, Bounds::Everywhere) && medium.profile == DensityProfile::Uniform && gray)
+                .then_some(medium.sigma_t.x)
         };
         self.regions.iter().map(even).sum()
     }
 
     /// Returns the scattering coefficient at a point, 1/m. Media inside closed objects do not count.
     pub fn scattering_at(&self, point: Vec3A) -> Rgb {
-        self.at(point).map(|medium| medium.sigma_s * medium.density(point.z)).sum()
+        self.media_at(point).map(|medium| medium.sigma_s * medium.density(point.z)).sum()
     }
 
     /// Returns bounds of the scattering media outside closed objects, if there are any.
@@ -276,14 +279,21 @@ impl Media {
     }
 
     /// Cuts the ray's [0, `t_max`] into intervals of constant media. Returns whether there is any medium on it.
-    pub fn along(&self, origin: Vec3A, dir: Vec3A, t_max: f32, inside: &Inside, out: &mut MediaRay) -> bool {
-        let t_max = t_max.min(FAR);
+    pub fn find_intervals(
+        &self,
+        origin: Vec3A,
+        dir: Vec3A,
+        t_max: f32,
+        medium_stack: &MediumStack,
+        out: &mut MediaRay,
+    ) -> bool {
+        let t_max = t_max.min(MAX_DISTANCE);
         out.crossings.clear();
         out.intervals.clear();
         out.active.clear();
         out.present.clear();
         (out.oz, out.dz) = (origin.z, dir.z);
-        out.present.extend(inside.iter());
+        out.present.extend(medium_stack.iter());
         for (region, (medium, bounds)) in self.regions.iter().enumerate() {
             match bounds {
                 Bounds::Everywhere => out.present.push(*medium),
@@ -297,7 +307,7 @@ impl Media {
         }
         if out.crossings.is_empty() {
             if !out.present.is_empty() {
-                self.close(0.0, t_max, out);
+                self.push_interval(0.0, t_max, out);
             }
             return !out.intervals.is_empty();
         }
@@ -306,7 +316,7 @@ impl Media {
         {
             // A single box and nothing else is by far the most common case.
             out.present.push(self.regions[region as usize].0);
-            self.close(a, b, out);
+            self.push_interval(a, b, out);
             return true;
         }
         out.crossings.sort_by(|x, y| x.0.total_cmp(&y.0).then(x.1.cmp(&y.1)).then(x.2.cmp(&y.2)));
@@ -314,7 +324,7 @@ impl Media {
         for i in 0..out.crossings.len() {
             let (t, region, change) = out.crossings[i];
             if t > start && !out.present.is_empty() {
-                self.close(start, t, out);
+                self.push_interval(start, t, out);
             }
             start = start.max(t);
             let medium = self.regions[region as usize].0;
@@ -325,18 +335,18 @@ impl Media {
             }
         }
         if t_max > start && !out.present.is_empty() {
-            self.close(start, t_max, out);
+            self.push_interval(start, t_max, out);
         }
         !out.intervals.is_empty()
     }
 
-    fn close(&self, start: f32, end: f32, out: &mut MediaRay) {
+    fn push_interval(&self, start: f32, end: f32, out: &mut MediaRay) {
         let mut interval = Interval {
             start,
             end,
             sigma_t: Rgb::ZERO,
             sigma_s: Rgb::ZERO,
-            drawn: Rgb::ZERO,
+            sampled_sigma_t: Rgb::ZERO,
             glow: Rgb::ZERO,
             first: out.active.len() as u32,
             count: out.present.len() as u32,
@@ -345,15 +355,15 @@ impl Media {
         for &m in &out.present {
             let medium = self.medium(m);
             match medium.profile {
-                Profile::Uniform => {
+                DensityProfile::Uniform => {
                     interval.sigma_t += medium.sigma_t;
                     interval.sigma_s += medium.sigma_s;
                     interval.glow += medium.glow;
                     if medium.scatters() {
-                        interval.drawn += medium.sigma_t;
+                        interval.sampled_sigma_t += medium.sigma_t;
                     }
                 }
-                Profile::Height { .. } => interval.varies = true,
+                DensityProfile::Height { .. } => interval.varies = true,
             }
         }
         out.active.extend_from_slice(&out.present);
@@ -363,12 +373,12 @@ impl Media {
     /// Returns the optical depth of [a, b] within `interval`: (all extinction, extinction by which distances are sampled).
     fn depth(&self, ray: &MediaRay, interval: &Interval, a: f32, b: f32) -> (Rgb, Rgb) {
         let mut all = interval.sigma_t * (b - a);
-        let mut drawn = interval.drawn * (b - a);
+        let mut drawn = interval.sampled_sigma_t * (b - a);
         if interval.varies {
             for &m in ray.active_of(interval) {
                 let medium = self.medium(m);
-                if medium.profile != Profile::Uniform {
-                    let depth = medium.sigma_t * medium.column(ray.oz, ray.dz, a, b);
+                if medium.profile != DensityProfile::Uniform {
+                    let depth = medium.sigma_t * medium.density_integral(ray.oz, ray.dz, a, b);
                     all += depth;
                     if medium.scatters() {
                         drawn += depth;
@@ -381,11 +391,11 @@ impl Media {
 
     /// Returns (scattering coefficient, extinction by which distances are sampled) at `t`.
     fn coefficients(&self, ray: &MediaRay, interval: &Interval, t: f32) -> (Rgb, Rgb) {
-        let (mut scatter, mut drawn) = (interval.sigma_s, interval.drawn);
+        let (mut scatter, mut drawn) = (interval.sigma_s, interval.sampled_sigma_t);
         if interval.varies {
             for &m in ray.active_of(interval) {
                 let medium = self.medium(m);
-                if medium.profile != Profile::Uniform && medium.scatters() {
+                if medium.profile != DensityProfile::Uniform && medium.scatters() {
                     let density = medium.density(ray.oz + ray.dz * t);
                     scatter += medium.sigma_s * density;
                     drawn += medium.sigma_t * density;
@@ -408,7 +418,7 @@ impl Media {
     pub fn scattering_range(&self, ray: &MediaRay) -> Option<(f32, f32)> {
         let mut range: Option<(f32, f32)> = None;
         for interval in &ray.intervals {
-            if interval.varies || interval.drawn.max_element() > 0.0 {
+            if interval.varies || interval.sampled_sigma_t.max_element() > 0.0 {
                 range = Some((range.map_or(interval.start, |r| r.0), interval.end));
             }
         }
@@ -417,14 +427,15 @@ impl Media {
 
     /// Returns the properties of the fog on a ray that the choice of a light uses: mean extinction of the segment `range`, 1/m, and
     /// Schlick's parameter for the phase function of the medium that scatters most. Both are approximate.
-    pub fn character(&self, ray: &MediaRay, range: (f32, f32)) -> (f32, f32) {
-        let Some(interval) = ray.intervals.iter().find(|it| it.varies || it.drawn.max_element() > 0.0) else {
+    pub fn mean_properties(&self, ray: &MediaRay, range: (f32, f32)) -> (f32, f32) {
+        let Some(interval) = ray.intervals.iter().find(|it| it.varies || it.sampled_sigma_t.max_element() > 0.0) else {
             return (0.0, 0.0);
         };
         let at = 0.5 * (interval.start + interval.end.min(interval.start + 100.0));
         let active = ray.active_of(interval);
         let z = ray.oz + ray.dz * at;
-        let densest = active.iter().copied().max_by(|a, b| self.share(*a, z).total_cmp(&self.share(*b, z)));
+        let densest =
+            active.iter().copied().max_by(|a, b| self.scattering_share(*a, z).total_cmp(&self.scattering_share(*b, z)));
         let phase = densest.map_or(0.0, |medium| self.medium(medium).phase.schlick_parameter());
         if !interval.varies {
             return (luminance(interval.sigma_t), phase);
@@ -434,18 +445,18 @@ impl Media {
         (luminance(self.depth(ray, interval, interval.start, end).0) / length, phase)
     }
 
-    /// Returns extinction and Schlick's parameter like [`Self::character`], at an event.
-    pub fn character_at(&self, ray: &MediaRay, event: &Event) -> (f32, f32) {
+    /// Returns extinction and Schlick's parameter like [`Self::mean_properties`], at an event.
+    pub fn event_properties(&self, ray: &MediaRay, event: &ScatterEvent) -> (f32, f32) {
         let interval = &ray.intervals[event.interval as usize];
         let z = ray.oz + ray.dz * event.t;
         let extinction =
             ray.active_of(interval).iter().map(|&m| luminance(self.medium(m).sigma_t) * self.medium(m).density(z));
-        (extinction.sum(), self.medium(self.medium_of(ray, event)).phase.schlick_parameter())
+        (extinction.sum(), self.medium(self.dominant_medium(ray, event)).phase.schlick_parameter())
     }
 
     /// Returns the optical depth from the ray's start and the scattering coefficient (1/m), by luminance, at distances in ascending
     /// order.
-    pub fn along_ray(&self, ray: &MediaRay, distances: &[f32; 8]) -> ([f32; 8], [f32; 8]) {
+    pub fn depth_and_scattering(&self, ray: &MediaRay, distances: &[f32; 8]) -> ([f32; 8], [f32; 8]) {
         if let [interval] = &ray.intervals[..]
             && !interval.varies
         {
@@ -469,10 +480,10 @@ impl Media {
         (depths, scattering)
     }
 
-    /// Returns the event at a distance that was sampled by other means. `pdf` is the density (1/m) with which [`Media::draw`]
-    /// samples it. `weight` is transmittance times scattering coefficient, NOT divided by a density. Returns `None` where nothing
-    /// scatters.
-    pub fn event_at(&self, ray: &MediaRay, t: f32) -> Option<Event> {
+    /// Returns the event at a distance that was sampled by other means. `pdf` is the density (1/m) with which
+    /// [`Media::sample_distance`] samples it. `weight` is transmittance times scattering coefficient, NOT divided by a density.
+    /// Returns `None` where nothing scatters.
+    pub fn event_at(&self, ray: &MediaRay, t: f32) -> Option<ScatterEvent> {
         let (mut all, mut drawn) = (Rgb::ZERO, Rgb::ZERO);
         for (index, interval) in ray.intervals.iter().enumerate() {
             if t >= interval.end {
@@ -486,9 +497,9 @@ impl Media {
             }
             let depth = self.depth(ray, interval, interval.start, t);
             let (scatter, rate) = self.coefficients(ray, interval, t);
-            let pdf = mean(rate * attenuate(drawn + depth.1));
+            let pdf = channel_mean(rate * attenuate(drawn + depth.1));
             let weight = scatter * attenuate(all + depth.0);
-            return (pdf > 0.0 && weight.max_element() > 0.0).then_some(Event {
+            return (pdf > 0.0 && weight.max_element() > 0.0).then_some(ScatterEvent {
                 t,
                 weight,
                 pdf,
@@ -500,7 +511,7 @@ impl Media {
 
     /// Samples a distance in proportion to extinction times transmittance. `u` is in [0, 1). `channel` in [0, 1) selects the color
     /// channel for colored media.
-    pub fn draw(&self, ray: &MediaRay, u: f64, channel: f32) -> Distance {
+    pub fn sample_distance(&self, ray: &MediaRay, u: f64, channel: f32) -> DistanceSample {
         let axis = ((channel * 3.0) as usize).min(2);
         // Each half uses the function that is accurate there in single precision.
         let target = if u < 0.5 { -ln_1p(-u as f32) } else { -ln((1.0 - u) as f32) };
@@ -513,25 +524,25 @@ impl Media {
                 let t = if interval.varies {
                     self.invert(ray, interval, axis, rest)
                 } else {
-                    (interval.start + rest / interval.drawn[axis]).min(interval.end)
+                    (interval.start + rest / interval.sampled_sigma_t[axis]).min(interval.end)
                 };
                 let part = self.depth(ray, interval, interval.start, t);
                 let (scatter, rate) = self.coefficients(ray, interval, t);
-                let pdf = mean(rate * attenuate(drawn + part.1));
+                let pdf = channel_mean(rate * attenuate(drawn + part.1));
                 if pdf <= 0.0 {
-                    return Distance::Through { weight: Rgb::ZERO };
+                    return DistanceSample::Through { weight: Rgb::ZERO };
                 }
                 let weight = scatter * attenuate(all + part.0) / pdf;
-                return Distance::Scatter(Event { t, weight, pdf, interval: index as u32 });
+                return DistanceSample::Scatter(ScatterEvent { t, weight, pdf, interval: index as u32 });
             }
             all += depth.0;
             drawn = reached;
         }
-        let probability = mean(attenuate(drawn));
+        let probability = channel_mean(attenuate(drawn));
         if probability <= 0.0 {
-            return Distance::Through { weight: Rgb::ZERO };
+            return DistanceSample::Through { weight: Rgb::ZERO };
         }
-        Distance::Through { weight: attenuate(all) / probability }
+        DistanceSample::Through { weight: attenuate(all) / probability }
     }
 
     /// Returns the distance in `interval` at which the sampled optical depth of one channel reaches `target`. It must be reached.
@@ -564,7 +575,7 @@ impl Media {
 
     /// Returns the radiance that glowing media send to the ray's origin. It is exact for uniform media. On each interval whose glow
     /// varies with height, it uses one point, sampled with `u`.
-    pub fn glow(&self, ray: &MediaRay, u: f32) -> Rgb {
+    pub fn emitted_radiance(&self, ray: &MediaRay, u: f32) -> Rgb {
         let mut radiance = Rgb::ZERO;
         let mut passed = Rgb::ZERO;
         for interval in &ray.intervals {
@@ -599,7 +610,7 @@ impl Media {
         let mut glow = interval.glow;
         for &m in ray.active_of(interval) {
             let medium = self.medium(m);
-            if medium.profile != Profile::Uniform {
+            if medium.profile != DensityProfile::Uniform {
                 glow += medium.glow * medium.density(ray.oz + ray.dz * t);
             }
         }
@@ -608,18 +619,18 @@ impl Media {
 
     /// Returns the phase function at an event: that of one of the media present, sampled with `u` in proportion to its scattering.
     /// Evaluate the mixture with [`Media::phase`].
-    pub fn draw_phase(&self, ray: &MediaRay, event: &Event, u: f32) -> &Phase {
+    pub fn sample_phase(&self, ray: &MediaRay, event: &ScatterEvent, u: f32) -> &Phase {
         let interval = &ray.intervals[event.interval as usize];
         let active = ray.active_of(interval);
         if active.len() == 1 {
             return &self.medium(active[0]).phase;
         }
         let z = ray.oz + ray.dz * event.t;
-        let total: f32 = active.iter().map(|&m| self.share(m, z)).sum();
+        let total: f32 = active.iter().map(|&m| self.scattering_share(m, z)).sum();
         let mut rest = u * total;
         let mut chosen = active[0];
         for &m in active {
-            let share = self.share(m, z);
+            let share = self.scattering_share(m, z);
             if share > 0.0 {
                 chosen = m;
                 if rest < share {
@@ -632,27 +643,27 @@ impl Media {
     }
 
     /// Returns the medium that scatters most at an event.
-    pub fn medium_of(&self, ray: &MediaRay, event: &Event) -> u16 {
+    pub fn dominant_medium(&self, ray: &MediaRay, event: &ScatterEvent) -> u16 {
         let active = ray.active_of(&ray.intervals[event.interval as usize]);
         let z = ray.oz + ray.dz * event.t;
-        let most = |a: &u16, b: &u16| self.share(*a, z).total_cmp(&self.share(*b, z));
+        let most = |a: &u16, b: &u16| self.scattering_share(*a, z).total_cmp(&self.scattering_share(*b, z));
         active.iter().copied().max_by(most).unwrap_or(0)
     }
 
     /// Returns the first medium on a ray that glows.
-    pub fn glowing(&self, ray: &MediaRay) -> u16 {
+    pub fn emitting_medium(&self, ray: &MediaRay) -> u16 {
         let glows = |medium: &&u16| self.medium(**medium).glow.max_element() > 0.0;
         ray.active.iter().find(glows).copied().unwrap_or(0)
     }
 
-    fn share(&self, medium: u16, z: f32) -> f32 {
+    fn scattering_share(&self, medium: u16, z: f32) -> f32 {
         let medium = self.medium(medium);
         medium.sigma_s.element_sum() * medium.density(z)
     }
 
     /// Returns the phase function of the mixture at an event, 1/sr: its value by color channel (colored media may differ in their
-    /// phase functions), and the density of [`Media::draw_phase`] followed by sampling of the returned phase function.
-    pub fn phase(&self, ray: &MediaRay, event: &Event, wo: Vec3A, wi: Vec3A) -> (Rgb, f32) {
+    /// phase functions), and the density of [`Media::sample_phase`] followed by sampling of the returned phase function.
+    pub fn phase(&self, ray: &MediaRay, event: &ScatterEvent, wo: Vec3A, wi: Vec3A) -> (Rgb, f32) {
         let interval = &ray.intervals[event.interval as usize];
         let active = ray.active_of(interval);
         if active.len() == 1 {
@@ -662,7 +673,7 @@ impl Media {
         let z = ray.oz + ray.dz * event.t;
         let (mut value, mut scatter, mut pdf, mut total) = (Rgb::ZERO, Rgb::ZERO, 0.0, 0.0);
         for &m in active {
-            let share = self.share(m, z);
+            let share = self.scattering_share(m, z);
             if share > 0.0 {
                 let medium = self.medium(m);
                 let p = medium.phase.eval(wo, wi);
@@ -687,7 +698,7 @@ impl MediaRay {
     }
 }
 
-fn mean(c: Rgb) -> f32 {
+fn channel_mean(c: Rgb) -> f32 {
     (c.x + c.y + c.z) * (1.0 / 3.0)
 }
 

@@ -59,7 +59,7 @@ impl Prepared {
     }
 
     /// Converts a point of the prepared frame to the world, m.
-    pub fn in_world(&self, point: Vec3A) -> [f64; 3] {
+    pub fn to_world(&self, point: Vec3A) -> [f64; 3] {
         (self.origin + point.as_dvec3()).to_array()
     }
 }

@@ -1,6 +1,6 @@
 //! Tree of elements, which grows as links are refined.
 
-use crate::element::{Element, Kind};
+use crate::element::{Element, ElementKind};
 use crate::scene::Scene;
 use femc_field::{NONE, Outline, Split};
 use femc_math::glam::{Vec2, Vec3A};
@@ -10,7 +10,7 @@ use femc_math::glam::{Vec2, Vec3A};
 pub struct Arena {
     pub elements: Vec<Element>,
     /// Number of clusters and balls.
-    pub wide: usize,
+    pub directional_count: usize,
     /// Element that contains all others.
     pub root: u32,
     /// Root element by surface, or [`NONE`].
@@ -18,11 +18,11 @@ pub struct Arena {
     /// Root of the fog, or [`NONE`].
     pub fog: u32,
     /// Elements that were split, in order. Together with the scene they reproduce the tree.
-    pub cuts: Vec<u32>,
+    pub splits: Vec<u32>,
 }
 
 /// Minimum cosine between normals that count as equal.
-const ONE_PLANE: f32 = 0.999_999;
+const EQUAL_NORMALS_COSINE: f32 = 0.999_999;
 
 impl Arena {
     /// Creates the roots of all surfaces in a tree of clusters, and the fog beside them.
@@ -30,12 +30,12 @@ impl Arena {
         let mut arena = Self { roots: vec![NONE; scene.surfaces.len()], fog: NONE, ..Self::default() };
         let mut roots: Vec<(u32, Element)> = (0..scene.surfaces.len() as u32)
             .filter(|&surface| scene.surfaces[surface as usize].area() > 0.0)
-            .map(|surface| (surface, Element::of_surface(scene, surface, None, root_outline(scene, surface), 0)))
+            .map(|surface| (surface, Element::from_surface(scene, surface, None, root_outline(scene, surface), 0)))
             .filter(|(_, element)| element.radius.is_finite() && element.radius > 0.0)
             .collect();
-        let fog = scene.fog.map(|bounds| Element::of_fog(scene, None, bounds, 0));
+        let fog = scene.fog.map(|bounds| Element::from_fog(scene, None, bounds, 0));
         let parent = if fog.is_some() && !roots.is_empty() { arena.push(Element::cluster(NONE, 1)) } else { NONE };
-        let surfaces = if roots.is_empty() { NONE } else { arena.cluster(&mut roots, parent, 2) };
+        let surfaces = if roots.is_empty() { NONE } else { arena.build_clusters(&mut roots, parent, 2) };
         if let Some(fog) = fog {
             arena.fog = arena.push(Element { parent, ..fog });
             if let Some(whole) = arena.elements.get_mut(parent as usize) {
@@ -48,16 +48,16 @@ impl Arena {
     }
 
     fn push(&mut self, mut element: Element) -> u32 {
-        if element.is_wide() {
-            element.wide = self.wide as u32;
-            self.wide += 1;
+        if element.is_directional() {
+            element.directional = self.directional_count as u32;
+            self.directional_count += 1;
         }
         self.elements.push(element);
         self.elements.len() as u32 - 1
     }
 
     /// Builds a tree over some roots. Each cluster is split at the median of the centers along the axis of their greatest extent.
-    fn cluster(&mut self, roots: &mut [(u32, Element)], parent: u32, key: u64) -> u32 {
+    fn build_clusters(&mut self, roots: &mut [(u32, Element)], parent: u32, key: u64) -> u32 {
         if let [(surface, root)] = roots {
             let index = self.push(Element { parent, ..root.clone() });
             self.roots[*surface as usize] = index;
@@ -86,29 +86,29 @@ impl Arena {
             let middle = roots.len() / 2;
             roots.split_at_mut(middle)
         };
-        let children = [self.cluster(a, index, key * 2), self.cluster(b, index, key * 2 + 1)];
+        let children = [self.build_clusters(a, index, key * 2), self.build_clusters(b, index, key * 2 + 1)];
         let [a, b] = children.map(|child| &self.elements[child as usize]);
-        let (center, radius) = around((a.center, a.radius), (b.center, b.radius));
+        let (center, radius) = enclosing_sphere((a.center, a.radius), (b.center, b.radius));
         let size = a.size + b.size;
-        let normal = if a.normal.dot(b.normal) > ONE_PLANE { a.normal } else { Vec3A::ZERO };
-        let low = (a.middle - a.half).min(b.middle - b.half);
-        let high = (a.middle + a.half).max(b.middle + b.half);
+        let normal = if a.normal.dot(b.normal) > EQUAL_NORMALS_COSINE { a.normal } else { Vec3A::ZERO };
+        let low = (a.box_center - a.half_extent).min(b.box_center - b.half_extent);
+        let high = (a.box_center + a.half_extent).max(b.box_center + b.half_extent);
         let cluster = &mut self.elements[index as usize];
-        (cluster.middle, cluster.half, cluster.normal) = (0.5 * (low + high), 0.5 * (high - low), normal);
+        (cluster.box_center, cluster.half_extent, cluster.normal) = (0.5 * (low + high), 0.5 * (high - low), normal);
         (cluster.children, cluster.center, cluster.radius, cluster.size) = (children, center, radius, size);
         cluster.nodes[0].position = center;
         index
     }
 
-    /// Descends to the part of a surface that contains a point: the first part that is a leaf or not larger than `least`, m2.
-    /// - `place`: the point, in the surface's parameters;
+    /// Descends to the part of a surface that contains a point: the first part that is a leaf or not larger than `min_size`, m2.
+    /// - `point`: the point, in the surface's parameters;
     /// - returns the part, and the point in the part's parameters.
-    pub fn part_at(&self, root: u32, place: Vec2, least: f32) -> (u32, Vec2) {
+    pub fn element_at(&self, root: u32, point: Vec2, min_size: f32) -> (u32, Vec2) {
         let mut index = root;
-        let mut local = self.elements[root as usize].in_parent.local(place);
+        let mut local = self.elements[root as usize].in_parent.local(point);
         loop {
             let element = &self.elements[index as usize];
-            if element.is_leaf() || element.size <= least {
+            if element.is_leaf() || element.size <= min_size {
                 return (index, local);
             }
             let second = match element.split {
@@ -128,7 +128,7 @@ impl Arena {
             return None;
         }
         let whole = &self.elements[index as usize];
-        if (point - whole.center).abs().cmpgt(whole.half).any() {
+        if (point - whole.center).abs().cmpgt(whole.half_extent).any() {
             return None;
         }
         loop {
@@ -137,27 +137,27 @@ impl Arena {
                 return Some(index);
             }
             let second = &self.elements[element.children[1] as usize];
-            let is_first = point.cmplt(second.center - second.half).any();
+            let is_first = point.cmplt(second.center - second.half_extent).any();
             index = element.children[usize::from(!is_first)];
         }
     }
 
     /// Returns the children of an element, and creates them if necessary.
     /// - returns whether they are new.
-    pub fn children(&mut self, scene: &Scene<'_>, index: u32) -> ([u32; 2], bool) {
+    pub fn ensure_children(&mut self, scene: &Scene<'_>, index: u32) -> ([u32; 2], bool) {
         let element = &self.elements[index as usize];
         if !element.is_leaf() {
             return (element.children, false);
         }
         let made: [Element; 2] = match element.kind {
-            Kind::Fog => {
-                let half = element.half;
+            ElementKind::Volume => {
+                let half = element.half_extent;
                 let axis = (1..3).fold(0, |best, axis| if half[axis] > half[best] { axis } else { best });
                 let (min, max) = (element.center - half, element.center + half);
                 let (mut low_max, mut high_min) = (max, min);
                 (low_max[axis], high_min[axis]) = (element.center[axis], element.center[axis]);
                 let parent = Some((index, element.key));
-                [([min, low_max], 0), ([high_min, max], 1)].map(|(part, k)| Element::of_fog(scene, parent, part, k))
+                [([min, low_max], 0), ([high_min, max], 1)].map(|(part, k)| Element::from_fog(scene, parent, part, k))
             }
             _ => {
                 let (surface, outline) = (element.surface, element.outline);
@@ -167,13 +167,13 @@ impl Arena {
                 let mut part = 0;
                 halves.map(|half| {
                     part += 1;
-                    Element::of_surface(scene, surface, Some((index, element)), half, part)
+                    Element::from_surface(scene, surface, Some((index, element)), half, part)
                 })
             }
         };
         let children = made.map(|child| self.push(child));
         self.elements[index as usize].children = children;
-        self.cuts.push(index);
+        self.splits.push(index);
         (children, true)
     }
 }
@@ -188,7 +188,7 @@ fn root_outline(scene: &Scene<'_>, surface: u32) -> Outline {
 }
 
 /// Returns a sphere around two spheres.
-fn around(a: (Vec3A, f32), b: (Vec3A, f32)) -> (Vec3A, f32) {
+fn enclosing_sphere(a: (Vec3A, f32), b: (Vec3A, f32)) -> (Vec3A, f32) {
     let distance = a.0.distance(b.0);
     if distance + b.1 <= a.1 {
         return a;
@@ -201,6 +201,6 @@ fn around(a: (Vec3A, f32), b: (Vec3A, f32)) -> (Vec3A, f32) {
 }
 
 /// Returns the split of an element, for the field.
-pub fn split_of(element: &Element) -> Split {
+pub fn field_split(element: &Element) -> Split {
     if element.is_leaf() { Split::None } else { element.split }
 }

@@ -8,14 +8,14 @@ use femc_math::glam::Vec3A;
 use std::io::Read as _;
 
 /// Level of zstd. It is fast, since everything is read only once or twice.
-const LEVEL: i32 = 1;
+const COMPRESSION_LEVEL: i32 = 1;
 /// Maximum number of bytes of all columns.
-const MOST: u64 = 1 << 33;
+const MAX_BYTES: u64 = 1 << 33;
 
 /// Error: the bytes are not the output of a step of a first pass.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the output of a first-pass step is damaged: {0}")]
-pub struct Damaged(pub &'static str);
+pub struct StepDecodeError(pub &'static str);
 
 /// Writer of columns.
 #[derive(Debug, Default)]
@@ -23,9 +23,9 @@ pub struct Writer(Vec<u8>);
 
 impl Writer {
     /// Creates a writer.
-    /// - `what`: eight letters and digits that identify the content and its version.
-    pub fn new(what: &[u8; 8]) -> Self {
-        Self(what.to_vec())
+    /// - `magic`: eight letters and digits that identify the content and its version.
+    pub fn new(magic: &[u8; 8]) -> Self {
+        Self(magic.to_vec())
     }
 
     pub fn number(&mut self, number: u64) {
@@ -54,7 +54,7 @@ impl Writer {
 
     pub fn finish(self) -> Vec<u8> {
         // Writing to memory does not fail.
-        zstd::bulk::compress(&self.0, LEVEL).unwrap_or_default()
+        zstd::bulk::compress(&self.0, COMPRESSION_LEVEL).unwrap_or_default()
     }
 }
 
@@ -62,39 +62,46 @@ impl Writer {
 #[derive(Debug)]
 pub struct Reader {
     bytes: Vec<u8>,
-    at: usize,
+    position: usize,
 }
 
 impl Reader {
-    pub fn new(bytes: &[u8], what: &[u8; 8]) -> Result<Self, Damaged> {
+    pub fn new(bytes: &[u8], magic: &[u8; 8]) -> Result<Self, StepDecodeError> {
         let decoder = zstd::stream::read::Decoder::with_buffer(bytes)
-            .map_err(|_| Damaged("its columns cannot be decompressed"))?;
+            .map_err(|_| StepDecodeError("its columns cannot be decompressed"))?;
         let mut all = Vec::new();
-        decoder.take(MOST).read_to_end(&mut all).map_err(|_| Damaged("its columns cannot be decompressed"))?;
-        if !all.starts_with(what) {
-            return Err(Damaged("it has another kind or version"));
+        decoder
+            .take(MAX_BYTES)
+            .read_to_end(&mut all)
+            .map_err(|_| StepDecodeError("its columns cannot be decompressed"))?;
+        if !all.starts_with(magic) {
+            return Err(StepDecodeError("it has another kind or version"));
         }
-        Ok(Self { bytes: all, at: what.len() })
+        Ok(Self { bytes: all, position: magic.len() })
     }
 
-    fn take(&mut self, count: usize) -> Result<&[u8], Damaged> {
-        let end = self.at.checked_add(count).filter(|&end| end <= self.bytes.len()).ok_or(Damaged("it ends early"))?;
-        let taken = &self.bytes[self.at..end];
-        self.at = end;
+    fn take(&mut self, count: usize) -> Result<&[u8], StepDecodeError> {
+        let end = self
+            .position
+            .checked_add(count)
+            .filter(|&end| end <= self.bytes.len())
+            .ok_or(StepDecodeError("it ends early"))?;
+        let taken = &self.bytes[self.position..end];
+        self.position = end;
         Ok(taken)
     }
 
-    pub fn number(&mut self) -> Result<u64, Damaged> {
+    pub fn number(&mut self) -> Result<u64, StepDecodeError> {
         let bytes = self.take(8)?.first_chunk::<8>().copied();
-        bytes.map(u64::from_le_bytes).ok_or(Damaged("it ends early"))
+        bytes.map(u64::from_le_bytes).ok_or(StepDecodeError("it ends early"))
     }
 
-    pub fn bytes(&mut self) -> Result<Vec<u8>, Damaged> {
+    pub fn bytes(&mut self) -> Result<Vec<u8>, StepDecodeError> {
         let count = self.number()?;
         Ok(self.take(usize::try_from(count).unwrap_or(usize::MAX))?.to_vec())
     }
 
-    pub fn numbers(&mut self) -> Result<Vec<u32>, Damaged> {
+    pub fn numbers(&mut self) -> Result<Vec<u32>, StepDecodeError> {
         let count = usize::try_from(self.number()?).unwrap_or(usize::MAX);
         let planes = self.take(count.saturating_mul(4))?;
         let of = |at: usize| u32::from_le_bytes([0, 1, 2, 3].map(|plane| planes[plane * count + at]));
@@ -102,15 +109,15 @@ impl Reader {
     }
 
     /// Reads `count` rows.
-    pub fn rows<const N: usize>(&mut self, count: usize) -> Result<Vec<[f32; N]>, Damaged> {
-        if count.saturating_mul(4 * N) > self.bytes.len() - self.at {
-            return Err(Damaged("it ends early"));
+    pub fn rows<const N: usize>(&mut self, count: usize) -> Result<Vec<[f32; N]>, StepDecodeError> {
+        if count.saturating_mul(4 * N) > self.bytes.len() - self.position {
+            return Err(StepDecodeError("it ends early"));
         }
         let mut rows = vec![[0.0; N]; count];
         for column in 0..N {
             let numbers = self.numbers()?;
             if numbers.len() != count {
-                return Err(Damaged("its columns differ in length"));
+                return Err(StepDecodeError("its columns differ in length"));
             }
             rows.iter_mut().zip(numbers).for_each(|(row, bits)| row[column] = f32::from_bits(bits));
         }
@@ -118,22 +125,22 @@ impl Reader {
     }
 
     /// Checks that nothing follows.
-    pub fn end(self) -> Result<(), Damaged> {
-        if self.at == self.bytes.len() { Ok(()) } else { Err(Damaged("extra bytes follow its end")) }
+    pub fn expect_end(self) -> Result<(), StepDecodeError> {
+        if self.position == self.bytes.len() { Ok(()) } else { Err(StepDecodeError("extra bytes follow its end")) }
     }
 }
 
 /// Converts colors to numbers.
-pub fn flat<const N: usize, const M: usize>(colors: &[Rgb; N]) -> [f32; M] {
+pub fn to_floats<const N: usize, const M: usize>(colors: &[Rgb; N]) -> [f32; M] {
     std::array::from_fn(|at| colors[at / 3].to_array()[at % 3])
 }
 
-pub fn colors<const N: usize>(numbers: &[f32]) -> [Rgb; N] {
+pub fn colors_from_floats<const N: usize>(numbers: &[f32]) -> [Rgb; N] {
     std::array::from_fn(|at| Rgb::from_array([0, 1, 2].map(|channel| numbers[3 * at + channel])))
 }
 
 /// Creates a position from its numbers.
-pub fn place(numbers: &[f32]) -> Vec3A {
+pub fn position_from_floats(numbers: &[f32]) -> Vec3A {
     Vec3A::from_array([0, 1, 2].map(|axis| numbers[axis]))
 }
 
@@ -156,7 +163,7 @@ mod tests {
         let back: Vec<[f32; 3]> = reader.rows(2).unwrap();
         assert_eq!(back.map_bits(), rows.to_vec().map_bits());
         assert_eq!(reader.bytes(), Ok(vec![5, 6]));
-        assert_eq!(reader.end(), Ok(()));
+        assert_eq!(reader.expect_end(), Ok(()));
         assert!(Reader::new(&bytes, b"columns2").is_err());
         for end in 0..bytes.len() {
             let read = Reader::new(&bytes[..end], b"columns1").and_then(|mut it| it.number().map(drop));
@@ -164,8 +171,8 @@ mod tests {
         }
         let mut reader = Reader::new(&bytes, b"columns1").unwrap();
         assert_eq!(reader.number(), Ok(7));
-        assert_eq!(reader.rows::<3>(2), Err(Damaged("its columns differ in length")));
-        assert_eq!(reader.rows::<3>(usize::MAX), Err(Damaged("it ends early")));
+        assert_eq!(reader.rows::<3>(2), Err(StepDecodeError("its columns differ in length")));
+        assert_eq!(reader.rows::<3>(usize::MAX), Err(StepDecodeError("it ends early")));
     }
 
     trait Bits {

@@ -1,11 +1,11 @@
 //! Numbers of elements and links by kind.
 
-use crate::element::{Element, Kind};
+use crate::element::{Element, ElementKind};
 use crate::link::Link;
 
 /// Numbers by kind of element.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Kinds {
+pub struct KindCounts {
     /// Groups of surfaces. The light of each is stored by direction.
     pub clusters: usize,
     /// Parts of surfaces with one normal, or nearly so.
@@ -16,14 +16,14 @@ pub struct Kinds {
     pub fog: usize,
 }
 
-impl Kinds {
-    fn of(kinds: impl Iterator<Item = Kind>) -> Self {
+impl KindCounts {
+    fn count(kinds: impl Iterator<Item = ElementKind>) -> Self {
         kinds.fold(Self::default(), |mut sum, kind| {
             *match kind {
-                Kind::Cluster => &mut sum.clusters,
-                Kind::Patch => &mut sum.patches,
-                Kind::Ball => &mut sum.curved,
-                Kind::Fog => &mut sum.fog,
+                ElementKind::Cluster => &mut sum.clusters,
+                ElementKind::Patch => &mut sum.patches,
+                ElementKind::Curved => &mut sum.curved,
+                ElementKind::Volume => &mut sum.fog,
             } += 1;
             sum
         })
@@ -39,20 +39,20 @@ impl Kinds {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Census {
     /// Elements, including clusters.
-    pub elements: Kinds,
+    pub elements: KindCounts,
     /// Links among elements, by kind of the receiver.
-    pub receivers: Kinds,
+    pub receivers: KindCounts,
     /// Links among elements, by kind of the source.
-    pub senders: Kinds,
+    pub senders: KindCounts,
 }
 
 impl Census {
     pub(crate) fn new(elements: &[Element], links: &[Link]) -> Self {
         let kind = |element: u32| elements[element as usize].kind;
         Self {
-            elements: Kinds::of(elements.iter().map(|element| element.kind)),
-            receivers: Kinds::of(links.iter().map(|link| kind(link.receiver))),
-            senders: Kinds::of(links.iter().map(|link| kind(link.source))),
+            elements: KindCounts::count(elements.iter().map(|element| element.kind)),
+            receivers: KindCounts::count(links.iter().map(|link| kind(link.receiver))),
+            senders: KindCounts::count(links.iter().map(|link| kind(link.source))),
         }
     }
 }

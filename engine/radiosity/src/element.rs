@@ -8,21 +8,21 @@ use femc_math::hash::combine;
 
 /// Kind of an element.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
+pub enum ElementKind {
     /// A group of nearby elements, treated as one.
     Cluster,
     /// A part of a surface with nearly one normal. Its light is linear over it.
     Patch,
     /// A part of a curved surface with many normals. Its light is a function of only the normal.
-    Ball,
+    Curved,
     /// A box of fog.
-    Fog,
+    Volume,
 }
 
 /// An element. Lengths in m, prepared frame.
 #[derive(Clone, Debug)]
 pub struct Element {
-    pub kind: Kind,
+    pub kind: ElementKind,
     /// Element that contains this one, or [`NONE`].
     pub parent: u32,
     /// Its two parts, or [`NONE`].
@@ -41,13 +41,13 @@ pub struct Element {
     pub center: Vec3A,
     pub radius: f32,
     /// Center of the bounding box, and half of the box's edges.
-    pub middle: Vec3A,
-    pub half: Vec3A,
+    pub box_center: Vec3A,
+    pub half_extent: Vec3A,
     /// Unit normal at the center; zero for balls, fog, and clusters with more than one normal.
     pub normal: Vec3A,
-    /// Points at which its light is known: `count` of them. Clusters and balls have only the center.
+    /// Points at which its light is known: `node_count` of them. Clusters and balls have only the center.
     pub nodes: [SurfaceSpot; 4],
-    pub count: usize,
+    pub node_count: usize,
     /// Corners: polygons have `corner_count` of them in order, other elements none.
     pub corners: [Vec3A; 4],
     pub corner_count: usize,
@@ -57,7 +57,7 @@ pub struct Element {
     /// Key that identifies the element, independent of the order in which elements are created.
     pub key: u64,
     /// Index of the light by direction, for clusters and balls, else [`NONE`].
-    pub wide: u32,
+    pub directional: u32,
 }
 
 /// Nodes of a box of fog. Four of its eight corners, moved inward, integrate quadratic functions exactly.
@@ -67,10 +67,10 @@ pub const FOG_NODES: [Vec3A; 4] = {
 };
 
 /// Cosine between an element's normals below which they no longer count as one.
-const ONE_NORMAL: f32 = 0.85;
+const MIN_NORMAL_COSINE: f32 = 0.85;
 
 impl Element {
-    fn empty(kind: Kind, parent: u32, key: u64) -> Self {
+    fn empty(kind: ElementKind, parent: u32, key: u64) -> Self {
         Self {
             kind,
             parent,
@@ -82,26 +82,26 @@ impl Element {
             size: 0.0,
             center: Vec3A::ZERO,
             radius: 0.0,
-            middle: Vec3A::ZERO,
-            half: Vec3A::ZERO,
+            box_center: Vec3A::ZERO,
+            half_extent: Vec3A::ZERO,
             normal: Vec3A::ZERO,
             nodes: [SurfaceSpot::default(); 4],
-            count: 1,
+            node_count: 1,
             corners: [Vec3A::ZERO; 4],
             corner_count: 0,
             reflectance: Rgb::ZERO,
             transmittance: Rgb::ZERO,
             key,
-            wide: NONE,
+            directional: NONE,
         }
     }
 
     pub fn cluster(parent: u32, key: u64) -> Self {
-        Self::empty(Kind::Cluster, parent, key)
+        Self::empty(ElementKind::Cluster, parent, key)
     }
 
     /// Creates a part of a surface. `inner`: outline in its parent; for a root, in the surface's parameters.
-    pub fn of_surface(
+    pub fn from_surface(
         scene: &Scene<'_>,
         surface: u32,
         parent: Option<(u32, &Self)>,
@@ -110,17 +110,17 @@ impl Element {
     ) -> Self {
         let around = parent.map_or(Outline::WHOLE, |(_, parent)| parent.outline);
         let key = combine(&[parent.map_or(u64::from(surface), |(_, parent)| parent.key), part]);
-        let mut element = Self::empty(Kind::Patch, parent.map_or(NONE, |(index, _)| index), key);
-        let outline = around.of(&inner);
+        let mut element = Self::empty(ElementKind::Patch, parent.map_or(NONE, |(index, _)| index), key);
+        let outline = around.compose(&inner);
         let source = &scene.surfaces[surface as usize];
         let at = |local: Vec2| source.at(outline.at(local));
         let triangle = matches!(source.form, femc_field::Form::Triangle(_));
         (element.surface, element.outline, element.in_parent) = (surface, outline, inner);
         let share = outline.edges[0].perp_dot(outline.edges[1]).abs();
         element.size = source.area() * share;
-        (element.reflectance, element.transmittance) = scene.reflected(surface);
-        let places: &[Vec2] = if triangle { &Leaf::TRIANGLE } else { &Leaf::RECTANGLE };
-        element.count = places.len();
+        (element.reflectance, element.transmittance) = scene.surface_albedos(surface);
+        let places: &[Vec2] = if triangle { &Leaf::TRIANGLE_POINTS } else { &Leaf::RECTANGLE_POINTS };
+        element.node_count = places.len();
         for (node, place) in element.nodes.iter_mut().zip(places) {
             *node = at(*place);
         }
@@ -151,7 +151,7 @@ impl Element {
             let corners = element.corners.iter();
             let (low, high) =
                 corners.fold((Vec3A::INFINITY, Vec3A::NEG_INFINITY), |(low, high), &c| (low.min(c), high.max(c)));
-            (element.middle, element.half) = (0.5 * (low + high), 0.5 * (high - low));
+            (element.box_center, element.half_extent) = (0.5 * (low + high), 0.5 * (high - low));
             return element;
         }
         let grid = (0..25).map(|k| at(Vec2::new((k % 5) as f32, (k / 5) as f32) * 0.25));
@@ -160,31 +160,31 @@ impl Element {
             (low, high) = (low.min(spot.position), high.max(spot.position));
             least = least.min(spot.normal.dot(element.normal));
         }
-        if least < ONE_NORMAL {
-            element.kind = Kind::Ball;
+        if least < MIN_NORMAL_COSINE {
+            element.kind = ElementKind::Curved;
             element.normal = Vec3A::ZERO;
             element.center = 0.5 * (low + high);
-            element.count = 1;
+            element.node_count = 1;
             element.nodes[0] = SurfaceSpot { position: element.center, ..SurfaceSpot::default() };
         }
         // Between the points of the grid the surface may bulge.
         element.radius = 1.1 * 0.5 * (high - low).length();
-        (element.middle, element.half) = (0.5 * (low + high), 0.5 * (high - low) + 0.05 * element.radius);
+        (element.box_center, element.half_extent) = (0.5 * (low + high), 0.5 * (high - low) + 0.05 * element.radius);
         element
     }
 
     /// Creates a box of fog.
-    pub fn of_fog(scene: &Scene<'_>, parent: Option<(u32, u64)>, [min, max]: [Vec3A; 2], part: u64) -> Self {
+    pub fn from_fog(scene: &Scene<'_>, parent: Option<(u32, u64)>, [min, max]: [Vec3A; 2], part: u64) -> Self {
         let key = combine(&[parent.map_or(0x0f09, |(_, key)| key), part]);
-        let mut element = Self::empty(Kind::Fog, parent.map_or(NONE, |(index, _)| index), key);
+        let mut element = Self::empty(ElementKind::Volume, parent.map_or(NONE, |(index, _)| index), key);
         element.center = 0.5 * (min + max);
-        element.middle = element.center;
-        element.half = 0.5 * (max - min);
-        element.radius = element.half.length();
-        element.size = 8.0 * element.half.x * element.half.y * element.half.z;
-        element.count = 4;
+        element.box_center = element.center;
+        element.half_extent = 0.5 * (max - min);
+        element.radius = element.half_extent.length();
+        element.size = 8.0 * element.half_extent.x * element.half_extent.y * element.half_extent.z;
+        element.node_count = 4;
         for (node, place) in element.nodes.iter_mut().zip(FOG_NODES) {
-            node.position = element.center + element.half * place;
+            node.position = element.center + element.half_extent * place;
         }
         // For fog that thins out upward, the mean is used.
         let scattering = element.nodes.map(|node| scene.prepared.media.scattering_at(node.position));
@@ -197,22 +197,22 @@ impl Element {
     }
 
     /// Returns the maximum height above the plane through `point` with unit normal `normal`, m.
-    pub fn above(&self, point: Vec3A, normal: Vec3A) -> f32 {
-        normal.dot(self.middle - point) + normal.abs().dot(self.half)
+    pub fn max_height(&self, point: Vec3A, normal: Vec3A) -> f32 {
+        normal.dot(self.box_center - point) + normal.abs().dot(self.half_extent)
     }
 
     /// Checks whether light is stored by direction here.
-    pub fn is_wide(&self) -> bool {
-        matches!(self.kind, Kind::Cluster | Kind::Ball)
+    pub fn is_directional(&self) -> bool {
+        matches!(self.kind, ElementKind::Cluster | ElementKind::Curved)
     }
 
     /// Evaluates a linear function from its values at the nodes.
     /// - `local`: the point, in a patch's coordinates; for fog, relative to the center in half edges of the box.
-    pub fn between(&self, values: &[Rgb; 4], local: Vec3A) -> Rgb {
+    pub fn interpolate(&self, values: &[Rgb; 4], local: Vec3A) -> Rgb {
         let place = Vec2::new(local.x, local.y);
-        match (self.kind, self.count) {
-            (Kind::Patch, 3) => Leaf::over_triangle(&[values[0], values[1], values[2]], place),
-            (Kind::Patch, _) => Leaf::over_rectangle(values, place),
+        match (self.kind, self.node_count) {
+            (ElementKind::Patch, 3) => Leaf::interpolate_triangle(&[values[0], values[1], values[2]], place),
+            (ElementKind::Patch, _) => Leaf::interpolate_rectangle(values, place),
             _ => {
                 let [middle, slopes @ ..] = Self::fog_slopes(values);
                 middle + slopes[0] * local.x + slopes[1] * local.y + slopes[2] * local.z
@@ -231,12 +231,12 @@ impl Element {
         out
     }
 
-    /// Returns the position of a child's node, as an argument of [`Self::between`].
-    pub fn local_of(&self, child: &Self, node: usize) -> Vec3A {
-        if self.kind == Kind::Fog {
-            return (child.nodes[node].position - self.center) / self.half;
+    /// Returns the position of a child's node, as an argument of [`Self::interpolate`].
+    pub fn node_in_parent(&self, child: &Self, node: usize) -> Vec3A {
+        if self.kind == ElementKind::Volume {
+            return (child.nodes[node].position - self.center) / self.half_extent;
         }
-        let place = if child.count == 3 { Leaf::TRIANGLE[node] } else { Leaf::RECTANGLE[node] };
+        let place = if child.node_count == 3 { Leaf::TRIANGLE_POINTS[node] } else { Leaf::RECTANGLE_POINTS[node] };
         let local = child.in_parent.at(place);
         Vec3A::new(local.x, local.y, 0.0)
     }

@@ -1,9 +1,9 @@
 //! Form factors between points and boxes of fog.
 
-use crate::element::{Element, FOG_NODES, Kind};
-use crate::form_factor::{polygon, solid_angle};
-use crate::link::{Judge, exchange, facing};
-use crate::visibility::Eye;
+use crate::element::{Element, ElementKind, FOG_NODES};
+use crate::form_factor::{polygon_form_factor, solid_angle};
+use crate::link::{Oracle, point_form_factor, point_solid_angle_factor};
+use crate::visibility::VisibilityTester;
 use femc_field::SurfaceSpot;
 use femc_math::cross;
 use femc_math::elementary::{exp, ln};
@@ -14,74 +14,87 @@ use std::f32::consts::PI;
 type Kernel = fn(&SurfaceSpot, &SurfaceSpot, f32) -> f32;
 
 /// Number of points by axis on a face of a box of fog.
-pub const FACE: u32 = 5;
+pub const FACE_POINTS: u32 = 5;
 
 /// Minimum distance between a point and a face of a box of fog, as a share of the box's radius, for the choice of points on the
 /// face.
-const NEAREST: f32 = 1e-4;
+const MIN_FACE_DISTANCE: f32 = 1e-4;
 
 /// Position of the test point at the edge of a box of fog, in half edges from its center.
 const AT_EDGE: f32 = 0.9;
 
-impl Judge<'_> {
+impl Oracle<'_> {
     /// Returns the difference, at the edge of a box of fog next to a surface or another box, between the light received there and
     /// the value interpolated from the nodes.
-    pub fn missed_at_edge(&self, p: &Element, q: &Element, factors: &[f32; 4], eye: &mut Eye) -> f32 {
-        let nearest = ((q.center - p.center) / p.half).clamp(Vec3A::NEG_ONE, Vec3A::ONE) * AT_EDGE;
-        let spot = SurfaceSpot { position: p.center + p.half * nearest, ..SurfaceSpot::default() };
+    pub fn edge_error(&self, p: &Element, q: &Element, factors: &[f32; 4], tester: &mut VisibilityTester) -> f32 {
+        let nearest = ((q.center - p.center) / p.half_extent).clamp(Vec3A::NEG_ONE, Vec3A::ONE) * AT_EDGE;
+        let spot = SurfaceSpot { position: p.center + p.half_extent * nearest, ..SurfaceSpot::default() };
         let linear: f32 = factors.iter().zip(FOG_NODES).map(|(f, node)| f * (0.25 + 0.75 * node.dot(nearest))).sum();
-        (self.factor(p, q, &spot, eye) - linear).abs()
+        (self.factor(p, q, &spot, tester) - linear).abs()
     }
 
-    /// Computes the factor of a box of fog as the source. Near the box it uses its faces, see [`of_box`].
-    pub fn factor_of_fog(&self, p: &Element, q: &Element, node: &SurfaceSpot, eye: &mut Eye) -> f32 {
+    /// Computes the factor of a box of fog as the source. Near the box it uses its faces, see [`box_factor`].
+    pub fn factor_from_fog(&self, p: &Element, q: &Element, node: &SurfaceSpot, tester: &mut VisibilityTester) -> f32 {
         let way = q.center - node.position;
         let mut distance2 = way.length_squared();
-        if p.is_wide() {
+        if p.is_directional() {
             let reach = p.radius + q.radius;
             distance2 = distance2.max(0.25 * reach * reach);
         }
         let distance = distance2.sqrt();
         let extinction = self.extinction(q);
-        if p.is_wide() || distance > 3.0 * q.radius {
+        if p.is_directional() || distance > 3.0 * q.radius {
             let share = match p.kind {
-                Kind::Fog => 1.0,
-                Kind::Patch => 4.0 * (node.normal.dot(way) / distance).max(0.0),
-                Kind::Cluster | Kind::Ball => 4.0,
+                ElementKind::Volume => 1.0,
+                ElementKind::Patch => 4.0 * (node.normal.dot(way) / distance).max(0.0),
+                ElementKind::Cluster | ElementKind::Curved => 4.0,
             };
             if share <= 0.0 {
                 return 0.0;
             }
             // Mean over the box of the decay along the way, relative to its value at the center.
-            let decay = q.half * way.abs() * (extinction / distance);
+            let decay = q.half_extent * way.abs() * (extinction / distance);
             let spread = |x: f32| 1.0 + x * x * (1.0 / 6.0 + x * x * (1.0 / 120.0 + x * x / 5040.0));
             let through = decay.to_array().into_iter().map(spread).product::<f32>()
-                * eye.fog(self.scene, node.position, q.center);
+                * tester.fog_transmittance(self.scene, node.position, q.center);
             return share * q.size / (4.0 * PI * distance2) * through;
         }
         // Fewer points suffice where the distances to a face differ less.
-        let count = if distance > 1.5 * q.radius { 3 } else { FACE };
-        of_box(extinction, (q.center, q.half), node, p.kind == Kind::Patch, count as usize)
+        let count = if distance > 1.5 * q.radius { 3 } else { FACE_POINTS };
+        box_factor(extinction, (q.center, q.half_extent), node, p.kind == ElementKind::Patch, count as usize)
     }
 
     /// Computes the factor of a wide source at a box of fog. At a point outside, it is that of the source's center. Inside the box
     /// around the source, it is the mean over the box.
-    pub fn factor_at_fog(&self, p: &Element, q: &Element, distance2: f32, node: &SurfaceSpot, eye: &mut Eye) -> f32 {
-        if (q.center - p.center).abs().cmple(p.half).all() {
+    pub fn factor_at_fog(
+        &self,
+        p: &Element,
+        q: &Element,
+        distance2: f32,
+        node: &SurfaceSpot,
+        tester: &mut VisibilityTester,
+    ) -> f32 {
+        if (q.center - p.center).abs().cmple(p.half_extent).all() {
             // A quarter of 4 pi times the path length of light in the box, divided by its volume.
-            let length = along(self.extinction(p), p.half.min_element());
+            let length = attenuated_length(self.extinction(p), p.half_extent.min_element());
             return PI * length / p.size;
         }
-        0.25 / distance2 * eye.fog(self.scene, node.position, q.center)
+        0.25 / distance2 * tester.fog_transmittance(self.scene, node.position, q.center)
     }
 }
 
 /// Returns the share of the radiosity (per m) of a homogeneous box of fog that a point receives, m. It uses the box's faces: for
 /// all directions through a face, the length of fog from the point to the face. The lengths up to the far faces count positive,
 /// those up to the near faces negative.
-/// - `count`: number of points on a face by axis, at most [`FACE`].
-fn of_box(extinction: f32, (center, half): (Vec3A, Vec3A), node: &SurfaceSpot, on_surface: bool, count: usize) -> f32 {
-    let (mut sum, least) = (0.0, NEAREST * half.length());
+/// - `count`: number of points on a face by axis, at most [`FACE_POINTS`].
+fn box_factor(
+    extinction: f32,
+    (center, half): (Vec3A, Vec3A),
+    node: &SurfaceSpot,
+    on_surface: bool,
+    count: usize,
+) -> f32 {
+    let (mut sum, least) = (0.0, MIN_FACE_DISTANCE * half.length());
     for axis in 0..3 {
         for side in [-1.0, 1.0] {
             let (mut out, mut u, mut v) = (Vec3A::ZERO, Vec3A::ZERO, Vec3A::ZERO);
@@ -96,9 +109,9 @@ fn of_box(extinction: f32, (center, half): (Vec3A, Vec3A), node: &SurfaceSpot, o
             }
             let corners = [middle - u - v, middle + u - v, middle + u + v, middle - u + v];
             let (share, kernel): (f32, Kernel) = if on_surface {
-                (polygon(node.position, node.normal, &corners), exchange)
+                (polygon_form_factor(node.position, node.normal, &corners), point_form_factor)
             } else {
-                (solid_angle(node.position, &corners) / (4.0 * PI), facing)
+                (solid_angle(node.position, &corners) / (4.0 * PI), point_solid_angle_factor)
             };
             if share > 0.0 {
                 let length = mean_length(extinction, (middle, u, v), node, kernel, (least, count));
@@ -109,7 +122,7 @@ fn of_box(extinction: f32, (center, half): (Vec3A, Vec3A), node: &SurfaceSpot, o
     sum.max(0.0)
 }
 
-/// Returns the mean length of fog, as by [`along`], from a point to a face with this center and these half edges.
+/// Returns the mean length of fog, as by [`attenuated_length`], from a point to a face with this center and these half edges.
 /// - `least`: minimum distance of the point to the face for the choice of points on it, m.
 fn mean_length(
     extinction: f32,
@@ -124,7 +137,7 @@ fn mean_length(
     let [across, up] = [u, v].map(|edge| {
         let half = edge.length();
         let foot = edge.dot(from) / (half * height);
-        let steps = steps([-half / height - foot, half / height - foot], count);
+        let steps = quadrature_points([-half / height - foot, half / height - foot], count);
         steps.map(|(place, weight)| (edge * ((place + foot) * height / half), weight))
     });
     let (mut weight, mut length) = (0.0, 0.0);
@@ -133,17 +146,17 @@ fn mean_length(
             let spot = SurfaceSpot { position: middle + *x + *y, normal, ..*node };
             let part = kernel(node, &spot, 1.0) * of_x * of_y;
             weight += part;
-            length += part * along(extinction, spot.position.distance(node.position));
+            length += part * attenuated_length(extinction, spot.position.distance(node.position));
         }
     }
-    if weight > 0.0 { length / weight } else { along(extinction, middle.distance(node.position)) }
+    if weight > 0.0 { length / weight } else { attenuated_length(extinction, middle.distance(node.position)) }
 }
 
 /// Returns positions on a stretch near a point, in units of the point's distance from the stretch's line, and their weights. They
 /// are dense where the stretch is near the point, where the light changes most.
 /// - `ends`: ends relative to the foot of the point;
-/// - `count`: number of positions, at most [`FACE`].
-fn steps(ends: [f32; 2], count: usize) -> [(f32, f32); FACE as usize] {
+/// - `count`: number of positions, at most [`FACE_POINTS`].
+fn quadrature_points(ends: [f32; 2], count: usize) -> [(f32, f32); FACE_POINTS as usize] {
     // Equal steps of the area hyperbolic sine, computed with its exponential.
     let [from, to] = ends.map(|x| {
         let e = x.abs() + (x * x + 1.0).sqrt();
@@ -151,7 +164,7 @@ fn steps(ends: [f32; 2], count: usize) -> [(f32, f32); FACE as usize] {
     });
     let ratio = exp(ln(to / from) / (2 * count) as f32);
     let mut e = from * ratio;
-    let mut steps = [(0.0, 0.0); FACE as usize];
+    let mut steps = [(0.0, 0.0); FACE_POINTS as usize];
     for step in &mut steps[..count] {
         *step = (0.5 * (e - 1.0 / e), 0.5 * (e + 1.0 / e));
         e *= ratio * ratio;
@@ -160,7 +173,7 @@ fn steps(ends: [f32; 2], count: usize) -> [(f32, f32); FACE as usize] {
 }
 
 /// Returns the length of unattenuated fog that sends as much light as all fog up to a distance does through itself, m.
-pub fn along(extinction: f32, distance: f32) -> f32 {
+pub fn attenuated_length(extinction: f32, distance: f32) -> f32 {
     let x = extinction * distance;
     if x < 0.35 {
         // The series takes a tenth of the time of the function.
@@ -175,7 +188,7 @@ mod tests {
     use super::*;
 
     /// Reference by directions: the fog from where a ray enters the box, or begins, to where it leaves it.
-    fn by_directions(extinction: f32, center: Vec3A, half: Vec3A, point: Vec3A) -> f64 {
+    fn reference_by_directions(extinction: f32, center: Vec3A, half: Vec3A, point: Vec3A) -> f64 {
         const N: u32 = 1000;
         let of = |k: u32| {
             let [u, v] = [k % N, k / N].map(|k| (k as f32 + 0.5) / N as f32);
@@ -204,8 +217,8 @@ mod tests {
                 for place in FOG_NODES {
                     let point = place * 0.25;
                     let spot = SurfaceSpot { position: point, ..SurfaceSpot::default() };
-                    let have = f64::from(of_box(extinction, (center, half), &spot, false, FACE as usize));
-                    let want = by_directions(extinction, center, half, point);
+                    let have = f64::from(box_factor(extinction, (center, half), &spot, false, FACE_POINTS as usize));
+                    let want = reference_by_directions(extinction, center, half, point);
                     let scale = f64::from(half.max_element());
                     assert!(
                         (have - want).abs() < 0.02 * want + 2e-4 * scale,

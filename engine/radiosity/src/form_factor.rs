@@ -9,11 +9,11 @@ use std::f32::consts::PI;
 /// point: it sends nothing there. Lambert's formula has no value for it: a two-sided lamp would light itself.
 const IN_PLANE: f32 = 1e-5;
 /// Distance in radii beyond which a surface is treated as a point.
-const FAR: f32 = 30.0;
+const FAR_RADII: f32 = 30.0;
 
 /// Computes Lambert's formula: the form factor from a point with unit normal to a polygon, which sends from the side that sees its
 /// corners counterclockwise. The part below the point's horizon is clipped. At most 1.
-pub fn polygon(point: Vec3A, normal: Vec3A, corners: &[Vec3A]) -> f32 {
+pub fn polygon_form_factor(point: Vec3A, normal: Vec3A, corners: &[Vec3A]) -> f32 {
     let reach = corners.iter().map(|&corner| (corner - point).length()).fold(0.0, f32::max);
     if corners.iter().all(|&corner| normal.dot(corner - point) <= IN_PLANE * reach) {
         return 0.0;
@@ -62,7 +62,7 @@ pub fn solid_angle(point: Vec3A, corners: &[Vec3A]) -> f32 {
 
 /// Checks whether a surface is too near to be treated as a point.
 pub fn is_near(distance2: f32, radius: f32) -> bool {
-    distance2 < FAR * FAR * radius * radius
+    distance2 < FAR_RADII * FAR_RADII * radius * radius
 }
 
 #[cfg(test)]
@@ -76,24 +76,34 @@ mod tests {
         back.reverse();
         for corners in [square, back] {
             for at in [Vec3A::ZERO, Vec3A::new(0.9, 0.3, 0.0), Vec3A::new(1.0, 1.0, 0.0), Vec3A::new(1.5, 0.0, 0.0)] {
-                assert_eq!((polygon(at, Vec3A::Z, &corners), polygon(at, -Vec3A::Z, &corners)), (0.0, 0.0), "{at}");
+                assert_eq!(
+                    (polygon_form_factor(at, Vec3A::Z, &corners), polygon_form_factor(at, -Vec3A::Z, &corners)),
+                    (0.0, 0.0),
+                    "{at}"
+                );
             }
         }
         let near = back.map(|corner| Vec3A::new(corner.x, corner.y, 1e-3));
-        assert!(polygon(Vec3A::ZERO, Vec3A::Z, &near) > 0.99, "a lamp a millimeter above a point fills its sky");
+        assert!(
+            polygon_form_factor(Vec3A::ZERO, Vec3A::Z, &near) > 0.99,
+            "a lamp a millimeter above a point fills its sky"
+        );
     }
 
     /// Corner unit square at height 1 above a point: 0.1385316 (brief A4).
     #[test]
     fn square_has_lambert_form_factor_and_is_cut_at_the_horizon() {
         let square = [[0.0, 0.0], [0.0, 1.0], [1.0, 1.0], [1.0, 0.0]].map(|[x, y]| Vec3A::new(x, y, 1.0));
-        assert!((polygon(Vec3A::ZERO, Vec3A::Z, &square) - 0.138_531_6).abs() < 1e-6);
+        assert!((polygon_form_factor(Vec3A::ZERO, Vec3A::Z, &square) - 0.138_531_6).abs() < 1e-6);
         let mut behind = square;
         behind.reverse();
-        assert_eq!(polygon(Vec3A::ZERO, Vec3A::Z, &behind), 0.0);
+        assert_eq!(polygon_form_factor(Vec3A::ZERO, Vec3A::Z, &behind), 0.0);
         // A wall of height 2 and infinite width, half below the horizon, has the factor of its upper half.
         let wall = |low: f32| [[-1e3, low], [-1e3, 1.0], [1e3, 1.0], [1e3, low]].map(|[y, z]| Vec3A::new(1.0, y, z));
-        let (cut, above) = (polygon(Vec3A::ZERO, Vec3A::Z, &wall(-1.0)), polygon(Vec3A::ZERO, Vec3A::Z, &wall(0.0)));
+        let (cut, above) = (
+            polygon_form_factor(Vec3A::ZERO, Vec3A::Z, &wall(-1.0)),
+            polygon_form_factor(Vec3A::ZERO, Vec3A::Z, &wall(0.0)),
+        );
         assert!((cut - above).abs() < 1e-6 && cut > 0.0, "{cut} {above}");
         // The factor of an infinite strip from the horizon to 45 degrees: (1 - cos 45) / 2.
         assert!((above - 0.5 * (1.0 - 0.5f32.sqrt())).abs() < 1e-3, "{above}");
@@ -104,7 +114,7 @@ mod tests {
     fn a_polygon_in_the_horizon_is_no_panic_and_gives_nothing() {
         let zigzag = [[1.0, 0.0, 1e-7], [2.0, 0.0, -1e-7], [2.0, 1.0, 1e-7], [1.0, 1.0, -1e-7]].map(Vec3A::from);
         for corners in [zigzag, [zigzag[3], zigzag[2], zigzag[1], zigzag[0]]] {
-            assert!(polygon(Vec3A::ZERO, Vec3A::Z, &corners) < 1e-6);
+            assert!(polygon_form_factor(Vec3A::ZERO, Vec3A::Z, &corners) < 1e-6);
         }
     }
 

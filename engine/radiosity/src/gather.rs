@@ -1,7 +1,7 @@
 //! Gathering of light through links, and its transport down and up the tree.
 
 use crate::arena::Arena;
-use crate::element::{Element, Kind};
+use crate::element::{Element, ElementKind};
 use crate::link::Link;
 use crate::scene::Scene;
 use femc_field::{Cell, Harmonics, NONE};
@@ -12,7 +12,7 @@ use rayon::prelude::*;
 
 /// The light of an element.
 #[derive(Clone, Copy, Debug)]
-pub struct Light {
+pub struct ElementLight {
     /// Irradiance at the nodes, lx, received through the element's own links from light sources, and from elements.
     pub own: [[Rgb; 4]; 2],
     /// Irradiance at the nodes including that of the elements above it, lx.
@@ -24,36 +24,37 @@ pub struct Light {
     pub brightest: f32,
     /// Mean irradiance, by luminance, and the mean irradiance of the darkest part.
     pub mean: f32,
-    pub least: f32,
+    pub least_mean: f32,
     /// Intensity by direction that wide elements send, cd.
-    pub sent: Harmonics,
+    pub intensity: Harmonics,
 }
 
-impl Light {
-    pub const NOTHING: Self = Self {
+impl ElementLight {
+    pub const ZERO: Self = Self {
         own: [[Rgb::ZERO; 4]; 2],
         whole: [[Rgb::ZERO; 4]; 2],
         radiosity: Rgb::ZERO,
         darkest: 0.0,
         brightest: 0.0,
         mean: 0.0,
-        least: 0.0,
-        sent: Harmonics::ZERO,
+        least_mean: 0.0,
+        intensity: Harmonics::ZERO,
     };
 }
 
 /// Arriving light of a wide element by direction, from sources and from elements: through its own links, and including that of the
 /// elements above.
 #[derive(Clone, Copy, Debug)]
-pub struct Arriving {
+pub struct IncidentLight {
     pub own: [Harmonics; 2],
     pub whole: [Harmonics; 2],
     /// Light of a ball that rays find in addition to that of the links.
-    pub more: Harmonics,
+    pub ray_correction: Harmonics,
 }
 
-impl Arriving {
-    pub const NOTHING: Self = Self { own: [Harmonics::ZERO; 2], whole: [Harmonics::ZERO; 2], more: Harmonics::ZERO };
+impl IncidentLight {
+    pub const ZERO: Self =
+        Self { own: [Harmonics::ZERO; 2], whole: [Harmonics::ZERO; 2], ray_correction: Harmonics::ZERO };
 }
 
 /// Indices of the kinds of light.
@@ -62,7 +63,7 @@ pub const FROM_ELEMENTS: usize = 1;
 
 /// Treatment of irradiance that exceeds the possible maximum.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Bound {
+pub enum EnergyBound {
     /// No bound: the irradiance stays.
     None,
     /// The excess is removed from now on, so that light cannot grow from reflection to reflection.
@@ -70,123 +71,132 @@ pub enum Bound {
 }
 
 /// Maximum irradiance of a point if all elements have a radiosity of 1.
-const BEYOND: f32 = 1.1;
+const MAX_ROW_SUM: f32 = 1.1;
 /// Maximum share of the light that a reflection may pass on under that bound.
-const DECAY: f32 = 0.99;
+const MAX_REFLECTED_SHARE: f32 = 0.99;
 
 /// Number of normals at which a ball's light is evaluated.
-const AROUND: usize = 16;
+const CURVED_NORMALS: usize = 16;
 
 /// Light of all elements.
 #[derive(Clone, Debug)]
-pub struct Lights {
-    pub of: Vec<Light>,
-    pub arriving: Vec<Arriving>,
-    /// Accepted share of the links' light at the nodes, by element, see [`Lights::row_sum`].
-    pub taken: Vec<[f32; 4]>,
+pub struct ElementLights {
+    pub elements: Vec<ElementLight>,
+    pub incident: Vec<IncidentLight>,
+    /// Accepted share of the links' light at the nodes, by element, see [`ElementLights::row_sum`].
+    pub accepted: Vec<[f32; 4]>,
     /// Light that rays find at the nodes in addition to that, by element, lx; see [`crate::rays`].
-    pub more: Vec<[Rgb; 4]>,
+    pub ray_correction: Vec<[Rgb; 4]>,
 }
 
-impl Lights {
+impl ElementLights {
     /// Number of bytes of an element's light, without the light by direction.
-    pub const BYTES: usize = size_of::<Light>() + size_of::<[f32; 4]>() + size_of::<[Rgb; 4]>();
+    pub const BYTES: usize = size_of::<ElementLight>() + size_of::<[f32; 4]>() + size_of::<[Rgb; 4]>();
 
     pub fn new(arena: &Arena) -> Self {
         let count = arena.elements.len();
         Self {
-            of: vec![Light::NOTHING; count],
-            arriving: vec![Arriving::NOTHING; arena.wide],
-            taken: vec![[1.0; 4]; count],
-            more: vec![[Rgb::ZERO; 4]; count],
+            elements: vec![ElementLight::ZERO; count],
+            incident: vec![IncidentLight::ZERO; arena.directional_count],
+            accepted: vec![[1.0; 4]; count],
+            ray_correction: vec![[Rgb::ZERO; 4]; count],
         }
     }
 
     /// Allocates new elements, which begin with their parents' light.
     pub fn grow(&mut self, arena: &Arena) {
-        for element in &arena.elements[self.of.len()..] {
-            let parent = self.of[element.parent as usize];
-            let Light { radiosity, darkest, brightest, mean, least, .. } = parent;
-            self.of.push(Light { radiosity, darkest, brightest, mean, least, ..Light::NOTHING });
-            let taken = self.taken[element.parent as usize].into_iter().fold(1.0, f32::min);
-            self.taken.push([taken; 4]);
+        for element in &arena.elements[self.elements.len()..] {
+            let parent = self.elements[element.parent as usize];
+            let ElementLight { radiosity, darkest, brightest, mean, least_mean: least, .. } = parent;
+            self.elements.push(ElementLight {
+                radiosity,
+                darkest,
+                brightest,
+                mean,
+                least_mean: least,
+                ..ElementLight::ZERO
+            });
+            let taken = self.accepted[element.parent as usize].into_iter().fold(1.0, f32::min);
+            self.accepted.push([taken; 4]);
         }
-        self.arriving.resize(arena.wide, Arriving::NOTHING);
-        self.more.resize(arena.elements.len(), [Rgb::ZERO; 4]);
+        self.incident.resize(arena.directional_count, IncidentLight::ZERO);
+        self.ray_correction.resize(arena.elements.len(), [Rgb::ZERO; 4]);
     }
 
     /// Accepts all light of the links.
-    pub fn unbounded(&mut self) {
-        self.taken.fill([1.0; 4]);
+    pub fn accept_all(&mut self) {
+        self.accepted.fill([1.0; 4]);
     }
 
     /// Returns the greatest irradiance of a point if all elements have a radiosity of 1, and the fog that of its extinction. It is
-    /// 1 in a closed scene if all links are exact. The bound is [`BEYOND`], or less if elements reflect so much that light would
-    /// still grow.
-    pub fn row_sum(&mut self, scene: &Scene<'_>, arena: &Arena, links: &[Link], then: Bound) -> f32 {
-        let (of, arriving) = (self.of.clone(), self.arriving.clone());
+    /// 1 in a closed scene if all links are exact. The bound is [`MAX_ROW_SUM`], or less if elements reflect so much that light
+    /// would still grow.
+    pub fn row_sum(&mut self, scene: &Scene<'_>, arena: &Arena, links: &[Link], bound_action: EnergyBound) -> f32 {
+        let (of, arriving) = (self.elements.clone(), self.incident.clone());
         for index in (0..arena.elements.len()).rev() {
             let element = &arena.elements[index];
             if !element.is_leaf() {
                 self.pull(arena, index);
                 continue;
             }
-            let light = &mut self.of[index];
+            let light = &mut self.elements[index];
             light.radiosity = match element.kind {
-                Kind::Fog => Rgb::splat(scene.prepared.media.extinction_at(element.center)),
+                ElementKind::Volume => Rgb::splat(scene.prepared.media.extinction_at(element.center)),
                 _ => Rgb::ONE,
             };
-            if element.kind == Kind::Ball {
-                light.sent = sent_of(scene, element, |_| Rgb::ONE);
+            if element.kind == ElementKind::Curved {
+                light.intensity = curved_intensity(scene, element, |_| Rgb::ONE);
             }
         }
         self.gather(arena, links);
         self.push_all(arena);
         let albedo = |element: &Element| match element.kind {
-            Kind::Cluster => 0.0,
-            Kind::Fog => {
+            ElementKind::Cluster => 0.0,
+            ElementKind::Volume => {
                 let extinction = scene.prepared.media.extinction_at(element.center);
                 element.reflectance.max_element() / extinction.max(f32::MIN_POSITIVE)
             }
-            Kind::Patch | Kind::Ball => (element.reflectance + element.transmittance).max_element(),
+            ElementKind::Patch | ElementKind::Curved => (element.reflectance + element.transmittance).max_element(),
         };
         let greatest = arena.elements.iter().map(albedo).fold(0.0, f32::max);
-        let bound = (DECAY / greatest.max(f32::MIN_POSITIVE)).clamp(1.0, BEYOND);
+        let bound = (MAX_REFLECTED_SHARE / greatest.max(f32::MIN_POSITIVE)).clamp(1.0, MAX_ROW_SUM);
         let mut most = 0.0f32;
         for (index, element) in arena.elements.iter().enumerate().filter(|(_, element)| element.is_leaf()) {
             let received = match element.kind {
-                Kind::Ball => [self.arriving[element.wide as usize].whole[FROM_ELEMENTS].total().y * 0.25; 4],
-                _ => self.of[index].whole[FROM_ELEMENTS].map(|light| light.y),
+                ElementKind::Curved => {
+                    [self.incident[element.directional as usize].whole[FROM_ELEMENTS].total().y * 0.25; 4]
+                }
+                _ => self.elements[index].whole[FROM_ELEMENTS].map(|light| light.y),
             };
-            most = received[..element.count].iter().copied().fold(most, f32::max);
-            if then == Bound::RowSums {
-                for (taken, received) in self.taken[index].iter_mut().zip(received) {
+            most = received[..element.node_count].iter().copied().fold(most, f32::max);
+            if bound_action == EnergyBound::RowSums {
+                for (taken, received) in self.accepted[index].iter_mut().zip(received) {
                     *taken = taken.min(bound / received.max(f32::MIN_POSITIVE));
                 }
             }
         }
-        (self.of, self.arriving) = (of, arriving);
+        (self.elements, self.incident) = (of, arriving);
         most
     }
 
     /// Gathers irradiance through all links, which are sorted by receiver. The light of each receiver is added in the links' order.
     pub fn gather(&mut self, arena: &Arena, links: &[Link]) {
         let rows: Vec<&[Link]> = links.chunk_by(|a, b| a.receiver == b.receiver).collect();
-        let of = &self.of;
+        let lights = &self.elements;
         let gathered: Vec<([Rgb; 4], Harmonics)> =
-            rows.par_iter().with_min_len(64).map(|row| row_of(arena, of, row)).collect();
-        for light in &mut self.of {
+            rows.par_iter().with_min_len(64).map(|row| gather_row(arena, lights, row)).collect();
+        for light in &mut self.elements {
             light.own[FROM_ELEMENTS] = [Rgb::ZERO; 4];
         }
-        for arriving in &mut self.arriving {
+        for arriving in &mut self.incident {
             arriving.own[FROM_ELEMENTS] = Harmonics::ZERO;
         }
         for (row, (nodes, arriving)) in rows.iter().zip(gathered) {
             let receiver = row[0].receiver as usize;
-            self.of[receiver].own[FROM_ELEMENTS] = nodes;
-            let wide = arena.elements[receiver].wide;
+            self.elements[receiver].own[FROM_ELEMENTS] = nodes;
+            let wide = arena.elements[receiver].directional;
             if wide != NONE {
-                self.arriving[wide as usize].own[FROM_ELEMENTS] = arriving;
+                self.incident[wide as usize].own[FROM_ELEMENTS] = arriving;
             }
         }
     }
@@ -197,13 +207,14 @@ impl Lights {
         self.push_all(arena);
         let (mut change, mut whole) = (0.0, 0.0);
         for index in (0..arena.elements.len()).rev() {
-            let before = self.of[index].radiosity;
+            let before = self.elements[index].radiosity;
             if arena.elements[index].is_leaf() {
                 self.reflect(scene, arena, index);
-                let now = self.of[index].radiosity;
+                let now = self.elements[index].radiosity;
                 let element = &arena.elements[index];
                 // A box of fog sends in all directions four times as much as a surface of its radiosity.
-                let size = f64::from(if element.kind == Kind::Fog { 4.0 * element.size } else { element.size });
+                let size =
+                    f64::from(if element.kind == ElementKind::Volume { 4.0 * element.size } else { element.size });
                 change += size * f64::from(luminance((now - before).abs()));
                 whole += size * f64::from(luminance(now));
             } else {
@@ -220,165 +231,175 @@ impl Lights {
 
     fn push(&mut self, arena: &Arena, index: usize) {
         let element = &arena.elements[index];
-        if element.is_wide() {
-            let mut arriving = self.arriving[element.wide as usize];
+        if element.is_directional() {
+            let mut arriving = self.incident[element.directional as usize];
             arriving.whole = arriving.own;
             if element.parent != NONE {
-                let above = self.arriving[arena.elements[element.parent as usize].wide as usize].whole;
+                let above = self.incident[arena.elements[element.parent as usize].directional as usize].whole;
                 (0..2).for_each(|kind| arriving.whole[kind] += above[kind]);
             }
-            self.arriving[element.wide as usize] = arriving;
+            self.incident[element.directional as usize] = arriving;
             return;
         }
-        let mut whole = self.of[index].own;
+        let mut whole = self.elements[index].own;
         if element.parent != NONE {
             let above = &arena.elements[element.parent as usize];
             for kind in [FROM_SOURCES, FROM_ELEMENTS] {
-                for (node, value) in whole[kind].iter_mut().enumerate().take(element.count) {
-                    *value += if above.is_wide() {
-                        let light = &self.arriving[above.wide as usize].whole[kind];
+                for (node, value) in whole[kind].iter_mut().enumerate().take(element.node_count) {
+                    *value += if above.is_directional() {
+                        let light = &self.incident[above.directional as usize].whole[kind];
                         match element.kind {
                             // A point of fog receives a quarter of the light from all directions.
-                            Kind::Fog => (light.total() * 0.25).max(Rgb::ZERO),
-                            _ => light.cosine(element.nodes[node].normal),
+                            ElementKind::Volume => (light.total() * 0.25).max(Rgb::ZERO),
+                            _ => light.cosine_integral(element.nodes[node].normal),
                         }
                     } else {
-                        above.between(&self.of[element.parent as usize].whole[kind], above.local_of(element, node))
+                        above.interpolate(
+                            &self.elements[element.parent as usize].whole[kind],
+                            above.node_in_parent(element, node),
+                        )
                     };
                 }
             }
         }
-        self.of[index].whole = whole;
+        self.elements[index].whole = whole;
     }
 
     /// Returns the irradiance at an element's nodes from sources or from elements.
-    pub fn at_nodes(&self, index: usize, from: usize) -> [Rgb; 4] {
-        let mut values = self.of[index].whole[from];
+    pub fn node_irradiance(&self, index: usize, from: usize) -> [Rgb; 4] {
+        let mut values = self.elements[index].whole[from];
         if from == FROM_ELEMENTS {
-            let beyond = self.taken[index].into_iter().zip(self.more[index]);
+            let beyond = self.accepted[index].into_iter().zip(self.ray_correction[index]);
             values.iter_mut().zip(beyond).for_each(|(value, (taken, more))| *value = *value * taken + more);
         }
         values
     }
 
     /// Returns the light by direction that a curved element receives from sources or from elements.
-    pub fn around(&self, element: &Element, index: usize, from: usize) -> Harmonics {
-        let Arriving { whole, more, .. } = self.arriving[element.wide as usize];
-        if from == FROM_ELEMENTS { whole[from] * Rgb::splat(self.taken[index][0]) + more } else { whole[from] }
+    pub fn directional_irradiance(&self, element: &Element, index: usize, from: usize) -> Harmonics {
+        let IncidentLight { whole, ray_correction: more, .. } = self.incident[element.directional as usize];
+        if from == FROM_ELEMENTS { whole[from] * Rgb::splat(self.accepted[index][0]) + more } else { whole[from] }
     }
 
     /// Computes the light that a leaf sends from the light that it receives.
     fn reflect(&mut self, scene: &Scene<'_>, arena: &Arena, index: usize) {
         let element = &arena.elements[index];
-        let behind = self.behind(scene, arena, element);
-        let of_elements = self.at_nodes(index, FROM_ELEMENTS);
-        if element.kind == Kind::Ball {
-            let arriving =
-                self.arriving[element.wide as usize].whole[FROM_SOURCES] + self.around(element, index, FROM_ELEMENTS);
+        let behind = self.back_irradiance(scene, arena, element);
+        let of_elements = self.node_irradiance(index, FROM_ELEMENTS);
+        if element.kind == ElementKind::Curved {
+            let arriving = self.incident[element.directional as usize].whole[FROM_SOURCES]
+                + self.directional_irradiance(element, index, FROM_ELEMENTS);
             let (mut sum, mut mean) = (Rgb::ZERO, 0.0);
-            let sent = sent_of(scene, element, |normal| {
-                let irradiance = arriving.cosine(normal);
+            let sent = curved_intensity(scene, element, |normal| {
+                let irradiance = arriving.cosine_integral(normal);
                 let radiosity = element.reflectance * irradiance + element.transmittance * behind;
                 (sum, mean) = (sum + radiosity, mean + luminance(irradiance));
                 radiosity
             });
-            let light = &mut self.of[index];
-            light.sent = sent;
-            light.radiosity = sum / AROUND as f32;
-            light.mean = mean / AROUND as f32;
-            light.least = light.mean;
+            let light = &mut self.elements[index];
+            light.intensity = sent;
+            light.radiosity = sum / CURVED_NORMALS as f32;
+            light.mean = mean / CURVED_NORMALS as f32;
+            light.least_mean = light.mean;
             (light.darkest, light.brightest) = (0.0, 2.0 * luminance(light.radiosity));
             return;
         }
-        let light = &mut self.of[index];
+        let light = &mut self.elements[index];
         let (mut sum, mut mean, mut darkest, mut brightest) = (Rgb::ZERO, 0.0, f32::INFINITY, 0.0f32);
-        for (node, of_elements) in of_elements.into_iter().enumerate().take(element.count) {
+        for (node, of_elements) in of_elements.into_iter().enumerate().take(element.node_count) {
             let irradiance = (light.whole[FROM_SOURCES][node] + of_elements).max(Rgb::ZERO);
             let radiosity = element.reflectance * irradiance + element.transmittance * behind;
             let value = luminance(radiosity);
             (darkest, brightest) = (darkest.min(value), brightest.max(value));
             (sum, mean) = (sum + radiosity, mean + luminance(irradiance));
         }
-        let share = 1.0 / element.count as f32;
+        let share = 1.0 / element.node_count as f32;
         (light.radiosity, light.mean) = (sum * share, mean * share);
-        light.least = light.mean;
+        light.least_mean = light.mean;
         (light.darkest, light.brightest) = (darkest, brightest);
     }
 
     /// Returns the mean irradiance of the other side if the surface transmits light.
-    fn behind(&self, scene: &Scene<'_>, arena: &Arena, element: &Element) -> Rgb {
-        if element.transmittance == Rgb::ZERO || element.kind == Kind::Fog {
+    fn back_irradiance(&self, scene: &Scene<'_>, arena: &Arena, element: &Element) -> Rgb {
+        if element.transmittance == Rgb::ZERO || element.kind == ElementKind::Volume {
             return Rgb::ZERO;
         }
-        let other = scene.behind(element.surface);
+        let other = scene.other_side(element.surface);
         let root = if other == NONE { NONE } else { arena.roots[other as usize] };
         if root == NONE {
             return Rgb::ZERO;
         }
         // Both sides are split alike, though one may be split further.
         let middle = if element.corner_count == 3 { Vec2::splat(1.0 / 3.0) } else { Vec2::splat(0.5) };
-        let (index, _) = arena.part_at(root, element.outline.at(middle), 0.0);
+        let (index, _) = arena.element_at(root, element.outline.at(middle), 0.0);
         let other = &arena.elements[index as usize];
-        if other.kind == Kind::Ball {
-            let sources = self.arriving[other.wide as usize].whole[FROM_SOURCES];
-            return (sources + self.around(other, index as usize, FROM_ELEMENTS)).total() * 0.25;
+        if other.kind == ElementKind::Curved {
+            let sources = self.incident[other.directional as usize].whole[FROM_SOURCES];
+            return (sources + self.directional_irradiance(other, index as usize, FROM_ELEMENTS)).total() * 0.25;
         }
-        let [sources, elements] = [FROM_SOURCES, FROM_ELEMENTS].map(|from| self.at_nodes(index as usize, from));
-        let sum: Rgb = (0..other.count).map(|node| sources[node] + elements[node]).sum();
-        (sum / other.count as f32).max(Rgb::ZERO)
+        let [sources, elements] = [FROM_SOURCES, FROM_ELEMENTS].map(|from| self.node_irradiance(index as usize, from));
+        let sum: Rgb = (0..other.node_count).map(|node| sources[node] + elements[node]).sum();
+        (sum / other.node_count as f32).max(Rgb::ZERO)
     }
 
     fn pull(&mut self, arena: &Arena, index: usize) {
         let element = &arena.elements[index];
-        let [a, b] = element.children.map(|child| (&arena.elements[child as usize], self.of[child as usize]));
-        let mut out = self.of[index];
+        let [a, b] = element.children.map(|child| (&arena.elements[child as usize], self.elements[child as usize]));
+        let mut out = self.elements[index];
         let size = a.0.size + b.0.size;
         let [wa, wb] = [a, b].map(|(part, _)| if size > 0.0 { part.size / size } else { 0.5 });
-        if element.is_wide() {
-            out.sent = Harmonics::ZERO;
+        if element.is_directional() {
+            out.intensity = Harmonics::ZERO;
             for (part, light) in [a, b] {
                 match part.kind {
-                    Kind::Cluster | Kind::Ball => out.sent += light.sent,
-                    Kind::Patch => {
-                        let amount = light.radiosity * (part.size / (std::f32::consts::PI * part.count as f32));
-                        for node in &part.nodes[..part.count] {
-                            out.sent += Harmonics::toward(node.normal, amount);
+                    ElementKind::Cluster | ElementKind::Curved => out.intensity += light.intensity,
+                    ElementKind::Patch => {
+                        let amount = light.radiosity * (part.size / (std::f32::consts::PI * part.node_count as f32));
+                        for node in &part.nodes[..part.node_count] {
+                            out.intensity += Harmonics::from_direction(node.normal, amount);
                         }
                     }
-                    Kind::Fog => {}
+                    ElementKind::Volume => {}
                 }
             }
         }
         out.radiosity = a.1.radiosity * wa + b.1.radiosity * wb;
         out.mean = a.1.mean * wa + b.1.mean * wb;
-        out.least = a.1.least.min(b.1.least);
+        out.least_mean = a.1.least_mean.min(b.1.least_mean);
         out.darkest = a.1.darkest.min(b.1.darkest);
         out.brightest = a.1.brightest.max(b.1.brightest);
-        self.of[index] = out;
+        self.elements[index] = out;
     }
 }
 
 /// Returns the intensity of a curved element by direction, cd, from the radiosity at points around it.
-fn sent_of(scene: &Scene<'_>, element: &Element, mut radiosity: impl FnMut(Vec3A) -> Rgb) -> Harmonics {
+fn curved_intensity(scene: &Scene<'_>, element: &Element, mut radiosity: impl FnMut(Vec3A) -> Rgb) -> Harmonics {
     let surface = &scene.surfaces[element.surface as usize];
     let mut sent = Harmonics::ZERO;
-    for k in 0..AROUND {
+    for k in 0..CURVED_NORMALS {
         let place = Vec2::new((k % 4) as f32 + 0.5, (k / 4) as f32 + 0.5) * 0.25;
         let normal = surface.at(element.outline.at(place)).normal;
-        sent += Harmonics::toward(normal, radiosity(normal) * (element.size / (std::f32::consts::PI * AROUND as f32)));
+        sent += Harmonics::from_direction(
+            normal,
+            radiosity(normal) * (element.size / (std::f32::consts::PI * CURVED_NORMALS as f32)),
+        );
     }
     sent
 }
 
-fn row_of(arena: &Arena, of: &[Light], row: &[Link]) -> ([Rgb; 4], Harmonics) {
+fn gather_row(arena: &Arena, lights: &[ElementLight], row: &[Link]) -> ([Rgb; 4], Harmonics) {
     let p = &arena.elements[row[0].receiver as usize];
     let (mut nodes, mut arriving) = ([Rgb::ZERO; 4], Harmonics::ZERO);
     for link in row {
-        let (q, light) = (&arena.elements[link.source as usize], &of[link.source as usize]);
+        let (q, light) = (&arena.elements[link.source as usize], &lights[link.source as usize]);
         let way: Vec3A = q.center - p.center;
-        let sent = if q.is_wide() { light.sent.cosine(-way.normalize_or(Vec3A::Z)) } else { light.radiosity };
-        if p.is_wide() {
-            arriving += Harmonics::toward(way.normalize_or(Vec3A::Z), sent * link.factors[0]);
+        let sent = if q.is_directional() {
+            light.intensity.cosine_integral(-way.normalize_or(Vec3A::Z))
+        } else {
+            light.radiosity
+        };
+        if p.is_directional() {
+            arriving += Harmonics::from_direction(way.normalize_or(Vec3A::Z), sent * link.factors[0]);
         } else {
             for (node, factor) in nodes.iter_mut().zip(link.factors) {
                 *node += sent * factor;
@@ -389,6 +410,6 @@ fn row_of(arena: &Arena, of: &[Light], row: &[Link]) -> ([Rgb; 4], Harmonics) {
 }
 
 /// Returns the cell of an element for the field.
-pub fn cell_of(element: &Element, next: u32) -> Cell {
-    Cell { outline: element.in_parent, split: crate::arena::split_of(element), next }
+pub fn field_cell(element: &Element, next: u32) -> Cell {
+    Cell { outline: element.in_parent, split: crate::arena::field_split(element), next }
 }

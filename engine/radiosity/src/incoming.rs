@@ -5,12 +5,12 @@
 //! that were not used for the fit.
 
 use crate::arena::Arena;
-use crate::element::{Element, Kind};
-use crate::gather::Lights;
+use crate::element::{Element, ElementKind};
+use crate::gather::ElementLights;
 use crate::link::Link;
 use crate::lobes::{Part, fit};
 use crate::portals::{self, Line, Portal};
-use crate::rays::{Rays, Seen};
+use crate::rays::{IncidentSegment, Rays};
 use crate::scene::Scene;
 use femc_field::{Block, Directions, Guide, LOBES, Lobe, NONE, SurfaceSpot};
 use femc_math::color::luminance;
@@ -60,7 +60,7 @@ pub enum Purpose {
 pub fn of_groups(
     scene: &Scene<'_>,
     arena: &Arena,
-    lights: &Lights,
+    lights: &ElementLights,
     (links, rays): (&[Link], &Rays),
     groups: &[(u32, Vec<u32>)],
     portals: &[Portal],
@@ -70,23 +70,25 @@ pub fn of_groups(
         .par_iter()
         .map(|(group, leaves)| {
             let area: f32 = leaves.iter().map(|&leaf| arena.elements[leaf as usize].size).sum();
-            let mean = |leaf: &u32| arena.elements[*leaf as usize].size * lights.of[*leaf as usize].mean / area;
+            let mean = |leaf: &u32| arena.elements[*leaf as usize].size * lights.elements[*leaf as usize].mean / area;
             let least = EVEN * leaves.iter().map(mean).sum::<f32>();
-            let is_flat = arena.elements[*group as usize].kind == Kind::Patch;
+            let is_flat = arena.elements[*group as usize].kind == ElementKind::Patch;
             if !(is_flat && least > f32::MIN_POSITIVE && least.is_finite()) {
                 return (0.0, Vec::new());
             }
             let (mut ways, mut seen) = (Vec::new(), Vec::new());
             for &leaf in leaves {
-                let (element, light) = (&arena.elements[leaf as usize], &lights.of[leaf as usize]);
+                let (element, light) = (&arena.elements[leaf as usize], &lights.elements[leaf as usize]);
                 // Dark leaves next to bright ones count nearly as much.
                 let scale = element.size / area / (light.mean + least);
                 let first = ways.len();
                 by_links(arena, lights, links, leaf, &mut ways);
                 ways[first..].iter_mut().for_each(|part: &mut Part| part.amount *= scale);
-                let of = rays.of((scene, arena), lights, leaf, |irradiance, _| irradiance.is_finite()).into_iter();
+                let of = rays
+                    .incident_segments((scene, arena), lights, leaf, |irradiance, _| irradiance.is_finite())
+                    .into_iter();
                 let number = area / element.size;
-                seen.extend(of.map(|ray| Seen {
+                seen.extend(of.map(|ray| IncidentSegment {
                     irradiance: ray.irradiance * scale,
                     number: ray.number * number,
                     ..ray
@@ -117,14 +119,14 @@ pub fn joined<'a>(
 }
 
 /// Returns the portals of a scene, found from rays.
-pub fn portals(scene: &Scene<'_>, arena: &Arena, lights: &Lights, rays: &Rays, leaves: &[u32]) -> Vec<Portal> {
+pub fn portals(scene: &Scene<'_>, arena: &Arena, lights: &ElementLights, rays: &Rays, leaves: &[u32]) -> Vec<Portal> {
     let area = |&leaf: &u32| f64::from(arena.elements[leaf as usize].size);
     portals::find(&bright(scene, arena, lights, rays, leaves), leaves.iter().map(area).sum())
 }
 
 /// Returns ways that are much brighter than the mean of their leaf.
-fn bright(scene: &Scene<'_>, arena: &Arena, lights: &Lights, rays: &Rays, leaves: &[u32]) -> Vec<Line> {
-    let light = |leaf: u32| f64::from(arena.elements[leaf as usize].size * lights.of[leaf as usize].mean);
+fn bright(scene: &Scene<'_>, arena: &Arena, lights: &ElementLights, rays: &Rays, leaves: &[u32]) -> Vec<Line> {
+    let light = |leaf: u32| f64::from(arena.elements[leaf as usize].size * lights.elements[leaf as usize].mean);
     let roots: Vec<u32> = leaves.iter().map(|&leaf| root(arena, leaf)).collect();
     let mut sums: HashMap<u32, [f64; 2]> = HashMap::new();
     for (&leaf, &root) in leaves.iter().zip(&roots) {
@@ -134,16 +136,16 @@ fn bright(scene: &Scene<'_>, arena: &Arena, lights: &Lights, rays: &Rays, leaves
     let of = |(&leaf, root): (&u32, &u32)| {
         let element = &arena.elements[leaf as usize];
         let [whole, area] = sums[root];
-        let mean = lights.of[leaf as usize].mean + EVEN * (whole / area) as f32;
+        let mean = lights.elements[leaf as usize].mean + EVEN * (whole / area) as f32;
         let is_bright = |irradiance: f32, number: f32| irradiance.is_finite() && irradiance * number > BRIGHT * mean;
-        let line = |ray: Seen| {
+        let line = |ray: IncidentSegment| {
             let way = (ray.target - ray.origin).as_dvec3();
             let length = way.length();
             let weight = f64::from(ray.irradiance / mean * element.size);
             Line { origin: ray.origin.as_dvec3(), dir: way / length, length, weight }
         };
         let is_lit = mean > f32::MIN_POSITIVE;
-        let of = if is_lit { rays.of((scene, arena), lights, leaf, is_bright) } else { Vec::new() };
+        let of = if is_lit { rays.incident_segments((scene, arena), lights, leaf, is_bright) } else { Vec::new() };
         let lines = of.into_iter().map(line);
         lines.filter(|line| line.length > 0.0 && line.weight.is_finite()).collect::<Vec<_>>()
     };
@@ -220,21 +222,22 @@ pub fn groups(arena: &Arena, leaves: &[u32], light: &[(u32, [f32; 2])]) -> Vec<(
 }
 
 /// Adds the light of the links of a leaf and of all elements above it.
-fn by_links(arena: &Arena, lights: &Lights, links: &[Link], leaf: u32, parts: &mut Vec<Part>) {
+fn by_links(arena: &Arena, lights: &ElementLights, links: &[Link], leaf: u32, parts: &mut Vec<Part>) {
     let receiver = &arena.elements[leaf as usize];
     let mut at = leaf;
     while at != NONE {
         let p = &arena.elements[at as usize];
         let first = links.partition_point(|link| link.receiver < at);
         for link in links[first..].iter().take_while(|link| link.receiver == at) {
-            let (q, light) = (&arena.elements[link.source as usize], &lights.of[link.source as usize]);
+            let (q, light) = (&arena.elements[link.source as usize], &lights.elements[link.source as usize]);
             let way = q.center - p.center;
             let dir = way.normalize_or(Vec3A::Z);
-            let sent = luminance(if q.is_wide() { light.sent.cosine(-dir) } else { light.radiosity });
-            let factor = if p.is_wide() {
+            let sent =
+                luminance(if q.is_directional() { light.intensity.cosine_integral(-dir) } else { light.radiosity });
+            let factor = if p.is_directional() {
                 link.factors[0] * cosine(receiver, dir)
             } else {
-                link.factors[..p.count].iter().sum::<f32>() / p.count as f32
+                link.factors[..p.node_count].iter().sum::<f32>() / p.node_count as f32
             };
             let amount = sent * factor;
             if amount > 0.0 && amount.is_finite() {
@@ -251,7 +254,14 @@ fn cosine(receiver: &Element, dir: Vec3A) -> f32 {
 }
 
 /// Divides a source's light into parts, more for a larger source.
-fn in_parts(arena: &Arena, lights: &Lights, receiver: &Element, source: u32, amount: f32, parts: &mut Vec<Part>) {
+fn in_parts(
+    arena: &Arena,
+    lights: &ElementLights,
+    receiver: &Element,
+    source: u32,
+    amount: f32,
+    parts: &mut Vec<Part>,
+) {
     let mut open = vec![(source, amount)];
     let end = parts.len() + PARTS;
     while let Some((index, amount)) = open.pop() {
@@ -259,13 +269,13 @@ fn in_parts(arena: &Arena, lights: &Lights, receiver: &Element, source: u32, amo
         let distance2 = q.center.distance_squared(receiver.center);
         let is_small = q.radius * q.radius <= LARGE * LARGE * distance2;
         if is_small || q.is_leaf() || parts.len() + open.len() >= end {
-            let origin = receiver.nodes[parts.len() % receiver.count].position;
-            if q.kind == Kind::Patch {
+            let origin = receiver.nodes[parts.len() % receiver.node_count].position;
+            if q.kind == ElementKind::Patch {
                 // Each node represents its share of the area.
-                let amount = amount / q.count as f32;
-                let spread = q.size / (PI * q.count as f32);
+                let amount = amount / q.node_count as f32;
+                let spread = q.size / (PI * q.node_count as f32);
                 let part = |node: &SurfaceSpot| Part { origin, target: node.position, spread, amount };
-                parts.extend(q.nodes[..q.count].iter().map(part));
+                parts.extend(q.nodes[..q.node_count].iter().map(part));
             } else {
                 let spread = (0.5 * q.radius * q.radius).min(1e30);
                 parts.push(Part { origin, target: q.center, spread, amount });
@@ -273,11 +283,11 @@ fn in_parts(arena: &Arena, lights: &Lights, receiver: &Element, source: u32, amo
             continue;
         }
         let weights = q.children.map(|child| {
-            let (part, light) = (&arena.elements[child as usize], &lights.of[child as usize]);
+            let (part, light) = (&arena.elements[child as usize], &lights.elements[child as usize]);
             let way = part.center - receiver.center;
             let distance2 = way.length_squared().max(0.25 * part.radius * part.radius).max(f32::MIN_POSITIVE);
             let dir = way.normalize_or(Vec3A::Z);
-            let there = if part.kind == Kind::Patch { (-part.normal.dot(dir)).max(0.0) } else { 0.5 };
+            let there = if part.kind == ElementKind::Patch { (-part.normal.dot(dir)).max(0.0) } else { 0.5 };
             let size = if part.size.is_finite() { part.size } else { 0.0 };
             size * luminance(light.radiosity).max(0.0) * cosine(receiver, dir).max(1e-3) * there.max(1e-3) / distance2
         });
@@ -308,7 +318,7 @@ fn direction(cell: usize, place: [f32; 2]) -> Vec3A {
 }
 
 /// Returns the lobes of a leaf, and the share of directions to sample from them; no lobes if they gain nothing.
-fn guide(element: &Element, links: &[Part], rays: &[Seen], portals: &[Portal]) -> (f32, Vec<Lobe>) {
+fn guide(element: &Element, links: &[Part], rays: &[IncidentSegment], portals: &[Portal]) -> (f32, Vec<Lobe>) {
     let nothing = (0.0, Vec::new());
     let by_links: f32 = links.iter().map(|part| part.amount).sum();
     let by_rays: f32 = rays.iter().map(|ray| ray.irradiance).sum();

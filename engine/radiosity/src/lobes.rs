@@ -156,7 +156,7 @@ pub fn fit(parts: &[Part], center: Vec3A, frame: &Frame, portals: &[Portal]) -> 
     let fixed: Vec<Lobe> = fixed.into_iter().flatten().collect();
     let parts = fewer(&parts, MOST, |part| f64::from(part.amount));
     let parts = &parts.into_iter().map(|(part, amount)| Part { amount: amount as f32, ..part }).collect::<Vec<_>>();
-    let places: Vec<Place> = parts.iter().filter_map(|part| Place::of(part, center, frame)).collect();
+    let places: Vec<Place> = parts.iter().filter_map(|part| Place::new(part, center, frame)).collect();
     let whole: f32 = places.iter().map(|place| place.part.amount).sum();
     if !(whole > 0.0 && whole.is_finite()) {
         return shares(fixed);
@@ -192,7 +192,7 @@ struct Place {
 }
 
 impl Place {
-    fn of(part: &Part, center: Vec3A, frame: &Frame) -> Option<Self> {
+    fn new(part: &Part, center: Vec3A, frame: &Frame) -> Option<Self> {
         let dirs = [part.target - part.origin, part.target - center].map(|way| frame.to_local(way.normalize_or_zero()));
         if !(dirs[1].z > 0.0 && part.amount > 0.0) {
             return None;

@@ -4,8 +4,8 @@
 //! whole surface, so that neighbors share its lines. If a leaf is finer than the grid, its neighbor's chord misses the vertex by
 //! less than the grid's own error.
 
-use crate::look::Look;
-use crate::scene::TIME;
+use crate::scene::SHUTTER_TIME;
+use crate::view::SolutionView;
 use femc_field::{Form, NONE, Outline, Side, Surface, SurfaceSpot};
 use femc_geometry::Quadric;
 use femc_math::Rgb;
@@ -18,7 +18,7 @@ use std::collections::BTreeMap;
 
 /// Content of a mesh.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Part {
+pub enum MeshContent {
     /// Elements.
     Elements,
     /// Light sources that reflect nothing and therefore are not elements.
@@ -29,7 +29,7 @@ pub enum Part {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mesh {
     /// Content of the mesh.
-    pub part: Part,
+    pub content: MeshContent,
     /// Index of the material.
     pub material: u32,
     /// Side from which the mesh is visible.
@@ -55,9 +55,9 @@ pub struct Mesh {
 }
 
 impl Mesh {
-    fn new((part, material, back): (Part, u32, bool)) -> Self {
+    fn new((part, material, back): (MeshContent, u32, bool)) -> Self {
         Self {
-            part,
+            content: part,
             material,
             side: if back { Side::Back } else { Side::Front },
             positions: Vec::new(),
@@ -98,7 +98,7 @@ impl Mesh {
         let facing = cross(b - a, c - a);
         // At the poles of a grid, two of the corners coincide.
         let longest = (b - a).length_squared().max((c - a).length_squared()).max((c - b).length_squared());
-        if facing.length_squared() <= (NOTHING * longest) * (NOTHING * longest) {
+        if facing.length_squared() <= (MIN_HEIGHT_RATIO * longest) * (MIN_HEIGHT_RATIO * longest) {
             return;
         }
         let [a, b, c] = corners;
@@ -107,52 +107,52 @@ impl Mesh {
 }
 
 /// Minimum height of a triangle over its longest edge. Flatter triangles are dropped.
-const NOTHING: f32 = 1e-7;
+const MIN_HEIGHT_RATIO: f32 = 1e-7;
 /// Possible numbers of steps of a grid around an axis.
-const STEPS: [u32; 3] = [16, 32, 64];
+const GRID_STEPS: [u32; 3] = [16, 32, 64];
 /// Distance of a chord of the grid from the surface that is not visible, as a share of the scene's extent.
-const SAGITTA: f32 = 2e-5;
+const MAX_SAGITTA: f32 = 2e-5;
 
 /// Returns the meshes of a solution, in an order that depends only on the scene: elements, then lamps.
-pub fn meshes(look: &Look<'_>) -> Vec<Mesh> {
+pub fn solution_meshes(view: &SolutionView<'_>) -> Vec<Mesh> {
     let mut meshes = BTreeMap::new();
-    let extent = look.prepared.world.bounds().size().length();
-    let field = &look.solution.field;
+    let extent = view.prepared.world.bounds().size().length();
+    let field = &view.solution.field;
     for (index, surface) in (0u32..).zip(&field.surfaces) {
-        let key = (Part::Elements, surface.material, surface.side == Side::Back);
+        let key = (MeshContent::Elements, surface.material, surface.side == Side::Back);
         for (leaf, outline) in field.leaves_of(index) {
             let mesh = meshes.entry(key).or_insert_with(|| Mesh::new(key));
             let grid = Grid::new(surface, &outline, extent);
             grid.add(mesh, |mesh, local, spot| {
                 let place = outline.at(local);
                 let inside = outline.at(local.lerp(Vec2::splat(1.0 / 3.0), 1e-3));
-                let arriving = look.irradiance(leaf, local, spot.normal);
-                let sent = look.radiance(index, arriving, place, inside);
+                let arriving = view.irradiance(leaf, local, spot.normal);
+                let sent = view.radiance(index, arriving, place, inside);
                 mesh.push(spot, [sent, arriving.total(), arriving.direct], leaf, index);
             });
         }
     }
-    for surface in lamps(look) {
-        let key = (Part::Lamps, surface.material, surface.side == Side::Back);
+    for surface in emitting_surfaces(view) {
+        let key = (MeshContent::Lamps, surface.material, surface.side == Side::Back);
         let grid = Grid::new(&surface, &Outline::WHOLE, extent);
         let mesh = meshes.entry(key).or_insert_with(|| Mesh::new(key));
         grid.add(mesh, |mesh, local, spot| {
-            mesh.push(spot, [look.emitted(&surface, local, spot), Rgb::ZERO, Rgb::ZERO], NONE, NONE);
+            mesh.push(spot, [view.emitted(&surface, local, spot), Rgb::ZERO, Rgb::ZERO], NONE, NONE);
         });
     }
     meshes.into_values().filter(|mesh| !mesh.triangles.is_empty()).collect()
 }
 
 /// Returns the sides of emitting surfaces that are not elements.
-fn lamps(look: &Look<'_>) -> Vec<Surface> {
-    let Prepared { world, instances, materials, .. } = look.prepared;
+fn emitting_surfaces(view: &SolutionView<'_>) -> Vec<Surface> {
+    let Prepared { world, instances, materials, .. } = view.prepared;
     let mut lamps = Vec::new();
     for (instance, group) in (0u32..).zip(instances.iter()) {
-        let pose = world.pose_at(instance, TIME);
+        let pose = world.pose_at(instance, SHUTTER_TIME);
         let blas = &group.compiled.blas;
         for (primitive, about) in (0u32..).zip(&group.compiled.primitives) {
             let sides =
-                look.solution.field.sides.get(instance as usize).and_then(|sides| sides.get(primitive as usize));
+                view.solution.field.sides.get(instance as usize).and_then(|sides| sides.get(primitive as usize));
             if about.emitter == NONE || sides != Some(&[NONE; 2]) {
                 continue;
             }
@@ -165,7 +165,7 @@ fn lamps(look: &Look<'_>) -> Vec<Surface> {
                 (None, None) => continue,
             };
             let kernel = &materials[about.material as usize];
-            let both = kernel.parameters.sides == Sides::Two && kernel.faces_viewer == Orientation::TowardViewer;
+            let both = kernel.parameters.sides == Sides::Two && kernel.orientation == Orientation::TowardViewer;
             for side in [Side::Front, Side::Back].into_iter().take(1 + usize::from(both)) {
                 let (primitives, form) = ([primitive; 2], form.clone());
                 let surface = Surface { instance, primitives, material: about.material, side, form };
@@ -198,19 +198,19 @@ impl<'a> Grid<'a> {
                 grid.rows = vec![(0.0, 0.0), (1.0, 1.0)];
             }
             Form::Curved { shape, pose } => {
-                let [around, along] = steps(shape, pose.matrix3.x_axis.length(), extent);
+                let [around, along] = grid_steps(shape, pose.matrix3.x_axis.length(), extent);
                 let (corner, end) = (outline.at(Vec2::ZERO), outline.at(Vec2::ONE));
                 let size = end - corner;
-                let columns = cuts([corner.x, end.x].map(f64::from), around);
+                let columns = grid_lines([corner.x, end.x].map(f64::from), around);
                 grid.columns =
                     columns.iter().map(|&u| ((u - f64::from(corner.x)) / f64::from(size.x)) as f32).collect();
                 let at = |share: f32| match share {
                     0.0 => 0.0,
                     1.0 => 1.0,
-                    _ => shape.at_share(f64::from(share)),
+                    _ => shape.parameter_at_share(f64::from(share)),
                 };
                 let local = |v: f64| ((shape.share_below(v) - f64::from(corner.y)) / f64::from(size.y)) as f32;
-                let rows = cuts([corner.y, end.y].map(at), along);
+                let rows = grid_lines([corner.y, end.y].map(at), along);
                 grid.rows = rows.into_iter().map(|v| (v, local(v).clamp(0.0, 1.0))).collect();
             }
         }
@@ -269,7 +269,7 @@ impl<'a> Grid<'a> {
 }
 
 /// Returns the number of steps around the axis, and along the second parameter.
-fn steps(shape: &Quadric, scale: f32, extent: f32) -> [u32; 2] {
+fn grid_steps(shape: &Quadric, scale: f32, extent: f32) -> [u32; 2] {
     let (radius, straight) = match *shape {
         Quadric::Sphere { radius, .. } => (radius, false),
         Quadric::Cone { start_radius, end_radius, .. } => (start_radius.max(end_radius), true),
@@ -277,14 +277,14 @@ fn steps(shape: &Quadric, scale: f32, extent: f32) -> [u32; 2] {
         Quadric::Torus { major, minor, .. } => (major + minor, false),
     };
     // A chord over the angle a deviates by r a^2 / 8 from its arc.
-    let angle = (8.0 * SAGITTA * extent / (radius * scale).max(f32::MIN_POSITIVE)).sqrt();
+    let angle = (8.0 * MAX_SAGITTA * extent / (radius * scale).max(f32::MIN_POSITIVE)).sqrt();
     let needed = std::f32::consts::TAU / angle;
-    let around = STEPS.into_iter().find(|&steps| steps as f32 >= needed).unwrap_or(STEPS[2]);
+    let around = GRID_STEPS.into_iter().find(|&steps| steps as f32 >= needed).unwrap_or(GRID_STEPS[2]);
     [around, if straight { 1 } else { around / 2 }]
 }
 
-/// Returns both ends, and the multiples of 1 / `steps` between them.
-fn cuts([from, to]: [f64; 2], steps: u32) -> Vec<f64> {
+/// Returns both ends, and the multiples of 1 / `grid_steps` between them.
+fn grid_lines([from, to]: [f64; 2], steps: u32) -> Vec<f64> {
     let near = 1e-3 / f64::from(steps);
     let inner = (1..steps).map(|step| f64::from(step) / f64::from(steps));
     let inner = inner.filter(|&at| at > from + near && at < to - near);
@@ -305,13 +305,13 @@ mod tests {
     /// Creates the mesh of a surface with leaves: halves along both parameters alternately. Leaves at the first corner are split
     /// `deeper` more times.
     fn mesh(surface: &Surface, deeper: u32) -> Mesh {
-        let mut mesh = Mesh::new((Part::Elements, 0, surface.side == Side::Back));
+        let mut mesh = Mesh::new((MeshContent::Elements, 0, surface.side == Side::Back));
         let mut pending = vec![(Outline::WHOLE, 0)];
         while let Some((outline, depth)) = pending.pop() {
             let deepest = 3 + if outline.corner == Vec2::ZERO { deeper } else { 0 };
             if depth < deepest {
                 let halves = Outline::halves(femc_field::Split::Half((depth % 2) as u8), |_, _| 1.0);
-                pending.extend(halves.map(|half| (outline.of(&half), depth + 1)));
+                pending.extend(halves.map(|half| (outline.compose(&half), depth + 1)));
                 continue;
             }
             let grid = Grid::new(surface, &outline, 4.0);

@@ -5,7 +5,7 @@
 //! lines determine its extent only across their directions (expectation maximization with missing data, \[dempster1977\]). Each
 //! leaf then knows the direction of the portal.
 
-use crate::bytes::{Damaged, Reader, Writer};
+use crate::bytes::{Reader, StepDecodeError, Writer};
 use crate::fewer::fewer;
 use femc_field::Lobe;
 use femc_math::Frame;
@@ -243,10 +243,10 @@ pub fn write(portals: &[Portal], writer: &mut Writer) {
 
 /// Reads the output of [`write`].
 /// - errors: it is damaged.
-pub fn read(reader: &mut Reader) -> Result<Vec<Portal>, Damaged> {
+pub fn read(reader: &mut Reader) -> Result<Vec<Portal>, StepDecodeError> {
     let count = reader.number()?;
     if count > MOST as u64 {
-        return Err(Damaged("it has too many portals"));
+        return Err(StepDecodeError("it has too many portals"));
     }
     let read = |_| {
         let ways = usize::try_from(reader.number()?).map_err(|_| WRONG)?;
@@ -263,7 +263,7 @@ pub fn read(reader: &mut Reader) -> Result<Vec<Portal>, Damaged> {
     (0..count).map(read).collect()
 }
 
-const WRONG: Damaged = Damaged("a portal has invalid numbers");
+const WRONG: StepDecodeError = StepDecodeError("a portal has invalid numbers");
 
 /// Selects at most [`WAYS`] lines that represent all. None weighs more than a hundredth of the total.
 fn standing_for(lines: &[Line]) -> Vec<Line> {

@@ -8,7 +8,7 @@ use femc_prepared::{Orientation, Prepared};
 use femc_scattering::{Bsdf, Sides};
 
 /// Time of the shutter. Moving objects are at their position in the middle of the shutter interval.
-pub const TIME: f32 = 0.5;
+pub const SHUTTER_TIME: f32 = 0.5;
 
 /// Surfaces and fog of a frame.
 pub struct Scene<'a> {
@@ -19,11 +19,11 @@ pub struct Scene<'a> {
     /// Box around the relevant fog, if there is any.
     pub fog: Option<[Vec3A; 2]>,
     /// Extinction of the fog, 1/m, if it is gray and homogeneous.
-    pub haze: Option<f32>,
+    pub uniform_extinction: Option<f32>,
     /// Light sources.
     pub lamps: Vec<Lamp>,
     /// Reflected and transmitted share by material.
-    reflected: Vec<(Rgb, Rgb)>,
+    albedos: Vec<(Rgb, Rgb)>,
 }
 
 /// A light source.
@@ -40,7 +40,7 @@ pub struct Lamp {
 impl Lamp {
     fn new(prepared: &Prepared, lamp: u32) -> Self {
         let bounds = prepared.lights.bounds(lamp);
-        let polygons = match prepared.lights.even_polygon(lamp) {
+        let polygons = match prepared.lights.uniform_polygon(lamp) {
             None => Vec::new(),
             Some((corners, luminance, false)) => vec![(corners, luminance)],
             Some((corners, luminance, true)) => {
@@ -55,11 +55,11 @@ impl Lamp {
 
 impl<'a> Scene<'a> {
     pub fn new(prepared: &'a Prepared) -> Self {
-        let reflected: Vec<_> = prepared.materials.iter().map(|material| scattered(&material.bsdf)).collect();
+        let albedos: Vec<_> = prepared.materials.iter().map(|material| diffuse_albedos(&material.bsdf)).collect();
         let mut surfaces = Vec::new();
         let mut sides = Vec::with_capacity(prepared.instances.len());
         for (instance, group) in prepared.instances.iter().enumerate() {
-            let pose = prepared.world.pose_at(instance as u32, TIME);
+            let pose = prepared.world.pose_at(instance as u32, SHUTTER_TIME);
             let blas = &group.compiled.blas;
             let triangle = |primitive: u32| blas.triangle(primitive).map(|t| t.map(|p| pose.transform_point3a(p)));
             let primitives = &group.compiled.primitives;
@@ -69,7 +69,7 @@ impl<'a> Scene<'a> {
                 let (first, material) = (next, primitives[next as usize].material);
                 let second = primitives.get(first as usize + 1).filter(|other| other.material == material);
                 let (form, last) = match (triangle(first), second.and_then(|_| triangle(first + 1))) {
-                    (Some(a), b) => match b.and_then(|b| Surface::joined(a, b)) {
+                    (Some(a), b) => match b.and_then(|b| Surface::join_triangles(a, b)) {
                         Some(joined) => (Form::Parallelogram(joined), first + 1),
                         None => (Form::Triangle([a[0], a[1] - a[0], a[2] - a[0]]), first),
                     },
@@ -79,12 +79,12 @@ impl<'a> Scene<'a> {
                     },
                 };
                 next = last + 1;
-                let (reflectance, transmittance) = reflected[material as usize];
+                let (reflectance, transmittance) = albedos[material as usize];
                 if reflectance == Rgb::ZERO && transmittance == Rgb::ZERO {
                     continue;
                 }
                 let kernel = &prepared.materials[material as usize];
-                let both = kernel.parameters.sides == Sides::Two && kernel.faces_viewer == Orientation::TowardViewer;
+                let both = kernel.parameters.sides == Sides::Two && kernel.orientation == Orientation::TowardViewer;
                 for side in [Side::Front, Side::Back].into_iter().take(1 + usize::from(both)) {
                     let index = surfaces.len() as u32;
                     let primitives = [first, last];
@@ -98,48 +98,56 @@ impl<'a> Scene<'a> {
             sides.push(of);
         }
         let lamps = (0..prepared.lights.len() as u32).map(|lamp| Lamp::new(prepared, lamp)).collect();
-        Self { prepared, surfaces, sides, fog: fog(prepared), haze: prepared.media.even_extinction(), lamps, reflected }
+        Self {
+            prepared,
+            surfaces,
+            sides,
+            fog: fog_bounds(prepared),
+            uniform_extinction: prepared.media.uniform_extinction(),
+            lamps,
+            albedos,
+        }
     }
 
     /// Returns the reflected and transmitted shares of the light that a surface receives.
-    pub fn reflected(&self, surface: u32) -> (Rgb, Rgb) {
-        self.reflected[self.surfaces[surface as usize].material as usize]
+    pub fn surface_albedos(&self, surface: u32) -> (Rgb, Rgb) {
+        self.albedos[self.surfaces[surface as usize].material as usize]
     }
 
     /// Returns the other side of a surface, or [`NONE`].
-    pub fn behind(&self, surface: u32) -> u32 {
+    pub fn other_side(&self, surface: u32) -> u32 {
         let Surface { instance, primitives, side, .. } = &self.surfaces[surface as usize];
         self.sides[*instance as usize][primitives[0] as usize][usize::from(*side == Side::Front)]
     }
 }
 
 /// Direction halfway between the normal and grazing, by solid angle.
-pub const BETWEEN: Vec3A = Vec3A::new(0.866_025_4, 0.0, 0.5);
+pub const MEAN_DIRECTION: Vec3A = Vec3A::new(0.866_025_4, 0.0, 0.5);
 
 /// Returns the diffuse reflectance and transmittance, including glossy reflection. Mirrors and clear solids contribute nothing.
-pub fn scattered(bsdf: &Bsdf) -> (Rgb, Rgb) {
-    let wo = BETWEEN;
+pub fn diffuse_albedos(bsdf: &Bsdf) -> (Rgb, Rgb) {
+    let wo = MEAN_DIRECTION;
     match bsdf {
         Bsdf::Black | Bsdf::Mirror(_) | Bsdf::Dielectric(_) => (Rgb::ZERO, Rgb::ZERO),
-        Bsdf::Diffuse(it) => (it.rd, Rgb::ZERO),
-        Bsdf::Opaque(it) if it.is_smooth() => (it.rd, Rgb::ZERO),
+        Bsdf::Diffuse(diffuse) => (diffuse.rd, Rgb::ZERO),
+        Bsdf::Opaque(opaque) if opaque.is_smooth() => (opaque.rd, Rgb::ZERO),
         Bsdf::Opaque(_) => (bsdf.albedo(wo), Rgb::ZERO),
-        Bsdf::Sheet(it) => (it.rd, it.td),
+        Bsdf::Sheet(sheet) => (sheet.rd, sheet.td),
     }
 }
 
 /// Number of free paths beyond the surfaces to which the fog is extended.
-const FAR: f32 = 2.0;
+const FAR_FREE_PATHS: f32 = 2.0;
 
 /// Returns a box around the fog that scatters: around all surfaces, and in open directions extended by the range of light in the
 /// fog.
-fn fog(prepared: &Prepared) -> Option<[Vec3A; 2]> {
+fn fog_bounds(prepared: &Prepared) -> Option<[Vec3A; 2]> {
     if prepared.media.is_empty() {
         return None;
     }
     let mut around = prepared.world.bounds();
     let size = around.size();
-    let far = (FAR / prepared.media.extinction_at(around.center())).min(0.5 * size.max_element());
+    let far = (FAR_FREE_PATHS / prepared.media.extinction_at(around.center())).min(0.5 * size.max_element());
     for axis in 0..3 {
         for outward in [-1.0, 1.0] {
             if !is_open(prepared, axis, outward) {
@@ -164,7 +172,7 @@ fn is_open(prepared: &Prepared, axis: usize, outward: f32) -> bool {
         let place =
             Vec3A::new(step(0.819_172_513_396_164_4), step(0.671_043_606_703_789_3), step(0.549_700_477_901_970_2));
         let origin = bounds.min + bounds.size() * place;
-        !prepared.world.occluded(&Ray { origin, dir, t_max: f32::INFINITY, time: TIME })
+        !prepared.world.occluded(&Ray { origin, dir, t_max: f32::INFINITY, time: SHUTTER_TIME })
     };
     (0..RAYS).filter(leaves).count() as u32 > RAYS / 2
 }

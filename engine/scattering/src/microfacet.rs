@@ -66,10 +66,10 @@ pub fn reflect(w: Vec3A, axis: Vec3A) -> Vec3A {
 
 /// Returns the reflection lobe `D G2 / (4 cos_o)` (f |cos_i| without the Fresnel factor) and its density, both for z > 0.
 #[inline]
-pub fn reflection(wo: Vec3A, wi: Vec3A, alpha: f32) -> Lobe {
+pub fn reflection_lobe(wo: Vec3A, wi: Vec3A, alpha: f32) -> MicrofacetLobe {
     let h = (wo + wi).normalize_or(Vec3A::Z);
     let d = normal_distribution(h, alpha);
-    Lobe {
+    MicrofacetLobe {
         value: d * wi.z * visibility(wo.z, wi.z, alpha),
         pdf: d * masking_density(wo.z, alpha),
         cos_half: wo.dot(h).clamp(0.0, 1.0),
@@ -78,7 +78,7 @@ pub fn reflection(wo: Vec3A, wi: Vec3A, alpha: f32) -> Lobe {
 
 /// Value and density of a microfacet lobe for one pair of directions.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Lobe {
+pub struct MicrofacetLobe {
     /// f |cos_i| without the Fresnel factor, 1/sr.
     pub value: f32,
     /// Density of sampling by visible normals, 1/sr.

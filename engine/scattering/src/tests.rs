@@ -22,7 +22,7 @@ fn uniform_pair(seed: u64, i: u64) -> [f32; 2] {
     [uniform(&[seed, i, 1]), uniform(&[seed, i, 2])]
 }
 
-fn grey(x: f32) -> Rgb {
+fn gray(x: f32) -> Rgb {
     Rgb::splat(x)
 }
 
@@ -34,16 +34,16 @@ fn members() -> Vec<(String, Bsdf, f32)> {
         ("diffuse".to_string(), MaterialParameters { rd: Rgb::new(0.9, 0.5, 0.1), ..p }, 1.0),
         ("one-sided diffuse".to_string(), MaterialParameters { rd: warm, sides: Sides::One, ..p }, 1.0),
         ("mirror".to_string(), MaterialParameters { rs: warm, ..p }, 1.0),
-        ("smooth plastic".to_string(), MaterialParameters { rd: warm, rs: grey(0.5), ior: Some((1.5, 0.0)), ..p }, 1.0),
-        ("translucent".to_string(), MaterialParameters { rd: grey(0.3), td: warm, ..p }, 1.0),
-        ("clear sheet".to_string(), MaterialParameters { rs: grey(0.1), ts: grey(0.8), ..p }, 1.0),
-        ("glass".to_string(), MaterialParameters { ts: grey(1.0), ior: Some((1.5, 0.0)), sides: Sides::One, ..p }, 1.5),
+        ("smooth plastic".to_string(), MaterialParameters { rd: warm, rs: gray(0.5), ior: Some((1.5, 0.0)), ..p }, 1.0),
+        ("translucent".to_string(), MaterialParameters { rd: gray(0.3), td: warm, ..p }, 1.0),
+        ("clear sheet".to_string(), MaterialParameters { rs: gray(0.1), ts: gray(0.8), ..p }, 1.0),
+        ("glass".to_string(), MaterialParameters { ts: gray(1.0), ior: Some((1.5, 0.0)), sides: Sides::One, ..p }, 1.5),
         (
             "milky glass".to_string(),
             MaterialParameters {
                 ts: warm,
-                rd: grey(0.2),
-                td: grey(0.3),
+                rd: gray(0.2),
+                td: gray(0.3),
                 ior: Some((1.5, 0.0)),
                 sides: Sides::One,
                 ..p
@@ -54,27 +54,27 @@ fn members() -> Vec<(String, Bsdf, f32)> {
     for alpha in [0.02f32, 0.1, 0.4, 1.0] {
         let mut add = |name: &str, p: MaterialParameters, n: f32| list.push((format!("{name} {alpha}"), p, n));
         add("gloss", MaterialParameters { rs: warm, rs_alpha: alpha, ..p }, 1.0);
-        add("floor", MaterialParameters { rd: warm, rs: grey(0.5), rs_alpha: alpha, ..p }, 1.0);
+        add("floor", MaterialParameters { rd: warm, rs: gray(0.5), rs_alpha: alpha, ..p }, 1.0);
         let ior = Some((1.5, 0.0));
-        add("plastic", MaterialParameters { rd: warm, rs: grey(0.5), rs_alpha: alpha, ior, ..p }, 1.0);
-        add("silver", MaterialParameters { rs: grey(1.0), rs_alpha: alpha, ior: Some((0.15, 3.6)), ..p }, 1.0);
+        add("plastic", MaterialParameters { rd: warm, rs: gray(0.5), rs_alpha: alpha, ior, ..p }, 1.0);
+        add("silver", MaterialParameters { rs: gray(1.0), rs_alpha: alpha, ior: Some((0.15, 3.6)), ..p }, 1.0);
         let sheet = MaterialParameters {
-            rd: grey(0.1),
-            td: grey(0.15),
+            rd: gray(0.1),
+            td: gray(0.15),
             rs: warm * 0.5,
-            ts: grey(0.4),
+            ts: gray(0.4),
             rs_alpha: alpha,
             ts_alpha: 0.5 * alpha,
             ..p
         };
         add("sheet", sheet, 1.0);
-        let waxed = MaterialParameters { rd: grey(0.3), td: grey(0.3), rs: grey(0.4), rs_alpha: alpha, ior, ..p };
+        let waxed = MaterialParameters { rd: gray(0.3), td: gray(0.3), rs: gray(0.4), rs_alpha: alpha, ior, ..p };
         add("waxed sheet", waxed, 1.0);
         let solid = MaterialParameters { ts: warm * 2.0, ts_alpha: alpha, ior, sides: Sides::One, ..p };
         add("rough glass", solid, 1.5);
-        let bubble = MaterialParameters { ior: Some((0.75, 0.0)), rd: grey(0.0), td: grey(0.0), ..solid };
+        let bubble = MaterialParameters { ior: Some((0.75, 0.0)), rd: gray(0.0), td: gray(0.0), ..solid };
         add("rough bubble", bubble, 0.75);
-        let frosted = MaterialParameters { ts: warm, rd: grey(0.2), td: grey(0.3), ..solid };
+        let frosted = MaterialParameters { ts: warm, rd: gray(0.2), td: gray(0.3), ..solid };
         add("frosted glass", frosted, 1.5);
     }
     list.into_iter().map(|(name, p, n)| (name, Bsdf::from_parameters(&p), n)).collect()
@@ -100,11 +100,11 @@ fn members_are_the_cheapest_that_have_the_parameters() {
     let p = MaterialParameters::default();
     let of = |p: MaterialParameters| Bsdf::from_parameters(&p);
     assert!(matches!(of(p), Bsdf::Black));
-    assert!(matches!(of(MaterialParameters { rd: grey(0.5), ior: Some((1.5, 0.0)), ..p }), Bsdf::Diffuse(_)));
-    assert!(matches!(of(MaterialParameters { rs: grey(0.5), ..p }), Bsdf::Mirror(_)));
-    assert!(matches!(of(MaterialParameters { rs: grey(0.5), rs_alpha: 0.1, ..p }), Bsdf::Opaque(_)));
-    assert!(matches!(of(MaterialParameters { ts: grey(0.5), ior: Some((1.5, 0.0)), ..p }), Bsdf::Sheet(_)));
-    let solid = MaterialParameters { ts: grey(0.5), sides: Sides::One, ..p };
+    assert!(matches!(of(MaterialParameters { rd: gray(0.5), ior: Some((1.5, 0.0)), ..p }), Bsdf::Diffuse(_)));
+    assert!(matches!(of(MaterialParameters { rs: gray(0.5), ..p }), Bsdf::Mirror(_)));
+    assert!(matches!(of(MaterialParameters { rs: gray(0.5), rs_alpha: 0.1, ..p }), Bsdf::Opaque(_)));
+    assert!(matches!(of(MaterialParameters { ts: gray(0.5), ior: Some((1.5, 0.0)), ..p }), Bsdf::Sheet(_)));
+    let solid = MaterialParameters { ts: gray(0.5), sides: Sides::One, ..p };
     assert!(matches!(of(solid), Bsdf::Sheet(_)), "without an index nothing is bent");
     assert!(matches!(of(MaterialParameters { ior: Some((1.5, 0.0)), ..solid }), Bsdf::Dielectric(_)));
     assert!(matches!(of(MaterialParameters { ior: Some((0.2, 3.0)), ..solid }), Bsdf::Sheet(_)), "not a conductor");
@@ -114,7 +114,7 @@ fn members_are_the_cheapest_that_have_the_parameters() {
 fn what_is_diffuse_and_what_is_glossy_is_all() {
     for (name, bsdf, _) in members() {
         let gloss = match bsdf {
-            Bsdf::Dielectric(b) => Bsdf::Dielectric(b.clear()),
+            Bsdf::Dielectric(b) => Bsdf::Dielectric(b.without_diffuse()),
             other => other.without_lambertian(),
         };
         for (wo, i) in views().into_iter().flat_map(|wo| (0..200).map(move |i| (wo, i))) {
@@ -176,7 +176,7 @@ fn sample_weight_is_value_over_pdf_and_sides_are_correct() {
                 assert!(s.pdf > 0.0 && s.pdf.is_finite() && s.weight.is_finite(), "{name} {wo}: {s:?}");
                 assert_eq!(s.transmitted == Transmitted::Yes, s.wi.z * wo.z < 0.0, "{name} {wo}: {s:?}");
                 let index = |z: f32| if z > 0.0 { 1.0 } else { n };
-                let eta = if bsdf.is_bent() { index(s.wi.z) / index(wo.z) } else { 1.0 };
+                let eta = if bsdf.is_refractive() { index(s.wi.z) / index(wo.z) } else { 1.0 };
                 assert!((s.eta - eta).abs() < 1e-6, "{name} {wo}: {s:?}");
                 if s.lobe == LobeKind::Delta {
                     continue;
@@ -191,7 +191,7 @@ fn sample_weight_is_value_over_pdf_and_sides_are_correct() {
 }
 
 impl Bsdf {
-    fn is_bent(&self) -> bool {
+    fn is_refractive(&self) -> bool {
         matches!(self, Self::Dielectric(_))
     }
 }
@@ -250,7 +250,7 @@ fn no_member_creates_energy() {
             assert!(albedo.max_element() <= 1.0 + 3.0 * error, "{name} {wo}: {albedo} +- {error}");
             // The reported albedo ignores the loss of single scattering. It is an upper bound, and close for smooth members.
             let reported = bsdf.albedo(wo);
-            let rough = name.ends_with("0.4") || name.ends_with(" 1") || (bsdf.is_bent() && !bsdf.has_delta());
+            let rough = name.ends_with("0.4") || name.ends_with(" 1") || (bsdf.is_refractive() && !bsdf.has_delta());
             let tolerance = if name.ends_with(|c: char| c.is_ascii_digit()) { 0.05 } else { 2e-3 };
             if bsdf.sample(wo, [0.5; 2], 0.5).is_some() && !rough && wo.z.abs() > 0.1 {
                 let miss = (reported - albedo).abs().max_element();
@@ -265,18 +265,18 @@ fn white_surface_without_rough_specular_keeps_all_energy() {
     let p = MaterialParameters::default();
     let ior = Some((1.5, 0.0));
     for (name, p) in [
-        ("white", MaterialParameters { rd: grey(1.0), ..p }),
-        ("mirror", MaterialParameters { rs: grey(1.0), ..p }),
-        ("half mirror", MaterialParameters { rd: grey(0.5), rs: grey(0.5), ..p }),
-        ("sheet", MaterialParameters { rd: grey(0.25), td: grey(0.25), rs: grey(0.25), ts: grey(0.25), ..p }),
-        ("glass", MaterialParameters { ts: grey(1.0), ior, sides: Sides::One, ..p }),
-        ("opal", MaterialParameters { ts: grey(0.4), rd: grey(0.3), td: grey(0.3), ior, sides: Sides::One, ..p }),
+        ("white", MaterialParameters { rd: gray(1.0), ..p }),
+        ("mirror", MaterialParameters { rs: gray(1.0), ..p }),
+        ("half mirror", MaterialParameters { rd: gray(0.5), rs: gray(0.5), ..p }),
+        ("sheet", MaterialParameters { rd: gray(0.25), td: gray(0.25), rs: gray(0.25), ts: gray(0.25), ..p }),
+        ("glass", MaterialParameters { ts: gray(1.0), ior, sides: Sides::One, ..p }),
+        ("opal", MaterialParameters { ts: gray(0.4), rd: gray(0.3), td: gray(0.3), ior, sides: Sides::One, ..p }),
     ] {
         let bsdf = Bsdf::from_parameters(&p);
         for wo in views() {
             let (albedo, error) = furnace(&bsdf, wo, 77, 16);
             // Two per mille for the quadrature of the mean reflectance.
-            assert!((albedo - grey(1.0)).abs().max_element() < 2e-3 + 3.0 * error, "{name} {wo}: {albedo} +- {error}");
+            assert!((albedo - gray(1.0)).abs().max_element() < 2e-3 + 3.0 * error, "{name} {wo}: {albedo} +- {error}");
         }
     }
 }
@@ -284,8 +284,8 @@ fn white_surface_without_rough_specular_keeps_all_energy() {
 #[test]
 fn the_diffuse_part_gets_what_the_specular_part_leaves() {
     let bsdf = Bsdf::from_parameters(&MaterialParameters {
-        rd: grey(0.6),
-        rs: grey(0.4),
+        rd: gray(0.6),
+        rs: gray(0.4),
         ior: Some((1.5, 0.0)),
         ..MaterialParameters::default()
     });
@@ -301,8 +301,8 @@ fn the_plain_model_is_the_textbook_formula() {
     // f cos = rd cos / pi + rs D G2 / (4 cos_o), in double precision and with the usual forms of D and Lambda.
     let (rd, rs, alpha) = (0.25f64, 0.6f64, 0.15f64);
     let bsdf = Bsdf::from_parameters(&MaterialParameters {
-        rd: grey(rd as f32),
-        rs: grey(rs as f32),
+        rd: gray(rd as f32),
+        rs: gray(rs as f32),
         rs_alpha: alpha as f32,
         ..MaterialParameters::default()
     });
@@ -328,7 +328,7 @@ fn the_plain_model_is_the_textbook_formula() {
 #[test]
 fn smooth_glass_obeys_snell_and_rough_glass_tends_to_it() {
     let p =
-        MaterialParameters { ts: grey(1.0), ior: Some((1.5, 0.0)), sides: Sides::One, ..MaterialParameters::default() };
+        MaterialParameters { ts: gray(1.0), ior: Some((1.5, 0.0)), sides: Sides::One, ..MaterialParameters::default() };
     let smooth = Bsdf::from_parameters(&p);
     let rough = Bsdf::from_parameters(&MaterialParameters { ts_alpha: 2e-3, ..p });
     assert!(smooth.is_delta_only() && !rough.has_delta());
@@ -352,12 +352,12 @@ fn smooth_glass_obeys_snell_and_rough_glass_tends_to_it() {
 
 #[test]
 fn sheets_do_not_refract_and_transmit_the_mirrored_lobe() {
-    let p = MaterialParameters { rs: grey(0.4), ts: grey(0.4), ..MaterialParameters::default() };
-    let clear = Bsdf::from_parameters(&MaterialParameters { rs: grey(0.0), ior: Some((1.5, 0.0)), ..p });
+    let p = MaterialParameters { rs: gray(0.4), ts: gray(0.4), ..MaterialParameters::default() };
+    let clear = Bsdf::from_parameters(&MaterialParameters { rs: gray(0.0), ior: Some((1.5, 0.0)), ..p });
     let rough = Bsdf::from_parameters(&MaterialParameters { rs_alpha: 0.3, ts_alpha: 0.3, ..p });
     for (i, wo) in views().into_iter().enumerate() {
         let s = clear.sample(wo, [0.1, 0.2], 0.3).expect("clear");
-        assert_eq!((s.wi, s.weight, s.eta), (-wo, grey(0.4), 1.0), "rs and ts as they stand");
+        assert_eq!((s.wi, s.weight, s.eta), (-wo, gray(0.4), 1.0), "rs and ts as they stand");
         let wi = random_direction(4, i as u64);
         let mirrored = Vec3A::new(wi.x, wi.y, -wi.z);
         assert_eq!(rough.eval(wo, wi), rough.eval(wo, mirrored));
@@ -368,12 +368,12 @@ fn sheets_do_not_refract_and_transmit_the_mirrored_lobe() {
 fn a_one_sided_surface_does_nothing_behind() {
     let p = MaterialParameters {
         sides: Sides::One,
-        rd: grey(0.3),
-        rs: grey(0.3),
-        td: grey(0.2),
+        rd: gray(0.3),
+        rs: gray(0.3),
+        td: gray(0.2),
         ..MaterialParameters::default()
     };
-    for bsdf in [p, MaterialParameters { td: grey(0.0), ..p }, MaterialParameters { rs: grey(0.0), td: grey(0.0), ..p }]
+    for bsdf in [p, MaterialParameters { td: gray(0.0), ..p }, MaterialParameters { rs: gray(0.0), td: gray(0.0), ..p }]
     {
         let bsdf = Bsdf::from_parameters(&bsdf);
         let (front, back) = (Vec3A::new(0.6, 0.0, 0.8), Vec3A::new(0.6, 0.0, -0.8));
@@ -384,7 +384,7 @@ fn a_one_sided_surface_does_nothing_behind() {
 
 #[test]
 fn bsdf_is_finite_at_grazing_tiny_roughness_and_sample_corners() {
-    let p = MaterialParameters { rd: grey(0.2), rs: grey(0.4), ..MaterialParameters::default() };
+    let p = MaterialParameters { rd: gray(0.2), rs: gray(0.4), ..MaterialParameters::default() };
     let edge = [0.0f32, 1e-7, 0.5, 1.0 - f32::EPSILON / 2.0];
     let mut drawn = 0;
     for alpha in [0.0f32, 5e-5, 1.01e-4, 1e-3, 1.0] {
@@ -392,9 +392,9 @@ fn bsdf_is_finite_at_grazing_tiny_roughness_and_sample_corners() {
             MaterialParameters { rs_alpha: alpha, ..p },
             MaterialParameters { rs_alpha: alpha, ior: Some((1.5, 0.0)), ..p },
             MaterialParameters { rs_alpha: alpha, ior: Some((0.1, 5.0)), ..p },
-            MaterialParameters { ts: grey(0.4), ts_alpha: alpha, rs_alpha: alpha, ..p },
-            MaterialParameters { ts: grey(0.4), ts_alpha: alpha, ior: Some((1.5, 0.0)), sides: Sides::One, ..p },
-            MaterialParameters { ts: grey(0.4), ts_alpha: alpha, ior: Some((1.0 + 1e-6, 0.0)), sides: Sides::One, ..p },
+            MaterialParameters { ts: gray(0.4), ts_alpha: alpha, rs_alpha: alpha, ..p },
+            MaterialParameters { ts: gray(0.4), ts_alpha: alpha, ior: Some((1.5, 0.0)), sides: Sides::One, ..p },
+            MaterialParameters { ts: gray(0.4), ts_alpha: alpha, ior: Some((1.0 + 1e-6, 0.0)), sides: Sides::One, ..p },
         ];
         for bsdf in materials.map(|m| Bsdf::from_parameters(&m)) {
             for cos in [1.0f32, 1e-3, 1e-7, 1e-20] {

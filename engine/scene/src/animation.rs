@@ -12,7 +12,7 @@
 use crate::{
     ObjectId,
     description::{Camera, Clip, GroupId, Interpolation, Key, Motion, MotionPath, MotionStep, Scene, Vary},
-    objects::inherited,
+    objects::inherited_flags,
 };
 use femc_math::{
     Transform,
@@ -60,7 +60,7 @@ impl MotionPath {
             return k0.pose;
         }
         let u = (time - k0.time) / (k1.time - k0.time);
-        let (from, to) = (Similarity::of(&k0.pose), Similarity::of(&k1.pose));
+        let (from, to) = (Similarity::from_transform(&k0.pose), Similarity::from_transform(&k1.pose));
         let translation = match self.interpolation {
             Interpolation::Linear => from.translation + (to.translation - from.translation) * u,
             Interpolation::Spline => self.spline(before, u),
@@ -79,16 +79,16 @@ impl MotionPath {
     }
 
     /// Returns the motion between two times, s. Poses at times in between depend on nothing else.
-    pub fn between(&self, [from, to]: [f64; 2]) -> Passage<'_> {
+    pub fn motion_during(&self, [from, to]: [f64; 2]) -> PathMotion<'_> {
         let first = self.keys.partition_point(|key| key.time <= from).saturating_sub(1);
         let end = (self.keys.partition_point(|key| key.time < to) + 1).min(self.keys.len());
         if to <= from || first + 1 >= end || (first..end - 1).all(|segment| self.is_still(segment)) {
-            return Passage::Still(self.at(from));
+            return PathMotion::Still(self.at(from));
         }
         // A spline segment also depends on the keys before and after it.
         let around = usize::from(self.interpolation == Interpolation::Spline);
         let keys = &self.keys[first.saturating_sub(around)..(end + around).min(self.keys.len())];
-        Passage::Moving(self.interpolation, keys)
+        PathMotion::Moving(self.interpolation, keys)
     }
 
     /// Returns whether nothing moves in the segment that begins at key `first`. This is the case when both ends are equal, for a
@@ -119,7 +119,7 @@ impl MotionPath {
 
 /// Motion along a path during a time interval.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub enum Passage<'a> {
+pub enum PathMotion<'a> {
     /// The path keeps this pose.
     Still(Transform),
     /// The path moves like a path that has these keys only.
@@ -134,7 +134,7 @@ struct Similarity {
 }
 
 impl Similarity {
-    fn of(pose: &Transform) -> Self {
+    fn from_transform(pose: &Transform) -> Self {
         let m = pose.matrix3;
         let scale = m.x_axis.length().copysign(m.determinant());
         let rotation = if scale == 0.0 { DQuat::IDENTITY } else { DQuat::from_mat3(&(m * scale.recip())) };
@@ -257,6 +257,6 @@ impl Scene {
             .iter()
             .filter_map(|vary| vary.selector.strip_prefix("object.")?.strip_suffix(".hidden"))
             .collect();
-        inherited(&self.objects, |object| varied.contains(object.name.as_str()))
+        inherited_flags(&self.objects, |object| varied.contains(object.name.as_str()))
     }
 }

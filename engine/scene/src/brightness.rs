@@ -17,7 +17,7 @@ impl Scalars {
     }
 
     /// Returns a copy whose lamps have brightness 1 and keep their ratios. Scenes that differ only in brightness give equal copies.
-    pub fn of_brightness_one(&self) -> Self {
+    pub fn with_unit_brightness(&self) -> Self {
         let (mut one, whole) = (self.clone(), self.brightness());
         one.materials.iter_mut().for_each(|material| material.ed.amount = share(material.ed.amount, whole));
         let luminaires = one.luminaires.iter_mut().flatten();

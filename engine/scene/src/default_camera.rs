@@ -5,7 +5,7 @@
 //! Among nearly equal diagonals it prefers the one from the front left, above.
 
 use crate::description::{Camera, Location, RegionBounds, Scene};
-use crate::world::{Bounds, Dice, Ending, Hit, Ray, Scope, lamp_points, walk};
+use crate::world::{Bounds, Hit, Ray, Scope, SplitMix64, WalkEnd, lamp_points, random_walk};
 use femc_math::glam::DVec3;
 
 /// Number of random walks that test whether the scene is closed.
@@ -46,11 +46,11 @@ pub enum Standpoint {
 pub fn default_camera(scene: &Scene) -> Option<(Camera, Standpoint)> {
     let scope = Scope::new(scene);
     let bounds = subject(&scope)?;
-    let reached = reached(&scope, &bounds);
-    let target = bounds.middle();
-    let (origin, standpoint) = match reached {
-        Reached { closed: true, places } => (inside(&scope, &bounds, &places), Standpoint::Inside),
-        Reached { closed: false, places } => (outside(&scope, &bounds, &places), Standpoint::Outside),
+    let reach = trace_lamp_walks(&scope, &bounds);
+    let target = bounds.center();
+    let (origin, standpoint) = match reach {
+        LampReach { closed: true, lit_points } => (eye_inside(&scope, &bounds, &lit_points), Standpoint::Inside),
+        LampReach { closed: false, lit_points } => (eye_outside(&scope, &bounds, &lit_points), Standpoint::Outside),
     };
     // With extremely large coordinates there is no valid view.
     if !origin.is_finite() || (target - origin).try_normalize().is_none() {
@@ -86,75 +86,75 @@ fn subject(scope: &Scope<'_>) -> Option<Bounds> {
     let solid = triangles.chain(quadrics).fold(Bounds::EMPTY, Bounds::union);
     let media = scope.scene.regions.iter().filter_map(|region| match region.bounds {
         RegionBounds::Everywhere => None,
-        RegionBounds::Box { min, max, to_world } => Some(Bounds { min, max }.placed(&to_world)),
+        RegionBounds::Box { min, max, to_world } => Some(Bounds { min, max }.transformed(&to_world)),
     });
     let found = [solid, scope.bounds, media.fold(Bounds::EMPTY, Bounds::union)];
     found.into_iter().find(|bounds| !bounds.is_empty() && bounds.diagonal().is_finite())
 }
 
 /// Result of the walks of light.
-struct Reached {
+struct LampReach {
     /// Whether light stays in the scene.
     closed: bool,
     /// Points just before the surfaces that light reaches.
-    places: Vec<DVec3>,
+    lit_points: Vec<DVec3>,
 }
 
 /// Traces walks from the lamps. Without lamps, they start in the middle, and walls seen from behind count as open.
-fn reached(scope: &Scope<'_>, bounds: &Bounds) -> Reached {
+fn trace_lamp_walks(scope: &Scope<'_>, bounds: &Bounds) -> LampReach {
     let lamps = lamp_points(scope);
-    let (mut dice, mut places, mut escaped, mut averted) = (Dice(1), Vec::new(), 0, 0);
+    let (mut rng, mut lit_points, mut escaped, mut averted) = (SplitMix64(1), Vec::new(), 0, 0);
     for n in 0..WALKS {
         let lamp = lamps.get(n % lamps.len().max(1));
-        let any = dice.direction();
+        let any = rng.direction();
         let (origin, dir) = match lamp {
             Some(lamp) => match lamp.normal {
                 Some(normal) => {
-                    (lamp.place + 2.0 * scope.offset() * normal, (normal + 0.999 * any).normalize_or(normal))
+                    (lamp.position + 2.0 * scope.offset() * normal, (normal + 0.999 * any).normalize_or(normal))
                 }
-                None => (lamp.place, any),
+                None => (lamp.position, any),
             },
-            None => (bounds.middle(), any),
+            None => (bounds.center(), any),
         };
         let ray = Ray { origin, dir, far: f64::INFINITY };
         let mut first = true;
         let mut visit = |hit: &Hit, place: DVec3, _: DVec3| {
             averted += usize::from(first && lamp.is_none() && !hit.is_front(&ray));
             first = false;
-            places.push(place);
+            lit_points.push(place);
         };
-        escaped += usize::from(walk(scope, ray, &mut dice, &mut visit) == Ending::Escaped);
+        escaped += usize::from(random_walk(scope, ray, &mut rng, &mut visit) == WalkEnd::Escaped);
     }
     let most = (LEAK * WALKS as f64) as usize;
-    Reached { closed: escaped <= most && averted <= most, places }
+    LampReach { closed: escaped <= most && averted <= most, lit_points }
 }
 
 /// Returns the point near a corner of a room that sees most of the lit points.
-fn inside(scope: &Scope<'_>, bounds: &Bounds, places: &[DVec3]) -> DVec3 {
-    let (middle, half) = (bounds.middle(), 0.5 * (bounds.max - bounds.min));
+fn eye_inside(scope: &Scope<'_>, bounds: &Bounds, lit_points: &[DVec3]) -> DVec3 {
+    let (middle, half) = (bounds.center(), 0.5 * (bounds.max - bounds.min));
     // Above the middle, but below the lamps.
     let corners = CORNERS.map(|[x, y, z]| middle + TO_CORNER * half * DVec3::new(x, y, 0.5 * z));
-    best(scope, middle, &corners, places)
+    best_eye(scope, middle, &corners, lit_points)
 }
 
 /// Returns the point on a diagonal that sees most of the lit points, far enough away to show the whole box.
-fn outside(scope: &Scope<'_>, bounds: &Bounds, places: &[DVec3]) -> DVec3 {
-    let (middle, half) = (bounds.middle(), 0.5 * (bounds.max - bounds.min));
+fn eye_outside(scope: &Scope<'_>, bounds: &Bounds, lit_points: &[DVec3]) -> DVec3 {
+    let (middle, half) = (bounds.center(), 0.5 * (bounds.max - bounds.min));
     // At a distance of twice its radius, the bounding sphere fits into a cone of 60 degrees.
     let radius = half.length();
     let radius = if radius > 1e-9 * middle.length() { radius } else { POINT };
     // A flat box has too little height for a view from above.
     let flat = half.max(DVec3::splat(0.3 * radius));
     let corners = CORNERS.map(|sign| middle + 2.0 * radius * (flat * DVec3::from_array(sign)).normalize());
-    best(scope, middle, &corners, places)
+    best_eye(scope, middle, &corners, lit_points)
 }
 
 /// Returns the best eye; among nearly equal ones, the first.
-fn best(scope: &Scope<'_>, middle: DVec3, eyes: &[DVec3; 8], places: &[DVec3]) -> DVec3 {
-    let step = places.len().div_ceil(256).max(1);
+fn best_eye(scope: &Scope<'_>, middle: DVec3, eyes: &[DVec3; 8], lit_points: &[DVec3]) -> DVec3 {
+    let step = lit_points.len().div_ceil(256).max(1);
     let views = eyes.map(|eye| {
-        let clear = |place: &&DVec3| scope.passages(eye, **place).is_some();
-        let seen = places.iter().step_by(step).filter(clear).count();
+        let clear = |place: &&DVec3| scope.invisible_backs_between(eye, **place).is_some();
+        let seen = lit_points.iter().step_by(step).filter(clear).count();
         // A view from below is chosen only if little can be seen from above.
         if eye.z < middle.z { seen / 4 } else { seen }
     });

@@ -54,7 +54,7 @@ impl FromStr for SceneDigest {
 impl Scene {
     /// Returns the content hash; the [module](crate::digest) documents what counts.
     pub fn digest(&self) -> SceneDigest {
-        let mut canonical = Canonical { out: BufWriter::with_capacity(1 << 16, blake3::Hasher::new()) };
+        let mut canonical = CanonicalHasher { out: BufWriter::with_capacity(1 << 16, blake3::Hasher::new()) };
         canonical.scene(self);
         let hasher = canonical.out.into_inner().expect("a hasher takes every byte");
         SceneDigest(*hasher.finalize().as_bytes())
@@ -62,15 +62,15 @@ impl Scene {
 }
 
 /// Writer that feeds the canonical form into a hash.
-pub(crate) struct Canonical {
+pub(crate) struct CanonicalHasher {
     out: BufWriter<blake3::Hasher>,
 }
 
-impl Canonical {
-    /// Returns an empty writer of the form `what`. Two different forms never give the same digest.
-    pub(crate) fn of(what: &str) -> Self {
+impl CanonicalHasher {
+    /// Returns an empty writer of the form `form`. Two different forms never give the same digest.
+    pub(crate) fn new(form: &str) -> Self {
         let mut canonical = Self { out: BufWriter::with_capacity(1 << 16, blake3::Hasher::new()) };
-        canonical.value(&(what, VERSION));
+        canonical.value(&(form, VERSION));
         canonical
     }
 

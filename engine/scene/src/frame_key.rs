@@ -7,12 +7,12 @@
 //! - the view of one camera.
 //!
 //! Time itself does not count, only its effects. A scalar that varies counts with its value. A path counts with its motion while
-//! the shutter is open ([`Passage`]); where it stands still, it counts with its pose. The digests never miss a difference. They may
-//! differ for a change that no pixel shows (a material that is on no surface), and then work is done twice.
+//! the shutter is open ([`PathMotion`]); where it stands still, it counts with its pose. The digests never miss a difference. They
+//! may differ for a change that no pixel shows (a material that is on no surface), and then work is done twice.
 
-use crate::animation::Passage;
+use crate::animation::PathMotion;
 use crate::description::{Camera, Luminaire, Material, Medium, MediumRegion, MotionPath, MotionStep, PathId, Scene};
-use crate::digest::{Canonical, NOWHERE, SceneDigest};
+use crate::digest::{CanonicalHasher, NOWHERE, SceneDigest};
 use crate::selector::Scalars;
 use femc_math::glam::DVec3;
 use std::collections::BTreeSet;
@@ -56,7 +56,7 @@ pub struct Viewpoint<'a> {
 impl Scene {
     /// Returns the digest of everything that no selector reaches. It reads the whole geometry: compute it once for all variants.
     pub fn static_digest(&self) -> StaticDigest {
-        let mut canonical = Canonical::of("fixed");
+        let mut canonical = CanonicalHasher::new("fixed");
         canonical.value(&self.groups.len());
         for group in &self.groups {
             canonical.surfaces(group);
@@ -80,8 +80,8 @@ impl Scene {
         let Viewpoint { camera, film, frame, shutter, origin } = *viewpoint;
         let paths = self.paths_of_surfaces();
         let paths = || paths.iter().map(|path| now.paths.get(path.index()));
-        let content_of = |what: &str, now: &Scalars| {
-            let mut canonical = Canonical::of(what);
+        let content_of = |form: &str, now: &Scalars| {
+            let mut canonical = CanonicalHasher::new(form);
             canonical.value(&static_digest.0);
             canonical.table(&now.materials, |material| Material { location: NOWHERE, ..material.clone() });
             canonical.table(&now.objects, |object| object);
@@ -91,8 +91,8 @@ impl Scene {
             paths().for_each(|path| canonical.path(path, shutter));
             canonical.digest()
         };
-        let world_of = |what: &str, content: SceneDigest| {
-            let mut canonical = Canonical::of(what);
+        let world_of = |form: &str, content: SceneDigest| {
+            let mut canonical = CanonicalHasher::new(form);
             // With an open shutter, geometry that moves only at other times is prepared as moving geometry, too.
             canonical.value(&(content, origin, shutter[1] > shutter[0]));
             paths().for_each(|path| canonical.value(&path.map(MotionPath::is_constant)));
@@ -100,8 +100,8 @@ impl Scene {
         };
         let content = content_of("content", now);
         let world = world_of("world", content);
-        let light = world_of("light", content_of("content of brightness 1", &now.of_brightness_one()));
-        let mut canonical = Canonical::of("view");
+        let light = world_of("light", content_of("content of brightness 1", &now.with_unit_brightness()));
+        let mut canonical = CanonicalHasher::new("view");
         canonical.value(&(world, film, frame));
         canonical.value(&Camera { name: String::new(), location: NOWHERE, film, ..camera.clone() });
         let along = camera.along.and_then(|path| now.paths.get(path.index()));
@@ -122,18 +122,18 @@ impl Scene {
 
 impl FrameKey {
     /// Returns the digests of a frame whose output also depends on the next frame: the view combines both views.
-    pub fn before(self, next: &Self) -> Self {
-        let mut canonical = Canonical::of("view and next");
+    pub fn with_next(self, next: &Self) -> Self {
+        let mut canonical = CanonicalHasher::new("view and next");
         canonical.value(&(self.view, next.view));
         Self { view: canonical.digest(), ..self }
     }
 }
 
-impl Canonical {
+impl CanonicalHasher {
     /// Adds a path as one frame sees it; a missing path adds an empty value.
     fn path(&mut self, path: Option<&MotionPath>, shutter: [f64; 2]) {
-        match path.map(|path| path.between(shutter)) {
-            Some(passage @ Passage::Moving(..)) => self.value(&(shutter, passage)),
+        match path.map(|path| path.motion_during(shutter)) {
+            Some(motion @ PathMotion::Moving(..)) => self.value(&(shutter, motion)),
             Some(still) => self.value(&still),
             None => self.value(&()),
         }

@@ -5,25 +5,25 @@
 #![deny(missing_docs)]
 
 pub mod animation;
-mod bent_light;
 mod brightness;
+mod caustic_flux;
 pub mod check;
 mod default_camera;
 pub mod description;
 pub mod digest;
 pub mod frame_key;
-pub mod needs;
 pub mod objects;
+pub mod required_features;
 pub mod selector;
 pub mod survey;
 mod world;
 
-pub use bent_light::{BentLight, bent_light};
-pub use check::{Fault, FaultKind, Severity, check, lamps_without_light};
+pub use caustic_flux::{CausticFlux, estimate_caustic_flux};
+pub use check::{FaultKind, SceneFault, Severity, check_scene, lamps_without_light};
 pub use default_camera::{Standpoint, default_camera};
 pub use description::*;
 pub use digest::{DigestError, SceneDigest};
 pub use frame_key::{FrameKey, StaticDigest};
-pub use needs::{Feature, Needs, Spared};
+pub use required_features::{Feature, RequiredFeatures, UnusedFeature};
 pub use selector::{Constraint, Scalars, SelectorError};
-pub use survey::{Lamp, LampKind, Survey, survey};
+pub use survey::{LampGroup, LampKind, Survey, survey_scene};

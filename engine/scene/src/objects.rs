@@ -5,11 +5,11 @@ use crate::description::{Object, ObjectId};
 /// Returns for every object whether it is hidden, either itself or through an enclosing object.
 /// - `objects`: the scene's objects, as described or at some time ([`crate::Scalars::objects`]).
 pub fn hidden_objects(objects: &[Object]) -> Vec<bool> {
-    inherited(objects, |object| object.hidden)
+    inherited_flags(objects, |object| object.hidden)
 }
 
 /// Returns for each object whether `has` holds for it or for an object that encloses it. A cycle of parents is followed only once.
-pub(crate) fn inherited(objects: &[Object], has: impl Fn(&Object) -> bool) -> Vec<bool> {
+pub(crate) fn inherited_flags(objects: &[Object], has: impl Fn(&Object) -> bool) -> Vec<bool> {
     let mut answers: Vec<Option<bool>> = vec![None; objects.len()];
     for start in 0..objects.len() {
         let (mut chain, mut at) = (Vec::new(), Some(ObjectId(start as u32)));

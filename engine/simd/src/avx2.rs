@@ -1,6 +1,6 @@
 //! The AVX2 instruction set: one register per vector, no fused multiply-add.
 
-use super::{Lanes, Simd, Task, Vector, WIDTH, sealed::Sealed};
+use super::{Kernel, Lanes, Simd, Vector, WIDTH, sealed::Sealed};
 use std::{
     arch::x86_64::*,
     mem::MaybeUninit,
@@ -43,13 +43,13 @@ impl Token {
     }
 
     #[inline(always)]
-    pub fn run<T: Task>(self, task: T) -> T::Output {
+    pub fn run<T: Kernel>(self, kernel: T) -> T::Output {
         #[target_feature(enable = "avx2,bmi1,bmi2,popcnt,lzcnt")]
-        fn run<T: Task>(token: Token, task: T) -> T::Output {
-            task.run(token)
+        fn run<T: Kernel>(token: Token, kernel: T) -> T::Output {
+            kernel.run(token)
         }
         // SAFETY: a token exists only if `detect` has found these features.
-        unsafe { run(self, task) }
+        unsafe { run(self, kernel) }
     }
 }
 

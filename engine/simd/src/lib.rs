@@ -56,7 +56,8 @@ pub trait Vector:
     fn lanes(self) -> Lanes;
 }
 
-/// An instruction set. Only this crate can implement it: the caller's `unsafe` code trusts the number that [`Simd::compress`] returns.
+/// An instruction set. Only this crate can implement it: the caller's `unsafe` code trusts the number that [`Simd::compress`]
+/// returns.
 pub trait Simd: Copy + sealed::Sealed {
     /// Vector type of this instruction set.
     type V: Vector;
@@ -75,7 +76,7 @@ mod sealed {
 }
 
 /// Work that is compiled for each instruction set.
-pub trait Task {
+pub trait Kernel {
     /// Result of the work.
     type Output;
     /// Does the work. Implementations must be `#[inline(always)]`, otherwise they are compiled for the base instruction set.
@@ -112,13 +113,13 @@ impl Level {
         Self::PORTABLE
     }
 
-    /// Runs `task` with this instruction set.
+    /// Runs `kernel` with this instruction set.
     #[inline(always)]
-    pub fn run<T: Task>(self, task: T) -> T::Output {
+    pub fn run<T: Kernel>(self, kernel: T) -> T::Output {
         match self.0 {
-            Kind::Portable => task.run(portable::Token),
+            Kind::Portable => kernel.run(portable::Token),
             #[cfg(target_arch = "x86_64")]
-            Kind::Avx2(token) => token.run(task),
+            Kind::Avx2(token) => token.run(kernel),
         }
     }
 }
@@ -130,7 +131,7 @@ mod tests {
     /// Task that returns the bits of every vector operation on two numbers per lane.
     struct All<'a>(&'a Lanes, &'a Lanes);
 
-    impl Task for All<'_> {
+    impl Kernel for All<'_> {
         type Output = Vec<u64>;
 
         #[inline(always)]

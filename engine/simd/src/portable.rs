@@ -17,7 +17,7 @@ fn zip(a: Floats, b: Floats, f: impl Fn(f32, f32) -> f32) -> Floats {
 }
 
 #[inline(always)]
-fn truth(b: bool) -> f32 {
+fn lane_mask(b: bool) -> f32 {
     f32::from_bits(if b { u32::MAX } else { 0 })
 }
 
@@ -53,15 +53,15 @@ impl Vector for Floats {
     }
     #[inline(always)]
     fn le(self, other: Self) -> Self {
-        zip(self, other, |a, b| truth(a <= b))
+        zip(self, other, |a, b| lane_mask(a <= b))
     }
     #[inline(always)]
     fn lt(self, other: Self) -> Self {
-        zip(self, other, |a, b| truth(a < b))
+        zip(self, other, |a, b| lane_mask(a < b))
     }
     #[inline(always)]
     fn equal(self, other: Self) -> Self {
-        zip(self, other, |a, b| truth(a == b))
+        zip(self, other, |a, b| lane_mask(a == b))
     }
     #[inline(always)]
     fn sqrt(self) -> Self {

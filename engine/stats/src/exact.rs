@@ -18,7 +18,7 @@ pub type SquareSum = ExactSum<40>;
 
 /// Reason for refusing a term.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, thiserror::Error)]
-pub enum Refused {
+pub enum TermError {
     /// The term is not a number.
     #[error("not a number")]
     NotANumber,
@@ -54,7 +54,7 @@ impl<const FRACTION: u32> ExactSum<FRACTION> {
     /// Converts `term` to units of `2^-FRACTION`, halves rounded up; saturates.
     /// - errors: the term is NaN, infinite or negative (negative zero counts as zero).
     #[inline]
-    pub fn quantize(term: f64) -> Result<u128, Refused> {
+    pub fn quantize(term: f64) -> Result<u128, TermError> {
         const MANTISSA: u32 = 52;
         const BIAS: i32 = 1023;
         let bits = term.to_bits();
@@ -62,10 +62,10 @@ impl<const FRACTION: u32> ExactSum<FRACTION> {
         if !(0..2047).contains(&exponent) {
             // The sign is bit 11 of the shifted value, so negative numbers land here too.
             return match term {
-                t if t.is_nan() => Err(Refused::NotANumber),
-                t if t.is_infinite() => Err(Refused::Infinite),
+                t if t.is_nan() => Err(TermError::NotANumber),
+                t if t.is_infinite() => Err(TermError::Infinite),
                 0.0 => Ok(0),
-                _ => Err(Refused::Negative),
+                _ => Err(TermError::Negative),
             };
         }
         if exponent == 0 {
@@ -101,7 +101,7 @@ impl<const FRACTION: u32> ExactSum<FRACTION> {
 
     /// Adds `term`, rounded once. An error leaves the sum unchanged; the caller counts it.
     #[inline]
-    pub fn add(&mut self, term: f64) -> Result<(), Refused> {
+    pub fn add(&mut self, term: f64) -> Result<(), TermError> {
         self.0 = self.0.saturating_add(Self::quantize(term)?);
         Ok(())
     }
@@ -144,7 +144,7 @@ impl<const FRACTION: u32, const N: usize> Default for BufferedSums<FRACTION, N> 
 
 impl<const FRACTION: u32, const N: usize> BufferedSums<FRACTION, N> {
     /// Smallest float from which all floats are multiples of the quantum: `2^(23 - FRACTION)`.
-    const COARSE: f32 = f32::from_bits((127 + 23 - FRACTION) << 23);
+    const MIN_EXACT: f32 = f32::from_bits((127 + 23 - FRACTION) << 23);
 
     /// Adds terms that are finite and not negative; ignores other terms.
     #[inline]
@@ -154,22 +154,22 @@ impl<const FRACTION: u32, const N: usize> BufferedSums<FRACTION, N> {
             let (wide, had) = (f64::from(term), self.buffer[at]);
             let sum = had + wide;
             // No bit is lost if subtracting either operand gives back the other.
-            is_exact &= (sum - had == wide) & (sum - wide == had) & ((term >= Self::COARSE) | (term == 0.0));
+            is_exact &= (sum - had == wide) & (sum - wide == had) & ((term >= Self::MIN_EXACT) | (term == 0.0));
             sums[at] = sum;
         }
         if is_exact {
             self.buffer = sums;
         } else {
-            self.add_apart(terms);
+            self.add_unbuffered(terms);
         }
     }
 
     /// Adds terms of which some do not fit the buffer. The buffer keeps the larger of the term and its own value.
     #[cold]
-    fn add_apart(&mut self, terms: [f32; N]) {
+    fn add_unbuffered(&mut self, terms: [f32; N]) {
         for ((term, buffer), sum) in terms.into_iter().zip(&mut self.buffer).zip(&mut self.sums) {
             let mut apart = f64::from(term);
-            if term >= Self::COARSE && term.is_finite() && apart > *buffer {
+            if term >= Self::MIN_EXACT && term.is_finite() && apart > *buffer {
                 std::mem::swap(&mut apart, buffer);
             }
             // Refused terms are those that must be ignored.
@@ -235,11 +235,11 @@ mod tests {
     fn bad_terms_are_refused_by_kind_and_change_nothing() {
         let mut s = sum(&[1.25]);
         let before = s;
-        assert_eq!(s.add(f64::NAN), Err(Refused::NotANumber));
-        assert_eq!(s.add(-f64::NAN), Err(Refused::NotANumber));
-        assert_eq!(s.add(f64::INFINITY), Err(Refused::Infinite));
-        assert_eq!(s.add(f64::NEG_INFINITY), Err(Refused::Infinite));
-        assert_eq!(s.add(-1e-30), Err(Refused::Negative));
+        assert_eq!(s.add(f64::NAN), Err(TermError::NotANumber));
+        assert_eq!(s.add(-f64::NAN), Err(TermError::NotANumber));
+        assert_eq!(s.add(f64::INFINITY), Err(TermError::Infinite));
+        assert_eq!(s.add(f64::NEG_INFINITY), Err(TermError::Infinite));
+        assert_eq!(s.add(-1e-30), Err(TermError::Negative));
         assert_eq!(s.add(-0.0), Ok(()));
         assert_eq!(s, before);
     }

@@ -8,4 +8,4 @@ pub mod exact;
 #[cfg(feature = "testing")]
 pub mod testing;
 
-pub use exact::{ExactSum, Refused};
+pub use exact::{ExactSum, TermError};

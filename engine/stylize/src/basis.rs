@@ -23,7 +23,7 @@ pub struct Basis {
 
 impl Basis {
     /// Computes the components of a sample of `patches`, by subspace iteration.
-    pub fn of(patches: &Patches) -> Self {
+    pub fn from_patches(patches: &Patches) -> Self {
         let (count, values) = (patches.grid().count(), patches.patch_values());
         let samples = count.min(SAMPLES);
         let mut data = vec![0.0; samples * values];
@@ -56,11 +56,11 @@ impl Basis {
         all.map_init(room, |room, at| self.point(patches, at, room)).collect()
     }
 
-    fn point(&self, patches: &Patches, at: u32, room: &mut [f32]) -> Point {
-        patches.gather(at, room);
-        add(room, -1.0, &self.mean);
+    fn point(&self, patches: &Patches, at: u32, values: &mut [f32]) -> Point {
+        patches.gather(at, values);
+        add(values, -1.0, &self.mean);
         let mut point = [0.0; DIMENSIONS];
-        point.iter_mut().zip(&self.axes).for_each(|(out, axis)| *out = dot(room, axis));
+        point.iter_mut().zip(&self.axes).for_each(|(out, axis)| *out = dot(values, axis));
         point
     }
 }

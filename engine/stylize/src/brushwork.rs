@@ -11,7 +11,7 @@
 //!
 //! All numbers are little-endian. Everything after the version is zstd-compressed.
 
-use crate::{Before, Field, Grid, Planes, StylizeError};
+use crate::{ChannelImage, PatchField, PatchGrid, PreviousFrame, StylizeError};
 use femc_film::rect::MAX_FILM_PIXELS;
 
 /// Source patches that painted a frame, and the frame's motion and depth toward the next frame.
@@ -30,13 +30,13 @@ pub struct Brushwork {
 
 const MAGIC: &[u8; 8] = b"FEMCBRSH";
 const VERSION: u32 = 1;
-const LEVEL: i32 = 3;
+const COMPRESSION_LEVEL: i32 = 3;
 
 impl Brushwork {
     /// Creates the brushwork of a painted frame.
-    /// - `motion`, `depth`: as in [`Before::new`], one value per pixel.
-    pub fn new(field: &Field, motion: Option<[&[f32]; 2]>, depth: Option<&[f32]>) -> Self {
-        let size = |grid: Grid| [grid.columns(), grid.rows()].map(|count| (count + grid.patch() - 1) as u32);
+    /// - `motion`, `depth`: as in [`PreviousFrame::new`], one value per pixel.
+    pub fn new(field: &PatchField, motion: Option<[&[f32]; 2]>, depth: Option<&[f32]>) -> Self {
+        let size = |grid: PatchGrid| [grid.columns(), grid.rows()].map(|count| (count + grid.patch() - 1) as u32);
         Self {
             target: size(field.target),
             source: size(field.source),
@@ -48,23 +48,23 @@ impl Brushwork {
     }
 
     /// Creates the brushwork of a missing frame: the next frame is painted from scratch.
-    pub fn of_nothing() -> Self {
-        let grid = Grid::new(3, 3, 3);
-        Self::new(&Field { target: grid, source: grid, patches: vec![0] }, None, None)
+    pub fn empty() -> Self {
+        let grid = PatchGrid::new(3, 3, 3);
+        Self::new(&PatchField { target: grid, source: grid, patches: vec![0] }, None, None)
     }
 
     /// Reprojects the painting into the next frame; `None`: the motion is unknown.
     /// - `style`: the painting that the frame was painted with;
     /// - errors: `style` has another size.
-    pub fn before(&self, style: &Planes) -> Option<Result<Before, StylizeError>> {
+    pub fn reproject(&self, style: &ChannelImage) -> Option<Result<PreviousFrame, StylizeError>> {
         let motion = self.motion.as_ref()?;
         if style.size() != self.source {
             return Some(Err(StylizeError::StyleSize { style: style.size(), source_size: self.source }));
         }
-        let grid = |[width, height]: [u32; 2]| Grid::new(width as usize, height as usize, self.patch as usize);
-        let field = Field { target: grid(self.target), source: grid(self.source), patches: self.patches.clone() };
+        let grid = |[width, height]: [u32; 2]| PatchGrid::new(width as usize, height as usize, self.patch as usize);
+        let field = PatchField { target: grid(self.target), source: grid(self.source), patches: self.patches.clone() };
         let [x, y] = motion;
-        Some(Before::of_field(&field.vote(style), field, [x, y], self.depth.as_deref()))
+        Some(PreviousFrame::from_field(&field.vote(style), field, [x, y], self.depth.as_deref()))
     }
 
     /// Encodes the brushwork. Equal brushwork gives equal bytes.
@@ -82,16 +82,16 @@ impl Brushwork {
         plain.extend(floats.flat_map(|value| value.to_le_bytes()));
         let mut bytes = [&MAGIC[..], &VERSION.to_le_bytes()].concat();
         // Compression into memory does not fail.
-        bytes.extend(zstd::bulk::compress(&plain, LEVEL).unwrap_or_default());
+        bytes.extend(zstd::bulk::compress(&plain, COMPRESSION_LEVEL).unwrap_or_default());
         bytes
     }
 
     /// Decodes brushwork; damage of any kind is an error.
     pub fn decode(bytes: &[u8]) -> Result<Self, StylizeError> {
-        Self::decoded(bytes).ok_or(StylizeError::Brushwork)
+        Self::parse(bytes).ok_or(StylizeError::Brushwork)
     }
 
-    fn decoded(bytes: &[u8]) -> Option<Self> {
+    fn parse(bytes: &[u8]) -> Option<Self> {
         let rest = bytes.strip_prefix(MAGIC)?.strip_prefix(&VERSION.to_le_bytes())?;
         let most = 21 + 16 * usize::try_from(MAX_FILM_PIXELS).ok()?;
         let mut plain = Vec::new();
@@ -135,8 +135,8 @@ mod tests {
 
     #[test]
     fn brushwork_comes_back_and_damage_is_refused() {
-        let (target, source) = (Grid::new(7, 5, 3), Grid::new(6, 6, 3));
-        let field = Field { target, source, patches: (0..15).collect() };
+        let (target, source) = (PatchGrid::new(7, 5, 3), PatchGrid::new(6, 6, 3));
+        let field = PatchField { target, source, patches: (0..15).collect() };
         let plane = |of: f32| (0..35).map(|at| of + at as f32).collect::<Vec<f32>>();
         let [x, y, z] = [0.5, -3.0, 7.0].map(plane);
         for (motion, depth) in [(None, None), (Some([&x[..], &y]), None), (Some([&x[..], &y]), Some(&z[..]))] {
@@ -144,13 +144,13 @@ mod tests {
             let bytes = brushwork.encode();
             let back = Brushwork::decode(&bytes).expect("sound");
             assert_eq!(back, brushwork);
-            let style = Planes::new(6, 6, 3, vec![0.5; 108]).expect("an image");
-            assert_eq!(back.before(&style).map(|before| before.is_ok()), motion.map(|_| true));
+            let style = ChannelImage::new(6, 6, 3, vec![0.5; 108]).expect("an image");
+            assert_eq!(back.reproject(&style).map(|before| before.is_ok()), motion.map(|_| true));
             for end in [0, 8, 12, bytes.len() - 1] {
                 assert_eq!(Brushwork::decode(&bytes[..end]), Err(StylizeError::Brushwork), "{end} bytes");
             }
         }
-        let foreign = Field { target, source, patches: vec![16; 15] };
+        let foreign = PatchField { target, source, patches: vec![16; 15] };
         assert!(Brushwork::decode(&Brushwork::new(&foreign, None, None).encode()).is_err(), "there are 16 patches");
     }
 }

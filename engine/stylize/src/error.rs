@@ -69,7 +69,7 @@ pub enum StylizeError {
     Boil(f32),
     /// The previous frame has another size than the target.
     #[error("the previous frame has {before:?} pixels, but the target has {target:?}")]
-    BeforeSize {
+    PreviousFrameSize {
         /// Columns and rows of the previous frame.
         before: [u32; 2],
         /// Columns and rows of the target.
@@ -77,7 +77,7 @@ pub enum StylizeError {
     },
     /// The checkpoint belongs to other images or settings.
     #[error("the checkpoint belongs to other images or settings")]
-    Begun,
+    ForeignCheckpoint,
     /// The bytes are not brushwork, or they are damaged.
     #[error("the brushwork of the previous frame is damaged")]
     Brushwork,

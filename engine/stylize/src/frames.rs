@@ -1,6 +1,6 @@
 //! Guides from frame files: selects the guide layers and applies the exposure.
 
-use crate::{Planes, StylizeError};
+use crate::{ChannelImage, StylizeError};
 use femc_film::exr::Channels;
 use femc_film::{FilmError, Image, Picture, ToneCurve};
 use std::io::{Read, Seek};
@@ -33,19 +33,19 @@ impl GuideFrame {
     pub fn names(&self) -> Vec<&str> {
         // Albedo is a color but not light; Cryptomatte channels with color names hold ids and shares.
         let is_light = |name: &&str| *name != "albedo" && !name.starts_with("crypto_");
-        let layers: Vec<&str> = self.channels.colors().into_iter().filter(is_light).collect();
+        let layers: Vec<&str> = self.channels.color_layers().into_iter().filter(is_light).collect();
         if layers.is_empty() && self.channels.color("").is_some() { vec![""] } else { layers }
     }
 
     /// Returns the image that decides the exposure: the picture or, if the file has none, the layer `full`, or the first one.
-    pub fn exposed(&self) -> Option<Image> {
+    pub fn exposure_image(&self) -> Option<Image> {
         let first = || self.names().first().and_then(|name| self.channels.color(name));
         self.channels.color("").or_else(|| self.channels.color("full")).or_else(first)
     }
 
     /// Returns guides as they are displayed, three channels each, 0..1.
     /// - errors: the frame has no such layer, or values that are not finite.
-    pub fn guides(&self, names: &[&str], curve: ToneCurve) -> Result<Planes, StylizeError> {
+    pub fn guides(&self, names: &[&str], curve: ToneCurve) -> Result<ChannelImage, StylizeError> {
         let layer = |name: &&str| self.channels.color(name).ok_or_else(|| StylizeError::NoGuide((*name).to_owned()));
         let images = names.iter().map(layer).collect::<Result<Vec<Image>, _>>()?;
         let [width, height] = self.size();
@@ -55,7 +55,7 @@ impl GuideFrame {
             return Err(StylizeError::NotFinite { x: at as u32 % width, y: at as u32 / width });
         }
         let shown = pixels.flat_map(|at| images.iter().flat_map(move |image| curve.display(image.pixels[at])));
-        Planes::new(width, height, 3 * images.len(), shown.collect())
+        ChannelImage::new(width, height, 3 * images.len(), shown.collect())
     }
 
     /// Returns the motion of each pixel to its position in the next frame, pixels along x and y; `None`: the file has no layer
@@ -72,7 +72,7 @@ impl GuideFrame {
 
 /// Returns the guides that both frames have, in the order of the first one.
 /// - errors: the frames have no guide in common.
-pub fn common<'a>(source: &'a GuideFrame, target: &GuideFrame) -> Result<Vec<&'a str>, StylizeError> {
+pub fn common_guides<'a>(source: &'a GuideFrame, target: &GuideFrame) -> Result<Vec<&'a str>, StylizeError> {
     let others = target.names();
     let names: Vec<&str> = source.names().into_iter().filter(|name| others.contains(name)).collect();
     if !names.is_empty() {
@@ -83,13 +83,13 @@ pub fn common<'a>(source: &'a GuideFrame, target: &GuideFrame) -> Result<Vec<&'a
 }
 
 /// Converts a painting to an image, 0..1.
-pub fn painting(picture: &Picture) -> Result<Planes, StylizeError> {
+pub fn image_from_picture(picture: &Picture) -> Result<ChannelImage, StylizeError> {
     let values = picture.pixels.as_flattened().iter().map(|&byte| f32::from(byte) / 255.0).collect();
-    Planes::new(picture.width, picture.height, 3, values)
+    ChannelImage::new(picture.width, picture.height, 3, values)
 }
 
 /// Converts an image of three channels, 0..1, to a picture.
-pub fn picture(image: &Planes) -> Picture {
+pub fn image_to_picture(image: &ChannelImage) -> Picture {
     let byte = |value: f32| (255.0 * value.clamp(0.0, 1.0) + 0.5) as u8;
     let pixels = image.values().as_chunks().0.iter().map(|pixel| pixel.map(byte)).collect();
     let [width, height] = image.size();
@@ -99,7 +99,7 @@ pub fn picture(image: &Planes) -> Picture {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use femc_film::exr::{NamedChannel, Precision, encode_named};
+    use femc_film::exr::{NamedChannel, Precision, encode_named_channels};
     use std::collections::BTreeMap;
     use std::io::Cursor;
 
@@ -110,7 +110,7 @@ mod tests {
         let names: Vec<&str> = names.into_iter().chain(mattes.iter().map(String::as_str)).collect();
         let channel = |name| NamedChannel { name, values: &[0.5], precision: Precision::Float };
         let channels: Vec<NamedChannel<'_>> = names.into_iter().map(channel).collect();
-        let bytes = encode_named([1, 1], &channels, &BTreeMap::new()).unwrap();
+        let bytes = encode_named_channels([1, 1], &channels, &BTreeMap::new()).unwrap();
         assert_eq!(GuideFrame::decode(Cursor::new(bytes)).unwrap().names(), ["direct"]);
     }
 }

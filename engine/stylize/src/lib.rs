@@ -9,7 +9,7 @@
 //!                                                       B: guides of the target, B': result, q: a target patch
 //! ```
 //!
-//! Squares are summed over the pixels and channels of a patch. Search and average voting ([`Field::vote`]) alternate, from the
+//! Squares are summed over the pixels and channels of a patch. Search and average voting ([`PatchField::vote`]) alternate, from the
 //! coarsest level of Gaussian pyramids to the finest. [`Method::Balanced`] puts a price on source patches that are used often, so
 //! that the whole painting is used (module `search`). [`Method::Em`] finds the best source patch of each target patch by brute
 //! force; it is the baseline.
@@ -19,30 +19,30 @@
 #![deny(missing_docs)]
 
 mod basis;
-mod before;
 mod brushwork;
 mod brute;
+mod channel_image;
 mod error;
-mod field;
-mod figures;
 pub mod frames;
+mod patch_field;
 mod patches;
-mod planes;
+mod previous_frame;
+mod quality;
 mod search;
 mod settings;
 pub mod styles;
 mod synthesis;
 mod tree;
 
-pub use before::Before;
 pub use brushwork::Brushwork;
 pub use brute::nearest as brute_force;
+pub use channel_image::ChannelImage;
 pub use error::StylizeError;
-pub use field::{Field, Grid};
-pub use figures::Figures;
 pub use frames::GuideFrame;
+pub use patch_field::{PatchField, PatchGrid};
 pub use patches::{Patches, Weights};
-pub use planes::Planes;
+pub use previous_frame::PreviousFrame;
+pub use quality::QualityMetrics;
 pub use search::search;
 pub use settings::{Method, Settings};
-pub use synthesis::{Begun, Example, Progress, Stylized, Watch, stylize};
+pub use synthesis::{Checkpoint, Example, Progress, ProgressObserver, StylizedImage, stylize};

@@ -14,7 +14,7 @@
 
 use crate::basis::Basis;
 use crate::tree::Tree;
-use crate::{Field, Grid, Patches};
+use crate::{PatchField, PatchGrid, Patches};
 use femc_math::hash::mix32;
 use rayon::prelude::*;
 
@@ -23,9 +23,9 @@ const STRIDE: usize = 4;
 /// Offsets of the neighbors whose source patches are tried.
 const NEIGHBORS: [[isize; 2]; 4] = [[-1, 0], [1, 0], [0, -1], [0, 1]];
 /// Number of source patches that a target patch draws in a pass.
-const DRAWS: u32 = 2;
+const DRAWS_PER_PASS: u32 = 2;
 /// Number of wishes of a target patch.
-const WISHES: usize = 4;
+const PROPOSALS: usize = 4;
 
 /// The search state at a level of the pyramids: source, prices and the current field.
 pub(crate) struct Search<'a> {
@@ -34,33 +34,33 @@ pub(crate) struct Search<'a> {
     /// Leaf of the tree that each target patch falls into.
     leaves: Vec<u32>,
     prices: Prices,
-    field: Field,
+    field: PatchField,
     /// Source patches of the target patches in the previous frame; an invalid number means unknown.
-    before: Vec<u32>,
+    previous: Vec<u32>,
 }
 
 /// Takes the nearest source patch in the leaf that each target patch falls into.
-pub(crate) fn first_guess(source: &Patches, target: &Patches) -> Field {
-    let (tree, leaves) = index(source, target);
+pub(crate) fn first_guess(source: &Patches, target: &Patches) -> PatchField {
+    let (tree, leaves) = index_patches(source, target);
     let nearest = |(q, &leaf): (usize, &u32)| {
         let energy = |&p: &u32| source.energy(p, target, q as u32, u32::MAX);
-        tree.below(leaf, 0).iter().copied().min_by_key(energy).unwrap_or_default()
+        tree.points_below(leaf, 0).iter().copied().min_by_key(energy).unwrap_or_default()
     };
     let patches = leaves.par_iter().enumerate().map(nearest).collect();
-    Field { target: target.grid(), source: source.grid(), patches }
+    PatchField { target: target.grid(), source: source.grid(), patches }
 }
 
 /// Returns the field after a number of passes for a fixed target.
 /// - `price`: price of mean use, an energy.
-pub fn search(source: &Patches, target: &Patches, price: f64, passes: u32) -> Field {
+pub fn search(source: &Patches, target: &Patches, price: f64, passes: u32) -> PatchField {
     let mut search = Search::new(source, target, first_guess(source, target), price, Vec::new());
     (1..=passes).for_each(|salt| search.pass(target, salt));
     search.field
 }
 
-fn index(source: &Patches, target: &Patches) -> (Tree, Vec<u32>) {
-    let basis = Basis::of(source);
-    let tree = Tree::of(&basis.points(source));
+fn index_patches(source: &Patches, target: &Patches) -> (Tree, Vec<u32>) {
+    let basis = Basis::from_patches(source);
+    let tree = Tree::new(&basis.points(source));
     let leaves = basis.points(target).par_iter().map(|point| tree.leaf(point)).collect();
     (tree, leaves)
 }
@@ -69,15 +69,21 @@ impl<'a> Search<'a> {
     /// Starts from a field.
     /// - `target`: target patches with the image that the field paints;
     /// - `price`: price of mean use, an energy;
-    /// - `before`: a source patch that each target patch tries first; empty: none. Invalid numbers count as none.
-    pub(crate) fn new(source: &'a Patches, target: &Patches, field: Field, price: f64, before: Vec<u32>) -> Self {
-        let (tree, leaves) = index(source, target);
+    /// - `previous`: a source patch that each target patch tries first; empty: none. Invalid numbers count as none.
+    pub(crate) fn new(
+        source: &'a Patches,
+        target: &Patches,
+        field: PatchField,
+        price: f64,
+        previous: Vec<u32>,
+    ) -> Self {
+        let (tree, leaves) = index_patches(source, target);
         let prices = Prices::new(&field, price);
-        Self { source, tree, leaves, prices, field, before }
+        Self { source, tree, leaves, prices, field, previous }
     }
 
     /// Returns the field.
-    pub(crate) fn field(&self) -> &Field {
+    pub(crate) fn field(&self) -> &PatchField {
         &self.field
     }
 
@@ -93,54 +99,54 @@ impl<'a> Search<'a> {
             let place = 5 * turn % (STRIDE * STRIDE);
             let rows: Vec<usize> = (place / STRIDE..targets.rows()).step_by(STRIDE).collect();
             let columns = || (place % STRIDE..targets.columns()).step_by(STRIDE);
-            let wish = |x: usize, y: usize| self.wish(target, &energies, [x, y], salt);
+            let wish = |x: usize, y: usize| self.propose(target, &energies, [x, y], salt);
             let of_row = |&y: &usize| columns().filter_map(|x| wish(x, y)).collect::<Vec<_>>();
-            let wishes: Vec<Vec<Wish>> = rows.par_iter().map(of_row).collect();
-            wishes.iter().flatten().for_each(|wish| self.grant(wish, &mut energies));
+            let wishes: Vec<Vec<Proposal>> = rows.par_iter().map(of_row).collect();
+            wishes.iter().flatten().for_each(|wish| self.apply(wish, &mut energies));
         }
     }
 
     /// Returns source patches that would be cheaper for a target patch; `None`: there are none.
-    fn wish(&self, target: &Patches, energies: &[u32], [x, y]: [usize; 2], salt: u32) -> Option<Wish> {
-        let Field { target: targets, source: sources, patches } = &self.field;
+    fn propose(&self, target: &Patches, energies: &[u32], [x, y]: [usize; 2], salt: u32) -> Option<Proposal> {
+        let PatchField { target: targets, source: sources, patches } = &self.field;
         let q = targets.at(x, y);
         let has = patches[q as usize];
         let mine = sources.corner(has);
-        let pays = energies[q as usize].saturating_add(self.prices.without(has, mine));
-        let mut wish = Wish { q, best: [Candidate { pays, p: has, energy: 0 }; WISHES] };
+        let pays = energies[q as usize].saturating_add(self.prices.price_excluding(has, mine));
+        let mut wish = Proposal { q, best: [Candidate { cost: pays, p: has, energy: 0 }; PROPOSALS] };
         let mut consider = |p: u32| {
             if wish.best.iter().all(|known| known.p != p) {
-                let (limit, price) = (wish.best[WISHES - 1].pays, self.prices.without(p, mine));
+                let (limit, price) = (wish.best[PROPOSALS - 1].cost, self.prices.price_excluding(p, mine));
                 let energy = self.source.energy(p, target, q, limit.saturating_sub(price));
-                wish.add(Candidate { pays: energy.saturating_add(price), p, energy });
+                wish.add(Candidate { cost: energy.saturating_add(price), p, energy });
             }
         };
-        let before = self.before.get(q as usize).filter(|&&p| (p as usize) < sources.count());
+        let before = self.previous.get(q as usize).filter(|&&p| (p as usize) < sources.count());
         before.into_iter().for_each(|&p| consider(p));
         for [dx, dy] in NEIGHBORS {
-            if let Some(neighbor) = targets.beside([x, y], [dx, dy]) {
+            if let Some(neighbor) = targets.neighbor([x, y], [dx, dy]) {
                 let (u, v) = sources.corner(patches[neighbor as usize]);
-                sources.beside([u, v], [-dx, -dy]).into_iter().for_each(&mut consider);
+                sources.neighbor([u, v], [-dx, -dy]).into_iter().for_each(&mut consider);
             }
         }
-        for draw in 0..DRAWS {
-            let random = mix32(q ^ mix32(salt * DRAWS + draw));
-            let below = self.tree.below(self.leaves[q as usize], mix32(random) % (self.tree.height() + 1));
+        for draw in 0..DRAWS_PER_PASS {
+            let random = mix32(q ^ mix32(salt * DRAWS_PER_PASS + draw));
+            let below = self.tree.points_below(self.leaves[q as usize], mix32(random) % (self.tree.height() + 1));
             consider(below[((u64::from(random) * below.len() as u64) >> 32) as usize]);
         }
         (wish.best[0].p != has).then_some(wish)
     }
 
     /// Assigns to a target patch the cheapest of its current source patch and its wishes.
-    fn grant(&mut self, wish: &Wish, energies: &mut [u32]) {
+    fn apply(&mut self, wish: &Proposal, energies: &mut [u32]) {
         let q = wish.q as usize;
         let has = self.field.patches[q];
         let mine = self.field.source.corner(has);
         let wished = wish.best.iter().filter(|candidate| candidate.p != has).map(|it| (it.p, it.energy));
-        let pays = |&(p, energy): &(u32, u32)| energy.saturating_add(self.prices.without(p, mine));
+        let pays = |&(p, energy): &(u32, u32)| energy.saturating_add(self.prices.price_excluding(p, mine));
         let Some((p, energy)) = [(has, energies[q])].into_iter().chain(wished).min_by_key(pays) else { return };
         if p != has {
-            self.prices.change(has, p);
+            self.prices.move_use(has, p);
             (self.field.patches[q], energies[q]) = (p, energy);
         }
     }
@@ -149,22 +155,22 @@ impl<'a> Search<'a> {
 /// A candidate source patch for a target patch.
 #[derive(Clone, Copy)]
 struct Candidate {
-    pays: u32,
+    cost: u32,
     p: u32,
     energy: u32,
 }
 
 /// Candidates that are cheaper for a target patch than its current source patch.
-struct Wish {
+struct Proposal {
     q: u32,
     /// Candidates, the cheapest first; unused entries hold the current source patch.
-    best: [Candidate; WISHES],
+    best: [Candidate; PROPOSALS],
 }
 
-impl Wish {
+impl Proposal {
     fn add(&mut self, candidate: Candidate) {
-        let at = self.best.partition_point(|known| known.pays <= candidate.pays);
-        if at < WISHES {
+        let at = self.best.partition_point(|known| known.cost <= candidate.cost);
+        if at < PROPOSALS {
             self.best[at..].rotate_right(1);
             self.best[at] = candidate;
         }
@@ -173,7 +179,7 @@ impl Wish {
 
 /// Prices of source patches.
 struct Prices {
-    grid: Grid,
+    grid: PatchGrid,
     /// Load of each source patch: number of uses, summed over its pixels.
     loads: Vec<u32>,
     /// Price of a load of 1, times [`Self::ONE`].
@@ -183,37 +189,37 @@ struct Prices {
 impl Prices {
     const ONE: f64 = 65536.0;
 
-    fn new(field: &Field, price: f64) -> Self {
+    fn new(field: &PatchField, price: f64) -> Self {
         let (grid, patch) = (field.source, field.source.patch() as f64);
         let mut uses = vec![0; grid.count()];
         field.patches.iter().for_each(|&p| uses[p as usize] += 1);
         let mean = field.patches.len() as f64 / grid.count() as f64 * patch.powi(4);
         let unit = (price / mean * Self::ONE).round() as u64;
         let mut prices = Self { grid, loads: vec![0; grid.count()], unit };
-        prices.count(&uses);
+        prices.count_loads(&uses);
         prices
     }
 
-    fn change(&mut self, from: u32, to: u32) {
+    fn move_use(&mut self, from: u32, to: u32) {
         self.add(from, u32::wrapping_sub);
         self.add(to, u32::wrapping_add);
     }
 
-    /// Adds or removes a use of a patch, depending on `by`.
-    fn add(&mut self, p: u32, by: impl Fn(u32, u32) -> u32) {
+    /// Adds or removes a use of a patch, depending on `operation`.
+    fn add(&mut self, p: u32, operation: impl Fn(u32, u32) -> u32) {
         let ((x, y), patch) = (self.grid.corner(p), self.grid.patch());
         let near = |at: usize, end: usize| at.saturating_sub(patch - 1)..(at + patch).min(end);
         for v in near(y, self.grid.rows()) {
             let high = (patch - v.abs_diff(y)) as u32;
             for u in near(x, self.grid.columns()) {
                 let load = &mut self.loads[self.grid.at(u, v) as usize];
-                *load = by(*load, high * (patch - u.abs_diff(x)) as u32);
+                *load = operation(*load, high * (patch - u.abs_diff(x)) as u32);
             }
         }
     }
 
     /// Computes the loads of all uses.
-    fn count(&mut self, uses: &[u32]) {
+    fn count_loads(&mut self, uses: &[u32]) {
         // Two patches share (patch - |dx|) (patch - |dy|) pixels.
         let (columns, patch) = (self.grid.columns(), self.grid.patch());
         let mut along = vec![0; uses.len()];
@@ -225,12 +231,13 @@ impl Prices {
         }
     }
 
-    /// Returns the price of `p` for a target patch whose current source patch has its corner at `mine`; this use does not count.
+    /// Returns the price of `p` for a target patch whose current source patch has its corner at `own_corner`; this use does not
+    /// count.
     #[inline]
-    fn without(&self, p: u32, mine: (usize, usize)) -> u32 {
+    fn price_excluding(&self, p: u32, own_corner: (usize, usize)) -> u32 {
         let (x, y) = self.grid.corner(p);
         let beside = |a: usize, b: usize| self.grid.patch().saturating_sub(a.abs_diff(b)) as u32;
-        let others = self.loads[p as usize] - beside(x, mine.0) * beside(y, mine.1);
+        let others = self.loads[p as usize] - beside(x, own_corner.0) * beside(y, own_corner.1);
         (u64::from(others).saturating_mul(self.unit) >> 16).min(u64::from(u32::MAX)) as u32
     }
 }
@@ -261,14 +268,14 @@ mod tests {
 
     #[test]
     fn loads_are_pixels_that_patches_share_also_after_changes() {
-        let grid = Grid::new(13, 11, 5);
+        let grid = PatchGrid::new(13, 11, 5);
         let patches: Vec<u32> = (0..40u32).map(|at| mix32(at) % grid.count() as u32).collect();
-        let field = Field { target: Grid::new(44, 5, 5), source: grid, patches };
+        let field = PatchField { target: PatchGrid::new(44, 5, 5), source: grid, patches };
         let mut prices = Prices::new(&field, 1.0);
         let mut field = field;
         for q in [3, 17, 30] {
             let to = mix32(1000 + q) % grid.count() as u32;
-            prices.change(std::mem::replace(&mut field.patches[q as usize], to), to);
+            prices.move_use(std::mem::replace(&mut field.patches[q as usize], to), to);
         }
         let shared = |a: u32, b: u32| {
             let ((x, y), (u, v)) = (grid.corner(a), grid.corner(b));

@@ -1,6 +1,6 @@
 //! Settings of stylization.
 
-use crate::{Planes, StylizeError};
+use crate::{ChannelImage, StylizeError};
 
 /// Method that assigns source patches to target patches.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -43,7 +43,7 @@ impl Settings {
 
     /// Returns the maximum number of levels for images of these sizes: the shortest side of the coarsest one has two patches. A
     /// single level needs one patch.
-    fn most_levels(&self, images: [&Planes; 2]) -> usize {
+    fn max_levels(&self, images: [&ChannelImage; 2]) -> usize {
         let sides = images.iter().flat_map(|image| [image.width(), image.height()]);
         let shortest = sides.min().unwrap_or(0);
         if shortest < self.patch {
@@ -56,7 +56,7 @@ impl Settings {
 
     /// Checks the settings and returns the number of levels.
     /// - errors: a setting is out of range, by itself or for these images.
-    pub(crate) fn check(&self, source: &Planes, target: &Planes) -> Result<usize, StylizeError> {
+    pub(crate) fn check(&self, source: &ChannelImage, target: &ChannelImage) -> Result<usize, StylizeError> {
         if !(self.mu.is_finite() && self.mu >= 0.0) {
             return Err(StylizeError::Mu(self.mu));
         }
@@ -69,7 +69,7 @@ impl Settings {
         if !(3..=15).contains(&self.patch) || self.patch.is_multiple_of(2) {
             return Err(StylizeError::Patch(self.patch));
         }
-        let most = self.most_levels([source, target]);
+        let most = self.max_levels([source, target]);
         let levels = self.levels.unwrap_or(Self::LEVELS.min(most.max(1)));
         if (1..=most).contains(&levels) {
             return Ok(levels);

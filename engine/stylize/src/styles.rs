@@ -1,6 +1,6 @@
 //! Built-in styles: paintings of `scenes/ball.mgf`, made by `scenes/painter`.
 
-use crate::{GuideFrame, Planes, StylizeError, frames};
+use crate::{ChannelImage, GuideFrame, StylizeError, frames};
 use femc_film::{FilmError, Picture};
 use std::io::Cursor;
 
@@ -32,9 +32,9 @@ pub fn source() -> Result<GuideFrame, FilmError> {
 
 /// Returns the painting with this name; `None`: there is no such style.
 /// - errors: as for [`source`].
-pub fn painting(name: &str) -> Option<Result<Planes, StylizeError>> {
+pub fn painting(name: &str) -> Option<Result<ChannelImage, StylizeError>> {
     let picture = Picture::from_any_png(png(name)?).map_err(StylizeError::from);
-    Some(picture.and_then(|picture| frames::painting(&picture)))
+    Some(picture.and_then(|picture| frames::image_from_picture(&picture)))
 }
 
 #[cfg(test)]

@@ -7,7 +7,7 @@ use crate::basis::{DIMENSIONS, Point};
 use rayon::prelude::*;
 
 /// Maximum number of points in a leaf.
-const LEAF: usize = 8;
+const MAX_LEAF_POINTS: usize = 8;
 /// Number of points of a node from which the dimension of its cut is chosen.
 const SAMPLES: usize = 128;
 
@@ -24,10 +24,10 @@ pub struct Tree {
 
 impl Tree {
     /// Builds the tree of all points, at least one.
-    pub fn of(points: &[Point]) -> Self {
+    pub fn new(points: &[Point]) -> Self {
         let mut order: Vec<u32> = (0..points.len() as u32).collect();
         let (mut starts, mut cuts) = (vec![0, points.len()], Vec::new());
-        while starts.windows(2).any(|node| node[1] - node[0] > LEAF) {
+        while starts.windows(2).any(|node| node[1] - node[0] > MAX_LEAF_POINTS) {
             let nodes = slices(&mut order, &starts);
             cuts.par_extend(nodes.into_par_iter().map(|node| halve(node, points)));
             let middles = starts.windows(2).flat_map(|node| [node[0], node[0] + (node[1] - node[0]) / 2]);
@@ -40,10 +40,10 @@ impl Tree {
 
     /// Returns the leaf whose part of space contains a point.
     #[inline]
-    pub fn leaf(&self, at: &Point) -> u32 {
+    pub fn leaf(&self, point: &Point) -> u32 {
         let mut node = 0;
         while let Some(&(dimension, cut)) = self.cuts.get(node) {
-            node = 2 * node + 1 + usize::from(at[usize::from(dimension)] >= cut);
+            node = 2 * node + 1 + usize::from(point[usize::from(dimension)] >= cut);
         }
         (node - self.cuts.len()) as u32
     }
@@ -56,7 +56,7 @@ impl Tree {
     /// Returns the points below the node that is `height` levels above a leaf, where `height` is at most [`Tree::height`]. There is
     /// at least one.
     #[inline]
-    pub fn below(&self, leaf: u32, height: u32) -> &[u32] {
+    pub fn points_below(&self, leaf: u32, height: u32) -> &[u32] {
         let first = (leaf >> height << height) as usize;
         &self.order[self.starts[first] as usize..self.starts[first + (1 << height)] as usize]
     }
@@ -102,15 +102,18 @@ mod tests {
         let coordinate = |at: u32, i: usize| mix32(at * 64 + i as u32) as f32;
         for count in [1, 2, 9, 1000] {
             let points: Vec<Point> = (0..count).map(|at| std::array::from_fn(|i| coordinate(at, i))).collect();
-            let tree = Tree::of(&points);
+            let tree = Tree::new(&points);
             for (at, point) in points.iter().enumerate() {
                 let leaf = tree.leaf(point);
-                assert!(tree.below(leaf, 0).contains(&(at as u32)) && tree.below(leaf, 0).len() <= LEAF);
+                assert!(
+                    tree.points_below(leaf, 0).contains(&(at as u32))
+                        && tree.points_below(leaf, 0).len() <= MAX_LEAF_POINTS
+                );
                 for height in 0..tree.height() {
-                    let [part, whole] = [height, height + 1].map(|height| tree.below(leaf, height));
+                    let [part, whole] = [height, height + 1].map(|height| tree.points_below(leaf, height));
                     assert!(part.iter().all(|it| whole.contains(it)) && whole.len() >= 2 * part.len() - 1);
                 }
-                assert_eq!(tree.below(leaf, tree.height()).len(), points.len());
+                assert_eq!(tree.points_below(leaf, tree.height()).len(), points.len());
             }
         }
     }

@@ -44,7 +44,7 @@ pub struct Tally<K>(Arc<Mutex<BTreeMap<K, u64>>>);
 
 impl<K: Ord + Clone> Tally<K> {
     /// Creates a tally with these keys at 0. If a series appeared only with its first event, a rate query would miss that event.
-    pub fn of(keys: impl IntoIterator<Item = K>) -> Self {
+    pub fn with_keys(keys: impl IntoIterator<Item = K>) -> Self {
         Self(Arc::new(Mutex::new(keys.into_iter().map(|key| (key, 0)).collect())))
     }
 
@@ -85,7 +85,7 @@ impl Histogram {
     }
 
     /// Records one duration.
-    pub fn note(&self, took: Duration) {
+    pub fn observe(&self, took: Duration) {
         let seconds = took.as_secs_f64();
         let place = self.0.bounds.partition_point(|bound| *bound < seconds);
         self.0.counts[place].fetch_add(1, Ordering::Relaxed);
@@ -93,7 +93,7 @@ impl Histogram {
     }
 
     /// Returns each upper bound, the last one infinite, with the number of durations that do not exceed it.
-    pub(crate) fn cumulated(&self) -> impl Iterator<Item = (f64, u64)> + '_ {
+    pub(crate) fn cumulative_counts(&self) -> impl Iterator<Item = (f64, u64)> + '_ {
         let bounds = self.0.bounds.iter().copied().chain([f64::INFINITY]);
         bounds.zip(&self.0.counts).scan(0, |sum, (bound, count)| {
             *sum += count.load(Ordering::Relaxed);
@@ -113,8 +113,10 @@ mod tests {
     #[test]
     fn duration_counts_in_its_bucket_and_all_above() {
         let histogram = Histogram::new(&[0.5, 1.0]);
-        [250, 500, 750, 3_000].into_iter().for_each(|milliseconds| histogram.note(Duration::from_millis(milliseconds)));
-        assert_eq!(histogram.cumulated().collect::<Vec<_>>(), [(0.5, 2), (1.0, 3), (f64::INFINITY, 4)]);
+        [250, 500, 750, 3_000]
+            .into_iter()
+            .for_each(|milliseconds| histogram.observe(Duration::from_millis(milliseconds)));
+        assert_eq!(histogram.cumulative_counts().collect::<Vec<_>>(), [(0.5, 2), (1.0, 3), (f64::INFINITY, 4)]);
         assert_eq!(histogram.sum(), 4.5);
     }
 
@@ -127,7 +129,7 @@ mod tests {
 
     #[test]
     fn keys_are_there_before_their_first_event() {
-        let tally = Tally::of(["lost", "done"]);
+        let tally = Tally::with_keys(["lost", "done"]);
         tally.add("done", 2);
         assert_eq!(tally.clone().get(), [("done", 2), ("lost", 0)]);
     }

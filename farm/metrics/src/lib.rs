@@ -14,7 +14,7 @@ mod serve;
 pub mod testing;
 
 pub use count::{Counter, Histogram, Seconds, Tally};
-pub use disk::free;
+pub use disk::free_disk_bytes;
 pub use page::{Family, Histograms, Page};
-pub use process::process;
-pub use serve::{Health, Report, serve};
+pub use process::write_process_metrics;
+pub use serve::{Health, ProcessReport, serve_metrics};

@@ -52,24 +52,24 @@ pub struct Family<'a> {
 
 impl Family<'_> {
     /// Writes the metric's only value.
-    pub fn is(self, value: impl Into<f64>) {
-        self.with(&[], value.into());
+    pub fn value(self, value: impl Into<f64>) {
+        self.labeled(&[], value.into());
     }
 
     /// Writes the metric's only value, a count: exact up to 2^53.
-    pub fn counts(self, value: u64) {
-        self.is(value as f64);
+    pub fn count(self, value: u64) {
+        self.value(value as f64);
     }
 
     /// Writes a value with these labels.
-    pub fn with(self, labels: &[(&str, &str)], value: f64) -> Self {
+    pub fn labeled(self, labels: &[(&str, &str)], value: f64) -> Self {
         self.page.line(format_args!("{}{} {}\n", self.name, Labels(labels), Number(value)));
         self
     }
 
     /// Writes one value for each value of the label `label`.
-    pub fn each<L: AsRef<str>>(self, label: &str, values: impl IntoIterator<Item = (L, u64)>) {
-        let put = |family: Self, (value, count): (L, u64)| family.with(&[(label, value.as_ref())], count as f64);
+    pub fn each_label<L: AsRef<str>>(self, label: &str, values: impl IntoIterator<Item = (L, u64)>) {
+        let put = |family: Self, (value, count): (L, u64)| family.labeled(&[(label, value.as_ref())], count as f64);
         values.into_iter().fold(self, put);
     }
 }
@@ -80,10 +80,10 @@ pub struct Histograms<'a>(Family<'a>);
 
 impl Histograms<'_> {
     /// Writes a histogram with these labels.
-    pub fn with(self, labels: &[(&str, &str)], histogram: &Histogram) -> Self {
+    pub fn labeled(self, labels: &[(&str, &str)], histogram: &Histogram) -> Self {
         let Family { page, name } = self.0;
         let mut count = 0;
-        for (bound, below) in histogram.cumulated() {
+        for (bound, below) in histogram.cumulative_counts() {
             let bound = Number(bound).to_string();
             let labels: Vec<(&str, &str)> = labels.iter().copied().chain([("le", &*bound)]).collect();
             page.line(format_args!("{name}_bucket{} {below}\n", Labels(&labels)));
@@ -129,13 +129,13 @@ mod tests {
     #[test]
     fn a_page_is_read_back_as_it_was_written() {
         let mut page = Page::default();
-        page.gauge("femc_up", "Whether \\ it\nis there.").is(1);
-        page.counter("femc_errors_total", "Errors.").with(&[("what", "a \"b\"\\\n"), ("code", "7")], 0.5);
+        page.gauge("femc_up", "Whether \\ it\nis there.").value(1);
+        page.counter("femc_errors_total", "Errors.").labeled(&[("what", "a \"b\"\\\n"), ("code", "7")], 0.5);
         let histogram = Histogram::new(&[0.25]);
-        histogram.note(Duration::from_millis(125));
-        page.histogram("femc_call_seconds", "Calls.").with(&[("call", "x")], &histogram);
-        page.gauge("femc_odd", "No numbers.").with(&[("v", "i")], f64::INFINITY).with(&[("v", "n")], f64::NAN);
-        let samples = Samples::read(&page.finish()).expect("a page");
+        histogram.observe(Duration::from_millis(125));
+        page.histogram("femc_call_seconds", "Calls.").labeled(&[("call", "x")], &histogram);
+        page.gauge("femc_odd", "No numbers.").labeled(&[("v", "i")], f64::INFINITY).labeled(&[("v", "n")], f64::NAN);
+        let samples = Samples::parse(&page.finish()).expect("a page");
         assert_eq!(samples.value("femc_up", &[]), Some(1.0));
         assert_eq!(samples.value("femc_errors_total", &[("code", "7"), ("what", "a \"b\"\\\n")]), Some(0.5));
         assert_eq!(samples.value("femc_call_seconds_bucket", &[("call", "x"), ("le", "0.25")]), Some(1.0));

@@ -7,26 +7,26 @@ use std::time::SystemTime;
 use crate::page::Page;
 
 /// Writes memory, processor time, open files and start time of this process to the page.
-pub fn process(page: &mut Page) {
+pub fn write_process_metrics(page: &mut Page) {
     if let Some(seconds) = cpu_seconds() {
-        page.counter("process_cpu_seconds_total", "User and system processor time, in seconds.").is(seconds);
+        page.counter("process_cpu_seconds_total", "User and system processor time, in seconds.").value(seconds);
     }
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     if let Some(bytes) = kilobytes(&status, "VmRSS:") {
-        page.gauge("process_resident_memory_bytes", "Resident memory, in bytes.").counts(bytes);
+        page.gauge("process_resident_memory_bytes", "Resident memory, in bytes.").count(bytes);
     }
     if let Some(bytes) = kilobytes(&status, "VmSize:") {
-        page.gauge("process_virtual_memory_bytes", "Virtual memory, in bytes.").counts(bytes);
+        page.gauge("process_virtual_memory_bytes", "Virtual memory, in bytes.").count(bytes);
     }
     if let Ok(files) = std::fs::read_dir("/proc/self/fd") {
-        page.gauge("process_open_fds", "Open file descriptors.").counts(files.count() as u64);
+        page.gauge("process_open_fds", "Open file descriptors.").count(files.count() as u64);
     }
     if let Some(most) = most_files() {
-        page.gauge("process_max_fds", "Maximum number of open file descriptors.").counts(most);
+        page.gauge("process_max_fds", "Maximum number of open file descriptors.").count(most);
     }
-    let since_1970 = start().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+    let since_1970 = start_time().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
     let help = "Start time of the process, in seconds since 1970.";
-    page.gauge("process_start_time_seconds", help).is(since_1970.as_secs_f64());
+    page.gauge("process_start_time_seconds", help).value(since_1970.as_secs_f64());
 }
 
 fn kilobytes(status: &str, field: &str) -> Option<u64> {
@@ -52,7 +52,7 @@ fn cpu_seconds() -> Option<f64> {
 
 /// Returns the time of the first call. The server calls it when it begins, which is close to the start of the process; this works
 /// on every system.
-pub(crate) fn start() -> SystemTime {
+pub(crate) fn start_time() -> SystemTime {
     static START: LazyLock<SystemTime> = LazyLock::new(SystemTime::now);
     *START
 }
@@ -65,8 +65,8 @@ mod tests {
     #[test]
     fn this_process_has_a_size_and_an_age_where_the_system_says() {
         let mut page = Page::default();
-        process(&mut page);
-        let samples = Samples::read(&page.finish()).expect("a page");
+        write_process_metrics(&mut page);
+        let samples = Samples::parse(&page.finish()).expect("a page");
         if cfg!(target_os = "linux") {
             let value = |name| samples.value(name, &[]).expect(name);
             assert!(value("process_resident_memory_bytes") > 1e5 && value("process_cpu_seconds_total") > 0.0);

@@ -23,12 +23,12 @@ pub enum Health {
     /// The process works.
     Ready,
     /// The process works, but refuses some requests.
-    Strained {
+    Degraded {
         /// Refused service, and the reason.
         message: String,
     },
     /// The process is healthy and waits for something, like a standby.
-    Waits {
+    Waiting {
         /// Reason for the wait.
         message: String,
     },
@@ -41,7 +41,7 @@ pub enum Health {
 
 /// Health and metrics of a process.
 #[derive(Debug)]
-pub struct Report {
+pub struct ProcessReport {
     /// Health of the process.
     pub health: Health,
     /// Page of metrics.
@@ -51,17 +51,17 @@ pub struct Report {
 /// Maximum number of simultaneous connections; further ones wait.
 const CONNECTIONS: usize = 32;
 /// Timeout for reading a request's header.
-const PATIENCE: Duration = Duration::from_secs(5);
+const HEADER_TIMEOUT: Duration = Duration::from_secs(5);
 /// Maximum duration of a connection.
-const LIFE: Duration = Duration::from_secs(60);
+const CONNECTION_TIMEOUT: Duration = Duration::from_secs(60);
 
 /// Serves the results of `report` until this future is dropped: `/metrics` returns the page, `/healthz` returns 503 if the process
 /// is broken, `/readyz` returns 503 if it waits or is broken.
-pub async fn serve<R>(listener: TcpListener, report: impl Fn() -> R + Clone + Send + Sync + 'static)
+pub async fn serve_metrics<R>(listener: TcpListener, report: impl Fn() -> R + Clone + Send + Sync + 'static)
 where
-    R: Future<Output = Report> + Send,
+    R: Future<Output = ProcessReport> + Send,
 {
-    process::start();
+    process::start_time();
     let places = Arc::new(Semaphore::new(CONNECTIONS));
     loop {
         let Ok(place) = places.clone().acquire_owned().await else { return };
@@ -70,7 +70,7 @@ where
                 let report = report.clone();
                 tokio::spawn(async move {
                     // A client that is too slow must ask again.
-                    let _ = tokio::time::timeout(LIFE, connection(stream, report)).await;
+                    let _ = tokio::time::timeout(CONNECTION_TIMEOUT, connection(stream, report)).await;
                     drop(place);
                 });
             }
@@ -84,7 +84,7 @@ where
 
 async fn connection<R>(stream: TcpStream, report: impl Fn() -> R + Clone + Send + Sync + 'static)
 where
-    R: Future<Output = Report> + Send,
+    R: Future<Output = ProcessReport> + Send,
 {
     let service = service_fn(move |request: Request<Incoming>| {
         let report = report.clone();
@@ -92,7 +92,7 @@ where
     });
     let served = hyper::server::conn::http1::Builder::new()
         .timer(TokioTimer::new())
-        .header_read_timeout(PATIENCE)
+        .header_read_timeout(HEADER_TIMEOUT)
         .keep_alive(false)
         .serve_connection(TokioIo::new(stream), service)
         .await;
@@ -103,7 +103,7 @@ where
 
 async fn answer<R>(method: &Method, path: &str, report: impl Fn() -> R) -> Response<Full<Bytes>>
 where
-    R: Future<Output = Report>,
+    R: Future<Output = ProcessReport>,
 {
     if !matches!(*method, Method::GET | Method::HEAD) {
         return text(StatusCode::METHOD_NOT_ALLOWED, "use GET or HEAD\n".into());
@@ -117,15 +117,15 @@ where
         }
         "/healthz" => match report().await.health {
             Health::Ready => text(StatusCode::OK, "ok\n".into()),
-            Health::Strained { message } | Health::Waits { message } => {
+            Health::Degraded { message } | Health::Waiting { message } => {
                 text(StatusCode::OK, format!("ok: {message}\n"))
             }
             Health::Broken { message } => text(StatusCode::SERVICE_UNAVAILABLE, format!("broken: {message}\n")),
         },
         "/readyz" => match report().await.health {
             Health::Ready => text(StatusCode::OK, "ready\n".into()),
-            Health::Strained { message } => text(StatusCode::OK, format!("ready: {message}\n")),
-            Health::Waits { message } | Health::Broken { message } => {
+            Health::Degraded { message } => text(StatusCode::OK, format!("ready: {message}\n")),
+            Health::Waiting { message } | Health::Broken { message } => {
                 text(StatusCode::SERVICE_UNAVAILABLE, format!("not ready: {message}\n"))
             }
         },
@@ -147,12 +147,12 @@ mod tests {
     #[tokio::test]
     async fn standby_is_healthy_but_not_ready_and_broken_is_neither() {
         let status = async |path: &str, health: Health| {
-            let report = || std::future::ready(Report { health: health.clone(), page: "page\n".into() });
+            let report = || std::future::ready(ProcessReport { health: health.clone(), page: "page\n".into() });
             answer(&Method::GET, path, report).await.status().as_u16()
         };
-        let waits = Health::Waits { message: "standing by".into() };
+        let waits = Health::Waiting { message: "standing by".into() };
         let broken = Health::Broken { message: "the log".into() };
-        let strained = Health::Strained { message: "no new jobs".into() };
+        let strained = Health::Degraded { message: "no new jobs".into() };
         let all = [(Health::Ready, 200, 200), (strained, 200, 200), (waits, 200, 503), (broken, 503, 503)];
         for (health, healthz, readyz) in all {
             assert_eq!(status("/healthz", health.clone()).await, healthz);

@@ -17,7 +17,7 @@ impl Samples {
     /// Reads a page and checks these rules: Each metric begins with its help and its kind. Its values follow immediately. No metric
     /// and no series occurs twice. A counter's name ends with `_total`, and its value is not negative. The buckets of a histogram
     /// do not shrink, and the last one equals its count.
-    pub fn read(page: &str) -> Result<Self, String> {
+    pub fn parse(page: &str) -> Result<Self, String> {
         let (mut samples, mut helped, mut current) = (Self::default(), BTreeSet::new(), String::new());
         for line in page.strip_suffix('\n').ok_or("the last line has no line break")?.lines() {
             let wrong = |what: &str| format!("{what}: {line}");
@@ -37,19 +37,19 @@ impl Samples {
                     return Err(wrong("the kind is repeated"));
                 }
             } else {
-                samples.take(line, &current).map_err(|what| wrong(&what))?;
+                samples.parse_sample(line, &current).map_err(|what| wrong(&what))?;
             }
         }
         samples.check_histograms()?;
         Ok(samples)
     }
 
-    fn take(&mut self, line: &str, family: &str) -> Result<(), String> {
+    fn parse_sample(&mut self, line: &str, family: &str) -> Result<(), String> {
         let (series, value) = line.rsplit_once(' ').ok_or("the value is missing")?;
         let (name, labels) = match series.split_once('{') {
             None => (series, Labels::new()),
             Some((name, labels)) => {
-                (name, labels_of(labels.strip_suffix('}').ok_or("the labels have no closing brace")?)?)
+                (name, parse_labels(labels.strip_suffix('}').ok_or("the labels have no closing brace")?)?)
             }
         };
         let kind = self.kinds.get(family).ok_or("no kind precedes it")?;
@@ -117,7 +117,7 @@ impl Samples {
     }
 }
 
-fn labels_of(text: &str) -> Result<Labels, String> {
+fn parse_labels(text: &str) -> Result<Labels, String> {
     let (mut labels, mut rest) = (Labels::new(), text);
     while !rest.is_empty() {
         let (name, after) = rest.split_once("=\"").ok_or("a label has no value")?;
@@ -158,7 +158,7 @@ mod tests {
     #[test]
     fn what_is_no_page_is_refused() {
         let head = "# HELP a b\n# TYPE a gauge\n";
-        assert!(Samples::read(&format!("{head}a 1\n")).is_ok());
+        assert!(Samples::parse(&format!("{head}a 1\n")).is_ok());
         for wrong in [
             "a 1\n".to_owned(),
             format!("{head}a 1"),
@@ -172,7 +172,7 @@ mod tests {
             "# HELP a b\n# TYPE a histogram\na_bucket{le=\"1\"} 1\na_sum 1\na_count 1\n".to_owned(),
             "# HELP a b\n# TYPE a histogram\na_bucket{le=\"1\"} 2\na_bucket{le=\"+Inf\"} 1\na_count 1\n".to_owned(),
         ] {
-            assert!(Samples::read(&wrong).is_err(), "{wrong}");
+            assert!(Samples::parse(&wrong).is_err(), "{wrong}");
         }
     }
 }

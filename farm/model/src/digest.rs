@@ -11,7 +11,7 @@ pub struct Digest([u8; 32]);
 
 impl Digest {
     /// Returns the digest of `bytes`.
-    pub fn of(bytes: &[u8]) -> Self {
+    pub fn compute(bytes: &[u8]) -> Self {
         Self(*blake3::hash(bytes).as_bytes())
     }
 
@@ -72,7 +72,7 @@ mod tests {
 
     #[test]
     fn a_digest_survives_its_text() {
-        let digest = Digest::of(b"fog");
+        let digest = Digest::compute(b"fog");
         assert_eq!(digest.to_string().parse(), Ok(digest));
         assert_eq!("abc".parse::<Digest>(), Err(ParseDigestError));
         assert_eq!("zz".repeat(32).parse::<Digest>(), Err(ParseDigestError));

@@ -72,7 +72,7 @@ pub enum Failure {
 
 /// Consequence of a failure for the task.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Verdict {
+pub enum FailureVerdict {
     /// The task itself failed. This counts as an attempt. Retry it on another worker.
     Retry,
     /// Recreate these artifacts first.
@@ -117,13 +117,13 @@ impl Failure {
     }
 
     /// Returns the consequence. The match is exhaustive, so every new failure must choose one.
-    pub fn verdict(&self) -> Verdict {
+    pub fn verdict(&self) -> FailureVerdict {
         match self {
-            Self::Scene { .. } | Self::Settings { .. } | Self::TooLarge { .. } => Verdict::Fatal,
-            Self::Panicked { .. } | Self::Stalled { .. } | Self::Killed { .. } => Verdict::Retry,
-            Self::LostInputs { digests, .. } => Verdict::Rebuild(digests.clone()),
-            Self::Store { .. } | Self::Resources { .. } => Verdict::Infrastructure,
-            Self::Cancelled => Verdict::Cancelled,
+            Self::Scene { .. } | Self::Settings { .. } | Self::TooLarge { .. } => FailureVerdict::Fatal,
+            Self::Panicked { .. } | Self::Stalled { .. } | Self::Killed { .. } => FailureVerdict::Retry,
+            Self::LostInputs { digests, .. } => FailureVerdict::Rebuild(digests.clone()),
+            Self::Store { .. } | Self::Resources { .. } => FailureVerdict::Infrastructure,
+            Self::Cancelled => FailureVerdict::Cancelled,
         }
     }
 }

@@ -5,25 +5,25 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Grains, JobSpec, Role, StageKind};
+use crate::{Chunks, JobSpec, Role, StageKind};
 
 /// Stages of a job. A stage is identified by its index here. It may read only earlier stages, or any stage of its own loop in the
 /// previous round.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Graph {
     /// Stages in an order in which they can run.
-    pub stages: Vec<Template>,
+    pub stages: Vec<StageTemplate>,
 }
 
 /// Template of a stage, instantiated once for each unit of its scope.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Template {
+pub struct StageTemplate {
     /// Kind of the stage's tasks.
     pub kind: StageKind,
     /// Unit that runs this stage once: a frame, a job, or a shared content.
     pub scope: Scope,
     /// Number of tasks, and units of work per step of each task.
-    pub sizes: Sizes,
+    pub sizes: TaskSizes,
     /// Total steps that each task has taken at the end of each round, strictly ascending. Empty if the kind's tasks are not divided
     /// into chunks: then a task is one step in each round.
     pub steps: Vec<u32>,
@@ -32,7 +32,7 @@ pub struct Template {
     /// Optional inputs. A task reads them if they are available. They save time and change no byte of the results.
     pub hints: Vec<Hint>,
     /// Roles of the stage's outputs, each role once.
-    pub makes: Vec<Role>,
+    pub outputs: Vec<Role>,
     /// Loop that the stage closes.
     pub closes: Option<Loop>,
     /// Options of the tasks, beside their inputs and the job's settings, in a format that the kind defines. Empty: no options.
@@ -123,7 +123,7 @@ pub enum Round {
     /// The task's own round, inside a loop. The last round, for a stage whose loop is over or a stage of another scope.
     Same,
     /// The previous round, inside a loop. The first round reads nothing.
-    Before,
+    Previous,
     /// All rounds of a stage whose loop is over, or of a stage of another scope. No other reader there may read only the last round
     /// of the output.
     Every,
@@ -131,9 +131,9 @@ pub enum Round {
 
 /// Tasks of a stage in order, with the units of work per step of each. Equal neighbors share an entry.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Sizes(Vec<(u32, u64)>);
+pub struct TaskSizes(Vec<(u32, u64)>);
 
-impl Sizes {
+impl TaskSizes {
     /// Makes `tasks` tasks of `units` units per step each.
     pub fn even(tasks: u32, units: u64) -> Self {
         std::iter::repeat_n(units, tasks.min(1) as usize).map(|units| (tasks, units)).collect()
@@ -145,7 +145,7 @@ impl Sizes {
     }
 
     /// Returns the units per step of a task; 0 past the last task.
-    pub fn of(&self, task: u32) -> u64 {
+    pub fn units(&self, task: u32) -> u64 {
         let mut left = task;
         for &(tasks, units) in &self.0 {
             if left < tasks {
@@ -162,17 +162,18 @@ impl Sizes {
     }
 
     /// Returns the greatest number of units per step of any task.
-    pub fn greatest(&self) -> u64 {
+    pub fn max(&self) -> u64 {
         self.0.iter().map(|(_, units)| *units).max().unwrap_or(0)
     }
 
-    /// Returns the entries: a number of tasks, and the units per step of each. Neighbors differ if [`Sizes::from_iter`] made them.
+    /// Returns the entries: a number of tasks, and the units per step of each. Neighbors differ if [`TaskSizes::from_iter`] made
+    /// them.
     pub fn runs(&self) -> &[(u32, u64)] {
         &self.0
     }
 }
 
-impl FromIterator<(u32, u64)> for Sizes {
+impl FromIterator<(u32, u64)> for TaskSizes {
     fn from_iter<I: IntoIterator<Item = (u32, u64)>>(runs: I) -> Self {
         let mut all: Vec<(u32, u64)> = Vec::new();
         for (tasks, units) in runs {
@@ -185,9 +186,9 @@ impl FromIterator<(u32, u64)> for Sizes {
     }
 }
 
-impl Template {
+impl StageTemplate {
     /// Makes a stage without inputs.
-    pub fn new(kind: StageKind, scope: Scope, sizes: Sizes, makes: &[Role]) -> Self {
+    pub fn new(kind: StageKind, scope: Scope, sizes: TaskSizes, outputs: &[Role]) -> Self {
         Self {
             kind,
             scope,
@@ -195,7 +196,7 @@ impl Template {
             steps: Vec::new(),
             needs: Vec::new(),
             hints: Vec::new(),
-            makes: makes.to_vec(),
+            outputs: outputs.to_vec(),
             closes: None,
             options: String::new(),
             tags: Vec::new(),
@@ -219,7 +220,7 @@ impl Template {
     }
 
     /// Adds a hint.
-    pub fn looks_at(mut self, stage: u16, role: Role, reach: Reach) -> Self {
+    pub fn hinted_by(mut self, stage: u16, role: Role, reach: Reach) -> Self {
         self.hints.push(Hint { stage, role, reach });
         self
     }
@@ -262,28 +263,28 @@ impl Graph {
     pub const MAX_OPTIONS: usize = 1 << 12;
 
     /// Returns the stage with this number.
-    pub fn stage(&self, stage: u16) -> Option<&Template> {
+    pub fn stage(&self, stage: u16) -> Option<&StageTemplate> {
         self.stages.get(usize::from(stage))
     }
 
     /// Returns the stages with their numbers.
-    pub fn iter(&self) -> impl DoubleEndedIterator<Item = (u16, &Template)> {
+    pub fn iter(&self) -> impl DoubleEndedIterator<Item = (u16, &StageTemplate)> {
         self.stages.iter().enumerate().map(|(stage, template)| (stage as u16, template))
     }
 
     /// Returns the stages of a scope with their numbers.
-    pub fn of(&self, scope: Scope) -> impl DoubleEndedIterator<Item = (u16, &Template)> {
+    pub fn stages_of(&self, scope: Scope) -> impl DoubleEndedIterator<Item = (u16, &StageTemplate)> {
         self.iter().filter(move |(_, template)| template.scope == scope)
     }
 
     /// Returns whether the graph has a stage that runs once for the whole job.
-    pub fn has_job(&self) -> bool {
-        self.of(Scope::Job).next().is_some()
+    pub fn has_job_stages(&self) -> bool {
+        self.stages_of(Scope::Job).next().is_some()
     }
 
     /// Returns whether the graph has a stage that runs once per shared content.
-    pub fn has_content(&self) -> bool {
-        self.of(Scope::Content).next().is_some()
+    pub fn has_content_stages(&self) -> bool {
+        self.stages_of(Scope::Content).next().is_some()
     }
 
     /// Returns whether this is a stage of frames that reads a stage of a shared content.
@@ -295,31 +296,31 @@ impl Graph {
 
     /// Returns whether some stage of the job accepts missing frames.
     pub fn has_gaps(&self) -> bool {
-        self.of(Scope::Job).any(|(_, template)| template.needs.iter().any(|need| need.gaps))
+        self.stages_of(Scope::Job).any(|(_, template)| template.needs.iter().any(|need| need.gaps))
     }
 
     /// Returns the loop of a scope and the stage that closes it.
     pub fn loop_of(&self, scope: Scope) -> Option<(u16, Loop)> {
-        self.of(scope).find_map(|(stage, template)| Some((stage, template.closes?)))
+        self.stages_of(scope).find_map(|(stage, template)| Some((stage, template.closes?)))
     }
 
     /// Returns whether a stage is in the loop of its scope.
     pub fn is_looped(&self, stage: u16) -> bool {
         let scope = self.stage(stage).map(|template| template.scope);
-        let around = scope.and_then(|scope| self.loop_of(scope));
-        around.is_some_and(|(last, Loop { first, .. })| (first..=last).contains(&stage))
+        let scope_loop = scope.and_then(|scope| self.loop_of(scope));
+        scope_loop.is_some_and(|(last, Loop { first, .. })| (first..=last).contains(&stage))
     }
 
     /// Returns whether a stage closes a loop.
-    pub fn closes(&self, stage: u16) -> bool {
+    pub fn closes_loop(&self, stage: u16) -> bool {
         self.stage(stage).is_some_and(|template| template.closes.is_some())
     }
 
     /// Returns the maximum number of rounds in which a stage runs.
     pub fn rounds(&self, stage: u16) -> u32 {
         let scope = self.stage(stage).map(|template| template.scope);
-        let around = scope.and_then(|scope| self.loop_of(scope)).filter(|_| self.is_looped(stage));
-        around.map_or(1, |(_, Loop { rounds, .. })| rounds)
+        let scope_loop = scope.and_then(|scope| self.loop_of(scope)).filter(|_| self.is_looped(stage));
+        scope_loop.map_or(1, |(_, Loop { rounds, .. })| rounds)
     }
 
     /// Returns the readers of a stage's outputs: the number and the need of each reading stage.
@@ -340,19 +341,19 @@ impl Graph {
     }
 
     /// Returns the first stage of frames whose tasks are divided into chunks. The progress of a frame is shown in its units.
-    pub fn main(&self) -> Option<(u16, &Template)> {
-        self.of(Scope::Frame).find(|(_, template)| template.kind.is_cut())
+    pub fn main_stage(&self) -> Option<(u16, &StageTemplate)> {
+        self.stages_of(Scope::Frame).find(|(_, template)| template.kind.is_divided())
     }
 
     /// Returns the number of tasks of one frame, or of the job, if every round runs.
     pub fn tasks(&self, scope: Scope) -> u64 {
-        self.of(scope).map(|(stage, template)| u64::from(template.tasks()) * u64::from(self.rounds(stage))).sum()
+        self.stages_of(scope).map(|(stage, template)| u64::from(template.tasks()) * u64::from(self.rounds(stage))).sum()
     }
 
     /// Returns the maximum number of outputs that one task reads in a job of `frames` frames, if every task that can be divided has
     /// the maximum number of chunks.
-    pub fn most_inputs(&self, frames: u64) -> u64 {
-        let of_need = |template: &Template, need: &Need| {
+    pub fn max_inputs(&self, frames: u64) -> u64 {
+        let of_need = |template: &StageTemplate, need: &Need| {
             let Some(made) = self.stage(need.stage) else { return 0 };
             let of_frames = (template.scope, made.scope) == (Scope::Job, Scope::Frame);
             let tasks = u64::from(made.tasks()).saturating_mul(if of_frames { frames } else { 1 });
@@ -362,10 +363,10 @@ impl Graph {
                 Reach::Fan(n) => tasks.min(u64::from(n)),
             };
             let rounds = if need.round == Round::Every { self.rounds(need.stage) } else { 1 };
-            let parts = if made.kind.is_cut() { Grains::MOST } else { 1 };
+            let parts = if made.kind.is_divided() { Chunks::MAX_PER_TASK } else { 1 };
             read.saturating_mul(u64::from(rounds) * u64::from(parts))
         };
-        let of_task = |template: &Template| {
+        let of_task = |template: &StageTemplate| {
             template.needs.iter().fold(0, |sum: u64, need| sum.saturating_add(of_need(template, need)))
         };
         self.stages.iter().map(of_task).max().unwrap_or(0)
@@ -382,7 +383,7 @@ impl Graph {
         if self.stages.len() > Self::MAX_STAGES {
             return Err(GraphError::TooMany { what: "stages", limit: Self::MAX_STAGES as u64 });
         }
-        if self.of(Scope::Frame).next().is_none() {
+        if self.stages_of(Scope::Frame).next().is_none() {
             return Err(GraphError::Empty);
         }
         for (stage, template) in self.iter() {
@@ -390,15 +391,15 @@ impl Graph {
         }
         self.check_last_or_every()?;
         for scope in Scope::ALL {
-            if self.of(scope).filter(|(_, template)| template.closes.is_some()).count() > 1 {
+            if self.stages_of(scope).filter(|(_, template)| template.closes.is_some()).count() > 1 {
                 return Err(GraphError::Loop { stage: 0, why: "a scope can have only one loop" });
             }
         }
         Ok(())
     }
 
-    fn check_stage(&self, stage: u16, template: &Template) -> Result<(), GraphError> {
-        let Template { kind, sizes, steps, needs, hints, makes, options, tags, .. } = template;
+    fn check_stage(&self, stage: u16, template: &StageTemplate) -> Result<(), GraphError> {
+        let StageTemplate { kind, sizes, steps, needs, hints, outputs: makes, options, tags, .. } = template;
         let limits = [
             ("tasks in a stage", u64::from(sizes.tasks()), u64::from(Self::MAX_TASKS)),
             ("needs in a stage", needs.len() as u64, Self::MAX_NEEDS as u64),
@@ -420,30 +421,30 @@ impl Graph {
             return Err(GraphError::Tasks { stage });
         }
         let ascends = steps.first().is_some_and(|&first| first > 0) && steps.windows(2).all(|pair| pair[0] < pair[1]);
-        if kind.is_cut() == steps.is_empty() || (kind.is_cut() && !ascends) {
+        if kind.is_divided() == steps.is_empty() || (kind.is_divided() && !ascends) {
             return Err(GraphError::Steps { stage });
         }
         if (1..makes.len()).any(|place| makes[..place].contains(&makes[place])) {
-            return Err(GraphError::Makes { stage });
+            return Err(GraphError::DuplicateRole { stage });
         }
         if tags.iter().chain([options]).any(|text| text.contains(char::is_control)) {
-            return Err(GraphError::Control { stage });
+            return Err(GraphError::ControlCharacters { stage });
         }
         self.check_loop(stage, template)?;
-        if kind.is_cut() && steps.len() != self.rounds(stage) as usize {
+        if kind.is_divided() && steps.len() != self.rounds(stage) as usize {
             return Err(GraphError::Steps { stage });
         }
         hints.iter().try_for_each(|hint| self.check_hint(stage, template, hint))?;
         needs.iter().try_for_each(|need| self.check_need(stage, template, need))
     }
 
-    fn check_hint(&self, stage: u16, template: &Template, hint: &Hint) -> Result<(), GraphError> {
+    fn check_hint(&self, stage: u16, template: &StageTemplate, hint: &Hint) -> Result<(), GraphError> {
         let fault = |why| Err(GraphError::Hint { stage, why });
         let Some(made) = self.stage(hint.stage) else { return fault("the job does not have the stage that it reads") };
         if (template.scope, made.scope) != (Scope::Frame, Scope::Frame) {
             return fault("only stages of frames can have hints, and they read stages of frames");
         }
-        if !made.makes.contains(&hint.role) {
+        if !made.outputs.contains(&hint.role) {
             return fault("the stage that it reads does not make this output");
         }
         match hint.reach {
@@ -457,13 +458,13 @@ impl Graph {
         }
     }
 
-    fn check_loop(&self, stage: u16, template: &Template) -> Result<(), GraphError> {
+    fn check_loop(&self, stage: u16, template: &StageTemplate) -> Result<(), GraphError> {
         let Some(Loop { first, rounds }) = template.closes else { return Ok(()) };
         let fault = |why| Err(GraphError::Loop { stage, why });
         if rounds == 0 || rounds > Self::MAX_ROUNDS {
             return fault("a loop must have 1 to 64 rounds");
         }
-        if first > stage || template.tasks() != 1 || template.kind.is_cut() {
+        if first > stage || template.tasks() != 1 || template.kind.is_divided() {
             return fault("the stage that closes a loop must be its last stage and have one task without chunks");
         }
         if self.iter().any(|(other, inner)| (first..=stage).contains(&other) && inner.scope != template.scope) {
@@ -491,12 +492,12 @@ impl Graph {
         Ok(())
     }
 
-    fn check_need(&self, stage: u16, template: &Template, need: &Need) -> Result<(), GraphError> {
+    fn check_need(&self, stage: u16, template: &StageTemplate, need: &Need) -> Result<(), GraphError> {
         let fault = |why| Err(GraphError::Need { stage, why });
         let Some(made) = self.stage(need.stage) else { return fault("it needs a stage that does not exist") };
         let same_loop = template.scope == made.scope && self.is_looped(stage) && self.is_looped(need.stage);
-        let is_before = need.round == Round::Before;
-        if !made.makes.contains(&need.role) {
+        let is_before = need.round == Round::Previous;
+        if !made.outputs.contains(&need.role) {
             return fault("it needs an output that the stage does not make");
         }
         let is_chain = need.reach == Reach::Previous && need.stage == stage;
@@ -516,7 +517,9 @@ impl Graph {
             (Reach::Same | Reach::Previous, Some(tasks)) if tasks != template.tasks() => {
                 fault("one-to-one reading needs equal numbers of tasks")
             }
-            (Reach::Previous, _) if need.round == Round::Before || template.kind.is_cut() || self.is_looped(stage) => {
+            (Reach::Previous, _)
+                if need.round == Round::Previous || template.kind.is_divided() || self.is_looped(stage) =>
+            {
                 fault("a chain cannot be in a loop, and its tasks cannot have chunks")
             }
             (Reach::Previous, None) => fault("a chain cannot read several frames"),
@@ -531,7 +534,7 @@ impl Graph {
     /// Checks that stages of the job that read stages of frames with [`Reach::Fan`] have the right number of tasks for `frames`
     /// frames.
     pub fn check_frames(&self, frames: u64) -> Result<(), GraphError> {
-        for (stage, template) in self.of(Scope::Job) {
+        for (stage, template) in self.stages_of(Scope::Job) {
             for need in &template.needs {
                 let made = self.stage(need.stage).filter(|made| made.scope == Scope::Frame);
                 let (Some(made), Reach::Fan(fan)) = (made, need.reach) else { continue };
@@ -575,13 +578,13 @@ pub enum GraphError {
     },
     /// A role occurs twice.
     #[error("stage {stage} makes two outputs with the same role")]
-    Makes {
+    DuplicateRole {
         /// Number of the stage in the graph.
         stage: u16,
     },
     /// A text contains control characters. Texts are shown on terminals and must not control them.
     #[error("the options or tags of stage {stage} contain control characters")]
-    Control {
+    ControlCharacters {
         /// Number of the stage in the graph.
         stage: u16,
     },
@@ -630,17 +633,20 @@ mod tests {
     use super::*;
 
     fn frames() -> Graph {
-        let render = Template::new(StageKind::Render, Scope::Frame, Sizes::even(10, 64), &[Role::Tile]).steps(&[4, 8]);
-        let reduce = Template::new(StageKind::Reduce, Scope::Frame, Sizes::even(3, 1), &[Role::Pixels, Role::Sums])
-            .reads(0, Role::Tile, Reach::Fan(4))
-            .needs(Need { stage: 1, role: Role::Sums, reach: Reach::Same, round: Round::Before, gaps: false });
-        let image = Template::new(StageKind::Image, Scope::Frame, Sizes::even(1, 1), &[Role::Image, Role::Preview])
-            .reads(1, Role::Pixels, Reach::All)
-            .closes(0, 2);
+        let render =
+            StageTemplate::new(StageKind::Render, Scope::Frame, TaskSizes::even(10, 64), &[Role::Tile]).steps(&[4, 8]);
+        let reduce =
+            StageTemplate::new(StageKind::Reduce, Scope::Frame, TaskSizes::even(3, 1), &[Role::Pixels, Role::Sums])
+                .reads(0, Role::Tile, Reach::Fan(4))
+                .needs(Need { stage: 1, role: Role::Sums, reach: Reach::Same, round: Round::Previous, gaps: false });
+        let image =
+            StageTemplate::new(StageKind::Image, Scope::Frame, TaskSizes::even(1, 1), &[Role::Image, Role::Preview])
+                .reads(1, Role::Pixels, Reach::All)
+                .closes(0, 2);
         Graph { stages: vec![render, reduce, image] }
     }
 
-    fn with(change: impl FnOnce(&mut Vec<Template>)) -> Result<(), GraphError> {
+    fn with(change: impl FnOnce(&mut Vec<StageTemplate>)) -> Result<(), GraphError> {
         let mut graph = frames();
         change(&mut graph.stages);
         graph.check()
@@ -650,7 +656,7 @@ mod tests {
     fn a_graph_of_frames_is_sound_and_says_what_it_is() {
         let graph = frames();
         assert_eq!(graph.check(), Ok(()));
-        assert_eq!((graph.tasks(Scope::Frame), graph.tasks(Scope::Job), graph.has_job()), (28, 0, false));
+        assert_eq!((graph.tasks(Scope::Frame), graph.tasks(Scope::Job), graph.has_job_stages()), (28, 0, false));
         assert_eq!(graph.readers(1).map(|(reader, _)| reader).collect::<Vec<_>>(), [1, 2]);
         assert!((0..3).all(|stage| graph.is_looped(stage) && graph.rounds(stage) == 2));
     }
@@ -659,7 +665,7 @@ mod tests {
     fn impossible_graphs_are_refused() {
         let need = |why| Err(GraphError::Need { stage: 1, why });
         assert_eq!(Graph::default().check(), Err(GraphError::Empty));
-        assert_eq!(with(|all| all[0].sizes = Sizes::default()), Err(GraphError::Tasks { stage: 0 }));
+        assert_eq!(with(|all| all[0].sizes = TaskSizes::default()), Err(GraphError::Tasks { stage: 0 }));
         assert_eq!(with(|all| all[0].steps = vec![4, 4]), Err(GraphError::Steps { stage: 0 }));
         assert_eq!(with(|all| all[0].steps = vec![4]), Err(GraphError::Steps { stage: 0 }));
         assert_eq!(with(|all| all[1].steps = vec![4, 8]), Err(GraphError::Steps { stage: 1 }));
@@ -678,7 +684,7 @@ mod tests {
             with(|all| all[1].needs[0].reach = Reach::Same),
             need("one-to-one reading needs equal numbers of tasks")
         );
-        assert_eq!(with(|all| all[1].makes.push(Role::Sums)), Err(GraphError::Makes { stage: 1 }));
+        assert_eq!(with(|all| all[1].outputs.push(Role::Sums)), Err(GraphError::DuplicateRole { stage: 1 }));
         let look = |stage, role, reach| with(|all| all[1].hints = vec![Hint { stage, role, reach }]);
         let hint = |why| Err(GraphError::Hint { stage: 1, why });
         assert_eq!(look(2, Role::Image, Reach::All), Ok(()), "what comes later is there in the frame before");
@@ -688,29 +694,30 @@ mod tests {
         assert_eq!(look(0, Role::Tile, Reach::Same), hint("one-to-one reading needs equal numbers of tasks"));
         assert_eq!(look(0, Role::Tile, Reach::Fan(3)), hint("the number of tasks does not match the fan"));
         assert_eq!(look(0, Role::Tile, Reach::Fan(0)), hint("a fan must be at least 1"));
-        let of_job = |all: &mut Vec<Template>| {
-            let own = Template::new(StageKind::Image, Scope::Job, Sizes::even(1, 1), &[]);
-            all.push(own.looks_at(2, Role::Image, Reach::All));
+        let of_job = |all: &mut Vec<StageTemplate>| {
+            let own = StageTemplate::new(StageKind::Image, Scope::Job, TaskSizes::even(1, 1), &[]);
+            all.push(own.hinted_by(2, Role::Image, Reach::All));
         };
         assert!(matches!(with(of_job), Err(GraphError::Hint { stage: 3, .. })));
-        let long = |all: &mut Vec<Template>| all[1].options = "x".repeat(Graph::MAX_OPTIONS + 1);
+        let long = |all: &mut Vec<StageTemplate>| all[1].options = "x".repeat(Graph::MAX_OPTIONS + 1);
         assert!(matches!(with(long), Err(GraphError::TooMany { what: "bytes in the options of a stage", .. })));
-        let many = |all: &mut Vec<Template>| all[1].tags = vec!["lab".into(); 65];
+        let many = |all: &mut Vec<StageTemplate>| all[1].tags = vec!["lab".into(); 65];
         assert!(matches!(with(many), Err(GraphError::TooMany { what: "tags in a stage", limit: 64 })));
-        let long = |all: &mut Vec<Template>| all[1].tags = vec!["x".repeat(JobSpec::MAX_NAME + 1)];
+        let long = |all: &mut Vec<StageTemplate>| all[1].tags = vec!["x".repeat(JobSpec::MAX_NAME + 1)];
         assert!(matches!(with(long), Err(GraphError::TooMany { what: "bytes in a tag of a stage", .. })));
-        assert_eq!(with(|all| all[1].tags = vec!["a\u{1b}".into()]), Err(GraphError::Control { stage: 1 }));
-        assert_eq!(with(|all| all[1].options = "a\n".into()), Err(GraphError::Control { stage: 1 }));
-        assert!(matches!(with(|all| all[2].sizes = Sizes::even(2, 1)), Err(GraphError::Loop { stage: 2, .. })));
+        assert_eq!(with(|all| all[1].tags = vec!["a\u{1b}".into()]), Err(GraphError::ControlCharacters { stage: 1 }));
+        assert_eq!(with(|all| all[1].options = "a\n".into()), Err(GraphError::ControlCharacters { stage: 1 }));
+        assert!(matches!(with(|all| all[2].sizes = TaskSizes::even(2, 1)), Err(GraphError::Loop { stage: 2, .. })));
         assert!(with(|all| all[2].closes = Some(Loop { first: 0, rounds: 65 })).is_err());
-        assert!(matches!(with(|all| all[0].sizes = Sizes::even(1 << 17, 1)), Err(GraphError::TooMany { .. })));
+        assert!(matches!(with(|all| all[0].sizes = TaskSizes::even(1 << 17, 1)), Err(GraphError::TooMany { .. })));
     }
 
     #[test]
     fn stage_in_a_loop_reads_earlier_outputs_within_its_reach() {
         let read = |reach| {
             with(|all| {
-                let before = Template::new(StageKind::Reduce, Scope::Frame, Sizes::even(6, 1), &[Role::Numbers]);
+                let before =
+                    StageTemplate::new(StageKind::Reduce, Scope::Frame, TaskSizes::even(6, 1), &[Role::Numbers]);
                 all.insert(0, before);
                 all.iter_mut().skip(1).flat_map(|it| &mut it.needs).for_each(|need| need.stage += 1);
                 all[2].needs.push(Need { stage: 0, role: Role::Numbers, reach, round: Round::Same, gaps: false });
@@ -729,8 +736,8 @@ mod tests {
         let read = |rounds: [Round; 2], roles: [Role; 2]| {
             let needs = rounds.into_iter().zip(roles);
             let needs = needs.map(|(round, role)| Need { stage: 1, role, reach: Reach::All, round, gaps: false });
-            let own = Template::new(StageKind::Reduce, Scope::Job, Sizes::even(1, 1), &[Levels]);
-            with(|all| all.push(Template { needs: needs.collect(), ..own }))
+            let own = StageTemplate::new(StageKind::Reduce, Scope::Job, TaskSizes::even(1, 1), &[Levels]);
+            with(|all| all.push(StageTemplate { needs: needs.collect(), ..own }))
         };
         use {Role::*, Round::*};
         assert_eq!((read([Same, Same], [Sums; 2]), read([Every, Every], [Sums; 2])), (Ok(()), Ok(())));
@@ -740,10 +747,10 @@ mod tests {
 
     #[test]
     fn sizes_join_equal_neighbors_and_find_each_task() {
-        let sizes: Sizes = [(3, 64), (1, 32), (3, 64), (1, 32), (1, 32)].into_iter().collect();
+        let sizes: TaskSizes = [(3, 64), (1, 32), (3, 64), (1, 32), (1, 32)].into_iter().collect();
         assert_eq!(sizes.runs().len(), 4);
-        assert_eq!((0..10).map(|task| sizes.of(task)).collect::<Vec<_>>(), [64, 64, 64, 32, 64, 64, 64, 32, 32, 0]);
-        assert_eq!((sizes.tasks(), sizes.sum(), sizes.greatest()), (9, 6 * 64 + 3 * 32, 64));
-        assert_eq!(Sizes::even(0, 4).tasks(), 0);
+        assert_eq!((0..10).map(|task| sizes.units(task)).collect::<Vec<_>>(), [64, 64, 64, 32, 64, 64, 64, 32, 32, 0]);
+        assert_eq!((sizes.tasks(), sizes.sum(), sizes.max()), (9, 6 * 64 + 3 * 32, 64));
+        assert_eq!(TaskSizes::even(0, 4).tasks(), 0);
     }
 }

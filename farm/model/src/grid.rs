@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::Sizes;
+use crate::TaskSizes;
 
 /// A film cut into square tiles; the last column and row may be narrower.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -45,7 +45,7 @@ impl Grid {
     }
 
     /// Returns the tiles as task sizes: one unit per pixel.
-    pub fn sizes(&self) -> Sizes {
+    pub fn sizes(&self) -> TaskSizes {
         let rects = (0..self.tiles()).filter_map(|tile| self.rect(tile));
         rects.map(|rect| (1, rect.pixels())).collect()
     }

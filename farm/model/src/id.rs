@@ -34,18 +34,18 @@ impl fmt::Display for JobId {
 /// Error for a text that is not a [`JobId`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("expected the number of a job, such as 7, or the name of a shared result, such as shared-3")]
-pub struct NoJobId;
+pub struct ParseJobIdError;
 
 /// Parses the printed form.
 impl FromStr for JobId {
-    type Err = NoJobId;
+    type Err = ParseJobIdError;
 
-    fn from_str(text: &str) -> Result<Self, NoJobId> {
+    fn from_str(text: &str) -> Result<Self, ParseJobIdError> {
         let (number, name): (&str, fn(u64) -> Self) = match text.strip_prefix("shared-") {
             Some(number) => (number, Self::shared),
             None => (text, Self),
         };
-        number.parse().ok().filter(|&number| number < Self::SHARED).map(name).ok_or(NoJobId)
+        number.parse().ok().filter(|&number| number < Self::SHARED).map(name).ok_or(ParseJobIdError)
     }
 }
 
@@ -103,7 +103,7 @@ mod tests {
         }
         let beyond = JobId::SHARED.to_string();
         for text in ["", "-1", "x", "shared", "shared-", "shared-x", "shared--1", "shared-shared-1", beyond.as_str()] {
-            assert_eq!(text.parse::<JobId>(), Err(NoJobId), "{text}");
+            assert_eq!(text.parse::<JobId>(), Err(ParseJobIdError), "{text}");
         }
     }
 }

@@ -65,18 +65,18 @@ impl JobSpec {
         }
         if self.frames.is_empty()
             || self.frames.len() > Self::MAX_FRAMES
-            || self.frames[0] == Stage::OF_JOB
+            || self.frames[0] == Stage::JOB_FRAME
             || self.frames.windows(2).any(|pair| pair[0] >= pair[1])
         {
             return Err(SpecError::Frames { frames: self.frames.len() });
         }
         self.graph.check()?;
         self.graph.check_frames(self.frames.len() as u64)?;
-        if self.graph.most_inputs(self.frames.len() as u64) > Graph::MAX_INPUTS {
+        if self.graph.max_inputs(self.frames.len() as u64) > Graph::MAX_INPUTS {
             return Err(GraphError::TooMany { what: "outputs that a task reads", limit: Graph::MAX_INPUTS }.into());
         }
         let named = self.contents.last().map_or(0, |(end, _)| *end as usize);
-        let wanted = if self.graph.has_content() { self.frames.len() } else { 0 };
+        let wanted = if self.graph.has_content_stages() { self.frames.len() } else { 0 };
         let ascends = self.contents.windows(2).all(|pair| pair[0].0 < pair[1].0);
         if named != wanted || !ascends || self.contents.first().is_some_and(|(end, _)| *end == 0) {
             return Err(SpecError::Contents { named, wanted });
@@ -92,12 +92,12 @@ impl JobSpec {
         if self.tags.len() > Self::MAX_TAGS {
             return Err(SpecError::TooLong { field: "tags" });
         }
-        if !Self::names_files(&self.name) {
+        if !Self::is_valid_name(&self.name) {
             return Err(SpecError::Name);
         }
         let shown = [&self.entry, &self.owner].into_iter().chain(&self.tags);
         if shown.into_iter().any(|text| text.contains(char::is_control)) {
-            return Err(SpecError::Control);
+            return Err(SpecError::ControlCharacters);
         }
         self.notes.check()?;
         if self.settings.len() > Self::MAX_SETTINGS {
@@ -108,14 +108,14 @@ impl JobSpec {
 
     /// Returns whether `name` can be a file name in any folder that a user chooses: a single path component that does not lead to
     /// another folder.
-    pub fn names_files(name: &str) -> bool {
+    pub fn is_valid_name(name: &str) -> bool {
         let is_odd = |c: char| matches!(c, '/' | '\\' | ':') || c.is_control();
         !name.contains(is_odd) && !matches!(name, "" | "." | "..")
     }
 
     /// Returns the key of the shared content of the frame at this position in [`JobSpec::frames`].
-    pub fn content(&self, place: usize) -> Option<Digest> {
-        let run = self.contents.partition_point(|(end, _)| *end as usize <= place);
+    pub fn content_key(&self, index: usize) -> Option<Digest> {
+        let run = self.contents.partition_point(|(end, _)| *end as usize <= index);
         self.contents.get(run).map(|(_, key)| *key)
     }
 
@@ -126,17 +126,17 @@ impl JobSpec {
 
     /// Returns the planned samples per pixel at the end of each round.
     pub fn rounds(&self) -> &[u32] {
-        self.graph.main().map_or(&[], |(_, template)| &template.steps)
+        self.graph.main_stage().map_or(&[], |(_, template)| &template.steps)
     }
 
     /// Returns the planned samples per pixel that round `round` adds, as a range of sample indices. Empty past the last round.
     pub fn samples(&self, round: u32) -> std::ops::Range<u32> {
-        self.graph.main().map_or(0..0, |(_, template)| template.steps_of(round))
+        self.graph.main_stage().map_or(0..0, |(_, template)| template.steps_of(round))
     }
 
     /// Returns the pixel samples of a frame if every round runs as planned.
     pub fn samples_of_frame(&self) -> u64 {
-        let main = self.graph.main();
+        let main = self.graph.main_stage();
         main.map_or(0, |(_, it)| it.sizes.sum().saturating_mul(it.steps.last().copied().unwrap_or(0).into()))
     }
 
@@ -157,7 +157,7 @@ impl JobSpec {
             put(&numbers(&[*end]));
             put(key.as_bytes());
         }
-        Digest::of(&bytes)
+        Digest::compute(&bytes)
     }
 }
 
@@ -220,7 +220,7 @@ pub enum SpecError {
     Name,
     /// A text contains control characters. Texts are shown on terminals and must not control them.
     #[error("a path, an owner or a tag contains control characters")]
-    Control,
+    ControlCharacters,
     /// A comment, a label or an address is not valid.
     #[error(transparent)]
     Notes(#[from] NotesError),
@@ -293,13 +293,14 @@ pub enum Control {
 
 #[cfg(test)]
 mod tests {
-    use crate::{Role, Sizes, StageKind, Template};
+    use crate::{Role, StageKind, StageTemplate, TaskSizes};
 
     use super::*;
 
     fn graph(rounds: &[u32]) -> Graph {
-        let render = Template::new(StageKind::Render, Scope::Frame, Sizes::even(16, 256), &[Role::Tile]).steps(rounds);
-        let image = Template::new(StageKind::Image, Scope::Frame, Sizes::even(1, 1), &[Role::Image])
+        let render =
+            StageTemplate::new(StageKind::Render, Scope::Frame, TaskSizes::even(16, 256), &[Role::Tile]).steps(rounds);
+        let image = StageTemplate::new(StageKind::Image, Scope::Frame, TaskSizes::even(1, 1), &[Role::Image])
             .reads(0, Role::Tile, crate::Reach::All)
             .closes(0, rounds.len() as u32);
         Graph { stages: vec![render, image] }
@@ -308,7 +309,7 @@ mod tests {
     fn spec() -> JobSpec {
         JobSpec {
             name: "fog".into(),
-            bundle: Digest::of(b"scene"),
+            bundle: Digest::compute(b"scene"),
             entry: "fog.mgf".into(),
             settings: "{}".into(),
             frames: vec![1, 2, 5],
@@ -346,11 +347,11 @@ mod tests {
             assert_eq!(JobSpec { name: name.into(), ..spec() }.check(), Err(SpecError::Name), "{name:?}");
         }
         let notes = JobNotes { comment: "me\u{1b}[2J".to_owned(), ..JobNotes::default() };
-        assert_eq!(JobSpec { notes, ..spec() }.check(), Err(NotesError::Control { what: "comment" }.into()));
+        assert_eq!(JobSpec { notes, ..spec() }.check(), Err(NotesError::ControlCharacters { what: "comment" }.into()));
         let owner = "me\u{1b}[2J".to_owned();
-        assert_eq!(JobSpec { owner, ..spec() }.check(), Err(SpecError::Control));
+        assert_eq!(JobSpec { owner, ..spec() }.check(), Err(SpecError::ControlCharacters));
         let mut large = graph(&[4, 8, 16]);
-        large.stages[0].sizes = Sizes::even(1 << 15, 1);
+        large.stages[0].sizes = TaskSizes::even(1 << 15, 1);
         let many = GraphError::TooMany { what: "outputs that a task reads", limit: Graph::MAX_INPUTS };
         assert_eq!(JobSpec { graph: large, ..spec() }.check(), Err(many.into()));
         let tags = vec!["a".to_owned(); 65];
@@ -361,7 +362,7 @@ mod tests {
     fn a_stage_of_the_job_has_as_many_tasks_as_the_frames_feed() {
         let joined = |tasks, fan| {
             let mut graph = graph(&[4, 8, 16]);
-            let pairs = Template::new(StageKind::Reduce, Scope::Job, Sizes::even(tasks, 1), &[Role::Sums]);
+            let pairs = StageTemplate::new(StageKind::Reduce, Scope::Job, TaskSizes::even(tasks, 1), &[Role::Sums]);
             graph.stages.push(pairs.reads(1, Role::Image, crate::Reach::Fan(fan)));
             JobSpec { graph, ..spec() }.check()
         };

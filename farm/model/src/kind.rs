@@ -2,8 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Kind of a stage: the work its tasks do. Its properties are a row of [`StageKind::row`]. The worker's code for a kind is a file
-/// in `worker/src/execute`.
+/// Kind of a stage: the work its tasks do. Its properties are a row of [`StageKind::properties`]. The worker's code for a kind is a
+/// file in `worker/src/execute`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub enum StageKind {
     /// Renders samples of a tile.
@@ -51,7 +51,7 @@ impl Lane {
 
 /// Data that a task prefers to have on its worker.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum Near {
+pub enum Affinity {
     /// The prepared frame: a worker preferably continues with a frame that it has prepared.
     Frame,
     /// Only the inputs of the task.
@@ -60,7 +60,7 @@ pub enum Near {
 
 /// Destination of the log of a successful attempt. Logs of failures always go to the store.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum LogPlace {
+pub enum LogDestination {
     /// The log is part of the report and is kept in memory.
     Report,
     /// The log goes to the store.
@@ -69,7 +69,7 @@ pub enum LogPlace {
 
 /// Row of the table of kinds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct KindRow {
+pub struct StageKindProperties {
     /// Name in one word.
     pub name: &'static str,
     /// Unit in which the steps are counted, for display.
@@ -77,11 +77,11 @@ pub struct KindRow {
     /// Lane in which the tasks compete for the worker.
     pub lane: Lane,
     /// Whether a lease may cover a part of a task's steps.
-    pub is_cut: bool,
+    pub is_divided: bool,
     /// Data because of which the scheduler prefers a worker.
-    pub near: Near,
+    pub affinity: Affinity,
     /// Destination of the logs of the kind's tasks.
-    pub log: LogPlace,
+    pub log: LogDestination,
 }
 
 impl StageKind {
@@ -99,47 +99,54 @@ impl StageKind {
     ];
 
     /// Returns the kind's row of the table.
-    pub fn row(self) -> KindRow {
+    pub fn properties(self) -> StageKindProperties {
         use Lane::{Compute, Join};
-        use LogPlace::{Report, Store};
-        let row = |name, unit, lane, is_cut, near, log| KindRow { name, unit, lane, is_cut, near, log };
+        use LogDestination::{Report, Store};
+        let row = |name, unit, lane, is_cut, near, log| StageKindProperties {
+            name,
+            unit,
+            lane,
+            is_divided: is_cut,
+            affinity: near,
+            log,
+        };
         match self {
-            Self::Render => row("render", "pixel samples", Compute, true, Near::Frame, Report),
-            Self::Reduce => row("reduce", "inputs", Join, false, Near::Inputs, Report),
-            Self::Image => row("image", "inputs", Join, false, Near::Inputs, Store),
-            Self::Drill => row("drill", "inputs", Compute, false, Near::Inputs, Report),
-            Self::Decide => row("decide", "inputs", Join, false, Near::Inputs, Report),
+            Self::Render => row("render", "pixel samples", Compute, true, Affinity::Frame, Report),
+            Self::Reduce => row("reduce", "inputs", Join, false, Affinity::Inputs, Report),
+            Self::Image => row("image", "inputs", Join, false, Affinity::Inputs, Store),
+            Self::Drill => row("drill", "inputs", Compute, false, Affinity::Inputs, Report),
+            Self::Decide => row("decide", "inputs", Join, false, Affinity::Inputs, Report),
             // A video encoder uses all threads, too.
-            Self::Encode => row("encode", "inputs", Compute, false, Near::Inputs, Report),
+            Self::Encode => row("encode", "inputs", Compute, false, Affinity::Inputs, Report),
             // There is one task per content, and it is long, so its log is stored.
-            Self::FirstPass => row("first-pass", "solutions", Compute, false, Near::Inputs, Store),
-            Self::FirstPassBlock => row("first-pass-block", "blocks", Compute, false, Near::Inputs, Report),
-            Self::Paint => row("paint", "inputs", Compute, false, Near::Inputs, Report),
+            Self::FirstPass => row("first-pass", "solutions", Compute, false, Affinity::Inputs, Store),
+            Self::FirstPassBlock => row("first-pass-block", "blocks", Compute, false, Affinity::Inputs, Report),
+            Self::Paint => row("paint", "inputs", Compute, false, Affinity::Inputs, Report),
         }
     }
 
     /// Name in one word.
     pub fn name(self) -> &'static str {
-        self.row().name
+        self.properties().name
     }
 
     /// Returns the kind with this name.
-    pub fn named(name: &str) -> Option<Self> {
+    pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|kind| kind.name() == name)
     }
 
     /// Returns whether a lease may cover a part of a task's steps.
-    pub fn is_cut(self) -> bool {
-        self.row().is_cut
+    pub fn is_divided(self) -> bool {
+        self.properties().is_divided
     }
 
     /// Returns the position in [`StageKind::ALL`].
-    pub const fn place(self) -> usize {
+    pub const fn index(self) -> usize {
         self as usize
     }
 }
 
-/// Role of an output. Its properties are a row of [`Role::row`].
+/// Role of an output. Its properties are a row of [`Role::properties`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub enum Role {
     /// Encoded sums of a tile's samples.
@@ -200,7 +207,7 @@ pub enum Role {
 
 /// Row of the table of roles.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct RoleRow {
+pub struct RoleProperties {
     /// Name in one word.
     pub name: &'static str,
     /// Whether the output is a result of the job: it is kept with the job, and recreated when it is lost.
@@ -242,8 +249,8 @@ impl Role {
     ];
 
     /// Returns the role's row of the table.
-    pub fn row(self) -> RoleRow {
-        let row = |name, is_result, is_optional| RoleRow { name, is_result, is_optional };
+    pub fn properties(self) -> RoleProperties {
+        let row = |name, is_result, is_optional| RoleProperties { name, is_result, is_optional };
         match self {
             Self::Tile => row("tile", false, false),
             Self::Sums => row("sums", false, false),
@@ -278,11 +285,11 @@ impl Role {
 
     /// Name in one word.
     pub fn name(self) -> &'static str {
-        self.row().name
+        self.properties().name
     }
 
     /// Returns the position in [`Role::ALL`].
-    pub const fn place(self) -> usize {
+    pub const fn index(self) -> usize {
         self as usize
     }
 }
@@ -295,11 +302,11 @@ mod tests {
 
     #[test]
     fn the_tables_are_whole_and_no_name_is_there_twice() {
-        for (place, kind) in StageKind::ALL.into_iter().enumerate() {
-            assert_eq!(kind.place(), place);
+        for (index, kind) in StageKind::ALL.into_iter().enumerate() {
+            assert_eq!(kind.index(), index);
         }
-        for (place, role) in Role::ALL.into_iter().enumerate() {
-            assert_eq!(role.place(), place);
+        for (index, role) in Role::ALL.into_iter().enumerate() {
+            assert_eq!(role.index(), index);
         }
         let kinds: BTreeSet<&str> = StageKind::ALL.iter().map(|kind| kind.name()).collect();
         let roles: BTreeSet<&str> = Role::ALL.iter().map(|role| role.name()).collect();

@@ -6,7 +6,7 @@ use crate::{Artifact, Epoch, TaskKey, Tick};
 
 /// Outcome of an attempt at a task.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Attempt {
+pub enum AttemptOutcome {
     /// The attempt gave a result.
     Done,
     /// The attempt failed.
@@ -24,16 +24,16 @@ pub enum LogText {
 
 impl LogText {
     /// Maximum length in bytes of a text that is sent in a message.
-    pub const INLINE: usize = 2 << 10;
+    pub const MAX_INLINE: usize = 2 << 10;
     /// Maximum length in bytes of a text in the store.
-    pub const STORED: usize = 64 << 10;
+    pub const MAX_STORED: usize = 64 << 10;
 }
 
 /// The log of one attempt, as its worker reports it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct TaskLog {
     /// Outcome of the attempt.
-    pub attempt: Attempt,
+    pub outcome: AttemptOutcome,
     /// Duration in seconds.
     pub seconds: f64,
     /// Text of the log, inline or stored.
@@ -50,7 +50,7 @@ pub struct LogRecord {
     /// Name of the worker.
     pub worker: String,
     /// Time at which the attempt was reported.
-    pub at: Tick,
+    pub reported_at: Tick,
     /// The log.
     pub log: TaskLog,
 }

@@ -14,14 +14,14 @@ const VERSION: u32 = 1;
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Manifest {
     /// The artifacts.
-    pub pieces: Vec<Piece>,
+    pub pieces: Vec<BundlePiece>,
     /// Position of each file, by its path. Paths are relative, `/`-separated, and have no `.`, `..` or empty component.
-    pub files: BTreeMap<String, Extent>,
+    pub files: BTreeMap<String, FileExtent>,
 }
 
 /// An artifact that holds a large file or several small ones, compressed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Piece {
+pub struct BundlePiece {
     /// Artifact in the store (compressed).
     pub artifact: Artifact,
     /// Size after unpacking, in bytes.
@@ -30,7 +30,7 @@ pub struct Piece {
 
 /// Position of a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Extent {
+pub struct FileExtent {
     /// Index of the piece.
     pub piece: u32,
     /// First byte in the unpacked piece.
@@ -84,16 +84,16 @@ pub enum ManifestError {
 
 impl Manifest {
     /// Maximum size of an encoded manifest in bytes.
-    pub const MOST: u64 = 64 << 20;
+    pub const MAX_BYTES: u64 = 64 << 20;
     /// Maximum number of pieces.
-    pub const MOST_PIECES: u32 = 1 << 16;
+    pub const MAX_PIECES: u32 = 1 << 16;
     /// Maximum length of a path in bytes.
-    pub const MOST_PATH: usize = 1024;
+    pub const MAX_PATH: usize = 1024;
     /// Maximum total size in bytes of a scene's files, and of its unpacked pieces.
-    pub const MOST_UNPACKED: u64 = 4 << 30;
+    pub const MAX_UNPACKED: u64 = 4 << 30;
 
     /// Returns whether `bytes` begin like a manifest.
-    pub fn is_one(bytes: &[u8]) -> bool {
+    pub fn is_manifest(bytes: &[u8]) -> bool {
         bytes.starts_with(MAGIC)
     }
 
@@ -103,26 +103,26 @@ impl Manifest {
         let mut out = Vec::from(MAGIC);
         out.extend(VERSION.to_le_bytes());
         out.extend((self.pieces.len() as u32).to_le_bytes());
-        for Piece { artifact, unpacked } in &self.pieces {
+        for BundlePiece { artifact, unpacked } in &self.pieces {
             out.extend(artifact.digest.as_bytes());
             out.extend(artifact.bytes.to_le_bytes());
             out.extend(unpacked.to_le_bytes());
         }
         out.extend((self.files.len() as u32).to_le_bytes());
-        for (path, Extent { piece, offset, bytes }) in &self.files {
+        for (path, FileExtent { piece, offset, bytes }) in &self.files {
             out.extend((path.len() as u32).to_le_bytes());
             out.extend(path.as_bytes());
             out.extend(piece.to_le_bytes());
             out.extend(offset.to_le_bytes());
             out.extend(bytes.to_le_bytes());
         }
-        limit("bytes in a manifest", out.len() as u64, Self::MOST)?;
+        limit("bytes in a manifest", out.len() as u64, Self::MAX_BYTES)?;
         Ok(out)
     }
 
     /// Decodes and checks a manifest.
     pub fn decode(bytes: &[u8]) -> Result<Self, ManifestError> {
-        limit("bytes in a manifest", bytes.len() as u64, Self::MOST)?;
+        limit("bytes in a manifest", bytes.len() as u64, Self::MAX_BYTES)?;
         let mut rest = bytes;
         if take::<8>(&mut rest) != Ok(*MAGIC) {
             return Err(ManifestError::Magic);
@@ -135,7 +135,7 @@ impl Manifest {
         for _ in 0..u32::from_le_bytes(take(&mut rest)?) {
             let digest = Digest::from_bytes(take(&mut rest)?);
             let artifact = Artifact { digest, bytes: u64::from_le_bytes(take(&mut rest)?) };
-            manifest.pieces.push(Piece { artifact, unpacked: u64::from_le_bytes(take(&mut rest)?) });
+            manifest.pieces.push(BundlePiece { artifact, unpacked: u64::from_le_bytes(take(&mut rest)?) });
         }
         for _ in 0..u32::from_le_bytes(take(&mut rest)?) {
             let length = u32::from_le_bytes(take(&mut rest)?) as usize;
@@ -147,7 +147,7 @@ impl Manifest {
             if manifest.files.last_key_value().is_some_and(|(last, _)| *last >= path) {
                 return Err(ManifestError::Order { path });
             }
-            manifest.files.insert(path, Extent { piece, offset, bytes });
+            manifest.files.insert(path, FileExtent { piece, offset, bytes });
         }
         if !rest.is_empty() {
             return Err(ManifestError::Damaged);
@@ -157,12 +157,12 @@ impl Manifest {
     }
 
     fn check(&self) -> Result<(), ManifestError> {
-        limit("pieces in a scene", self.pieces.len() as u64, Self::MOST_PIECES.into())?;
+        limit("pieces in a scene", self.pieces.len() as u64, Self::MAX_PIECES.into())?;
         let unpacked = self.pieces.iter().fold(0u64, |sum, piece| sum.saturating_add(piece.unpacked));
-        limit("unpacked bytes in a scene", unpacked, Self::MOST_UNPACKED)?;
+        limit("unpacked bytes in a scene", unpacked, Self::MAX_UNPACKED)?;
         // Files may share bytes. The limit prevents that a small scene unpacks to a huge one.
         let bytes = self.files.values().fold(0u64, |sum, extent| sum.saturating_add(extent.bytes));
-        limit("bytes in the files of a scene", bytes, Self::MOST_UNPACKED)?;
+        limit("bytes in the files of a scene", bytes, Self::MAX_UNPACKED)?;
         for (path, extent) in &self.files {
             if !is_normal(path) {
                 return Err(ManifestError::Path { path: path.clone() });
@@ -190,7 +190,7 @@ fn take<const N: usize>(rest: &mut &[u8]) -> Result<[u8; N], ManifestError> {
 /// Returns whether every system reads the path as the same file below the scene's folder.
 fn is_normal(path: &str) -> bool {
     let parts = || path.split('/');
-    path.len() <= Manifest::MOST_PATH
+    path.len() <= Manifest::MAX_PATH
         && path.as_bytes().get(1) != Some(&b':')
         && !path.contains(|c: char| c == '\\' || c.is_control())
         && parts().all(|part| !matches!(part, "" | "." | ".."))
@@ -200,17 +200,17 @@ fn is_normal(path: &str) -> bool {
 mod tests {
     use super::*;
 
-    fn piece(name: &[u8], unpacked: u64) -> Piece {
-        Piece { artifact: Artifact::of(name), unpacked }
+    fn piece(name: &[u8], unpacked: u64) -> BundlePiece {
+        BundlePiece { artifact: Artifact::from_bytes(name), unpacked }
     }
 
     fn sample() -> Manifest {
         Manifest {
             pieces: vec![piece(b"pack", 10), piece(b"texture", 1 << 20)],
             files: BTreeMap::from([
-                ("lamps/a.ies".into(), Extent { piece: 0, offset: 7, bytes: 3 }),
-                ("main.mgf".into(), Extent { piece: 0, offset: 0, bytes: 7 }),
-                ("wall.png".into(), Extent { piece: 1, offset: 0, bytes: 1 << 20 }),
+                ("lamps/a.ies".into(), FileExtent { piece: 0, offset: 7, bytes: 3 }),
+                ("main.mgf".into(), FileExtent { piece: 0, offset: 0, bytes: 7 }),
+                ("wall.png".into(), FileExtent { piece: 1, offset: 0, bytes: 1 << 20 }),
             ]),
         }
     }
@@ -231,7 +231,7 @@ mod tests {
     #[test]
     fn a_manifest_comes_back_and_an_older_bundle_is_none() {
         let bytes = sample().encode().unwrap();
-        assert!(Manifest::is_one(&bytes) && !Manifest::is_one(b"femcbndl"));
+        assert!(Manifest::is_manifest(&bytes) && !Manifest::is_manifest(b"femcbndl"));
         assert_eq!(Manifest::decode(&bytes), Ok(sample()));
         assert_eq!(Manifest::decode(b"femcbndl"), Err(ManifestError::Magic));
         assert_eq!(Manifest::decode(&Manifest::default().encode().unwrap()), Ok(Manifest::default()));
@@ -252,13 +252,13 @@ mod tests {
 
     #[test]
     fn paths_that_lead_elsewhere_are_refused_on_both_sides() {
-        let (long, longer) = ("x".repeat(Manifest::MOST_PATH + 1), "x/".repeat(2047) + "xx");
+        let (long, longer) = ("x".repeat(Manifest::MAX_PATH + 1), "x/".repeat(2047) + "xx");
         for path in [
             "/abs", "..", "../up", "a/../b", "a\\b", "nul\0", "", ".", "./x", "a//b", "dir/", "c:/x", "a\nb", &long,
             &longer,
         ] {
             assert_eq!(Manifest::decode(&raw(&[path])), Err(ManifestError::Path { path: path.into() }));
-            let files = BTreeMap::from([(path.to_owned(), Extent { piece: 0, offset: 0, bytes: 0 })]);
+            let files = BTreeMap::from([(path.to_owned(), FileExtent { piece: 0, offset: 0, bytes: 0 })]);
             let manifest = Manifest { files, ..sample() };
             assert_eq!(manifest.encode(), Err(ManifestError::Path { path: path.into() }));
         }
@@ -274,16 +274,16 @@ mod tests {
     #[test]
     fn files_beyond_their_piece_and_oversized_scenes_are_refused() {
         for extent in [
-            Extent { piece: 2, offset: 0, bytes: 0 },
-            Extent { piece: 0, offset: 8, bytes: 3 },
-            Extent { piece: 0, offset: u64::MAX, bytes: 2 },
+            FileExtent { piece: 2, offset: 0, bytes: 0 },
+            FileExtent { piece: 0, offset: 8, bytes: 3 },
+            FileExtent { piece: 0, offset: u64::MAX, bytes: 2 },
         ] {
             let manifest = Manifest { files: BTreeMap::from([("a".into(), extent)]), ..sample() };
             assert_eq!(manifest.encode(), Err(ManifestError::Extent { path: "a".into() }), "{extent:?}");
         }
         let huge = Manifest { pieces: vec![piece(b"a", u64::MAX), piece(b"b", u64::MAX)], ..Manifest::default() };
         assert!(matches!(huge.encode(), Err(ManifestError::TooLarge { what: "unpacked bytes in a scene", .. })));
-        let half = Extent { piece: 0, offset: 0, bytes: Manifest::MOST_UNPACKED / 2 + 1 };
+        let half = FileExtent { piece: 0, offset: 0, bytes: Manifest::MAX_UNPACKED / 2 + 1 };
         let pieces = vec![piece(b"a", half.bytes)];
         let bomb = Manifest { pieces, files: BTreeMap::from([("a".into(), half), ("b".into(), half)]) };
         assert!(matches!(bomb.encode(), Err(ManifestError::TooLarge { what: "bytes in the files of a scene", .. })));

@@ -37,7 +37,7 @@ impl JobNotes {
             return Err(NotesError::TooLong { what: "comment", limit: Self::MAX_COMMENT });
         }
         if comment.contains(char::is_control) {
-            return Err(NotesError::Control { what: "comment" });
+            return Err(NotesError::ControlCharacters { what: "comment" });
         }
         if labels.len() > Self::MAX_LABELS {
             return Err(NotesError::Labels { labels: labels.len() });
@@ -50,14 +50,14 @@ impl JobNotes {
                 return Err(NotesError::TooLong { what: "label", limit: Self::MAX_LABEL });
             }
             if [name, value].into_iter().any(|text| text.contains(char::is_control)) {
-                return Err(NotesError::Control { what: "label" });
+                return Err(NotesError::ControlCharacters { what: "label" });
             }
         }
         match notify {
             Some(url) if url.len() > Self::MAX_URL => {
                 Err(NotesError::TooLong { what: "URL to notify", limit: Self::MAX_URL })
             }
-            Some(url) if url.contains(char::is_control) => Err(NotesError::Control { what: "URL to notify" }),
+            Some(url) if url.contains(char::is_control) => Err(NotesError::ControlCharacters { what: "URL to notify" }),
             _ => Ok(()),
         }
     }
@@ -76,7 +76,7 @@ pub enum NotesError {
     },
     /// A text contains control characters, which could control a terminal.
     #[error("the {what} contains control characters, such as line breaks; write it as one line of text")]
-    Control {
+    ControlCharacters {
         /// Name of the text.
         what: &'static str,
     },
@@ -98,12 +98,12 @@ impl NotesError {
     /// Returns the name of the invalid field.
     pub fn field(&self) -> &'static str {
         match self {
-            Self::TooLong { what: "comment", .. } | Self::Control { what: "comment" } => "comment",
+            Self::TooLong { what: "comment", .. } | Self::ControlCharacters { what: "comment" } => "comment",
             Self::TooLong { what: "label", .. }
-            | Self::Control { what: "label" }
+            | Self::ControlCharacters { what: "label" }
             | Self::Labels { .. }
             | Self::LabelName { .. } => "labels",
-            Self::TooLong { .. } | Self::Control { .. } => "notify",
+            Self::TooLong { .. } | Self::ControlCharacters { .. } => "notify",
         }
     }
 }

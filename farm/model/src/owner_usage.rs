@@ -39,16 +39,16 @@ impl fmt::Display for Month {
 /// Error for a text that is not a month.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("`{0}` is not a month; write YYYY-MM, such as 2026-11")]
-pub struct NoMonth(pub String);
+pub struct ParseMonthError(pub String);
 
 impl FromStr for Month {
-    type Err = NoMonth;
+    type Err = ParseMonthError;
 
-    fn from_str(text: &str) -> Result<Self, NoMonth> {
-        let is_digit = |place: usize| text.as_bytes()[place].is_ascii_digit();
+    fn from_str(text: &str) -> Result<Self, ParseMonthError> {
+        let is_digit = |index: usize| text.as_bytes()[index].is_ascii_digit();
         let is_formed = text.len() == 7 && text.as_bytes()[4] == b'-' && [0, 1, 2, 3, 5, 6].into_iter().all(is_digit);
         let month = is_formed.then(|| Self::new(text[..4].parse().ok()?, text[5..].parse().ok()?)).flatten();
-        month.ok_or_else(|| NoMonth(text.to_owned()))
+        month.ok_or_else(|| ParseMonthError(text.to_owned()))
     }
 }
 

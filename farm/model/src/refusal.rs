@@ -68,7 +68,7 @@ pub enum Refusal {
         digests.first().map_or_else(String::new, ToString::to_string)
     )]
     MissingArtifacts {
-        /// Digests of some missing artifacts: at most [`Refusal::MOST_NAMED`].
+        /// Digests of some missing artifacts: at most [`Refusal::MAX_NAMED`].
         digests: Vec<Digest>,
         /// Number of missing artifacts.
         count: u64,
@@ -115,5 +115,5 @@ pub enum Refusal {
 
 impl Refusal {
     /// Maximum number of artifacts that a refusal names. The limit exists because a refusal is sent in a header.
-    pub const MOST_NAMED: usize = 64;
+    pub const MAX_NAMED: usize = 64;
 }

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Digest, Grid, Output, Role, Times};
+use crate::{AttemptTimes, Digest, Grid, Output, Role};
 
 /// Reference to bytes in the artifact store.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -15,8 +15,8 @@ pub struct Artifact {
 
 impl Artifact {
     /// Returns the reference to `bytes`.
-    pub fn of(bytes: &[u8]) -> Self {
-        Self { digest: Digest::of(bytes), bytes: bytes.len() as u64 }
+    pub fn from_bytes(bytes: &[u8]) -> Self {
+        Self { digest: Digest::compute(bytes), bytes: bytes.len() as u64 }
     }
 }
 
@@ -33,14 +33,14 @@ pub enum Decision {
 
 /// Blocks of pixels of a measured frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Blocks {
+pub struct BlockCounts {
     /// Number of all blocks.
     pub all: u32,
     /// Number of blocks in which no sample found light. They are excluded from the relative error.
     pub unlit: u32,
 }
 
-impl Blocks {
+impl BlockCounts {
     /// Returns whether no sample of the frame found light.
     pub fn is_dark(self) -> bool {
         self.all > 0 && self.unlit == self.all
@@ -60,7 +60,7 @@ pub struct TaskResult {
     pub relative_error: Option<f64>,
     /// Blocks that the task measured.
     #[serde(default, deserialize_with = "crate::since_version_9")]
-    pub blocks: Option<Blocks>,
+    pub blocks: Option<BlockCounts>,
     /// Decision, if the task closes a loop.
     pub decision: Option<Decision>,
     /// Seconds that the worker spent on the task.
@@ -78,11 +78,11 @@ impl TaskResult {
 
     /// Returns the output of this role.
     pub fn output(&self, role: Role) -> Option<Artifact> {
-        find(&self.outputs, role)
+        find_output(&self.outputs, role)
     }
 }
 
-fn find(outputs: &[Output], role: Role) -> Option<Artifact> {
+fn find_output(outputs: &[Output], role: Role) -> Option<Artifact> {
     outputs.iter().find(|output| output.role == role).map(|output| output.artifact)
 }
 
@@ -110,7 +110,7 @@ pub struct FrameRecord {
     pub relative_error: Option<f64>,
     /// Blocks of the frame, if it was measured.
     #[serde(default, deserialize_with = "crate::since_version_9")]
-    pub blocks: Option<Blocks>,
+    pub blocks: Option<BlockCounts>,
     /// Number of samples refused.
     pub bad_samples: u64,
     /// Seconds that workers spent on the results that count, summed.
@@ -122,13 +122,13 @@ pub struct FrameRecord {
     pub rounds: Option<u32>,
     /// Time of the frame's attempts; `None`: not looked up. The log does not hold it.
     #[serde(skip)]
-    pub times: Option<Times>,
+    pub times: Option<AttemptTimes>,
 }
 
 impl FrameRecord {
     /// Returns the result of this role.
     pub fn output(&self, role: Role) -> Option<Artifact> {
-        find(&self.outputs, role)
+        find_output(&self.outputs, role)
     }
 
     /// Returns the image as EXR.

@@ -5,7 +5,8 @@ use std::ops::Range;
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    Assignment, Digest, Epoch, Failure, Intake, JobId, JobSpec, Refusal, TaskKey, TaskLog, TaskResult, Usage, WorkerId,
+    Assignment, Digest, Epoch, Failure, Intake, JobId, JobSpec, Refusal, ResourceUsage, TaskKey, TaskLog, TaskResult,
+    WorkerId,
 };
 
 /// Registration of a worker.
@@ -27,7 +28,7 @@ pub struct Registration {
     /// Leases of an earlier session that the worker still works on, or whose results it still has.
     pub held: Vec<HeldLease>,
     /// Death of an earlier process of this worker, if it died. It is reported once.
-    pub died: Option<Death>,
+    pub death: Option<Death>,
 }
 
 /// Report that a worker's process died while it computed.
@@ -41,7 +42,7 @@ pub struct Death {
 
 impl Death {
     /// Maximum number of tasks that a process computes at a time.
-    pub const MOST: usize = 64;
+    pub const MAX_TASKS: usize = 64;
 }
 
 /// Lease that a worker holds from an earlier session.
@@ -85,13 +86,13 @@ pub struct TaskProgress {
 
 /// A valid lease and its remaining time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub struct LeaseLeft {
+pub struct LeaseStatus {
     /// The task.
     pub task: TaskKey,
     /// Epoch of the lease.
     pub epoch: Epoch,
     /// Milliseconds until the lease expires, unless it is renewed.
-    pub left: u64,
+    pub remaining: u64,
 }
 
 /// Resources that a lease used.
@@ -102,7 +103,7 @@ pub struct TaskUsage {
     /// Epoch of the lease.
     pub epoch: Epoch,
     /// Resources used.
-    pub usage: Usage,
+    pub usage: ResourceUsage,
 }
 
 /// Message from a worker to the coordinator.
@@ -130,7 +131,7 @@ pub enum FromWorker {
         /// Log of the attempt.
         log: Option<TaskLog>,
         /// Resources used.
-        usage: Option<Usage>,
+        usage: Option<ResourceUsage>,
     },
     /// The task failed.
     Failed {
@@ -143,7 +144,7 @@ pub enum FromWorker {
         /// Log of the attempt.
         log: Option<TaskLog>,
         /// Resources used.
-        usage: Option<Usage>,
+        usage: Option<ResourceUsage>,
     },
     /// The worker wants no more tasks: it is leaving or off duty.
     Draining,
@@ -179,7 +180,7 @@ pub enum ToWorker {
         /// Number of the heartbeat.
         heartbeat: u64,
         /// All leases of this session, with their remaining time when the answer was sent.
-        leases: Vec<LeaseLeft>,
+        leases: Vec<LeaseStatus>,
         /// Intake that the coordinator grants. A drained worker gives back the tasks that it has not started.
         intake: Intake,
     },

@@ -4,7 +4,7 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Blocks, Failure, JobId, JobNotes, JobState, StageKind, TaskKey, WorkerId};
+use crate::{BlockCounts, Failure, JobId, JobNotes, JobState, StageKind, TaskKey, WorkerId};
 
 /// Summary of a job.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -46,7 +46,7 @@ pub struct JobStatus {
     /// Relative error of the worst frame so far, finished or in progress. `None` also if no sample found light.
     pub relative_error: Option<f64>,
     /// Blocks of the worst frame.
-    pub blocks: Option<Blocks>,
+    pub blocks: Option<BlockCounts>,
     /// The worst frame; `None`: no frame was measured.
     pub worst_frame: Option<WorstFrame>,
     /// Target relative error of each frame; `None`: samples or time end the job. The coordinator fills this in, because the
@@ -55,13 +55,13 @@ pub struct JobStatus {
     /// Seconds since the first lease. For an ended job, seconds from the first lease to the end.
     pub seconds: f64,
     /// Tasks that used up their attempts.
-    pub quarantined: Vec<Quarantined>,
+    pub quarantined: Vec<QuarantinedTask>,
     /// Number of messages refused because their lease was over.
     pub stale_messages: u64,
     /// Number of slow tasks that were also given to a second worker, since the coordinator started.
     pub copies: u64,
     /// Reasons why tasks of the job wait.
-    pub waits: Vec<Wait>,
+    pub waits: Vec<WaitReason>,
     /// Time of submission: Unix time in milliseconds, by the farm's clock. This clock stands still while no coordinator runs, so
     /// the time of a job submitted before an outage is shifted by the length of the outage. `None`: the date is not known.
     pub submitted: Option<u64>,
@@ -130,12 +130,12 @@ pub struct FrameProgress {
     /// Relative error after the previous round.
     pub relative_error: Option<f64>,
     /// Blocks as measured after the previous round.
-    pub blocks: Option<Blocks>,
+    pub blocks: Option<BlockCounts>,
 }
 
 /// A task that used up its attempts.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Quarantined {
+pub struct QuarantinedTask {
     /// The task.
     pub task: TaskKey,
     /// Number of attempts.
@@ -146,7 +146,7 @@ pub struct Quarantined {
 
 /// Reason why tasks of a job wait. It is computed with the scheduler's own predicates.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Wait {
+pub enum WaitReason {
     /// The job is paused.
     Paused,
     /// No worker is connected.
@@ -164,7 +164,7 @@ pub enum Wait {
         workers: u32,
     },
     /// Every suitable worker is in a back-off after a failure of its surroundings (store, network, disk, memory).
-    WorkersResting,
+    AllWorkersBackingOff,
     /// Suitable workers have been silent for the duration of a lease: stopped, disconnected or overloaded.
     WorkersSilent {
         /// Number of such workers.
@@ -173,7 +173,7 @@ pub enum Wait {
         seconds: u64,
     },
     /// Suitable workers are in a back-off, each after a failure of its surroundings.
-    WorkersInTrouble {
+    WorkersBackingOff {
         /// Number of such workers.
         workers: u32,
         /// Seconds until the first of them gets a task again.
@@ -231,7 +231,7 @@ pub enum Wait {
         jobs: u32,
     },
     /// Attempts at unfinished tasks failed because of their surroundings: the store, the network, or a worker's memory.
-    Mishaps {
+    InfrastructureFailures {
         /// Number of such tasks.
         tasks: u32,
         /// Last error of one of these tasks.
@@ -284,14 +284,14 @@ pub enum Drain {
 
 /// Selection of workers by a user.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub enum WorkerName {
+pub enum WorkerSelector {
     /// The worker with this number.
     Number(WorkerId),
     /// Every worker with this name.
     Name(String),
 }
 
-impl fmt::Display for WorkerName {
+impl fmt::Display for WorkerSelector {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Number(worker) => worker.fmt(f),
@@ -302,9 +302,9 @@ impl fmt::Display for WorkerName {
 
 /// Workers of a farm.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Crew {
+pub struct WorkerList {
     /// Connected workers, in the order in which they joined.
-    pub there: Vec<WorkerStatus>,
+    pub connected: Vec<WorkerStatus>,
     /// Disconnected workers, latest first.
     pub offline: Vec<OfflineWorker>,
 }
@@ -321,7 +321,7 @@ pub struct OfflineWorker {
     /// Build of the engine.
     pub engine: String,
     /// Last contact, Unix time in milliseconds.
-    pub heard: u64,
+    pub last_contact: u64,
 }
 
 /// Summary of a worker.

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Failure, FrameProgress, FrameRecord, TaskKey, Times};
+use crate::{AttemptTimes, Failure, FrameProgress, FrameRecord, TaskKey};
 
 /// State of a task or a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -43,7 +43,7 @@ pub struct TaskStatus {
     /// State of the task.
     pub state: TaskState,
     /// Whether the entry stands for the tasks with this number in all rounds. Each task of a finished frame is listed once.
-    pub is_of_all_rounds: bool,
+    pub covers_all_rounds: bool,
     /// Names of the workers that run the task or parts of it, or have it in their queue. After the attempts are looked up
     /// ([`TaskStatus::times`]), a task that is done or failed has the workers of these attempts, first the one with the result.
     pub workers: Vec<String>,
@@ -55,7 +55,7 @@ pub struct TaskStatus {
     /// Failure of the last attempt.
     pub failure: Option<Failure>,
     /// Time of its ended attempts. `None`: not looked up, or no attempt has ended.
-    pub times: Option<Times>,
+    pub times: Option<AttemptTimes>,
 }
 
 /// Status of a frame, or of the job's own stages under [`Stage::OF_JOB`](crate::Stage::OF_JOB).
@@ -70,7 +70,7 @@ pub struct FrameStatus {
     /// Results, once the frame is done.
     pub record: Option<FrameRecord>,
     /// Time of its ended attempts. `None`: not looked up, or no attempt has ended.
-    pub times: Option<Times>,
+    pub times: Option<AttemptTimes>,
 }
 
 /// Filter for the tasks of a job.

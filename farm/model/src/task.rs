@@ -6,13 +6,13 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Artifact, Epoch, JobId, Role, StageKind, Taken};
+use crate::{Artifact, Epoch, JobId, Role, StageKind, StepsTaken};
 
 /// Array of tasks that may run in parallel: one round of a template of the job's [`Graph`](crate::Graph), for one frame or for the
 /// job.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Stage {
-    /// Frame number, or [`Stage::OF_JOB`] for a stage of the job.
+    /// Frame number, or [`Stage::JOB_FRAME`] for a stage of the job.
     pub frame: u32,
     /// Round of its loop, from 0.
     pub round: u32,
@@ -24,7 +24,7 @@ pub struct Stage {
 
 impl Stage {
     /// Frame number of stages that run once for the whole job. No frame has this number.
-    pub const OF_JOB: u32 = 0;
+    pub const JOB_FRAME: u32 = 0;
 }
 
 /// Identity of a task. There is no other.
@@ -50,26 +50,27 @@ impl fmt::Display for TaskKey {
 /// Error for a text that is not the name of a task.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("expected the name of a task: job/frame.round/stage.number/task, such as 7/12.0/render.0/3")]
-pub struct NoTaskKey;
+pub struct ParseTaskKeyError;
 
 /// Parses the printed form.
 impl FromStr for TaskKey {
-    type Err = NoTaskKey;
+    type Err = ParseTaskKeyError;
 
-    fn from_str(text: &str) -> Result<Self, NoTaskKey> {
+    fn from_str(text: &str) -> Result<Self, ParseTaskKeyError> {
         let parts: Vec<&str> = text.split('/').collect();
-        let [job, unit, stage, index] = parts[..] else { return Err(NoTaskKey) };
-        let two = |text: &'_ str| text.rsplit_once('.').map(|(a, b)| (a.to_owned(), b.to_owned())).ok_or(NoTaskKey);
-        let ((frame, round), (kind, number)) = (two(unit)?, two(stage)?);
+        let [job, frame_round, stage, index] = parts[..] else { return Err(ParseTaskKeyError) };
+        let two =
+            |text: &'_ str| text.rsplit_once('.').map(|(a, b)| (a.to_owned(), b.to_owned())).ok_or(ParseTaskKeyError);
+        let ((frame, round), (kind, number)) = (two(frame_round)?, two(stage)?);
         Ok(Self {
-            job: job.parse().map_err(|_| NoTaskKey)?,
+            job: job.parse().map_err(|_| ParseTaskKeyError)?,
             stage: Stage {
-                frame: frame.parse().map_err(|_| NoTaskKey)?,
-                round: round.parse().map_err(|_| NoTaskKey)?,
-                number: number.parse().map_err(|_| NoTaskKey)?,
-                kind: StageKind::named(&kind).ok_or(NoTaskKey)?,
+                frame: frame.parse().map_err(|_| ParseTaskKeyError)?,
+                round: round.parse().map_err(|_| ParseTaskKeyError)?,
+                number: number.parse().map_err(|_| ParseTaskKeyError)?,
+                kind: StageKind::from_name(&kind).ok_or(ParseTaskKeyError)?,
             },
-            index: index.parse().map_err(|_| NoTaskKey)?,
+            index: index.parse().map_err(|_| ParseTaskKeyError)?,
         })
     }
 }
@@ -86,12 +87,12 @@ pub struct Assignment {
     /// Lease of another worker for the same task, if this lease is a copy of it. The first result counts.
     pub copy_of: Option<Epoch>,
     /// Content of the task: item, steps and inputs.
-    pub work: Work,
+    pub spec: TaskSpec,
 }
 
 /// Content of a task. The job's graph and settings give the context.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Work {
+pub struct TaskSpec {
     /// Number of the task in its stage, not counting chunks.
     pub item: u32,
     /// Steps of the task that the lease covers. For a render task: sample indices of each pixel.
@@ -102,9 +103,9 @@ pub struct Work {
     pub hints: Vec<Input>,
     /// Total steps of each task of the divided stage from which the inputs are made. Empty if there is no such stage, and for a
     /// task that is itself divided into chunks.
-    pub taken: Taken,
+    pub steps_taken: StepsTaken,
     /// Whether another round may follow this one.
-    pub more: More,
+    pub next_round: NextRound,
     /// Milliseconds since the first lease of the frame, or of the job's own stages. Used for a time budget. 0 if the task is
     /// divided into chunks.
     pub elapsed: u64,
@@ -117,7 +118,7 @@ pub struct Work {
 pub struct Input {
     /// Number of the need of the stage, or of the hint.
     pub need: u16,
-    /// Frame of the output, or [`Stage::OF_JOB`].
+    /// Frame of the output, or [`Stage::JOB_FRAME`].
     pub frame: u32,
     /// Number of the task that made the output, not counting chunks. A task that was divided has several outputs.
     pub item: u32,
@@ -134,7 +135,7 @@ pub struct Output {
     pub artifact: Artifact,
 }
 
-impl Work {
+impl TaskSpec {
     /// Maximum number of hints of a task.
     pub const MAX_HINTS: usize = 4_096;
 
@@ -144,23 +145,23 @@ impl Work {
     }
 
     /// Returns every artifact that the task may read as a hint.
-    pub fn hinted(&self) -> impl Iterator<Item = Artifact> + '_ {
+    pub fn hint_artifacts(&self) -> impl Iterator<Item = Artifact> + '_ {
         self.hints.iter().map(|hint| hint.output.artifact)
     }
 
     /// Returns the inputs of one role, in order.
-    pub fn of_role(&self, role: Role) -> impl Iterator<Item = &Input> {
+    pub fn inputs_of_role(&self, role: Role) -> impl Iterator<Item = &Input> {
         self.inputs.iter().filter(move |input| input.output.role == role)
     }
 }
 
 /// Whether the plan has a round after this one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub enum More {
+pub enum NextRound {
     /// Another round may follow.
-    Rounds,
+    Possible,
     /// This is the last round. The loop ends with the results so far.
-    Last,
+    Impossible,
 }
 
 #[cfg(test)]
@@ -188,7 +189,7 @@ mod tests {
         for text in
             ["", "7", "7/1/render/0", "7/1.0/render.0", "7/1.0/nothing.0/0", "7/1.0/render.0/-1", "x/1.0/render.0/0"]
         {
-            assert_eq!(text.parse::<TaskKey>(), Err(NoTaskKey), "{text}");
+            assert_eq!(text.parse::<TaskKey>(), Err(ParseTaskKeyError), "{text}");
         }
     }
 }

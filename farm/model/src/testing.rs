@@ -1,27 +1,28 @@
 //! Graphs for tests and benchmarks. An engine's plan makes its own graphs.
 
-use crate::{Graph, Need, Reach, Role, Round, Scope, Sizes, StageKind, Template};
+use crate::{Graph, Need, Reach, Role, Round, Scope, StageKind, StageTemplate, TaskSizes};
 
 /// Makes a graph of tiles that are rendered in rounds until the image task ends the loop.
 /// - `tiles`: the tiles, with units per step.
 /// - `fan`: number of tiles in a group that is reduced before the image; 0: the image reads tiles.
-pub fn frames(tiles: Sizes, rounds: &[u32], fan: u32) -> Graph {
-    let carried = Need { stage: 1, role: Role::Sums, reach: Reach::Same, round: Round::Before, gaps: false };
-    let with_sums = |mut template: Template| {
+pub fn frame_graph(tiles: TaskSizes, rounds: &[u32], fan: u32) -> Graph {
+    let carried = Need { stage: 1, role: Role::Sums, reach: Reach::Same, round: Round::Previous, gaps: false };
+    let with_sums = |mut template: StageTemplate| {
         if rounds.len() > 1 {
-            template.makes.push(Role::Sums);
+            template.outputs.push(Role::Sums);
             template.needs.push(carried);
         }
         template
     };
-    let groups = Sizes::even(tiles.tasks().div_ceil(fan.max(1)), 1);
-    let render = Template::new(StageKind::Render, Scope::Frame, tiles, &[Role::Tile]).steps(rounds);
-    let image = Template::new(StageKind::Image, Scope::Frame, Sizes::even(1, 1), &[Role::Image, Role::Preview]);
+    let groups = TaskSizes::even(tiles.tasks().div_ceil(fan.max(1)), 1);
+    let render = StageTemplate::new(StageKind::Render, Scope::Frame, tiles, &[Role::Tile]).steps(rounds);
+    let image =
+        StageTemplate::new(StageKind::Image, Scope::Frame, TaskSizes::even(1, 1), &[Role::Image, Role::Preview]);
     let image = image.closes(0, rounds.len() as u32);
     if fan == 0 {
         return Graph { stages: vec![render, with_sums(image.reads(0, Role::Tile, Reach::All))] };
     }
-    let reduce = Template::new(StageKind::Reduce, Scope::Frame, groups, &[Role::Pixels]);
+    let reduce = StageTemplate::new(StageKind::Reduce, Scope::Frame, groups, &[Role::Pixels]);
     let reduce = with_sums(reduce.reads(0, Role::Tile, Reach::Fan(fan)));
     Graph { stages: vec![render, reduce, image.reads(1, Role::Pixels, Reach::All)] }
 }

@@ -8,7 +8,7 @@ use crate::{Epoch, TaskKey, Tick};
 
 /// Resources that one attempt used, as its worker measured them. Seconds are finite and not negative.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
-pub struct Usage {
+pub struct ResourceUsage {
     /// Seconds between the arrival and the start of the task.
     pub wait: f64,
     /// Seconds from the start until there was a result or a failure.
@@ -33,7 +33,7 @@ pub struct Usage {
 /// Time that the ended attempts at a task, or at all tasks of a frame, took. Wait seconds are by the farm's clock, which stands
 /// still while no coordinator runs. Processor and wall seconds are as measured by workers.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct Times {
+pub struct AttemptTimes {
     /// Number of ended attempts.
     pub attempts: u32,
     /// Processor seconds of these attempts, summed. Attempts that failed, were revoked or were given back are included. An attempt
@@ -49,7 +49,7 @@ pub struct Times {
 
 /// End of a lease.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-pub enum Ending {
+pub enum LeaseEnding {
     /// The worker was lost.
     Lost,
     /// The lease expired, its frame was restarted, or another lease of the same task was done first.
@@ -62,7 +62,7 @@ pub enum Ending {
     Done,
 }
 
-impl Ending {
+impl LeaseEnding {
     /// All endings, in ascending rank.
     pub const ALL: [Self; 5] = [Self::Lost, Self::Revoked, Self::Cancelled, Self::Failed, Self::Done];
 
@@ -94,13 +94,13 @@ pub struct AttemptRecord {
     /// Time at which the coordinator received the end.
     pub ended: Tick,
     /// Ending of the lease.
-    pub ending: Ending,
+    pub ending: LeaseEnding,
     /// Pixel samples of the result that counts.
     pub samples: u64,
     /// Relative error of the frame, if the task measured it.
     pub relative_error: Option<f64>,
     /// Resources used; `None`: the worker did not report them.
-    pub usage: Option<Usage>,
+    pub usage: Option<ResourceUsage>,
 }
 
 /// Attempts of a job. Several records of the same attempt are merged.
@@ -111,7 +111,7 @@ impl Attempts {
     /// Adds a record of an attempt. An attempt may have several records: an ended lease may have been resumed, and its usage may
     /// arrive after its end. The ending of higher rank wins, at equal rank the later record. The earliest grant and any known usage
     /// are kept.
-    pub fn put(&mut self, record: AttemptRecord) {
+    pub fn insert(&mut self, record: AttemptRecord) {
         let key = (record.task, record.epoch);
         let Some(known) = self.0.remove(&key) else {
             self.0.insert(key, record);
@@ -132,7 +132,7 @@ impl Attempts {
 impl FromIterator<AttemptRecord> for Attempts {
     fn from_iter<I: IntoIterator<Item = AttemptRecord>>(records: I) -> Self {
         let mut attempts = Self::default();
-        records.into_iter().for_each(|record| attempts.put(record));
+        records.into_iter().for_each(|record| attempts.insert(record));
         attempts
     }
 }
@@ -143,7 +143,7 @@ mod tests {
 
     use super::*;
 
-    fn record(ending: Ending, granted: u64, usage: Option<f64>) -> AttemptRecord {
+    fn record(ending: LeaseEnding, granted: u64, usage: Option<f64>) -> AttemptRecord {
         let stage = Stage { frame: 1, round: 0, number: 0, kind: StageKind::Render };
         AttemptRecord {
             task: TaskKey { job: JobId(1), stage, index: 3 },
@@ -155,25 +155,28 @@ mod tests {
             ending,
             samples: 0,
             relative_error: None,
-            usage: usage.map(|cpu| Usage { cpu, ..Usage::default() }),
+            usage: usage.map(|cpu| ResourceUsage { cpu, ..ResourceUsage::default() }),
         }
     }
 
     #[test]
     fn notes_of_a_lease_merge_to_one_attempt_in_any_order() {
-        let notes =
-            [record(Ending::Lost, 10, None), record(Ending::Done, 50, Some(2.0)), record(Ending::Done, 50, Some(2.0))];
+        let notes = [
+            record(LeaseEnding::Lost, 10, None),
+            record(LeaseEnding::Done, 50, Some(2.0)),
+            record(LeaseEnding::Done, 50, Some(2.0)),
+        ];
         for order in [[0, 1, 2], [1, 0, 2], [2, 1, 0]] {
             let attempts: Attempts = order.iter().map(|&index| notes[index].clone()).collect();
             let all: Vec<_> = attempts.iter().collect();
-            assert_eq!(all, [&record(Ending::Done, 10, Some(2.0))], "{order:?}");
+            assert_eq!(all, [&record(LeaseEnding::Done, 10, Some(2.0))], "{order:?}");
         }
     }
 
     #[test]
     fn what_a_revoked_lease_took_is_told_after_its_end() {
-        let notes = [record(Ending::Revoked, 10, None), record(Ending::Revoked, 20, Some(1.5))];
+        let notes = [record(LeaseEnding::Revoked, 10, None), record(LeaseEnding::Revoked, 20, Some(1.5))];
         let attempts: Attempts = notes.into_iter().collect();
-        assert_eq!(attempts.iter().collect::<Vec<_>>(), [&record(Ending::Revoked, 10, Some(1.5))]);
+        assert_eq!(attempts.iter().collect::<Vec<_>>(), [&record(LeaseEnding::Revoked, 10, Some(1.5))]);
     }
 }

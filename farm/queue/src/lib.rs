@@ -20,7 +20,7 @@ pub use backend::sqlite::Sqlite;
 
 /// Contents of a log.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Contents {
+pub struct LogContents {
     /// The newest snapshot.
     pub snapshot: Option<Vec<u8>>,
     /// The records since then, oldest first.
@@ -29,26 +29,26 @@ pub struct Contents {
     /// database.
     pub torn: u64,
     /// Acknowledged records that are missing, if the loss was accepted.
-    pub lost: Option<Lost>,
+    pub missing: Option<MissingRecords>,
 }
 
 /// Description of missing records.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Lost {
+pub struct MissingRecords {
     /// Number of the last existing record; 0: none.
-    pub kept: i64,
+    pub last_existing: i64,
     /// Number of the last record known to have existed; `None`: unknown.
-    pub known: Option<i64>,
+    pub last_known: Option<i64>,
 }
 
 /// Policy for a log that lacks acknowledged records.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub enum Loss {
+pub enum LossPolicy {
     /// The log is not opened.
     #[default]
-    Refused,
-    /// The log is opened without the missing records, permanently; [`Contents::lost`] describes the loss.
-    Accepted,
+    Refuse,
+    /// The log is opened without the missing records, permanently; [`LogContents::lost`] describes the loss.
+    Accept,
 }
 
 /// A set of changes that become durable together.
@@ -64,7 +64,7 @@ pub struct Batch<'a> {
 
 impl<'a> Batch<'a> {
     /// Creates a batch of records only.
-    pub fn of(records: &'a [Vec<u8>]) -> Self {
+    pub fn from_records(records: &'a [Vec<u8>]) -> Self {
         Self { records, ..Self::default() }
     }
 
@@ -84,24 +84,24 @@ pub struct Note {
 
 /// A page of a subject's notes.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Page {
+pub struct NotePage {
     /// Contents of the notes, oldest first; damaged notes are left out.
     pub notes: Vec<Vec<u8>>,
     /// Start of the next page; `None`: this is the last page.
     pub next: Option<u64>,
 }
 
-impl Page {
+impl NotePage {
     /// Maximum number of notes in a page.
-    pub const NOTES: usize = 64;
+    pub const MAX_NOTES: usize = 64;
     /// Bytes after which a page ends.
     pub const BYTES: usize = 256 << 10;
 
     /// Creates a page of the first of these numbered notes; the content of a damaged note is `None`.
-    fn of(notes: impl IntoIterator<Item = (u64, Option<Vec<u8>>)>) -> Self {
+    fn from_notes(notes: impl IntoIterator<Item = (u64, Option<Vec<u8>>)>) -> Self {
         let (mut page, mut bytes) = (Self::default(), 0);
-        for (place, (number, note)) in notes.into_iter().enumerate() {
-            if place == Self::NOTES || bytes >= Self::BYTES {
+        for (index, (number, note)) in notes.into_iter().enumerate() {
+            if index == Self::MAX_NOTES || bytes >= Self::BYTES {
                 page.next = Some(number);
                 break;
             }
@@ -116,10 +116,10 @@ impl Page {
 pub trait Queue: Send + 'static {
     /// Loads the log; call this before anything else. Returns exactly the acknowledged batches, each of them whole. Fails if some
     /// of them are missing, or if that cannot be determined, unless the loss is accepted.
-    fn load(&mut self) -> impl Future<Output = Result<Contents, QueueError>> + Send;
+    fn load(&mut self) -> impl Future<Output = Result<LogContents, QueueError>> + Send;
 
-    /// Appends a batch, either whole or not at all. It is on the disk when this returns. Without room ([`Remedy::Room`]), nothing
-    /// is appended, and the call may be retried.
+    /// Appends a batch, either whole or not at all. It is on the disk when this returns. Without room ([`Remedy::FreeSpace`]),
+    /// nothing is appended, and the call may be retried.
     fn append(&mut self, batch: Batch<'_>) -> impl Future<Output = Result<(), QueueError>> + Send;
 
     /// Replaces everything before with the snapshot `state`.
@@ -132,7 +132,7 @@ pub trait Queue: Send + 'static {
     }
 
     /// Returns a page of a subject's notes. `from` is 0 or the `next` of the previous page.
-    fn notes(&mut self, subject: u64, from: u64) -> impl Future<Output = Result<Page, QueueError>> + Send;
+    fn notes(&mut self, subject: u64, from: u64) -> impl Future<Output = Result<NotePage, QueueError>> + Send;
 
     /// Checks that this is still the only writer. If another writer may take over, this fails once that has happened or cannot be
     /// ruled out. It sends no request and is nearly free.
@@ -162,7 +162,7 @@ pub enum Remedy {
     /// Open the log again, later: its contents are intact.
     Reopen,
     /// Retry the call when there is room: the log is unchanged.
-    Room,
+    FreeSpace,
     /// No automatic remedy: a person must intervene.
     None,
 }
@@ -171,28 +171,28 @@ impl QueueError {
     /// Returns the remedy for this error.
     pub fn remedy(&self) -> Remedy {
         match self {
-            Self::Away { .. } | Self::Deposed { .. } => Remedy::Reopen,
-            Self::Full { .. } => Remedy::Room,
-            Self::Medium(error) if no_room(error) => Remedy::Room,
+            Self::Unreachable { .. } | Self::Deposed { .. } => Remedy::Reopen,
+            Self::OutOfSpace { .. } => Remedy::FreeSpace,
+            Self::Io(error) if is_out_of_space(error) => Remedy::FreeSpace,
             Self::Address { .. }
             | Self::Rejected { .. }
-            | Self::Foreign { .. }
+            | Self::ForeignFile { .. }
             | Self::ForeignTables { .. }
             | Self::InUse { .. }
             | Self::Damaged { .. }
             | Self::DamagedSnapshot
-            | Self::Lost { .. }
-            | Self::Unsure { .. }
+            | Self::MissingRecords { .. }
+            | Self::Unverifiable { .. }
             | Self::NoCopy { .. }
             | Self::Database { .. }
-            | Self::Medium(_)
+            | Self::Io(_)
             | Self::Sqlite(_) => Remedy::None,
         }
     }
 }
 
 /// Checks whether a disk or a quota is full.
-fn no_room(error: &io::Error) -> bool {
+fn is_out_of_space(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded)
 }
 
@@ -204,7 +204,7 @@ pub enum QueueError {
         "{path} is not a femc log of version {}: found application id {application:#x}, version {version}",
         Sqlite::VERSION
     )]
-    Foreign {
+    ForeignFile {
         /// Path of the file.
         path: String,
         /// SQLite's `application_id`.
@@ -231,7 +231,7 @@ pub enum QueueError {
     DamagedSnapshot,
     /// Durable records are missing at the end.
     #[error("{path} ends with record {kept}, but record {known} was durable: {} records are missing", known - kept)]
-    Lost {
+    MissingRecords {
         /// Path of the file.
         path: String,
         /// Number of the last existing record.
@@ -241,7 +241,7 @@ pub enum QueueError {
     },
     /// Durable records may be missing; this cannot be determined.
     #[error("cannot check that {path} contains all durable records: {why}")]
-    Unsure {
+    Unverifiable {
         /// Path of the file.
         path: String,
         /// Reason why records may be missing.
@@ -249,7 +249,7 @@ pub enum QueueError {
     },
     /// There is no room for the log; nothing was written.
     #[error("no room for the log in {place}: {message}")]
-    Full {
+    OutOfSpace {
         /// The file or the database.
         place: String,
         /// Error of the operating system or the database.
@@ -263,7 +263,7 @@ pub enum QueueError {
     },
     /// The log cannot be read or written.
     #[error("log: {0}")]
-    Medium(#[from] io::Error),
+    Io(#[from] io::Error),
     /// The address of the database is invalid.
     #[error("invalid address of a PostgreSQL database: {message}")]
     Address {
@@ -272,7 +272,7 @@ pub enum QueueError {
     },
     /// The database does not answer, or the connection broke. It may be available again later.
     #[error("cannot reach the database {database}: {message}")]
-    Away {
+    Unreachable {
         /// Host and name of the database.
         database: String,
         /// Error of the connection.

@@ -3,35 +3,35 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-use femc_require::Need;
+use femc_require::Prerequisite;
 use sqlx::postgres::{PgConnectOptions, PgConnection, PgSslMode};
 use sqlx::{AssertSqlSafe, ConnectOptions as _};
 use tokio::sync::Notify;
 
-use crate::Contents;
+use crate::LogContents;
 use crate::backend::postgres;
 
 /// A database for one test. It is not dropped: that would take a second, and the test server itself is temporary.
 #[derive(Debug)]
-pub struct Scratch {
+pub struct ScratchDatabase {
     server: PgConnectOptions,
     name: String,
 }
 
-impl Scratch {
-    /// Creates a database; `None` without a server (see [`Need::or_skip`]).
+impl ScratchDatabase {
+    /// Creates a database; `None` without a server (see [`Prerequisite::or_skip`]).
     ///
     /// # Panics
     /// If a required server is missing or refuses.
     pub async fn new() -> Option<Self> {
         static COUNT: AtomicU32 = AtomicU32::new(0);
-        let url = Need::Postgres.variable("FEMC_TEST_POSTGRES")?;
+        let url = Prerequisite::Postgres.variable_or_skip("FEMC_TEST_POSTGRES")?;
         let server: PgConnectOptions = url.parse().expect("FEMC_TEST_POSTGRES is an address");
         let server = server.ssl_mode(PgSslMode::Disable);
         let name = format!("femc_{}_{}", std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed));
-        let scratch = Self { server, name };
-        scratch.on_server(&format!("CREATE DATABASE {}", scratch.name)).await;
-        Some(scratch)
+        let database = Self { server, name };
+        database.run_on_server(&format!("CREATE DATABASE {}", database.name)).await;
+        Some(database)
     }
 
     /// Returns its address in the form that `--store` takes.
@@ -40,9 +40,9 @@ impl Scratch {
     }
 
     /// Returns its address with the host name of the server's certificate, and the file with the certificate's authority; `None` if
-    /// the server has no certificate (see [`Need::or_skip`]).
-    pub fn encrypted(&self) -> Option<(String, String)> {
-        let authority = Need::Postgres.variable("FEMC_TEST_POSTGRES_CA")?;
+    /// the server has no certificate (see [`Prerequisite::or_skip`]).
+    pub fn encrypted_url(&self) -> Option<(String, String)> {
+        let authority = Prerequisite::Postgres.variable_or_skip("FEMC_TEST_POSTGRES_CA")?;
         let url = self.options().host("localhost").to_url_lossy().to_string();
         let (address, _) = url.split_once('?').unwrap_or((&url, ""));
         Some((format!("{address}?sslmode=verify-full&sslrootcert={authority}"), authority))
@@ -52,7 +52,7 @@ impl Scratch {
         self.server.clone().database(&self.name)
     }
 
-    async fn on_server(&self, sql: &str) {
+    async fn run_on_server(&self, sql: &str) {
         let mut server = self.server.connect().await.expect("the server accepts the connection");
         run(&mut server, sql).await;
     }
@@ -70,36 +70,38 @@ impl Scratch {
     ///
     /// # Panics
     /// If the query fails.
-    pub async fn number(&self, sql: &str) -> i64 {
+    pub async fn query_number(&self, sql: &str) -> i64 {
         let mut connection = self.options().connect().await.expect("the server accepts the connection");
         sqlx::query_scalar(AssertSqlSafe(sql)).fetch_one(&mut connection).await.expect("a number")
     }
 }
 
-impl Scratch {
+impl ScratchDatabase {
     /// Reads the log in the database at one point in time, whichever coordinator leads; `None`: no log exists.
     ///
     /// # Panics
     /// If it cannot be read, or is damaged.
-    pub async fn log(&self) -> Option<Contents> {
-        if self.number("SELECT count(*) FROM pg_tables WHERE schemaname = 'femc' AND tablename = 'log'").await == 0 {
+    pub async fn log_contents(&self) -> Option<LogContents> {
+        if self.query_number("SELECT count(*) FROM pg_tables WHERE schemaname = 'femc' AND tablename = 'log'").await
+            == 0
+        {
             return None;
         }
         let mut connection = self.options().connect().await.expect("the server accepts the connection");
-        Some(postgres::look(&mut connection).await.expect("a sound log"))
+        Some(postgres::read_contents(&mut connection).await.expect("a sound log"))
     }
 }
 
 async fn run(connection: &mut PgConnection, sql: &str) {
-    let ran = sqlx::raw_sql(AssertSqlSafe(sql)).execute(connection).await;
-    ran.unwrap_or_else(|error| panic!("{sql}: {error}"));
+    let result = sqlx::raw_sql(AssertSqlSafe(sql)).execute(connection).await;
+    result.unwrap_or_else(|error| panic!("{sql}: {error}"));
 }
 
 /// Locks `table` of the database at `url` until `release`.
 ///
 /// # Panics
 /// If the server refuses.
-pub async fn hold(url: &str, table: &str, release: Arc<Notify>) {
+pub async fn lock_table(url: &str, table: &str, release: Arc<Notify>) {
     let options: PgConnectOptions = url.parse().expect("an address");
     let mut connection = options.connect().await.expect("the server accepts the connection");
     run(&mut connection, &format!("BEGIN; LOCK TABLE {table} IN ACCESS EXCLUSIVE MODE")).await;

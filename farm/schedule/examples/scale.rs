@@ -15,29 +15,29 @@ fn main() {
     let (mut farm, _) = Scheduler::new(Config::default(), Ledger::default());
     let spec = JobSpec {
         name: "scale".into(),
-        bundle: Digest::of(b"bundle"),
+        bundle: Digest::compute(b"bundle"),
         entry: "a.mgf".into(),
         settings: "{}".into(),
         frames: (1..=frames).collect(),
         grid: Grid { film: [tiles * 8, 8], tile: 8 },
-        graph: testing::frames(Sizes::even(tiles, 64), &[16], 256),
+        graph: testing::frame_graph(TaskSizes::even(tiles, 64), &[16], 256),
         contents: vec![],
         priority: 50,
         owner: "me".into(),
         tags: vec![],
         notes: JobNotes::default(),
     };
-    let empty = memory("VmRSS");
-    let begun = Instant::now();
-    farm.on(Event::Submitted { request: RequestId(1), key: None, spec: Box::new(spec), date: None }, Tick(0));
-    println!("submit of {} tasks: {:?}", u64::from(frames) * u64::from(tiles), begun.elapsed());
+    let empty = memory_kib("VmRSS");
+    let started = Instant::now();
+    farm.handle(Event::Submitted { request: RequestId(1), key: None, spec: Box::new(spec), date: None }, Tick(0));
+    println!("submit of {} tasks: {:?}", u64::from(frames) * u64::from(tiles), started.elapsed());
 
-    let submitted = memory("VmRSS");
-    let mut line = std::collections::VecDeque::new();
-    let see = |commands: Vec<Command>, line: &mut std::collections::VecDeque<_>| {
+    let submitted = memory_kib("VmRSS");
+    let mut queue = std::collections::VecDeque::new();
+    let collect = |commands: Vec<Command>, queue: &mut std::collections::VecDeque<_>| {
         for command in commands {
             if let Command::Assign { worker, assignment } = command {
-                line.push_back((worker, assignment));
+                queue.push_back((worker, assignment));
             }
         }
     };
@@ -50,13 +50,13 @@ fn main() {
             slots: 1,
             tags: vec![],
             held: vec![],
-            died: None,
+            death: None,
         };
-        see(farm.on(Event::Joined { worker: WorkerId(worker), registration }, Tick(0)), &mut line);
+        collect(farm.handle(Event::Joined { worker: WorkerId(worker), registration }, Tick(0)), &mut queue);
     }
-    let joined = memory("VmRSS");
-    let (begun, mut done) = (Instant::now(), 0u64);
-    while let Some((worker, Assignment { task, epoch, work, .. })) = line.pop_front() {
+    let joined = memory_kib("VmRSS");
+    let (started, mut done) = (Instant::now(), 0u64);
+    while let Some((worker, Assignment { task, epoch, spec: work, .. })) = queue.pop_front() {
         let name = Artifact { digest: Digest::from_bytes([task.index as u8; 32]), bytes: 1 };
         let output = |role| Output { role, artifact: name };
         let result = match task.stage.kind {
@@ -70,23 +70,23 @@ fn main() {
             }
             _ => TaskResult { outputs: vec![output(Role::Pixels)], ..TaskResult::default() },
         };
-        see(farm.on(Event::Completed { worker, task, epoch, result }, Tick(1)), &mut line);
+        collect(farm.handle(Event::Completed { worker, task, epoch, result }, Tick(1)), &mut queue);
         done += 1;
     }
-    let elapsed = begun.elapsed();
+    let elapsed = started.elapsed();
     println!(
         "{workers} workers, {done} tasks: {elapsed:?}, {:.2} us a task",
         elapsed.as_secs_f64() * 1e6 / done as f64
     );
-    let grown = [submitted - empty, joined - submitted, memory("VmRSS") - joined];
-    println!("memory: {empty} KiB, and {grown:?} with job, workers and end; {} KiB at most", memory("VmHWM"));
-    let begun = Instant::now();
+    let grown = [submitted - empty, joined - submitted, memory_kib("VmRSS") - joined];
+    println!("memory: {empty} KiB, and {grown:?} with job, workers and end; {} KiB at most", memory_kib("VmHWM"));
+    let started = Instant::now();
     let bytes = farm.ledger().encode().map_or(0, |bytes| bytes.len());
-    println!("snapshot: {bytes} bytes in {:?}", begun.elapsed());
+    println!("snapshot: {bytes} bytes in {:?}", started.elapsed());
 }
 
 /// Returns a memory figure of this process in KiB, by its name in Linux.
-fn memory(name: &str) -> i64 {
+fn memory_kib(name: &str) -> i64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find(|line| line.starts_with(name)).unwrap_or_default();
     line.split_whitespace().nth(1).and_then(|number| number.parse().ok()).unwrap_or(0)

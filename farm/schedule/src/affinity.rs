@@ -4,12 +4,12 @@
 
 use std::collections::VecDeque;
 
-use femc_model::{JobId, Near, Reach, TaskKey, Tick, WorkerId};
+use femc_model::{Affinity, JobId, Reach, TaskKey, Tick, WorkerId};
 
 use crate::Command;
 use crate::ledger::Job;
 use crate::scheduler::Scheduler;
-use crate::shared::Content;
+use crate::shared::ContentState;
 
 /// Frames and outputs that a worker probably has ready, judged by the tasks that it was given.
 #[derive(Debug, Clone, Default)]
@@ -29,11 +29,11 @@ impl Locality {
     const HINT_SOURCES: usize = 256;
 
     /// Notes that the worker gets a task in turn (`None`), or one out of turn that is expected to take these milliseconds.
-    fn note_turn(&mut self, out_of_turn: Option<u64>) {
+    fn record_turn(&mut self, out_of_turn: Option<u64>) {
         self.out_of_turn = out_of_turn.map_or(0, |milliseconds| self.out_of_turn.saturating_add(milliseconds));
     }
 
-    fn has(&self, task: &TaskKey) -> bool {
+    fn has_frame(&self, task: &TaskKey) -> bool {
         self.frames.contains(&(task.job, task.stage.frame))
     }
 
@@ -51,8 +51,8 @@ impl Locality {
     }
 
     /// Notes that the worker gets a task.
-    pub(crate) fn note(&mut self, task: &TaskKey) {
-        if task.stage.kind.row().near != Near::Frame {
+    pub(crate) fn record_assignment(&mut self, task: &TaskKey) {
+        if task.stage.kind.properties().affinity != Affinity::Frame {
             return;
         }
         let frame = (task.job, task.stage.frame);
@@ -73,11 +73,11 @@ impl Scheduler {
         let other = self.ready_nearby(id, &first, now);
         let task = other.unwrap_or(first);
         let task = self.ready_with_own_hint(id, &task).unwrap_or(task);
-        let run = self.share(&task);
-        let out_of_turn = other.map(|_| self.size(&task, self.units_of(&task, &run)).milliseconds);
-        self.assign(task, &run, None, id, now, out);
+        let run = self.lease_run(&task);
+        let out_of_turn = other.map(|_| self.lease_size(&task, self.units_of(&task, &run)).milliseconds);
+        self.assign_task(task, &run, None, id, now, out);
         if let Some(worker) = self.table.workers.get_mut(&id) {
-            worker.locality.note_turn(out_of_turn);
+            worker.locality.record_turn(out_of_turn);
         }
     }
 
@@ -85,21 +85,21 @@ impl Scheduler {
     /// is, has neither. `None`: there is no such task, or it is time for `first`.
     fn ready_nearby(&mut self, id: WorkerId, first: &TaskKey, now: Tick) -> Option<TaskKey> {
         let locality = &self.table.workers.get(&id)?.locality;
-        if first.stage.kind.row().near != Near::Frame
-            || locality.has(first)
-            || locality.out_of_turn >= Self::OUT_OF_TURN * self.config.task
+        if first.stage.kind.properties().affinity != Affinity::Frame
+            || locality.has_frame(first)
+            || locality.out_of_turn >= Self::OUT_OF_TURN * self.config.work_per_lease
         {
             return None;
         }
         let priority = self.ledger.jobs.get(&first.job)?.spec.priority;
-        let is_scene_at_hand = locality.has_job(first.job);
+        let has_scene = locality.has_job(first.job);
         let mut own: Vec<(JobId, u32)> = locality.frames.iter().rev().copied().collect();
         own.retain(|&(job, _)| {
             let known = self.ledger.jobs.get(&job).filter(|known| known.spec.priority == priority);
-            known.is_some_and(|known| self.may_work(id, job, known, now))
+            known.is_some_and(|known| self.may_take_tasks_of(id, job, known, now))
         });
         let same_frame = own.iter().find_map(|&(job, frame)| self.ready_near(id, job, Some(frame)));
-        if same_frame.is_some() || is_scene_at_hand {
+        if same_frame.is_some() || has_scene {
             return same_frame;
         }
         own.into_iter().find_map(|(job, _)| self.ready_of_scene(id, job))
@@ -110,11 +110,11 @@ impl Scheduler {
         let (job, ready_tasks) = (self.ledger.jobs.get(&task.job)?, self.ready.get(&task.job)?);
         let template = job.spec.graph.stage(task.stage.number)?;
         let hint = template.hints.iter().find(|hint| hint.reach == Reach::Same)?;
-        let keys = ready_tasks.open.get(task.stage.frame)?.of(&task.stage)?;
+        let ready_keys = ready_tasks.open.get(task.stage.frame)?.ready_keys(&task.stage)?;
         let hint_sources = self.table.workers.get(&id)?.locality.hint_sources.iter().rev();
         let hint_sources = hint_sources.filter(|(of, stage, _)| (*of, *stage) == (task.job, hint.stage));
         let mut tasks = hint_sources.filter_map(|&(.., item)| {
-            let index = job.keys_of(&task.stage, item).find(|&key| keys.contains(key))?;
+            let index = job.keys_of(&task.stage, item).find(|&key| ready_keys.contains(key))?;
             Some(TaskKey { index, ..*task })
         });
         tasks.find(|task| self.may_take(task, job, ready_tasks, id))
@@ -131,7 +131,7 @@ impl Scheduler {
         }
     }
 
-    fn may_work(&self, id: WorkerId, job: JobId, known: &Job, now: Tick) -> bool {
+    fn may_take_tasks_of(&self, id: WorkerId, job: JobId, known: &Job, now: Tick) -> bool {
         let (worker, ready_tasks) = (self.table.workers.get(&id), self.ready.get(&job));
         known.is_runnable()
             && worker.is_some_and(|worker| worker.has_tags(&known.spec.tags))
@@ -143,14 +143,14 @@ impl Scheduler {
     fn ready_near(&self, id: WorkerId, job: JobId, frame: Option<u32>) -> Option<TaskKey> {
         let (known, ready_tasks) = (self.ledger.jobs.get(&job)?, self.ready.get(&job)?);
         let engine = &*self.table.workers.get(&id)?.registration.engine;
-        let is_for_it = |task: &TaskKey| {
+        let may_take = |task: &TaskKey| {
             self.may_take(task, known, ready_tasks, id)
-                && matches!(self.content(job, known, &task.stage, engine), Content::There)
+                && matches!(self.content_state(job, known, &task.stage, engine), ContentState::Available)
                 && !self.is_reserved_for_others(job, task.stage.frame, id)
         };
         match frame {
-            Some(frame) => ready_tasks.open.get(frame)?.near(job).find(is_for_it),
-            None => ready_tasks.open.ready().flat_map(|(_, open)| open.near(job)).find(is_for_it),
+            Some(frame) => ready_tasks.open.get(frame)?.frame_affine_tasks(job).find(may_take),
+            None => ready_tasks.open.ready().flat_map(|(_, open)| open.frame_affine_tasks(job)).find(may_take),
         }
     }
 }

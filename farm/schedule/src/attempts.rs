@@ -1,6 +1,6 @@
 //! Records of attempts and their usage. The caller stores them beside the log, so the ledger does not grow with them.
 
-use femc_model::{AttemptRecord, Ending, Phase, TaskResult, TaskUsage, Tick, WorkerId};
+use femc_model::{AttemptRecord, LeaseEnding, Phase, TaskResult, TaskUsage, Tick, WorkerId};
 
 use crate::lease_table::{Lease, LeaseKey};
 use crate::scheduler::Scheduler;
@@ -29,13 +29,13 @@ pub fn decode_attempts(note: &[u8]) -> Result<Vec<AttemptRecord>, SnapshotError>
 
 /// Figures of a result that go into the record of its attempt.
 #[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct Counted {
+pub(crate) struct ResultSummary {
     samples: u64,
     relative_error: Option<f64>,
 }
 
-impl Counted {
-    pub(crate) fn of(result: &TaskResult) -> Self {
+impl ResultSummary {
+    pub(crate) fn from_result(result: &TaskResult) -> Self {
         Self { samples: result.units, relative_error: result.relative_error }
     }
 
@@ -48,31 +48,31 @@ impl Counted {
 impl Scheduler {
     /// Handles a worker's report of a lease's usage. If the lease holds, its outcome follows. If the lease is over, no other report
     /// follows.
-    pub(crate) fn usage(
+    pub(crate) fn handle_usage(
         &mut self,
         worker: WorkerId,
         TaskUsage { task, epoch, usage }: TaskUsage,
         now: Tick,
         out: &mut Vec<Command>,
     ) {
-        if self.table.lease_of(worker, &task, epoch).is_some() {
+        if self.table.lease_held_by(worker, &task, epoch).is_some() {
             self.reported_usage = Some(((task, epoch), usage));
             return;
         }
         // The usage of a counted result is already recorded: this is a repetition.
-        let is_news = self.ledger.jobs.get(&task.job).is_some_and(|job| !job.holds(&task, epoch));
-        let Some(known) = self.table.workers.get(&worker).filter(|_| is_news) else { return };
+        let is_new = self.ledger.jobs.get(&task.job).is_some_and(|job| !job.has_completion(&task, epoch));
+        let Some(known) = self.table.workers.get(&worker).filter(|_| is_new) else { return };
         let milliseconds = ((usage.wall + usage.wait) * 1000.0) as u64;
         let (name, instance) = (known.registration.name.clone(), known.registration.instance);
         self.meter_attempt(&task, &usage);
-        out.push(Command::Note(Box::new(AttemptRecord {
+        out.push(Command::RecordAttempt(Box::new(AttemptRecord {
             task,
             epoch,
             worker: name,
             instance,
             granted: Tick(now.0.saturating_sub(milliseconds)),
             ended: now,
-            ending: Ending::Revoked,
+            ending: LeaseEnding::Revoked,
             samples: 0,
             relative_error: None,
             usage: Some(usage),
@@ -80,24 +80,26 @@ impl Scheduler {
     }
 
     /// Records the end of a lease. Call it while its worker is known.
-    pub(crate) fn note(
+    pub(crate) fn record_lease_end(
         &mut self,
         key: &LeaseKey,
         lease: &Lease,
-        ending: Ending,
-        counted: Counted,
+        ending: LeaseEnding,
+        summary: ResultSummary,
         out: &mut Vec<Command>,
     ) {
         let usage = self.reported_usage.take_if(|(reported, _)| reported == key).map(|(_, usage)| usage);
         let is_begun = match ending {
-            Ending::Done | Ending::Failed => true,
-            Ending::Lost | Ending::Revoked | Ending::Cancelled => usage.is_some() || lease.phase > Phase::Waiting,
+            LeaseEnding::Done | LeaseEnding::Failed => true,
+            LeaseEnding::Lost | LeaseEnding::Revoked | LeaseEnding::Cancelled => {
+                usage.is_some() || lease.phase > Phase::Waiting
+            }
         };
         if let Some(usage) = &usage {
             self.meter_attempt(&key.0, usage);
         }
         let Some(known) = self.table.workers.get(&lease.worker).filter(|_| is_begun) else { return };
-        out.push(Command::Note(Box::new(AttemptRecord {
+        out.push(Command::RecordAttempt(Box::new(AttemptRecord {
             task: key.0,
             epoch: key.1,
             worker: known.registration.name.clone(),
@@ -105,8 +107,8 @@ impl Scheduler {
             granted: lease.granted,
             ended: self.now,
             ending,
-            samples: counted.samples,
-            relative_error: counted.relative_error,
+            samples: summary.samples,
+            relative_error: summary.relative_error,
             usage,
         })));
     }

@@ -12,11 +12,11 @@ use femc_model::{JobId, Tick, UsageSums, WorkerId};
 
 use crate::lease_table::{Bill, Lease, LeaseKey};
 use crate::scheduler::Scheduler;
-use crate::{Command, Fact, Used};
+use crate::{Command, Fact, UsedTime};
 
 impl Scheduler {
     /// Milliseconds between two facts about the usage of owners.
-    pub const NOTE_SHARES: u64 = 5_000;
+    pub const CHARGE_INTERVAL: u64 = 5_000;
 
     /// Adds the expected milliseconds of a new lease to the claims of the job's owner.
     pub(crate) fn claim(&mut self, job: JobId, milliseconds: u64) {
@@ -34,7 +34,7 @@ impl Scheduler {
     fn charge(&mut self, Bill { job, milliseconds, expected }: Bill) {
         let Some(job) = self.ledger.jobs.get(&job).filter(|_| milliseconds > 0) else { return };
         if job.shared.is_some() {
-            for (owner, part) in self.split(job, milliseconds) {
+            for (owner, part) in self.split_charge(job, milliseconds) {
                 self.meter.add(&owner, UsageSums { worker_ms: part, ..UsageSums::default() });
                 self.order.charge(&owner, part, 0, self.config.weight(&owner));
             }
@@ -45,11 +45,11 @@ impl Scheduler {
     }
 
     /// Ends a lease, for whatever reason.
-    pub(crate) fn release(&mut self, key: &LeaseKey) -> Option<Lease> {
+    pub(crate) fn release_lease(&mut self, key: &LeaseKey) -> Option<Lease> {
         let (lease, bill) = self.table.release(key, &self.config, self.now)?;
         bill.into_iter().for_each(|bill| self.charge(bill));
         if let Some(job) = self.ledger.jobs.get(&key.0.job).filter(|known| known.shared.is_none()) {
-            self.order.unclaim(&job.spec.owner, lease.claim);
+            self.order.release_claim(&job.spec.owner, lease.claim);
         }
         Some(lease)
     }
@@ -62,22 +62,23 @@ impl Scheduler {
     }
 
     /// Charges the running leases, and makes changed charges durable.
-    pub(crate) fn note_shares(&mut self, now: Tick, out: &mut Vec<Command>) {
-        self.shares_from = now.after(Self::NOTE_SHARES);
+    pub(crate) fn record_charges(&mut self, now: Tick, out: &mut Vec<Command>) {
+        self.next_charge = now.after(Self::CHARGE_INTERVAL);
         let workers: Vec<WorkerId> = self.table.workers.keys().copied().collect();
         workers.into_iter().for_each(|worker| self.charge_worker(worker));
-        let known = self.ledger.side.used();
-        let news = self.order.used().filter(|(owner, used)| known.get(*owner).copied().unwrap_or_default() != *used);
-        let owners: Vec<(String, Used)> = news.map(|(owner, used)| (owner.to_owned(), used)).collect();
+        let known = self.ledger.side.used_times();
+        let news =
+            self.order.used_times().filter(|(owner, used)| known.get(*owner).copied().unwrap_or_default() != *used);
+        let owners: Vec<(String, UsedTime)> = news.map(|(owner, used)| (owner.to_owned(), used)).collect();
         if !owners.is_empty() {
-            self.record(Fact::Used { owners }, now, out);
-            let known = self.ledger.side.used();
-            self.order.forget(|owner| known.contains_key(owner));
+            self.record_fact(Fact::TimeCharged { owners }, now, out);
+            let known = self.ledger.side.used_times();
+            self.order.remove_absent(|owner| known.contains_key(owner));
         }
     }
 
     /// Returns the usage of each owner up to the last event, by owner. Uncharged time of running leases is not included.
-    pub fn used(&self) -> impl Iterator<Item = (&str, Used)> {
-        self.order.used()
+    pub fn used_times(&self) -> impl Iterator<Item = (&str, UsedTime)> {
+        self.order.used_times()
     }
 }

@@ -1,6 +1,6 @@
 //! Requests of users: submission and control of jobs.
 
-use femc_model::{Control, Cut, JobId, JobSpec, Refusal, RevokeReason, Stage, Tick, UsageSums};
+use femc_model::{ChunkSize, Control, JobId, JobSpec, Refusal, RevokeReason, Stage, Tick, UsageSums};
 
 use crate::lease_table::LeaseKey;
 use crate::ledger::{Hold, Job};
@@ -26,22 +26,22 @@ impl Scheduler {
         if let Some(job) = key.as_deref().and_then(|key| self.ledger.job_of_key(key)) {
             return Ok(Answer::Submitted(job));
         }
-        self.within_quota(&spec)?;
+        self.check_quota(&spec)?;
         let job = self.ledger.next_job();
         self.meter.add(&spec.owner, UsageSums { jobs: 1, ..UsageSums::default() });
-        let cut = Cut::Grains(self.config.grain);
-        self.record(Fact::Submitted { job, key, spec, cut, date, announces: true }, now, out);
-        self.rebuild(job);
+        let cut = ChunkSize::Units(self.config.chunk_size);
+        self.record_fact(Fact::Submitted { job, key, spec, chunk_size: cut, date, announces: true }, now, out);
+        self.rebuild_ready(job);
         self.retry_shared(job, |_| true, now, out);
-        out.push(Command::Changed(job));
+        out.push(Command::JobChanged(job));
         Ok(Answer::Submitted(job))
     }
 
     /// Refuses a job that would exceed its owner's quota.
-    fn within_quota(&self, spec: &JobSpec) -> Result<(), Refusal> {
+    fn check_quota(&self, spec: &JobSpec) -> Result<(), Refusal> {
         let Quota { jobs, frames, tasks } = self.config.quota;
         let sizes = |spec: &JobSpec| [1, spec.frames.len() as u64, spec.tasks()];
-        let own = self.ledger.of_people().map(|(_, job)| job);
+        let own = self.ledger.submitted_jobs().map(|(_, job)| job);
         let own = own.filter(|job| job.spec.owner == spec.owner && !job.has_ended());
         let sums = own.fold(sizes(spec), |[a, b, c], job| {
             let [jobs, frames, tiles] = sizes(&job.spec);
@@ -66,12 +66,13 @@ impl Scheduler {
             return Err(Refusal::NoSuchJob { job: id });
         }
         let control = match control {
-            Control::Delete => return self.delete(id, now, out),
-            Control::RetryFrames(frames) => Control::RetryFrames(retried(job, frames)?),
+            Control::Delete => return self.delete_job(id, now, out),
+            Control::RetryFrames(frames) => Control::RetryFrames(frames_to_retry(job, frames)?),
             other => other,
         };
         let is_done = job.is_done();
-        let has_trouble = !job.blocked.is_empty() || job.units.values().any(|unit| unit.quarantined().next().is_some());
+        let has_failures =
+            !job.blocked.is_empty() || job.unfinished.values().any(|progress| progress.quarantined().next().is_some());
         let changes = match &control {
             Control::Pause | Control::Resume | Control::Cancel if job.has_ended() => {
                 return Err(Refusal::Ended { job: id });
@@ -80,12 +81,12 @@ impl Scheduler {
             Control::Pause => job.hold != Hold::Paused,
             Control::Resume => job.hold != Hold::Free,
             Control::Cancel => true,
-            Control::RetryFrames(_) if job.is_over() => {
+            Control::RetryFrames(_) if job.is_aborted() => {
                 let message = format!("job {id} was cancelled or has failed as a whole: retry the whole job");
                 return Err(Refusal::Invalid { field: "frames".into(), message });
             }
-            Control::Retry => job.has_ended() || has_trouble,
-            Control::RetryFrames(frames) => frames.iter().any(|&frame| job.has_trouble(frame)),
+            Control::Retry => job.has_ended() || has_failures,
+            Control::RetryFrames(frames) => frames.iter().any(|&frame| job.has_failures(frame)),
             Control::Priority(priority) if *priority > 100 => {
                 return Err(Refusal::Invalid { field: "priority".into(), message: "at most 100".into() });
             }
@@ -100,25 +101,25 @@ impl Scheduler {
             };
         if changes {
             if fills_gaps {
-                self.revoke_frame(id, Stage::OF_JOB, out);
+                self.revoke_frame(id, Stage::JOB_FRAME, out);
             }
-            self.record(Fact::Controlled { job: id, control: control.clone() }, now, out);
+            self.record_fact(Fact::Controlled { job: id, control: control.clone() }, now, out);
             match control {
                 Control::Cancel => self.revoke_all(id, out),
                 Control::Retry => {
-                    self.forget_deaths(id, |_| true);
+                    self.discard_deaths(id, |_| true);
                     self.retry_shared(id, |_| true, now, out);
                 }
                 Control::RetryFrames(frames) => {
                     let is_meant = |frame: u32| frames.binary_search(&frame).is_ok();
-                    self.forget_deaths(id, is_meant);
+                    self.discard_deaths(id, is_meant);
                     self.retry_shared(id, is_meant, now, out);
                 }
                 Control::Pause | Control::Resume | Control::Priority(_) | Control::Delete => {}
             }
-            self.rebuild(id);
+            self.rebuild_ready(id);
             self.revoke_unwanted(out);
-            out.push(Command::Changed(id));
+            out.push(Command::JobChanged(id));
         }
         Ok(Answer::Controlled(id))
     }
@@ -127,26 +128,26 @@ impl Scheduler {
     /// since), and, if a shared job is stuck, those of all blocked frames.
     pub(crate) fn revoke_ended(&mut self, id: JobId, out: &mut Vec<Command>) {
         let Some(job) = self.ledger.jobs.get(&id).filter(|job| job.has_ended()) else { return };
-        let failed = self.ledger.of_people().filter(|_| job.is_stuck()).chain([(id, job)]);
+        let failed = self.ledger.submitted_jobs().filter(|_| job.is_stuck()).chain([(id, job)]);
         let is_over = |job: &Job, frame: u32| job.has_ended() || job.blocked.contains(&frame);
         let leases = failed.flat_map(|(id, job)| {
-            let all = self.table.of_job(id).map(|(key, _)| key);
+            let all = self.table.leases_of_job(id).map(|(key, _)| key);
             all.filter(|(task, _)| is_over(job, task.stage.frame)).collect::<Vec<LeaseKey>>()
         });
-        leases.collect::<Vec<_>>().into_iter().for_each(|key| self.revoke(&key, RevokeReason::JobEnded, out));
+        leases.collect::<Vec<_>>().into_iter().for_each(|key| self.revoke_lease(&key, RevokeReason::JobEnded, out));
     }
 
     /// Revokes every lease of a job that has ended.
     pub(crate) fn revoke_all(&mut self, id: JobId, out: &mut Vec<Command>) {
-        let keys: Vec<LeaseKey> = self.table.of_job(id).map(|(key, _)| key).collect();
+        let keys: Vec<LeaseKey> = self.table.leases_of_job(id).map(|(key, _)| key).collect();
         for key in keys {
-            self.revoke(&key, RevokeReason::JobEnded, out);
+            self.revoke_lease(&key, RevokeReason::JobEnded, out);
         }
     }
 }
 
 /// Returns the frames to retry, ascending and without duplicates. Fails if one of them is not a frame of the job.
-fn retried(job: &Job, mut frames: Vec<u32>) -> Result<Vec<u32>, Refusal> {
+fn frames_to_retry(job: &Job, mut frames: Vec<u32>) -> Result<Vec<u32>, Refusal> {
     let invalid = |message| Refusal::Invalid { field: "frames".into(), message };
     frames.sort_unstable();
     frames.dedup();

@@ -124,7 +124,7 @@ pub enum Event {
         failure: Failure,
     },
     /// A requested artifact is not in the store, or was damaged and has been removed.
-    Lost {
+    ArtifactLost {
         /// Digest of the artifact.
         digest: Digest,
     },
@@ -141,7 +141,7 @@ pub enum Event {
     Elapsed,
     /// The coordinator was stalled for a while: heartbeats that renew leases, and registrations with held leases, may still be
     /// unread.
-    LoopStalled,
+    CoordinatorStalled,
 }
 
 /// An action for the caller. Commands are executed in their order.
@@ -150,7 +150,7 @@ pub enum Command {
     /// Make this durable before any other command of the same call is executed.
     Record(Fact),
     /// Store this record with the job, as durably as the facts; no state depends on it.
-    Note(Box<AttemptRecord>),
+    RecordAttempt(Box<AttemptRecord>),
     /// Assign a task to a worker.
     Assign {
         /// The session.
@@ -202,7 +202,7 @@ pub enum Command {
         answer: Result<Answer, Refusal>,
     },
     /// A job's status has changed.
-    Changed(JobId),
+    JobChanged(JobId),
     /// These artifacts have lost a reference. Those without any other reference may be removed: see
     /// [`crate::Scheduler::unreferenced`].
     Discard(Vec<Digest>),
@@ -211,7 +211,7 @@ pub enum Command {
 impl Command {
     /// Checks whether the command stores something in or beside the log. Such commands are executed before all others.
     pub fn is_for_log(&self) -> bool {
-        matches!(self, Self::Record(_) | Self::Note(_))
+        matches!(self, Self::Record(_) | Self::RecordAttempt(_))
     }
 }
 

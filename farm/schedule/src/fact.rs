@@ -1,17 +1,17 @@
 //! Facts: permanent changes, the entries of the log.
 
 use femc_model::{
-    Control, Cut, Digest, Drain, Epoch, Failure, JobId, JobSpec, LogRecord, OwnerUsage, TaskKey, TaskResult, Tick,
+    ChunkSize, Control, Digest, Drain, Epoch, Failure, JobId, JobSpec, LogRecord, OwnerUsage, TaskKey, TaskResult, Tick,
 };
 use serde::{Deserialize, Serialize};
 
-use crate::Casualty;
+use crate::WorkerDeath;
 
 /// Time that an owner has used, and the resulting place in the order of service.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Used {
+pub struct UsedTime {
     /// Milliseconds of worker time that the owner was charged.
-    pub held: u64,
+    pub charged: u64,
     /// Place in the order of service, as in weighted fair queueing: the lowest is served first. It grows with the used time,
     /// divided by the owner's weight at that time. When an owner returns after an absence, it rises to the level of the others.
     pub virtual_time: u64,
@@ -21,7 +21,7 @@ pub struct Used {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum Fact {
     /// A coordinator has started; all leases of earlier ones are void.
-    Opened {
+    CoordinatorStarted {
         /// Incarnation of the coordinator, greater than all before.
         incarnation: u32,
     },
@@ -34,7 +34,7 @@ pub enum Fact {
         /// Specification of the job, as submitted.
         spec: Box<JobSpec>,
         /// Granularity at which its tasks are divided.
-        cut: Cut,
+        chunk_size: ChunkSize,
         /// Calendar date: Unix time in milliseconds; `None`: unknown.
         #[serde(deserialize_with = "femc_model::since_version_10")]
         date: Option<u64>,
@@ -43,7 +43,7 @@ pub enum Fact {
         announces: bool,
     },
     /// A shared job has begun: one build of the engine does the stages of a content for all jobs that need them.
-    Shared {
+    SharedJobBegun {
         /// Number of the shared job: [`JobId::shared`].
         job: JobId,
         /// Key of the content.
@@ -53,7 +53,7 @@ pub enum Fact {
         /// Specification: that of the first job that needs it, with one frame.
         spec: Box<JobSpec>,
         /// Granularity at which its tasks are divided.
-        cut: Cut,
+        chunk_size: ChunkSize,
     },
     /// A task or some of its sample chunks are done; the decision in the result takes effect.
     Done {
@@ -78,7 +78,7 @@ pub enum Fact {
         failure: Failure,
     },
     /// Outputs of a task that others need are lost. The task must run again, and so must the producers of its inputs that are lost.
-    Lost {
+    OutputsLost {
         /// The task that made the outputs.
         task: TaskKey,
     },
@@ -90,7 +90,7 @@ pub enum Fact {
         frame: u32,
     },
     /// The job cannot succeed.
-    Doomed {
+    JobFailed {
         /// The job.
         job: JobId,
         /// Failure that ends the job.
@@ -113,13 +113,13 @@ pub enum Fact {
     /// The log of an attempt is in the store.
     Logged(Box<LogRecord>),
     /// An ended job was removed, with its key and its logs.
-    Forgotten {
+    JobRemoved {
         /// The job.
         job: JobId,
     },
     /// The first result of a frame is about to count: all its results come from this build of the engine, until the frame is
     /// finished or restarts.
-    Built {
+    BuildAssigned {
         /// The job.
         job: JobId,
         /// Frame number.
@@ -128,23 +128,23 @@ pub enum Fact {
         engine: String,
     },
     /// A worker died while it computed a task.
-    Died {
+    WorkerDied {
         /// The task.
         task: TaskKey,
         /// End of the lease's sample chunks, which begin with the task's index.
         end: u32,
         /// Worker that died, and the evidence.
-        casualty: Casualty,
+        death: WorkerDeath,
     },
     /// A process that was presumed dead has come back.
-    Lives {
+    WorkerReturned {
         /// Process of the worker.
         instance: u64,
     },
     /// The used time of some owners has changed.
-    Used {
+    TimeCharged {
         /// Used time by owner.
-        owners: Vec<(String, Used)>,
+        owners: Vec<(String, UsedTime)>,
     },
     /// The usage of some owners in a month has changed.
     Metered {

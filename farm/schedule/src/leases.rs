@@ -7,19 +7,19 @@ use femc_model::{Epoch, JobId, Stage, StageKind, TaskKey};
 
 use crate::lease_table::{Lease, LeaseKey};
 
-type OfStage = BTreeMap<(u32, Epoch), Lease>;
+type StageLeases = BTreeMap<(u32, Epoch), Lease>;
 
 /// Leases in the order of their keys. Stages without leases have no entry.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Leases(BTreeMap<(JobId, Stage), OfStage>);
+pub(crate) struct Leases(BTreeMap<(JobId, Stage), StageLeases>);
 
 impl Leases {
-    fn of(&self, task: &TaskKey) -> Option<&OfStage> {
+    fn stage_leases(&self, task: &TaskKey) -> Option<&StageLeases> {
         self.0.get(&(task.job, task.stage))
     }
 
     pub(crate) fn get(&self, (task, epoch): &LeaseKey) -> Option<&Lease> {
-        self.of(task)?.get(&(task.index, *epoch))
+        self.stage_leases(task)?.get(&(task.index, *epoch))
     }
 
     pub(crate) fn get_mut(&mut self, (task, epoch): &LeaseKey) -> Option<&mut Lease> {
@@ -31,9 +31,9 @@ impl Leases {
     }
 
     pub(crate) fn remove(&mut self, (task, epoch): &LeaseKey) -> Option<Lease> {
-        let of_stage = self.0.get_mut(&(task.job, task.stage))?;
-        let lease = of_stage.remove(&(task.index, *epoch))?;
-        if of_stage.is_empty() {
+        let stage_leases = self.0.get_mut(&(task.job, task.stage))?;
+        let lease = stage_leases.remove(&(task.index, *epoch))?;
+        if stage_leases.is_empty() {
             self.0.remove(&(task.job, task.stage));
         }
         Some(lease)
@@ -41,19 +41,20 @@ impl Leases {
 
     /// Returns all leases.
     pub(crate) fn iter(&self) -> impl Iterator<Item = (LeaseKey, &Lease)> {
-        self.0.iter().flat_map(named)
+        self.0.iter().flat_map(with_keys)
     }
 
     /// Returns the leases of a task: none, one, or one and its copy.
     pub(crate) fn of_task(&self, task: &TaskKey) -> impl Iterator<Item = (LeaseKey, &Lease)> + use<'_> {
         let (task, keys) = (*task, (task.index, Epoch(0))..=(task.index, Epoch(u64::MAX)));
-        let leases = self.of(&task).into_iter().flat_map(move |of_stage| of_stage.range(keys.clone()));
+        let leases =
+            self.stage_leases(&task).into_iter().flat_map(move |stage_leases| stage_leases.range(keys.clone()));
         leases.map(move |(&(_, epoch), lease)| ((task, epoch), lease))
     }
 
     /// Returns the leases of a stage.
     pub(crate) fn of_stage(&self, job: JobId, stage: Stage) -> impl Iterator<Item = (LeaseKey, &Lease)> {
-        self.0.get_key_value(&(job, stage)).into_iter().flat_map(named)
+        self.0.get_key_value(&(job, stage)).into_iter().flat_map(with_keys)
     }
 
     /// Returns the last lease of a stage whose key is less than `end`.
@@ -70,11 +71,13 @@ impl Leases {
     ) -> impl Iterator<Item = (LeaseKey, &Lease)> + use<'_> {
         let first = Stage { frame: *frames.start(), round: 0, number: 0, kind: StageKind::ALL[0] };
         let stages = self.0.range((job, first)..);
-        stages.take_while(move |((of, stage), _)| *of == job && frames.contains(&stage.frame)).flat_map(named)
+        stages.take_while(move |((of, stage), _)| *of == job && frames.contains(&stage.frame)).flat_map(with_keys)
     }
 }
 
 /// Returns the leases of a stage with their keys.
-fn named<'a>((&(job, stage), of_stage): (&(JobId, Stage), &'a OfStage)) -> impl Iterator<Item = (LeaseKey, &'a Lease)> {
-    of_stage.iter().map(move |(&(index, epoch), lease)| ((TaskKey { job, stage, index }, epoch), lease))
+fn with_keys<'a>(
+    (&(job, stage), stage_leases): (&(JobId, Stage), &'a StageLeases),
+) -> impl Iterator<Item = (LeaseKey, &'a Lease)> {
+    stage_leases.iter().map(move |(&(index, epoch), lease)| ((TaskKey { job, stage, index }, epoch), lease))
 }

@@ -4,7 +4,7 @@
 
 use std::collections::BTreeMap;
 
-use femc_model::{Month, OwnerUsage, TaskKey, Tick, Usage, UsageSums};
+use femc_model::{Month, OwnerUsage, ResourceUsage, TaskKey, Tick, UsageSums};
 
 use crate::ledger::Job;
 use crate::scheduler::Scheduler;
@@ -32,22 +32,22 @@ impl Meter {
 
 impl Scheduler {
     /// Begins a month; usage up to now belongs to the previous month.
-    pub(crate) fn month(&mut self, month: Month, now: Tick, out: &mut Vec<Command>) {
+    pub(crate) fn begin_month(&mut self, month: Month, now: Tick, out: &mut Vec<Command>) {
         if self.meter.month == Some(month) {
             return;
         }
-        self.note_shares(now, out);
-        self.note_usage(now, out);
+        self.record_charges(now, out);
+        self.record_usage(now, out);
         self.meter.month = Some(month);
     }
 
     /// Adds the processor time of an attempt to the usage of the job's owner. The time of a shared job is divided among the owners
     /// whose jobs wait for it, in proportion to their weights.
-    pub(crate) fn meter_attempt(&mut self, task: &TaskKey, usage: &Usage) {
+    pub(crate) fn meter_attempt(&mut self, task: &TaskKey, usage: &ResourceUsage) {
         let microseconds = (usage.cpu * 1e6) as u64;
         let Some(job) = self.ledger.jobs.get(&task.job).filter(|_| microseconds > 0) else { return };
         if job.shared.is_some() {
-            for (owner, part) in self.split(job, microseconds) {
+            for (owner, part) in self.split_charge(job, microseconds) {
                 self.meter.add(&owner, UsageSums { processor_us: part, ..UsageSums::default() });
             }
             return;
@@ -63,25 +63,25 @@ impl Scheduler {
     }
 
     /// Makes the added usage durable.
-    pub(crate) fn note_usage(&mut self, now: Tick, out: &mut Vec<Command>) {
+    pub(crate) fn record_usage(&mut self, now: Tick, out: &mut Vec<Command>) {
         let Some(month) = self.meter.month else { return };
         let added = std::mem::take(&mut self.meter.owners);
         if added.is_empty() {
             return;
         }
         let side = &self.ledger.side;
-        let whole = added.into_iter().map(|(owner, sums)| {
-            let sums = side.metered_of(month, &owner).plus(sums);
+        let totals = added.into_iter().map(|(owner, sums)| {
+            let sums = side.usage_of(month, &owner).plus(sums);
             OwnerUsage { month, owner, sums }
         });
-        let usage = whole.collect();
-        self.record(Fact::Metered { usage }, now, out);
+        let usage = totals.collect();
+        self.record_fact(Fact::Metered { usage }, now, out);
     }
 
     /// Returns the usage by month and owner up to the last event. The time of running leases is charged every few seconds.
     pub fn usage_by_owner(&self) -> Vec<OwnerUsage> {
         let mut all: BTreeMap<(Month, String), UsageSums> =
-            self.ledger.side.metered().map(|row| ((row.month, row.owner), row.sums)).collect();
+            self.ledger.side.usage_rows().map(|row| ((row.month, row.owner), row.sums)).collect();
         if let Some(month) = self.meter.month {
             for (owner, sums) in &self.meter.owners {
                 let known = all.entry((month, owner.clone())).or_default();
@@ -94,5 +94,5 @@ impl Scheduler {
 
 fn is_finished_frame(job: &Job, task: &TaskKey) -> bool {
     let frame = task.stage.frame;
-    frame != femc_model::Stage::OF_JOB && job.shared.is_none() && job.finished.contains_key(&frame)
+    frame != femc_model::Stage::JOB_FRAME && job.shared.is_none() && job.finished.contains_key(&frame)
 }

@@ -6,12 +6,12 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use femc_model::JobId;
 
-use crate::Used;
+use crate::UsedTime;
 
 /// Account of an owner.
 #[derive(Debug, Clone, Copy, Default)]
 struct Account {
-    used: Used,
+    used: UsedTime,
     /// Remaining expected milliseconds of his running leases.
     claimed: u64,
     /// Weight in the latest claim or charge.
@@ -20,36 +20,36 @@ struct Account {
 
 impl Account {
     /// Units of virtual time per millisecond, because weights are whole numbers.
-    const UNIT: u64 = 1000;
+    const VIRTUAL_PER_MS: u64 = 1000;
 
     /// Returns the owner's virtual time, including his claims.
     fn virtual_time(&self) -> u64 {
-        self.used.virtual_time.saturating_add(self.weighed(self.claimed))
+        self.used.virtual_time.saturating_add(self.virtual_duration(self.claimed))
     }
 
-    fn weighed(&self, milliseconds: u64) -> u64 {
-        milliseconds.saturating_mul(Self::UNIT) / u64::from(self.weight.max(1))
+    fn virtual_duration(&self, milliseconds: u64) -> u64 {
+        milliseconds.saturating_mul(Self::VIRTUAL_PER_MS) / u64::from(self.weight.max(1))
     }
 
-    fn unclaim(&mut self, milliseconds: u64) {
+    fn release_claim(&mut self, milliseconds: u64) {
         self.claimed = self.claimed.saturating_sub(milliseconds);
     }
 }
 
 /// Jobs whose tasks may be leased, and the used time of their owners.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Order {
+pub(crate) struct ServiceOrder {
     classes: BTreeMap<Reverse<u8>, BTreeMap<String, BTreeSet<JobId>>>,
-    places: BTreeMap<JobId, (u8, String)>,
+    entries: BTreeMap<JobId, (u8, String)>,
     accounts: BTreeMap<String, Account>,
     /// Whether an owner was raised to the level of the others, and that is not durable yet.
-    is_leveled: bool,
+    was_leveled: bool,
 }
 
-impl Order {
+impl ServiceOrder {
     /// Creates an order without jobs, with the time used before.
-    pub(crate) fn new(used: &BTreeMap<String, Used>) -> Self {
-        let account = |used: &Used| Account { used: *used, ..Account::default() };
+    pub(crate) fn new(used: &BTreeMap<String, UsedTime>) -> Self {
+        let account = |used: &UsedTime| Account { used: *used, ..Account::default() };
         let accounts = used.iter().map(|(owner, used)| (owner.clone(), account(used))).collect();
         Self { accounts, ..Self::default() }
     }
@@ -58,31 +58,31 @@ impl Order {
     /// present owner, of the owner who has used the most so far. So an absent owner saves up no time, and an owner who came first
     /// is not blocked until a new owner has used as much.
     pub(crate) fn insert(&mut self, job: JobId, priority: u8, owner: &str) {
-        if self.places.get(&job).is_some_and(|(p, o)| *p == priority && o == owner) {
+        if self.entries.get(&job).is_some_and(|(p, o)| *p == priority && o == owner) {
             return;
         }
-        if !self.places.values().any(|(_, known)| known == owner) {
+        if !self.entries.values().any(|(_, known)| known == owner) {
             let used = |owner: &str| self.accounts.get(owner).map_or(0, |known| known.used.virtual_time);
-            let present = self.places.values().map(|(_, known)| used(known)).min();
+            let present = self.entries.values().map(|(_, known)| used(known)).min();
             let level = present.or_else(|| self.accounts.values().map(|known| known.used.virtual_time).max());
             if let Some(level) = level.filter(|level| used(owner) < *level) {
-                self.change(owner, |account| account.used.virtual_time = level);
-                self.is_leveled = true;
+                self.update_account(owner, |account| account.used.virtual_time = level);
+                self.was_leveled = true;
             }
         }
-        self.put(job, priority, owner);
+        self.insert_unleveled(job, priority, owner);
     }
 
     /// Inserts a job without raising its owner, as after a restart.
-    pub(crate) fn put(&mut self, job: JobId, priority: u8, owner: &str) {
+    pub(crate) fn insert_unleveled(&mut self, job: JobId, priority: u8, owner: &str) {
         self.remove(job);
         self.classes.entry(Reverse(priority)).or_default().entry(owner.to_owned()).or_default().insert(job);
-        self.places.insert(job, (priority, owner.to_owned()));
+        self.entries.insert(job, (priority, owner.to_owned()));
     }
 
     /// Removes a job.
     pub(crate) fn remove(&mut self, job: JobId) {
-        let Some((priority, owner)) = self.places.remove(&job) else { return };
+        let Some((priority, owner)) = self.entries.remove(&job) else { return };
         if let Some(class) = self.classes.get_mut(&Reverse(priority)) {
             if let Some(jobs) = class.get_mut(&owner) {
                 jobs.remove(&job);
@@ -98,11 +98,11 @@ impl Order {
 
     /// Returns all jobs, in order of submission.
     pub(crate) fn jobs(&self) -> impl Iterator<Item = JobId> + '_ {
-        self.places.keys().copied()
+        self.entries.keys().copied()
     }
 
     /// Returns the jobs in their present order of service.
-    pub(crate) fn service(&self) -> impl Iterator<Item = JobId> + '_ {
+    pub(crate) fn jobs_by_service(&self) -> impl Iterator<Item = JobId> + '_ {
         self.classes.values().flat_map(|class| {
             // A single owner needs no sorting.
             let only = if class.len() == 1 { class.values().next() } else { None };
@@ -116,7 +116,7 @@ impl Order {
         self.accounts.get(owner).map_or(0, Account::virtual_time)
     }
 
-    fn change(&mut self, owner: &str, change: impl FnOnce(&mut Account)) {
+    fn update_account(&mut self, owner: &str, change: impl FnOnce(&mut Account)) {
         if let Some(account) = self.accounts.get_mut(owner) {
             return change(account);
         }
@@ -127,42 +127,43 @@ impl Order {
 
     /// Adds a lease's expected milliseconds to the claims of an owner with this weight.
     pub(crate) fn claim(&mut self, owner: &str, milliseconds: u64, weight: u32) {
-        self.change(owner, |account| {
+        self.update_account(owner, |account| {
             account.weight = weight;
             account.claimed = account.claimed.saturating_add(milliseconds);
         });
     }
 
     /// Subtracts the remaining expected milliseconds of an ended lease from the claims of its owner.
-    pub(crate) fn unclaim(&mut self, owner: &str, milliseconds: u64) {
-        self.change(owner, |account| account.unclaim(milliseconds));
+    pub(crate) fn release_claim(&mut self, owner: &str, milliseconds: u64) {
+        self.update_account(owner, |account| account.release_claim(milliseconds));
     }
 
     /// Charges an owner with this weight for milliseconds of a worker, some of which were claimed.
     pub(crate) fn charge(&mut self, owner: &str, milliseconds: u64, claimed: u64, weight: u32) {
-        self.change(owner, |account| {
-            account.unclaim(claimed);
+        self.update_account(owner, |account| {
+            account.release_claim(claimed);
             account.weight = weight;
-            account.used.held = account.used.held.saturating_add(milliseconds);
-            account.used.virtual_time = account.used.virtual_time.saturating_add(account.weighed(milliseconds));
+            account.used.charged = account.used.charged.saturating_add(milliseconds);
+            account.used.virtual_time =
+                account.used.virtual_time.saturating_add(account.virtual_duration(milliseconds));
         });
     }
 
     /// Returns the used time of owners, in the order of their names.
-    pub(crate) fn used(&self) -> impl Iterator<Item = (&str, Used)> {
+    pub(crate) fn used_times(&self) -> impl Iterator<Item = (&str, UsedTime)> {
         self.accounts.iter().map(|(owner, account)| (owner.as_str(), account.used))
     }
 
     /// Removes owners without jobs and claims, except those for whom `is_kept` holds.
-    pub(crate) fn forget(&mut self, is_kept: impl Fn(&str) -> bool) {
-        let present: BTreeSet<&str> = self.places.values().map(|(_, owner)| owner.as_str()).collect();
+    pub(crate) fn remove_absent(&mut self, is_kept: impl Fn(&str) -> bool) {
+        let present: BTreeSet<&str> = self.entries.values().map(|(_, owner)| owner.as_str()).collect();
         self.accounts
             .retain(|owner, account| account.claimed > 0 || present.contains(owner.as_str()) || is_kept(owner));
     }
 
     /// Returns whether an owner was raised to the level of the others since the last call.
-    pub(crate) fn is_leveled(&mut self) -> bool {
-        std::mem::take(&mut self.is_leveled)
+    pub(crate) fn take_leveled(&mut self) -> bool {
+        std::mem::take(&mut self.was_leveled)
     }
 }
 
@@ -170,13 +171,13 @@ impl Order {
 mod tests {
     use super::*;
 
-    fn served(order: &Order) -> Vec<u64> {
-        order.service().map(|job| job.0).collect()
+    fn served(order: &ServiceOrder) -> Vec<u64> {
+        order.jobs_by_service().map(|job| job.0).collect()
     }
 
     #[test]
     fn priority_first_then_the_owner_who_used_least_then_age() {
-        let mut order = Order::default();
+        let mut order = ServiceOrder::default();
         for (job, priority, owner) in [(1, 50, "ann"), (2, 50, "ann"), (3, 50, "bob"), (4, 60, "ann")] {
             order.insert(JobId(job), priority, owner);
         }
@@ -187,11 +188,11 @@ mod tests {
         assert_eq!(served(&order), [4, 3, 1, 2], "a weight of four makes 3 s count as 0.75 s");
         order.charge("ann", 100, 100, 1);
         assert_eq!(served(&order), [4, 3, 1, 2], "what is charged of a claim counts once");
-        order.unclaim("ann", 900);
+        order.release_claim("ann", 900);
         assert_eq!(served(&order), [4, 1, 2, 3]);
         order.insert(JobId(3), 90, "bob");
         assert_eq!(served(&order), [3, 4, 1, 2]);
-        let used: Vec<_> = order.used().map(|(owner, used)| (owner, used.held)).collect();
+        let used: Vec<_> = order.used_times().map(|(owner, used)| (owner, used.charged)).collect();
         assert_eq!(used, [("ann", 100), ("bob", 0)]);
         [1, 2, 3, 4].into_iter().for_each(|job| order.remove(JobId(job)));
         assert!(served(&order).is_empty() && order.classes.is_empty());
@@ -199,7 +200,7 @@ mod tests {
 
     #[test]
     fn absence_saves_nothing_up() {
-        let mut order = Order::default();
+        let mut order = ServiceOrder::default();
         order.insert(JobId(1), 50, "ann");
         order.charge("ann", 3_600_000, 0, 1);
         order.insert(JobId(2), 50, "bob");
@@ -210,7 +211,7 @@ mod tests {
 
     #[test]
     fn owner_new_to_an_idle_farm_is_level_with_earlier_owners() {
-        let mut order = Order::default();
+        let mut order = ServiceOrder::default();
         order.insert(JobId(1), 50, "ann");
         order.charge("ann", 3_600_000, 0, 1);
         order.remove(JobId(1));

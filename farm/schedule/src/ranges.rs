@@ -53,7 +53,7 @@ impl RangeSet {
     }
 
     /// Adds all numbers of `range`.
-    pub fn add(&mut self, range: Range<u32>) {
+    pub fn insert_range(&mut self, range: Range<u32>) {
         if range.is_empty() {
             return;
         }
@@ -68,12 +68,12 @@ impl RangeSet {
     }
 
     /// Checks whether the set contains some numbers of `range`.
-    pub fn touches(&self, range: &Range<u32>) -> bool {
+    pub fn intersects(&self, range: &Range<u32>) -> bool {
         !range.is_empty() && self.ranges.range(..range.end).next_back().is_some_and(|(_, &end)| end > range.start)
     }
 
     /// Removes all numbers of `range` that are in the set.
-    pub fn remove(&mut self, range: Range<u32>) {
+    pub fn remove_range(&mut self, range: Range<u32>) {
         if range.is_empty() {
             return;
         }
@@ -93,14 +93,14 @@ impl RangeSet {
     }
 
     /// Returns the numbers from `value` on that are in the set without a gap.
-    pub fn run(&self, value: u32) -> Range<u32> {
+    pub fn run_from(&self, value: u32) -> Range<u32> {
         let around = self.ranges.range(..=value).next_back().filter(|&(_, &end)| value < end);
         value..around.map_or(value, |(_, &end)| end)
     }
 
     /// Checks whether the set contains all numbers of `range`.
     pub fn covers(&self, range: &Range<u32>) -> bool {
-        self.run(range.start).end >= range.end
+        self.run_from(range.start).end >= range.end
     }
 }
 
@@ -116,23 +116,23 @@ mod tests {
         #[test]
         fn a_range_set_is_a_set(steps in prop::collection::vec((0u32..3, 0u32..24, 0u32..6), 0..200)) {
             let (mut ranges, mut set) = (RangeSet::default(), (4..12).collect::<BTreeSet<u32>>());
-            ranges.add(4..12);
+            ranges.insert_range(4..12);
             for (step, value, length) in steps {
                 let range = value..value + length;
                 prop_assert_eq!(ranges.covers(&range), range.clone().all(|value| set.contains(&value)));
-                prop_assert_eq!(ranges.run(value).count(), (value..).take_while(|value| set.contains(value)).count());
-                prop_assert_eq!(ranges.touches(&range), range.clone().any(|value| set.contains(&value)));
+                prop_assert_eq!(ranges.run_from(value).count(), (value..).take_while(|value| set.contains(value)).count());
+                prop_assert_eq!(ranges.intersects(&range), range.clone().any(|value| set.contains(&value)));
                 match step {
                     0 => {
                         ranges.insert(value);
                         set.insert(value);
                     }
                     1 => {
-                        ranges.add(range.clone());
+                        ranges.insert_range(range.clone());
                         set.extend(range);
                     }
                     _ => {
-                        ranges.remove(range.clone());
+                        ranges.remove_range(range.clone());
                         set.retain(|value| !range.contains(value));
                     }
                 }
@@ -148,8 +148,8 @@ mod tests {
     #[test]
     fn a_million_waiting_tasks_are_one_entry() {
         let mut set = RangeSet::default();
-        set.add(0..1_000_000);
-        (0..1000).for_each(|value| set.remove(value..value + 1));
+        set.insert_range(0..1_000_000);
+        (0..1000).for_each(|value| set.remove_range(value..value + 1));
         assert_eq!((set.ranges.len(), set.count()), (1, 999_000));
     }
 }

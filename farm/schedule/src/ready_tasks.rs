@@ -3,12 +3,12 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::ops::Range;
 
-use femc_model::{JobId, Stage, TaskKey, Tick, Wait, WorkerId};
+use femc_model::{JobId, Stage, TaskKey, Tick, WaitReason, WorkerId};
 
 use crate::RangeSet;
 use crate::lease_table::LeaseTable;
-use crate::ledger::{Job, Place};
-use crate::open::{OpenUnit, OpenUnits};
+use crate::ledger::{Job, StageRound};
+use crate::open_frames::{OpenFrame, OpenFrames};
 use crate::pace::Pace;
 use crate::quarantine::WorkerQuarantine;
 
@@ -17,17 +17,17 @@ use crate::quarantine::WorkerQuarantine;
 pub(crate) struct ReadyTasks {
     /// Position in the job's frames: all frames before it are open, finished or blocked.
     pub(crate) cursor: usize,
-    pub(crate) open: OpenUnits,
+    pub(crate) open: OpenFrames,
     /// Worker on which a task failed last.
-    pub(crate) avoid: BTreeMap<TaskKey, WorkerId>,
+    pub(crate) last_failed_on: BTreeMap<TaskKey, WorkerId>,
     /// Infrastructure failures of its tasks.
-    pub(crate) mishaps: Mishaps,
+    pub(crate) infrastructure_failures: InfrastructureFailures,
     /// Workers on which its tasks keep failing.
     pub(crate) quarantine: WorkerQuarantine,
     pub(crate) stale_messages: u64,
     /// Number of copies of late tasks.
     pub(crate) copies: u64,
-    pub(crate) rate: Rate,
+    pub(crate) sample_rate: SampleRate,
     pub(crate) pace: Pace,
 }
 
@@ -35,9 +35,9 @@ impl ReadyTasks {
     /// Rederives all ready tasks, and reopens every frame in progress before those that have not begun.
     pub(crate) fn rebuild(&mut self, id: JobId, job: &Job, table: &LeaseTable) {
         let opened = std::mem::take(&mut self.open);
-        let opened: Vec<u32> = opened.iter().map(|(frame, _)| frame).chain(job.units.keys().copied()).collect();
+        let opened: Vec<u32> = opened.iter().map(|(frame, _)| frame).chain(job.unfinished.keys().copied()).collect();
         self.cursor = 0;
-        let own = job.has_job_stages().then_some(Stage::OF_JOB);
+        let own = job.has_job_stages().then_some(Stage::JOB_FRAME);
         for frame in own.into_iter().chain(opened) {
             self.refresh(id, job, frame, table);
         }
@@ -47,39 +47,53 @@ impl ReadyTasks {
     pub(crate) fn refresh(&mut self, id: JobId, job: &Job, frame: u32, table: &LeaseTable) {
         if !job.is_open(frame) {
             self.open.remove(frame);
-            if job.has_job_stages() && frame != Stage::OF_JOB {
-                let runnable = job.unit(Stage::OF_JOB).runnable_after_frame(&job.shape(Stage::OF_JOB), frame);
-                self.add_runnable(id, Stage::OF_JOB, runnable, job, table);
+            if job.has_job_stages() && frame != Stage::JOB_FRAME {
+                let runnable =
+                    job.progress(Stage::JOB_FRAME).runnable_after_frame(&job.graph_view(Stage::JOB_FRAME), frame);
+                self.add_runnable(id, Stage::JOB_FRAME, runnable, job, table);
             }
             return;
         }
-        let (unit, shape) = (job.unit(frame), job.shape(frame));
-        let mut open = OpenUnit::new(frame, unit.open(&shape), &shape);
-        table.of_frame(id, frame).for_each(|((task, _), lease)| open.remove(&task.stage, lease.run(&task)));
+        let (progress, view) = (job.progress(frame), job.graph_view(frame));
+        let mut open = OpenFrame::new(frame, progress.runnable(&view), &view);
+        table.leases_of_frame(id, frame).for_each(|((task, _), lease)| open.remove(&task.stage, lease.run(&task)));
         self.open.put(frame, open);
     }
 
     /// Updates the ready tasks after a completion: tasks that read its outputs may be ready now.
     /// - `round`: round of the frame before the completion.
-    pub(crate) fn completed(&mut self, task: &TaskKey, round: u32, job: &Job, table: &LeaseTable) {
+    pub(crate) fn update_after(&mut self, task: &TaskKey, round: u32, job: &Job, table: &LeaseTable) {
         let frame = task.stage.frame;
-        let unit = job.units.get(&frame).filter(|unit| unit.round == round && job.is_open(frame));
-        let Some(unit) = unit.filter(|_| !job.spec.graph.closes(task.stage.number)) else {
+        let progress = job.unfinished.get(&frame).filter(|unit| unit.round == round && job.is_open(frame));
+        let Some(progress) = progress.filter(|_| !job.spec.graph.closes_loop(task.stage.number)) else {
             self.refresh(task.job, job, frame, table);
             return;
         };
-        self.add_runnable(task.job, frame, unit.runnable_after(&job.shape(frame), &task.stage, task.index), job, table);
+        self.add_runnable(
+            task.job,
+            frame,
+            progress.runnable_after(&job.graph_view(frame), &task.stage, task.index),
+            job,
+            table,
+        );
     }
 
     /// Adds tasks of a frame that can run, except leased ones.
-    fn add_runnable(&mut self, id: JobId, frame: u32, runnable: Vec<(Place, RangeSet)>, job: &Job, table: &LeaseTable) {
-        let shape = job.shape(frame);
-        for (place, mut keys) in runnable {
-            let Some(kind) = shape.template(place.1).map(|template| template.kind) else { continue };
-            let stage = Stage { frame, round: place.0, number: place.1, kind };
-            table.of_stage(id, stage).for_each(|run| keys.remove(run));
+    fn add_runnable(
+        &mut self,
+        id: JobId,
+        frame: u32,
+        runnable: Vec<(StageRound, RangeSet)>,
+        job: &Job,
+        table: &LeaseTable,
+    ) {
+        let view = job.graph_view(frame);
+        for (stage_round, mut keys) in runnable {
+            let Some(kind) = view.template(stage_round.1).map(|template| template.kind) else { continue };
+            let stage = Stage { frame, round: stage_round.0, number: stage_round.1, kind };
+            table.leased_keys_of_stage(id, stage).for_each(|run| keys.remove_range(run));
             if !keys.is_empty() {
-                self.open.change(frame, |open| open.add(frame, place, &keys, &shape));
+                self.open.change(frame, |open| open.add(frame, stage_round, &keys, &view));
             }
         }
     }
@@ -101,8 +115,8 @@ impl ReadyTasks {
         while let Some(&frame) = job.frames().get(self.cursor) {
             self.cursor += 1;
             if job.is_open(frame) && self.open.get(frame).is_none() {
-                let (unit, shape) = (job.unit(frame), job.shape(frame));
-                self.open.put(frame, OpenUnit::new(frame, unit.open(&shape), &shape));
+                let (progress, view) = (job.progress(frame), job.graph_view(frame));
+                self.open.put(frame, OpenFrame::new(frame, progress.runnable(&view), &view));
                 return true;
             }
         }
@@ -111,59 +125,59 @@ impl ReadyTasks {
 
     /// Checks whether all sample chunks of the run are ready.
     pub(crate) fn is_ready(&self, task: &TaskKey, run: &Range<u32>) -> bool {
-        let open = self.open.get(task.stage.frame).and_then(|open| open.of(&task.stage));
+        let open = self.open.get(task.stage.frame).and_then(|open| open.ready_keys(&task.stage));
         open.is_some_and(|keys| keys.covers(run))
     }
 
     /// Removes a run of a task from the ready tasks, because it is leased.
-    pub(crate) fn take(&mut self, task: &TaskKey, run: &Range<u32>) {
+    pub(crate) fn remove(&mut self, task: &TaskKey, run: &Range<u32>) {
         self.open.change(task.stage.frame, |frame| frame.remove(&task.stage, run.clone()));
     }
 }
 
 /// Tasks whose last attempt ended with an infrastructure failure. Only for display: no state depends on it.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Mishaps(BTreeMap<TaskKey, String>);
+pub(crate) struct InfrastructureFailures(BTreeMap<TaskKey, String>);
 
-impl Mishaps {
+impl InfrastructureFailures {
     /// Maximum number of tasks in the table.
-    const MOST: usize = 1024;
+    const MAX_TASKS: usize = 1024;
 
-    pub(crate) fn note(&mut self, task: TaskKey, message: String) {
-        if self.0.len() < Self::MOST || self.0.contains_key(&task) {
+    pub(crate) fn insert(&mut self, task: TaskKey, message: String) {
+        if self.0.len() < Self::MAX_TASKS || self.0.contains_key(&task) {
             self.0.insert(task, message);
         }
     }
 
-    pub(crate) fn forget(&mut self, task: &TaskKey) {
+    pub(crate) fn remove(&mut self, task: &TaskKey) {
         self.0.remove(task);
     }
 
     /// Counts the tasks for which `is_open` holds, and returns the failure of one of them.
-    pub(crate) fn why_mishaps(&self, is_open: impl Fn(&TaskKey) -> bool) -> Option<Wait> {
+    pub(crate) fn wait_reason(&self, is_open: impl Fn(&TaskKey) -> bool) -> Option<WaitReason> {
         let mut open = self.0.iter().filter(|(task, _)| is_open(task));
         let (_, message) = open.next()?;
-        Some(Wait::Mishaps { tasks: 1 + open.count() as u32, message: message.clone() })
+        Some(WaitReason::InfrastructureFailures { tasks: 1 + open.count() as u32, message: message.clone() })
     }
 }
 
 /// Sampling rate of a job.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Rate {
+pub(crate) struct SampleRate {
     /// Times with the samples up to then, once a second, for the last ten seconds.
     points: VecDeque<(Tick, u64)>,
 }
 
-impl Rate {
-    const SPACING: u64 = 1_000;
-    const POINTS: usize = 10;
+impl SampleRate {
+    const SAMPLE_INTERVAL: u64 = 1_000;
+    const MAX_POINTS: usize = 10;
 
     pub(crate) fn is_due(&self, now: Tick) -> bool {
-        self.points.back().is_none_or(|(last, _)| now.since(*last) >= Self::SPACING)
+        self.points.back().is_none_or(|(last, _)| now.since(*last) >= Self::SAMPLE_INTERVAL)
     }
 
-    pub(crate) fn note(&mut self, now: Tick, samples: u64) {
-        if self.points.len() > Self::POINTS {
+    pub(crate) fn record(&mut self, now: Tick, samples: u64) {
+        if self.points.len() > Self::MAX_POINTS {
             self.points.pop_front();
         }
         self.points.push_back((now, samples));

@@ -8,39 +8,39 @@ use crate::{Answer, Command, Fact};
 
 impl Scheduler {
     /// Milliseconds between two checks of the ended jobs.
-    const LOOK: u64 = 1_000;
+    const RETENTION_INTERVAL: u64 = 1_000;
 
     /// Removes expired jobs. Their artifacts stay in the store until the garbage collection: the client of a new submission may
     /// just have been told that they exist.
-    pub(crate) fn forget_ended(&mut self, now: Tick, out: &mut Vec<Command>) {
+    pub(crate) fn remove_expired(&mut self, now: Tick, out: &mut Vec<Command>) {
         let Some(keep) = self.config.keep_ended else { return };
-        if now < self.looks_from {
+        if now < self.next_retention_check {
             return;
         }
-        self.looks_from = now.after(Self::LOOK);
+        self.next_retention_check = now.after(Self::RETENTION_INTERVAL);
         let is_due = |job: &Job| job.has_ended() && job.ended.is_some_and(|ended| now.since(ended) >= keep);
-        let due: Vec<JobId> = self.ledger.of_people().filter(|(_, job)| is_due(job)).map(|(id, _)| id).collect();
+        let due: Vec<JobId> = self.ledger.submitted_jobs().filter(|(_, job)| is_due(job)).map(|(id, _)| id).collect();
         for job in due {
-            self.forget(job, now, out);
+            self.remove_job(job, now, out);
         }
     }
 
     /// Deletes a job that has ended.
-    pub(crate) fn delete(&mut self, id: JobId, now: Tick, out: &mut Vec<Command>) -> Result<Answer, Refusal> {
+    pub(crate) fn delete_job(&mut self, id: JobId, now: Tick, out: &mut Vec<Command>) -> Result<Answer, Refusal> {
         if !self.job(id)?.has_ended() {
             let message = format!("job {id} has not ended: cancel it first");
             return Err(Refusal::Invalid { field: "control".into(), message });
         }
-        self.forget(id, now, out);
+        self.remove_job(id, now, out);
         Ok(Answer::Controlled(id))
     }
 
-    fn forget(&mut self, job: JobId, now: Tick, out: &mut Vec<Command>) {
+    fn remove_job(&mut self, job: JobId, now: Tick, out: &mut Vec<Command>) {
         self.revoke_all(job, out);
-        self.record(Fact::Forgotten { job }, now, out);
+        self.record_fact(Fact::JobRemoved { job }, now, out);
         self.ready.remove(&job);
         self.joinable.remove(&job);
         self.order.remove(job);
-        out.push(Command::Changed(job));
+        out.push(Command::JobChanged(job));
     }
 }

@@ -20,36 +20,36 @@ const VERSION: u8 = 2;
 pub struct Roster {
     known: BTreeMap<String, OfflineWorker>,
     /// Numbers by name.
-    numbers: BTreeMap<String, Vec<Number>>,
+    numbers: BTreeMap<String, Vec<NumberedWorker>>,
     /// Sessions, with the counts of their workers at the start of the session.
-    present: BTreeMap<WorkerId, Counts>,
+    present: BTreeMap<WorkerId, TaskCounts>,
 }
 
 /// A worker's number, with its counts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-struct Number {
+struct NumberedWorker {
     number: WorkerId,
-    counts: Counts,
+    counts: TaskCounts,
 }
 
 /// Numbers of tasks that a worker has completed, and that have failed there.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
-struct Counts {
+struct TaskCounts {
     completed: u64,
     failed: u64,
 }
 
-impl Counts {
-    fn of(status: &WorkerStatus) -> Self {
+impl TaskCounts {
+    fn from_status(status: &WorkerStatus) -> Self {
         Self { completed: status.completed, failed: status.failed }
     }
 }
 
 impl Roster {
     /// Maximum number of known workers.
-    const MOST: usize = 1024;
+    const MAX_WORKERS: usize = 1024;
     /// Milliseconds for which a worker stays known after its last contact: 30 days.
-    const KEPT: u64 = 30 * 24 * 3_600_000;
+    const RETENTION: u64 = 30 * 24 * 3_600_000;
 
     /// Returns the number of a joining worker: that of an earlier session with this name, or a new one.
     pub fn join(&mut self, name: &str) -> WorkerId {
@@ -58,7 +58,7 @@ impl Roster {
         let free =
             own.iter().filter(|known| !self.present.contains_key(&known.number)).min_by_key(|known| known.number);
         let known = free.copied().unwrap_or_else(|| {
-            let new = Number { number: WorkerId(highest + 1), counts: Counts::default() };
+            let new = NumberedWorker { number: WorkerId(highest + 1), counts: TaskCounts::default() };
             own.push(new);
             new
         });
@@ -87,35 +87,36 @@ impl Roster {
         for worker in workers {
             for known in self.numbers.get_mut(&worker.name).into_iter().flatten() {
                 if known.number == worker.worker {
-                    known.counts = Counts::of(worker);
+                    known.counts = TaskCounts::from_status(worker);
                 }
             }
             let heard = date.saturating_sub(worker.silent);
-            let before = self.known.get(&worker.name).map_or(0, |known| known.heard);
+            let before = self.known.get(&worker.name).map_or(0, |known| known.last_contact);
             if heard < before {
                 continue;
             }
             let WorkerStatus { name, threads, tags, engine, .. } = worker.clone();
-            self.known.insert(name.clone(), OfflineWorker { name, threads, tags, engine, heard });
+            self.known.insert(name.clone(), OfflineWorker { name, threads, tags, engine, last_contact: heard });
         }
-        self.known.retain(|_, known| known.heard.saturating_add(Self::KEPT) >= date);
-        let surplus = self.known.len().saturating_sub(Self::MOST);
+        self.known.retain(|_, known| known.last_contact.saturating_add(Self::RETENTION) >= date);
+        let surplus = self.known.len().saturating_sub(Self::MAX_WORKERS);
         if surplus > 0 {
-            let mut heard: Vec<(u64, String)> = self.known.values().map(|it| (it.heard, it.name.clone())).collect();
-            heard.sort_unstable();
-            heard.truncate(surplus);
-            heard.iter().for_each(|(_, name)| drop(self.known.remove(name)));
+            let mut contacts: Vec<(u64, String)> =
+                self.known.values().map(|it| (it.last_contact, it.name.clone())).collect();
+            contacts.sort_unstable();
+            contacts.truncate(surplus);
+            contacts.iter().for_each(|(_, name)| drop(self.known.remove(name)));
         }
         let Self { known, numbers, present } = self;
         numbers.retain(|name, own| known.contains_key(name) || own.iter().any(|own| present.contains_key(&own.number)));
     }
 
     /// Returns the workers that are not connected, the latest contact first.
-    pub fn offline(&self, there: &[WorkerStatus]) -> Vec<OfflineWorker> {
-        let names: BTreeSet<&str> = there.iter().map(|worker| worker.name.as_str()).collect();
+    pub fn offline(&self, connected: &[WorkerStatus]) -> Vec<OfflineWorker> {
+        let names: BTreeSet<&str> = connected.iter().map(|worker| worker.name.as_str()).collect();
         let mut offline: Vec<OfflineWorker> =
             self.known.values().filter(|known| !names.contains(known.name.as_str())).cloned().collect();
-        offline.sort_by(|a, b| b.heard.cmp(&a.heard).then_with(|| a.name.cmp(&b.name)));
+        offline.sort_by(|a, b| b.last_contact.cmp(&a.last_contact).then_with(|| a.name.cmp(&b.name)));
         offline
     }
 
@@ -159,8 +160,8 @@ mod tests {
         }
     }
 
-    fn heard(workers: &[OfflineWorker]) -> Vec<(&str, u64)> {
-        workers.iter().map(|it| (it.name.as_str(), it.heard)).collect()
+    fn last_contacts(workers: &[OfflineWorker]) -> Vec<(&str, u64)> {
+        workers.iter().map(|it| (it.name.as_str(), it.last_contact)).collect()
     }
 
     /// Creates a session with these numbers of completed and failed tasks.
@@ -210,7 +211,7 @@ mod tests {
         let (a, b) = (roster.join("a"), roster.join("b"));
         roster.observe(&[session(a, "a", 7, 1), session(b, "b", 0, 0)], 1000);
         roster.leave(a);
-        let later = 2000 + Roster::KEPT;
+        let later = 2000 + Roster::RETENTION;
         roster.observe(&[session(b, "b", 0, 0)], later);
         assert_eq!(roster.join("c"), WorkerId(3));
         let back = roster.join("a");
@@ -232,10 +233,14 @@ mod tests {
         roster.observe(&[worker("a", 10), worker("b", 0)], 1000);
         assert_eq!(roster.offline(&[worker("a", 10), worker("b", 0)]), []);
         roster.observe(&[worker("a", 5)], 2000);
-        assert_eq!(heard(&roster.offline(&[worker("a", 5)])), [("b", 1000)]);
+        assert_eq!(last_contacts(&roster.offline(&[worker("a", 5)])), [("b", 1000)]);
         let again = Roster::decode(&roster.encode().unwrap()).unwrap();
         assert_eq!(again, roster);
-        assert_eq!(heard(&again.offline(&[])), [("a", 1995), ("b", 1000)], "nobody has come yet: the latest first");
+        assert_eq!(
+            last_contacts(&again.offline(&[])),
+            [("a", 1995), ("b", 1000)],
+            "nobody has come yet: the latest first"
+        );
         assert_eq!(again.offline(&[worker("b", 0), worker("a", 0)]), []);
     }
 
@@ -243,7 +248,7 @@ mod tests {
     fn of_several_of_one_name_the_one_that_was_heard_last_counts() {
         let mut roster = Roster::default();
         roster.observe(&[worker("a", 1), worker("a", 500)], 1000);
-        assert_eq!(heard(&roster.offline(&[])), [("a", 999)]);
+        assert_eq!(last_contacts(&roster.offline(&[])), [("a", 999)]);
     }
 
     #[test]
@@ -253,9 +258,9 @@ mod tests {
             roster.observe(&[worker(&number.to_string(), 0)], number);
         }
         let offline = roster.offline(&[]);
-        assert_eq!((offline.len(), offline[0].heard, offline[1023].heard), (1024, 2999, 1976));
-        roster.observe(&[worker("late", 0)], 2999 + Roster::KEPT);
-        assert_eq!(heard(&roster.offline(&[])), [("late", 2999 + Roster::KEPT), ("2999", 2999)]);
+        assert_eq!((offline.len(), offline[0].last_contact, offline[1023].last_contact), (1024, 2999, 1976));
+        roster.observe(&[worker("late", 0)], 2999 + Roster::RETENTION);
+        assert_eq!(last_contacts(&roster.offline(&[])), [("late", 2999 + Roster::RETENTION), ("2999", 2999)]);
     }
 
     #[test]

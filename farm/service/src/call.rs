@@ -4,8 +4,8 @@ use std::collections::BTreeSet;
 use std::fs::File;
 
 use femc_model::{
-    AttemptRecord, Control, Crew, Cut, Digest, Drain, FrameParts, FrameRecord, FrameStatus, JobId, JobSpec, JobStatus,
-    LogRecord, OwnerUsage, Refusal, TaskFilter, TaskPage, Tick, WorkerId, WorkerName,
+    AttemptRecord, ChunkSize, Control, Digest, Drain, FrameParts, FrameRecord, FrameStatus, JobId, JobSpec, JobStatus,
+    LogRecord, OwnerUsage, Refusal, TaskFilter, TaskPage, Tick, WorkerId, WorkerList, WorkerSelector,
 };
 use tokio::sync::{oneshot, watch};
 
@@ -15,7 +15,7 @@ pub struct JobShape {
     /// Specification of the job, as submitted.
     pub spec: Box<JobSpec>,
     /// Division of its tasks into chunks.
-    pub cut: Cut,
+    pub cut: ChunkSize,
 }
 
 /// A page of a job's attempts.
@@ -32,7 +32,7 @@ pub type Reply<T> = oneshot::Sender<Result<T, Refusal>>;
 
 /// All jobs, with warnings.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct Listing {
+pub struct JobList {
     /// Jobs in order of submission.
     pub jobs: Vec<JobStatus>,
     /// Warnings for users about conditions that need attention.
@@ -45,16 +45,16 @@ pub struct Changes {
     /// Jobs that may have changed: all unfinished jobs, and those with an event.
     pub jobs: Vec<JobStatus>,
     /// All existing jobs.
-    pub there: BTreeSet<JobId>,
+    pub existing_jobs: BTreeSet<JobId>,
     /// The workers.
-    pub workers: Crew,
+    pub workers: WorkerList,
     /// Warnings for users about conditions that need attention.
     pub warnings: Vec<String>,
 }
 
 /// Amount of data that a feed wants.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum News {
+pub enum ChangeScope {
     /// Every job.
     All,
     /// Changes since the previous request.
@@ -95,12 +95,12 @@ pub enum Call<S> {
     /// Every job.
     List {
         /// Status of all jobs.
-        reply: Reply<Listing>,
+        reply: Reply<JobList>,
     },
     /// Changes since the previous call. There is only one caller of this.
     Changes {
         /// Amount of data wanted.
-        news: News,
+        scope: ChangeScope,
         /// Jobs and workers at this moment.
         reply: Reply<Changes>,
     },
@@ -189,7 +189,7 @@ pub enum Call<S> {
     /// The workers.
     Workers {
         /// Connected and disconnected workers.
-        reply: Reply<Crew>,
+        reply: Reply<WorkerList>,
     },
     /// Farm usage of the owners' jobs.
     Usage {
@@ -199,7 +199,7 @@ pub enum Call<S> {
     /// Drain workers, or end the drain.
     Drain {
         /// Name of the worker.
-        worker: WorkerName,
+        worker: WorkerSelector,
         /// Whether the drain starts or ends.
         drain: Drain,
         /// Affected sessions. Sent when the change is durable.
@@ -216,7 +216,7 @@ pub enum Call<S> {
         reply: Reply<Backup>,
     },
     /// An artifact is missing from the store, or was damaged and has been removed.
-    Lost {
+    ArtifactLost {
         /// Digest of the artifact.
         digest: Digest,
         /// Sent when all consequences of the loss are durable.

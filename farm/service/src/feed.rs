@@ -21,7 +21,7 @@ use tokio::sync::watch;
 use tokio::time::{Instant, MissedTickBehavior};
 
 use crate::access::Caller;
-use crate::call::{Call, Changes, News};
+use crate::call::{Call, ChangeScope, Changes};
 use crate::farm::Farm;
 use crate::view::{JobJson, OfflineJson, WorkerJson};
 
@@ -48,7 +48,7 @@ impl<S> fmt::Debug for Feed<S> {
 struct Hub {
     state: Mutex<State>,
     /// Counter of updates.
-    news: watch::Sender<u64>,
+    updates: watch::Sender<u64>,
 }
 
 /// Known state of the farm.
@@ -58,8 +58,8 @@ struct State {
     start: String,
     /// Number of the last change.
     seq: u64,
-    jobs: Kept,
-    workers: Kept,
+    jobs: VersionedItems,
+    workers: VersionedItems,
     /// Disconnected workers, as a JSON list.
     offline: String,
     offline_changed: u64,
@@ -74,33 +74,33 @@ struct State {
 
 /// Items by number, each as JSON with the number of its last change.
 #[derive(Debug, Default)]
-struct Kept {
-    there: BTreeMap<u64, (String, u64)>,
+struct VersionedItems {
+    present: BTreeMap<u64, (String, u64)>,
     /// Removed items: number of the change, and number of the item, in order of changes.
-    gone: VecDeque<(u64, u64)>,
+    removed: VecDeque<(u64, u64)>,
     /// Removals up to this change have been forgotten.
-    forgotten: u64,
+    forgotten_until: u64,
 }
 
-impl Kept {
+impl VersionedItems {
     /// Maximum number of remembered removals.
-    const GONE: usize = 4096;
+    const MAX_REMOVED: usize = 4096;
 
     /// Applies new states and removes items that do not exist any more. Returns whether anything changed.
-    fn update(&mut self, now: BTreeMap<u64, String>, is_there: impl Fn(u64) -> bool, seq: u64) -> bool {
+    fn update(&mut self, now: BTreeMap<u64, String>, exists: impl Fn(u64) -> bool, seq: u64) -> bool {
         let mut has_changed = false;
-        let gone: Vec<u64> = self.there.keys().filter(|number| !is_there(**number)).copied().collect();
+        let gone: Vec<u64> = self.present.keys().filter(|number| !exists(**number)).copied().collect();
         for number in gone {
-            self.there.remove(&number);
-            self.gone.push_back((seq, number));
+            self.present.remove(&number);
+            self.removed.push_back((seq, number));
             has_changed = true;
         }
-        while self.gone.len() > Self::GONE {
-            self.forgotten = self.gone.pop_front().map_or(self.forgotten, |(seq, _)| seq);
+        while self.removed.len() > Self::MAX_REMOVED {
+            self.forgotten_until = self.removed.pop_front().map_or(self.forgotten_until, |(seq, _)| seq);
         }
         for (number, json) in now {
-            if self.there.get(&number).is_none_or(|(known, _)| *known != json) {
-                self.there.insert(number, (json, seq));
+            if self.present.get(&number).is_none_or(|(known, _)| *known != json) {
+                self.present.insert(number, (json, seq));
                 has_changed = true;
             }
         }
@@ -109,13 +109,13 @@ impl Kept {
 
     /// Returns the items that changed after `seq`, as a JSON list.
     fn since(&self, seq: u64) -> String {
-        let changed = self.there.values().filter(|(_, changed)| *changed > seq);
+        let changed = self.present.values().filter(|(_, changed)| *changed > seq);
         format!("[{}]", changed.map(|(json, _)| json.as_str()).collect::<Vec<_>>().join(","))
     }
 
     /// Returns the numbers of the items removed after `seq`, as a JSON list.
-    fn gone_since(&self, seq: u64) -> String {
-        let gone = self.gone.iter().filter(|(at, number)| *at > seq && !self.there.contains_key(number));
+    fn removed_since(&self, seq: u64) -> String {
+        let gone = self.removed.iter().filter(|(at, number)| *at > seq && !self.present.contains_key(number));
         let numbers: BTreeSet<u64> = gone.map(|(_, number)| *number).collect();
         format!("[{}]", numbers.iter().map(ToString::to_string).collect::<Vec<_>>().join(","))
     }
@@ -126,8 +126,8 @@ impl State {
         Self {
             start,
             seq: 0,
-            jobs: Kept::default(),
-            workers: Kept::default(),
+            jobs: VersionedItems::default(),
+            workers: VersionedItems::default(),
             offline: "[]".to_owned(),
             offline_changed: 0,
             warnings: Vec::new(),
@@ -138,22 +138,22 @@ impl State {
         }
     }
 
-    /// Returns the next event for a listener that knows the change `known`, and the number that it knows afterwards.
-    fn message(&mut self, known: Option<u64>) -> Option<(u64, Bytes)> {
+    /// Returns the next event for a listener that knows the change `last_seq`, and the number that it knows afterwards.
+    fn next_event(&mut self, known: Option<u64>) -> Option<(u64, Bytes)> {
         match known {
             Some(known) if known == self.seq => None,
-            Some(known) if known < self.seq && known >= self.jobs.forgotten.max(self.workers.forgotten) => {
+            Some(known) if known < self.seq && known >= self.jobs.forgotten_until.max(self.workers.forgotten_until) => {
                 if known + 1 == self.seq
                     && let Some(delta) = self.delta.clone()
                 {
                     return Some(delta);
                 }
-                Some((self.seq, self.joined(known)))
+                Some((self.seq, self.delta_event(known)))
             }
             Some(_) | None => {
                 let is_old = self.snapshot.as_ref().is_none_or(|(seq, _)| *seq != self.seq);
                 if is_old {
-                    self.snapshot = Some((self.seq, self.whole()));
+                    self.snapshot = Some((self.seq, self.snapshot_event()));
                 }
                 self.snapshot.clone()
             }
@@ -161,14 +161,14 @@ impl State {
     }
 
     /// Returns the event with all changes after `since`.
-    fn joined(&self, since: u64) -> Bytes {
+    fn delta_event(&self, since: u64) -> Bytes {
         let warnings = if self.warnings_changed > since { json(&self.warnings) } else { "null".to_owned() };
         let offline = if self.offline_changed > since { self.offline.clone() } else { "null".to_owned() };
         let fields = [
             ("jobs", self.jobs.since(since)),
-            ("gone_jobs", self.jobs.gone_since(since)),
+            ("gone_jobs", self.jobs.removed_since(since)),
             ("workers", self.workers.since(since)),
-            ("gone_workers", self.workers.gone_since(since)),
+            ("gone_workers", self.workers.removed_since(since)),
             ("offline", offline),
             ("warnings", warnings),
         ];
@@ -176,7 +176,7 @@ impl State {
     }
 
     /// Returns the event with the whole state.
-    fn whole(&self) -> Bytes {
+    fn snapshot_event(&self) -> Bytes {
         let fields = [
             ("jobs", self.jobs.since(0)),
             ("workers", self.workers.since(0)),
@@ -199,12 +199,12 @@ impl State {
 
     /// Applies new states. Returns whether there is something new.
     fn update(&mut self, changes: Changes, silence: impl Fn(f64) -> f64) -> bool {
-        let Changes { jobs, there, workers, warnings } = changes;
+        let Changes { jobs, existing_jobs: there, workers, warnings } = changes;
         let next = self.seq + 1;
         let jobs = jobs.iter().map(|job| (job.job.0, json(&JobJson::from(job)))).collect();
         let have_jobs_changed = self.jobs.update(jobs, |number| there.contains(&JobId(number)), next);
-        let worker = |it: &WorkerStatus| (it.worker.0, json(&WorkerJson::from(it).silent(&silence)));
-        let sessions: BTreeMap<u64, String> = workers.there.iter().map(worker).collect();
+        let worker = |it: &WorkerStatus| (it.worker.0, json(&WorkerJson::from(it).map_silence(&silence)));
+        let sessions: BTreeMap<u64, String> = workers.connected.iter().map(worker).collect();
         let numbers: BTreeSet<u64> = sessions.keys().copied().collect();
         let offline = json(&workers.offline.iter().map(OfflineJson::from).collect::<Vec<_>>());
         let have_workers_changed = self.workers.update(sessions, |number| numbers.contains(&number), next);
@@ -212,11 +212,11 @@ impl State {
         if have_left {
             (self.offline, self.offline_changed) = (offline, next);
         }
-        self.note(have_jobs_changed || have_workers_changed || have_left, warnings)
+        self.commit(have_jobs_changed || have_workers_changed || have_left, warnings)
     }
 
     /// Assigns a number to the changes. Returns whether there is something new.
-    fn note(&mut self, has_changed: bool, warnings: Vec<String>) -> bool {
+    fn commit(&mut self, has_changed: bool, warnings: Vec<String>) -> bool {
         let next = self.seq + 1;
         let have_warnings_changed = self.warnings != warnings;
         if have_warnings_changed {
@@ -225,7 +225,7 @@ impl State {
         let is_new = self.seq == 0 || has_changed || have_warnings_changed;
         if is_new {
             let before = std::mem::replace(&mut self.seq, next);
-            self.delta = Some((next, self.joined(before)));
+            self.delta = Some((next, self.delta_event(before)));
         }
         is_new
     }
@@ -246,25 +246,25 @@ impl Hub {
 /// Position of a listener in the feed.
 struct Listener<S> {
     feed: Feed<S>,
-    news: watch::Receiver<u64>,
-    known: Option<u64>,
+    updates: watch::Receiver<u64>,
+    last_seq: Option<u64>,
     caller: Option<Arc<Caller>>,
-    heard: Instant,
+    last_sent: Instant,
 }
 
 impl<S: Send + 'static> Feed<S> {
     /// Interval between two queries of the farm.
-    const EVERY: Duration = Duration::from_secs(1);
+    const QUERY_INTERVAL: Duration = Duration::from_secs(1);
     /// Interval between two keep-alives to a listener.
-    const ALIVE: Duration = Duration::from_secs(10);
+    const KEEP_ALIVE_INTERVAL: Duration = Duration::from_secs(10);
     /// Shortest silence of a worker that is shown, in seconds. A shorter silence is normal between two heartbeats.
-    const SILENCE: f64 = 3.0;
+    const MIN_SILENCE: f64 = 3.0;
 
     /// Makes the feed of a farm. Its numbers are valid for this start of the coordinator only.
     pub fn new(farm: Farm<S>) -> Self {
         let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         let start = format!("{:x}", since.as_nanos());
-        let hub = Hub { state: Mutex::new(State::new(start)), news: watch::Sender::new(0) };
+        let hub = Hub { state: Mutex::new(State::new(start)), updates: watch::Sender::new(0) };
         Self { farm, hub: Arc::new(hub) }
     }
 
@@ -278,7 +278,7 @@ impl<S: Send + 'static> Feed<S> {
     ) -> impl Stream<Item = Result<Bytes, Infallible>> + Send + use<S> {
         let (news, known) = {
             let mut state = self.hub.lock();
-            let mut news = self.hub.news.subscribe();
+            let mut news = self.hub.updates.subscribe();
             if !std::mem::replace(&mut state.is_running, true) {
                 tokio::spawn(self.clone().run());
             } else if state.seq > 0 {
@@ -287,48 +287,49 @@ impl<S: Send + 'static> Feed<S> {
             let number = |id: &str| id.strip_prefix(&*state.start)?.strip_prefix('-')?.parse().ok();
             (news, last.and_then(number).filter(|known: &u64| *known > 0 && *known <= state.seq))
         };
-        let listener = Listener { feed: self.clone(), news, known, caller, heard: Instant::now() };
+        let listener =
+            Listener { feed: self.clone(), updates: news, last_seq: known, caller, last_sent: Instant::now() };
         unfold(listener, Listener::next)
     }
 
     /// Queries the farm while there are listeners.
     async fn run(self) {
-        let mut timer = tokio::time::interval(Self::EVERY);
+        let mut timer = tokio::time::interval(Self::QUERY_INTERVAL);
         timer.set_missed_tick_behavior(MissedTickBehavior::Delay);
-        let (mut is_first, mut wanted) = (true, News::All);
+        let (mut is_first, mut scope) = (true, ChangeScope::All);
         loop {
             tokio::select! {
                 _ = timer.tick() => {}
-                () = self.farm.ended() => return,
+                () = self.farm.stopped() => return,
             }
             if !is_first {
                 let mut state = self.hub.lock();
-                if self.hub.news.receiver_count() == 0 {
+                if self.hub.updates.receiver_count() == 0 {
                     state.is_running = false;
                     return;
                 }
             }
-            let is_new = self.look(&mut wanted).await;
+            let is_new = self.query(&mut scope).await;
             if is_new || is_first {
-                self.hub.news.send_modify(|news| *news += 1);
+                self.hub.updates.send_modify(|news| *news += 1);
             }
             is_first = false;
         }
     }
 
     /// Queries the farm once. Returns whether there is something new.
-    /// - `wanted`: set to changes only, after the first successful query.
-    async fn look(&self, wanted: &mut News) -> bool {
-        let news = *wanted;
-        let changes = self.farm.ask(|reply| Call::Changes { news, reply }).await;
-        let quiet = |silent: f64| if silent < Self::SILENCE { 0.0 } else { silent.floor() };
+    /// - `scope`: set to changes only, after the first successful query.
+    async fn query(&self, scope: &mut ChangeScope) -> bool {
+        let requested = *scope;
+        let changes = self.farm.call(|reply| Call::Changes { scope: requested, reply }).await;
+        let quiet = |silent: f64| if silent < Self::MIN_SILENCE { 0.0 } else { silent.floor() };
         match changes {
             Ok(changes) => {
-                *wanted = News::Changes;
+                *scope = ChangeScope::Changes;
                 self.hub.lock().update(changes, quiet)
             }
             // The known state is kept, with a warning.
-            Err(refusal) => self.hub.lock().note(false, vec![refusal.to_string()]),
+            Err(refusal) => self.hub.lock().commit(false, vec![refusal.to_string()]),
         }
     }
 }
@@ -337,24 +338,24 @@ impl<S: Send + 'static> Listener<S> {
     /// Waits for the next event and returns it.
     async fn next(mut self) -> Option<(Result<Bytes, Infallible>, Self)> {
         loop {
-            if self.caller.as_ref().is_some_and(|caller| !caller.still_counts()) {
+            if self.caller.as_ref().is_some_and(|caller| !caller.is_valid()) {
                 return None;
             }
-            let pause = tokio::time::sleep(Feed::<S>::EVERY);
+            let pause = tokio::time::sleep(Feed::<S>::QUERY_INTERVAL);
             tokio::select! {
                 biased;
-                () = self.feed.farm.ended() => return None,
-                changed = self.news.changed() => {
+                () = self.feed.farm.stopped() => return None,
+                changed = self.updates.changed() => {
                     changed.ok()?;
-                    let message = self.feed.hub.lock().message(self.known);
+                    let message = self.feed.hub.lock().next_event(self.last_seq);
                     if let Some((known, event)) = message {
-                        (self.known, self.heard) = (Some(known), Instant::now());
+                        (self.last_seq, self.last_sent) = (Some(known), Instant::now());
                         return Some((Ok(event), self));
                     }
                 }
                 () = pause => {
-                    if self.heard.elapsed() >= Feed::<S>::ALIVE {
-                        self.heard = Instant::now();
+                    if self.last_sent.elapsed() >= Feed::<S>::KEEP_ALIVE_INTERVAL {
+                        self.last_sent = Instant::now();
                         return Some((Ok(Bytes::from_static(b": alive\n\n")), self));
                     }
                 }
@@ -365,7 +366,7 @@ impl<S: Send + 'static> Listener<S> {
 
 #[cfg(test)]
 mod tests {
-    use femc_model::{Crew, Intake, OfflineWorker, WorkerId};
+    use femc_model::{Intake, OfflineWorker, WorkerId, WorkerList};
     use futures_util::StreamExt as _;
     use tokio::sync::mpsc;
 
@@ -383,7 +384,7 @@ mod tests {
                         let there: Vec<WorkerStatus> = workers.borrow().iter().map(|number| worker(*number)).collect();
                         // The first worker is always known.
                         let first = Some(offline("w1")).filter(|_| there.iter().all(|it| it.name != "w1"));
-                        let workers = Crew { there, offline: first.into_iter().collect() };
+                        let workers = WorkerList { connected: there, offline: first.into_iter().collect() };
                         drop(reply.send(Ok(Changes { workers, ..Changes::default() })));
                     }
                     other => panic!("nobody asks {other:?}"),
@@ -395,7 +396,7 @@ mod tests {
 
     fn offline(name: &str) -> OfflineWorker {
         let (tags, engine) = (Vec::new(), String::new());
-        OfflineWorker { name: name.to_owned(), threads: 1, tags, engine, heard: 1500 }
+        OfflineWorker { name: name.to_owned(), threads: 1, tags, engine, last_contact: 1500 }
     }
 
     fn worker(number: u64) -> WorkerStatus {
@@ -514,7 +515,7 @@ mod tests {
             there.send_replace((0..500).map(|number| 1 + number + 500 * turn).collect());
             steady.next().await.unwrap().unwrap();
         }
-        assert!(feed.hub.lock().workers.gone.len() <= Kept::GONE);
+        assert!(feed.hub.lock().workers.removed.len() <= VersionedItems::MAX_REMOVED);
         let (kind, _, data) = parts(&slow.next().await.unwrap().unwrap());
         assert_eq!((kind.as_str(), numbers(&data["workers"]).len()), ("snapshot", 500));
         let quiet = tokio::time::timeout(Duration::from_secs(5), slow.next()).await;

@@ -5,7 +5,7 @@ use serde::Deserialize;
 
 /// A result of a frame or of the whole job.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum File {
+pub(crate) enum ResultFile {
     /// A result of the frame with this number.
     Frame(u32, FrameFile),
     /// All frames as a clip.
@@ -72,19 +72,19 @@ impl FrameFile {
     }
 }
 
-impl File {
+impl ResultFile {
     /// Returns the artifact, if the job has made it.
     /// - `records`: finished frames of the job, with the record of the whole job.
     pub(crate) fn artifact(self, spec: &JobSpec, records: &[FrameRecord]) -> Option<Artifact> {
         let record = |frame| records.iter().find(|record| record.frame == frame);
         let of_job = |role| {
-            let outputs = record(Stage::OF_JOB).map_or(&[][..], |record| &record.outputs);
+            let outputs = record(Stage::JOB_FRAME).map_or(&[][..], |record| &record.outputs);
             outputs.iter().filter(move |output| output.role == role).map(|output| output.artifact)
         };
         match self {
             Self::Clip => of_job(Role::Clip).next(),
             Self::Sheet => of_job(Role::Sheet).next(),
-            Self::Frame(Stage::OF_JOB, _) => None,
+            Self::Frame(Stage::JOB_FRAME, _) => None,
             // The record of the whole job lists these in frame order.
             Self::Frame(frame, file @ (FrameFile::Still | FrameFile::Painted)) => {
                 let place = spec.frames.iter().position(|&other| other == frame)?;
@@ -141,7 +141,7 @@ impl FileNames {
     pub(crate) fn new(graph: &Graph) -> Self {
         let encode = graph.stages.iter().find(|template| template.kind == StageKind::Encode);
         let options = encode.and_then(|template| serde_json::from_str::<Options>(&template.options).ok());
-        let is_file = |name: &String| JobSpec::names_files(name) && !name.starts_with('.');
+        let is_file = |name: &String| JobSpec::is_valid_name(name) && !name.starts_with('.');
         let Some(Options { sheet, video }) = options else { return Self::default() };
         Self { clip: video.map(|video| video.name).filter(is_file), sheet: sheet.filter(is_file) }
     }
@@ -149,7 +149,7 @@ impl FileNames {
 
 /// Returns the media type and the usual extension of a clip or image, from its first bytes.
 /// - `head`: the first 64 bytes or more, or the whole file if it is shorter.
-pub(crate) fn media(head: &[u8]) -> (&'static str, &'static str) {
+pub(crate) fn media_type(head: &[u8]) -> (&'static str, &'static str) {
     let at = |place: usize, bytes: &[u8]| head.get(place..).is_some_and(|rest| rest.starts_with(bytes));
     let has = |bytes: &[u8]| head.windows(bytes.len()).any(|window| window == bytes);
     match head {
@@ -185,7 +185,7 @@ mod tests {
             (b"<html>", "application/octet-stream"),
             (b"", "application/octet-stream"),
         ] {
-            assert_eq!(media(head).0, kind, "{head:?}");
+            assert_eq!(media_type(head).0, kind, "{head:?}");
         }
     }
 }

@@ -12,17 +12,20 @@ mod farm;
 mod feed;
 mod file;
 mod http;
+mod job_control;
 mod operation;
 mod picture;
-mod steer;
 pub mod times;
 pub mod view;
 
-pub use access::{Caller, Credential, Gate, Granted, Limits, Outcome, Place, Places, Shown, Trail, Who};
-pub use call::{AttemptPage, Backup, Call, Changes, JobShape, Listing, News, References, Reply};
+pub use access::{
+    AccessGrant, AuditEntry, Caller, CallerKey, Credential, Gate, Limits, Outcome, PresentedCredentials, TransferSlot,
+    TransferSlots,
+};
+pub use call::{AttemptPage, Backup, Call, ChangeScope, Changes, JobList, JobShape, References, Reply};
 pub use farm::Farm;
 pub use feed::Feed;
-pub use http::{Body, Files, Http, Introduced, Served, Site, Visitor};
+pub use http::{Body, ConnectedClient, Http, PageFiles, PermittedResponse, PublicResponse, Site};
+pub use job_control::store_refusal;
 pub use operation::{Operation, Right};
-pub use picture::{Draw, Source, Wanted};
-pub use steer::store_refusal;
+pub use picture::{DrawPicture, PictureKind, PictureSource};

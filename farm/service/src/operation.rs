@@ -134,7 +134,7 @@ impl Operation {
     pub const fn right(self) -> Right {
         match self {
             Self::Page | Self::Login | Self::Logout => Right::Public,
-            Self::Health | Self::Me => Right::Anybody,
+            Self::Health | Self::Me => Right::AnyIdentity,
             Self::List
             | Self::Status
             | Self::Watch
@@ -171,7 +171,7 @@ pub enum Right {
     /// None: unauthenticated callers are permitted.
     Public,
     /// Any identity of the farm.
-    Anybody,
+    AnyIdentity,
     /// A worker.
     Worker,
     /// A user of this role or a higher one.
@@ -182,9 +182,11 @@ pub enum Right {
 
 impl Right {
     /// Returns whether this holder has the right.
-    pub fn is_of(self, holder: &Holder) -> bool {
+    pub fn is_held_by(self, holder: &Holder) -> bool {
         match (self, holder) {
-            (Self::Public | Self::Anybody, _) | (Self::Worker | Self::WorkerOrUser(_), Holder::Worker { .. }) => true,
+            (Self::Public | Self::AnyIdentity, _) | (Self::Worker | Self::WorkerOrUser(_), Holder::Worker { .. }) => {
+                true
+            }
             (Self::User(least) | Self::WorkerOrUser(least), Holder::User { role, .. }) => *role >= least,
             (Self::Worker | Self::User(_) | Self::WorkerOrUser(_), _) => false,
         }
@@ -192,10 +194,10 @@ impl Right {
 
     /// Describes the required holder for the message of a refusal. Workers are never refused a right that includes workers, so that
     /// case names only users.
-    pub fn takes(self) -> String {
+    pub fn required_holder(self) -> String {
         match self {
             Self::Public => "nothing".into(),
-            Self::Anybody => "an identity of this farm".into(),
+            Self::AnyIdentity => "an identity of this farm".into(),
             Self::Worker => "a worker".into(),
             Self::User(role) | Self::WorkerOrUser(role) => format!("a user of role {role}"),
         }

@@ -1,4 +1,4 @@
-//! Pictures of frames. The farm has no rendering code of its own: a program that has it supplies a [`Draw`] function.
+//! Pictures of frames. The farm has no rendering code of its own: a program that has it supplies a [`DrawPicture`] function.
 
 use std::collections::VecDeque;
 use std::fmt;
@@ -11,11 +11,11 @@ use tokio::sync::Semaphore;
 
 use crate::call::Call;
 use crate::farm::Farm;
-use crate::steer::store_refusal;
+use crate::job_control::store_refusal;
 
 /// Source of a picture.
 #[derive(Debug, Clone)]
-pub enum Source {
+pub enum PictureSource {
     /// Image of a finished frame as EXR.
     Image(Bytes),
     /// Tone-mapped image of a finished frame as PNG.
@@ -28,7 +28,7 @@ pub enum Source {
 
 /// Kind of picture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Wanted {
+pub enum PictureKind {
     /// A small, tone-mapped PNG.
     Thumbnail {
         /// Maximum height in pixels.
@@ -41,11 +41,11 @@ pub enum Wanted {
 }
 
 /// Function that draws pictures. It may take seconds. Its error describes the fault of the source.
-pub type Draw = fn(Source, Wanted) -> Result<Vec<u8>, String>;
+pub type DrawPicture = fn(PictureSource, PictureKind) -> Result<Vec<u8>, String>;
 
 /// A picture, and a tag that identifies its source.
 #[derive(Debug, Clone)]
-pub(crate) struct Drawn {
+pub(crate) struct Picture {
     pub(crate) tag: String,
     pub(crate) bytes: Bytes,
 }
@@ -53,12 +53,12 @@ pub(crate) struct Drawn {
 /// Draws pictures for all clients. Clones share the cache.
 #[derive(Clone)]
 pub(crate) struct Pictures {
-    draw: Option<Draw>,
+    draw: Option<DrawPicture>,
     store: Store,
     /// Limits the number of pictures that are drawn at the same time.
-    turns: Arc<Semaphore>,
+    draw_permits: Arc<Semaphore>,
     /// Cache of the latest thumbnails.
-    kept: Arc<Mutex<VecDeque<Drawn>>>,
+    thumbnails: Arc<Mutex<VecDeque<Picture>>>,
 }
 
 impl fmt::Debug for Pictures {
@@ -69,51 +69,51 @@ impl fmt::Debug for Pictures {
 
 impl Pictures {
     /// Maximum number of pictures drawn at the same time: each may use as much memory as the frame.
-    const TURNS: usize = 2;
+    const MAX_CONCURRENT: usize = 2;
     /// Size of the thumbnail cache in bytes.
-    const KEPT: usize = 16 << 20;
+    const CACHE_BYTES: usize = 16 << 20;
 
-    pub(crate) fn new(draw: Option<Draw>, store: Store) -> Self {
-        Self { draw, store, turns: Arc::new(Semaphore::new(Self::TURNS)), kept: Arc::default() }
+    pub(crate) fn new(draw: Option<DrawPicture>, store: Store) -> Self {
+        Self { draw, store, draw_permits: Arc::new(Semaphore::new(Self::MAX_CONCURRENT)), thumbnails: Arc::default() }
     }
 
     /// Returns a picture of a frame; `None`: no data is available yet.
     /// - `known`: tag of the picture that the client has. If it is current, nothing is drawn and the bytes are empty.
-    pub(crate) async fn of<S>(
+    pub(crate) async fn get<S>(
         &self,
         farm: &Farm<S>,
         job: JobId,
         frame: u32,
-        wanted: Wanted,
+        kind: PictureKind,
         known: Option<&str>,
-    ) -> Result<Option<Drawn>, Refusal> {
+    ) -> Result<Option<Picture>, Refusal> {
         let draw =
             self.draw.ok_or_else(|| Refusal::Unavailable { message: "this program cannot draw pictures".into() })?;
-        let finished = farm.ask(|reply| Call::Frames { job, reply }).await?;
+        let finished = farm.call(|reply| Call::Frames { job, reply }).await?;
         let of_frame = finished.into_iter().find(|record| record.frame == frame);
         let (tag, outputs, parts) = match &of_frame {
             Some(record) => {
-                let Some(output) = best(record, wanted) else { return Ok(None) };
-                (tag(&[output], wanted), vec![output], None)
+                let Some(output) = best(record, kind) else { return Ok(None) };
+                (tag(&[output], kind), vec![output], None)
             }
             // Statistics exist only for whole frames.
-            None if wanted == Wanted::Maps => return Ok(None),
+            None if kind == PictureKind::Maps => return Ok(None),
             None => {
-                let parts = farm.ask(|reply| Call::Parts { job, reply }).await?;
+                let parts = farm.call(|reply| Call::Parts { job, reply }).await?;
                 let Some(parts) = parts.into_iter().find(|parts| parts.frame == frame) else { return Ok(None) };
                 let shown = |output: &&Output| matches!(output.role, Role::Tile | Role::Sums | Role::Pixels);
                 let outputs: Vec<Output> = parts.outputs.iter().filter(shown).copied().collect();
-                (tag(&outputs, wanted), outputs, Some(parts))
+                (tag(&outputs, kind), outputs, Some(parts))
             }
         };
         if known == Some(&tag) {
-            return Ok(Some(Drawn { tag, bytes: Bytes::new() }));
+            return Ok(Some(Picture { tag, bytes: Bytes::new() }));
         }
-        if let Some(kept) = self.kept(&tag) {
+        if let Some(kept) = self.cached_thumbnail(&tag) {
             return Ok(Some(kept));
         }
         // The semaphore is never closed.
-        let _turn = self.turns.acquire().await;
+        let _turn = self.draw_permits.acquire().await;
         let mut artifacts = Vec::with_capacity(outputs.len());
         for Output { role, artifact } in outputs {
             match self.store.get(&artifact.digest).await {
@@ -122,57 +122,57 @@ impl Pictures {
                 Err(StoreError::Missing { .. }) if parts.is_some() => {}
                 Err(error) => {
                     if matches!(error, StoreError::Missing { .. } | StoreError::Mismatch { .. }) {
-                        farm.lost(artifact.digest).await;
+                        farm.report_lost(artifact.digest).await;
                     }
                     return Err(store_refusal(&error));
                 }
             }
         }
         let source = match (parts, artifacts.pop()) {
-            (Some(parts), Some(last)) => Source::Parts(parts, artifacts.into_iter().chain([last]).collect()),
-            (None, Some((Role::Preview, png))) => Source::Preview(png),
-            (None, Some((Role::Statistics, bytes))) => Source::Statistics(bytes),
-            (None, Some((_, exr))) => Source::Image(exr),
+            (Some(parts), Some(last)) => PictureSource::Parts(parts, artifacts.into_iter().chain([last]).collect()),
+            (None, Some((Role::Preview, png))) => PictureSource::Preview(png),
+            (None, Some((Role::Statistics, bytes))) => PictureSource::Statistics(bytes),
+            (None, Some((_, exr))) => PictureSource::Image(exr),
             (_, None) => return Ok(None),
         };
-        let drawn = tokio::task::spawn_blocking(move || draw(source, wanted)).await;
+        let drawn = tokio::task::spawn_blocking(move || draw(source, kind)).await;
         let drawn = drawn.map_err(|error| error.to_string()).and_then(|drawn| drawn);
         let bytes = drawn.map_err(|message| Refusal::Unavailable { message: format!("frame {frame}: {message}") })?;
-        let drawn = Drawn { tag, bytes: bytes.into() };
-        if matches!(wanted, Wanted::Thumbnail { .. }) {
-            self.keep(drawn.clone());
+        let drawn = Picture { tag, bytes: bytes.into() };
+        if matches!(kind, PictureKind::Thumbnail { .. }) {
+            self.cache_thumbnail(drawn.clone());
         }
         Ok(Some(drawn))
     }
 
-    fn kept(&self, tag: &str) -> Option<Drawn> {
+    fn cached_thumbnail(&self, tag: &str) -> Option<Picture> {
         // A poisoned lock is safe to use: a panic in the few lines under it leaves no partial change.
-        let kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
+        let kept = self.thumbnails.lock().unwrap_or_else(PoisonError::into_inner);
         kept.iter().find(|drawn| drawn.tag == tag).cloned()
     }
 
-    fn keep(&self, drawn: Drawn) {
-        let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
+    fn cache_thumbnail(&self, drawn: Picture) {
+        let mut kept = self.thumbnails.lock().unwrap_or_else(PoisonError::into_inner);
         kept.push_back(drawn);
-        while kept.iter().map(|drawn| drawn.bytes.len()).sum::<usize>() > Self::KEPT {
+        while kept.iter().map(|drawn| drawn.bytes.len()).sum::<usize>() > Self::CACHE_BYTES {
             kept.pop_front();
         }
     }
 }
 
 /// Returns the output of a finished frame to draw from. Thumbnails use the PNG, if there is one.
-fn best(record: &FrameRecord, wanted: Wanted) -> Option<Output> {
+fn best(record: &FrameRecord, kind: PictureKind) -> Option<Output> {
     let of_role = |role: Role| record.outputs.iter().find(|output| output.role == role).copied();
-    match wanted {
-        Wanted::Thumbnail { .. } => of_role(Role::Preview).or_else(|| of_role(Role::Image)),
-        Wanted::Pixels => of_role(Role::Image),
-        Wanted::Maps => of_role(Role::Statistics),
+    match kind {
+        PictureKind::Thumbnail { .. } => of_role(Role::Preview).or_else(|| of_role(Role::Image)),
+        PictureKind::Pixels => of_role(Role::Image),
+        PictureKind::Maps => of_role(Role::Statistics),
     }
 }
 
 /// Returns a tag that identifies the outputs and the kind of picture.
-fn tag(outputs: &[Output], wanted: Wanted) -> String {
+fn tag(outputs: &[Output], kind: PictureKind) -> String {
     let mut bytes: Vec<u8> = outputs.iter().flat_map(|output| *output.artifact.digest.as_bytes()).collect();
-    bytes.extend(format!("{wanted:?}").bytes());
-    Digest::of(&bytes).to_string()
+    bytes.extend(format!("{kind:?}").bytes());
+    Digest::compute(&bytes).to_string()
 }

@@ -6,12 +6,12 @@ use std::sync::{Arc, Mutex};
 
 use bytes::Bytes;
 use femc_model::{
-    Artifact, Cut, Digest, FrameRecord, Graph, Grid, JobId, JobNotes, JobSpec, Output, Refusal, Role, Scope, Sizes,
-    StageKind, Template,
+    Artifact, ChunkSize, Digest, FrameRecord, Graph, Grid, JobId, JobNotes, JobSpec, Output, Refusal, Role, Scope,
+    StageKind, StageTemplate, TaskSizes,
 };
-use femc_service::{Call, Farm, Gate, Http, JobShape, Limits, Places, Site, Visitor};
+use femc_service::{Call, ConnectedClient, Farm, Gate, Http, JobShape, Limits, Site, TransferSlots};
 use femc_store::object_store::ObjectStoreExt as _;
-use femc_store::{Store, place};
+use femc_store::{Store, artifact_path};
 use femc_trust::{Authority, Holder, Tokens};
 use hyper_util::rt::TokioIo;
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
@@ -21,7 +21,7 @@ use tokio::sync::mpsc;
 const JOB: JobId = JobId(7);
 
 /// A coordinator with one job. It records the artifacts that were reported lost.
-struct Server {
+struct TestServer {
     address: String,
     store: Store,
     lost: Arc<Mutex<Vec<Digest>>>,
@@ -29,13 +29,13 @@ struct Server {
 }
 
 /// An HTTP response.
-struct Answer {
+struct TestResponse {
     status: u16,
     head: BTreeMap<String, String>,
     body: Vec<u8>,
 }
 
-impl Answer {
+impl TestResponse {
     fn header(&self, name: &str) -> &str {
         self.head.get(name).map_or("", String::as_str)
     }
@@ -50,10 +50,11 @@ impl Answer {
 fn spec(name: &str) -> JobSpec {
     let options =
         r#"{"stills":true,"sheet":"all frames.png","video":{"name":"drive.webm","rate":24.0},"painting":null}"#;
-    let encode = Template::new(StageKind::Encode, Scope::Job, Sizes::even(1, 1), &[Role::Clip]).options(options);
+    let encode =
+        StageTemplate::new(StageKind::Encode, Scope::Job, TaskSizes::even(1, 1), &[Role::Clip]).options(options);
     JobSpec {
         name: name.into(),
-        bundle: Digest::of(b"bundle"),
+        bundle: Digest::compute(b"bundle"),
         entry: "fog.mgf".into(),
         settings: "{}".into(),
         frames: vec![3, 4],
@@ -83,7 +84,7 @@ fn record(frame: u32, outputs: Vec<Output>) -> FrameRecord {
 }
 
 /// Answers calls to a farm with this job.
-async fn answer(
+async fn serve_calls(
     mut inbox: mpsc::Receiver<Call<()>>,
     spec: JobSpec,
     records: Vec<FrameRecord>,
@@ -92,11 +93,11 @@ async fn answer(
     while let Some(call) = inbox.recv().await {
         match call {
             Call::Shape { job: JOB, reply } => {
-                drop(reply.send(Ok(JobShape { spec: Box::new(spec.clone()), cut: Cut::Whole })));
+                drop(reply.send(Ok(JobShape { spec: Box::new(spec.clone()), cut: ChunkSize::Whole })));
             }
             Call::Shape { job, reply } => drop(reply.send(Err(Refusal::NoSuchJob { job }))),
             Call::Frames { reply, .. } => drop(reply.send(Ok(records.clone()))),
-            Call::Lost { digest, reply } => {
+            Call::ArtifactLost { digest, reply } => {
                 lost.lock().expect("a list").push(digest);
                 drop(reply.send(Ok(())));
             }
@@ -105,11 +106,11 @@ async fn answer(
     }
 }
 
-impl Server {
+impl TestServer {
     /// Starts a coordinator.
-    /// - `tokens`: accepted tokens. `None`: the farm does not authenticate.
+    /// - `tokens_path`: accepted tokens. `None`: the farm does not authenticate.
     async fn start(name: &str, tokens: Option<Tokens>) -> Self {
-        let store = Store::memory();
+        let store = Store::in_memory();
         let large: Vec<u8> = (0..9_000_001u32).map(|i| (i * 7 + i / 251) as u8).collect();
         let mut artifacts = BTreeMap::new();
         for (title, bytes) in [
@@ -131,19 +132,20 @@ impl Server {
         let records = vec![record(0, all(&whole)), record(3, all(&frame))];
         let (calls, inbox) = mpsc::channel::<Call<()>>(8);
         let lost = Arc::new(Mutex::new(Vec::new()));
-        tokio::spawn(answer(inbox, spec(name), records, lost.clone()));
+        tokio::spawn(serve_calls(inbox, spec(name), records, lost.clone()));
         let gate = Gate::new(tokens.map(|tokens| (None, Some(tokens))), Limits::default(), None);
-        let places = Places::new(gate.limits());
+        let places = TransferSlots::new(gate.limits());
         let http = Http::new(Farm::new(calls), store.clone(), places, gate, Site::default(), false);
         let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port");
         let address = listener.local_addr().expect("its address").to_string();
         tokio::spawn(async move {
             while let Ok((stream, peer)) = listener.accept().await {
                 let reached = stream.local_addr().ok();
-                let visitor = Visitor { address: Some(peer), reached, ..Visitor::default() };
+                let client =
+                    ConnectedClient { address: Some(peer), local_address: reached, ..ConnectedClient::default() };
                 let http = http.clone();
                 let service = hyper::service::service_fn(move |request| {
-                    let (http, visitor) = (http.clone(), visitor.clone());
+                    let (http, visitor) = (http.clone(), client.clone());
                     async move { Ok::<_, Infallible>(http.serve(request, visitor).await) }
                 });
                 let server = hyper::server::conn::http1::Builder::new();
@@ -153,7 +155,7 @@ impl Server {
         Self { address, store, lost, artifacts }
     }
 
-    async fn ask(&self, line: &str, head: &[&str]) -> Answer {
+    async fn request(&self, line: &str, head: &[&str]) -> TestResponse {
         let mut stream = TcpStream::connect(&self.address).await.expect("a connection");
         let head: String = head.iter().map(|line| format!("{line}\r\n")).collect();
         let request = format!("{line} HTTP/1.1\r\nHost: {}\r\n{head}Connection: close\r\n\r\n", self.address);
@@ -165,11 +167,11 @@ impl Server {
         let status = text.split_whitespace().nth(1).and_then(|status| status.parse().ok()).expect("a status");
         let lines = text.lines().filter_map(|line| line.split_once(": "));
         let head = lines.map(|(name, value)| (name.to_ascii_lowercase(), value.to_owned())).collect();
-        Answer { status, head, body: bytes[end + 4..].to_vec() }
+        TestResponse { status, head, body: bytes[end + 4..].to_vec() }
     }
 
-    async fn get(&self, path: &str, head: &[&str]) -> Answer {
-        self.ask(&format!("GET /api/v1/jobs/{path}"), head).await
+    async fn get(&self, path: &str, head: &[&str]) -> TestResponse {
+        self.request(&format!("GET /api/v1/jobs/{path}"), head).await
     }
 
     fn bytes(&self, title: &str) -> &Bytes {
@@ -191,7 +193,7 @@ impl Server {
 
 #[tokio::test]
 async fn every_result_has_path_media_type_and_name_used_by_fetch() {
-    let server = Server::start("drive", None).await;
+    let server = TestServer::start("drive", None).await;
     for (path, title, kind, name) in [
         ("7/frames/3/image.exr", "image", "image/x-exr", "drive.0003.exr"),
         ("7/frames/3/preview.png", "preview", "image/png", "drive.0003.preview.png"),
@@ -209,7 +211,7 @@ async fn every_result_has_path_media_type_and_name_used_by_fetch() {
         assert_eq!(answer.header("etag"), server.tag(title), "{path}");
         assert_eq!((answer.header("accept-ranges"), answer.header("cache-control")), ("bytes", "private, no-cache"));
         assert!(answer.header("content-security-policy").contains("media-src 'self'"));
-        let head = server.ask(&format!("HEAD /api/v1/jobs/{path}"), &[]).await;
+        let head = server.request(&format!("HEAD /api/v1/jobs/{path}"), &[]).await;
         assert_eq!((head.status, head.body.len()), (200, 0), "{path}");
         assert_eq!(head.header("content-length"), answer.header("content-length"), "{path}");
         assert_eq!(head.header("content-type"), kind, "{path}");
@@ -222,7 +224,7 @@ async fn every_result_has_path_media_type_and_name_used_by_fetch() {
 
 #[tokio::test]
 async fn range_sends_only_its_bytes_and_past_end_refusal_has_length() {
-    let server = Server::start("drive", None).await;
+    let server = TestServer::start("drive", None).await;
     let (path, bytes) = ("7/frames/3/image.exr", server.bytes("image").clone());
     // The last of these spans two blocks of the store.
     for (range, part) in
@@ -240,7 +242,7 @@ async fn range_sends_only_its_bytes_and_past_end_refusal_has_length() {
     for range in ["bytes=0-1,5-6", "bytes=x", "frames=0-1"] {
         assert_eq!(server.get(path, &[&format!("Range: {range}")]).await.status, 200, "{range}");
     }
-    let head = server.ask(&format!("HEAD /api/v1/jobs/{path}"), &["Range: bytes=0-1"]).await;
+    let head = server.request(&format!("HEAD /api/v1/jobs/{path}"), &["Range: bytes=0-1"]).await;
     assert_eq!((head.status, head.header("content-length")), (200, "9000001"), "ranges are for GET alone");
     let current = format!("If-Range: {}", server.tag("image"));
     assert_eq!(server.get(path, &["Range: bytes=0-1", &current]).await.status, 206);
@@ -249,7 +251,7 @@ async fn range_sends_only_its_bytes_and_past_end_refusal_has_length() {
 
 #[tokio::test]
 async fn a_name_of_any_characters_stays_within_its_header() {
-    let server = Server::start("Nachtfahrt \"№ 3\"; filename=x.exe", None).await;
+    let server = TestServer::start("Nachtfahrt \"№ 3\"; filename=x.exe", None).await;
     let answer = server.get("7/frames/3/preview.png", &[]).await;
     assert_eq!(
         answer.header("content-disposition"),
@@ -260,27 +262,27 @@ async fn a_name_of_any_characters_stays_within_its_header() {
 
 #[tokio::test]
 async fn unmade_result_is_not_found_and_damaged_or_lost_one_is_remade() {
-    let server = Server::start("drive", None).await;
+    let server = TestServer::start("drive", None).await;
     for path in ["7/frames/4/image.exr", "7/frames/3/painted.png", "7/frames/0/still.png", "7/frames/9/still.png"] {
         let answer = server.get(path, &[]).await;
         assert_eq!((answer.status, answer.code().as_str()), (404, "not_found"), "{path}");
     }
     assert_eq!(server.get("8/clip", &[]).await.status, 404, "another job");
-    assert_eq!(server.ask("POST /api/v1/jobs/7/clip", &[]).await.header("allow"), "GET, HEAD");
+    assert_eq!(server.request("POST /api/v1/jobs/7/clip", &[]).await.header("allow"), "GET, HEAD");
     assert_eq!(server.lost(), []);
-    let objects = server.store.medium_itself();
+    let objects = server.store.objects();
     let mut other = server.bytes("image").to_vec();
     other[5_000_000] ^= 1;
-    objects.put(&place(&server.digest("image")), other.into()).await.expect("damaged");
+    objects.put(&artifact_path(&server.digest("image")), other.into()).await.expect("damaged");
     let answer = server.get("7/frames/3/image.exr", &[]).await;
     assert_eq!((answer.status, answer.code().as_str()), (404, "lost"));
     assert!(answer.header("content-disposition").is_empty(), "an error is not kept as an image");
     assert_eq!(server.lost(), [server.digest("image")]);
     // Nothing has read the clip since it was stored.
-    objects.delete(&place(&server.digest("clip"))).await.expect("removed");
+    objects.delete(&artifact_path(&server.digest("clip"))).await.expect("removed");
     let answer = server.get("7/clip", &["Range: bytes=3-"]).await;
     assert_eq!((answer.status, answer.code().as_str()), (404, "lost"));
-    assert_eq!(server.ask("HEAD /api/v1/jobs/7/clip", &[]).await.status, 404);
+    assert_eq!(server.request("HEAD /api/v1/jobs/7/clip", &[]).await.status, 404);
     assert!(server.lost().contains(&server.digest("clip")));
 }
 
@@ -289,10 +291,10 @@ async fn viewers_may_download_and_workers_and_strangers_may_not() {
     let folder = tempfile::tempdir().expect("a folder");
     let authority = Authority::init(folder.path(), "farm").expect("an authority");
     let ann = Holder::User { name: "ann".into(), role: femc_trust::Role::Viewer };
-    let viewer = authority.token(ann, 1).expect("a token").token().secret();
-    let worker = authority.token(Holder::Worker { name: "w".into() }, 1).expect("a token").token().secret();
-    let tokens = Tokens::open(authority.tokens()).expect("a list");
-    let server = Server::start("drive", Some(tokens)).await;
+    let viewer = authority.issue_token(ann, 1).expect("a token").token().secret();
+    let worker = authority.issue_token(Holder::Worker { name: "w".into() }, 1).expect("a token").token().secret();
+    let tokens = Tokens::open(authority.tokens_path()).expect("a list");
+    let server = TestServer::start("drive", Some(tokens)).await;
     for path in ["7/frames/3/image.exr", "7/clip", "7/sheet.png"] {
         for (header, status) in [
             ("Accept: */*".to_owned(), 401),

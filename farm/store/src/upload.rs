@@ -4,7 +4,7 @@ use bytes::BytesMut;
 use femc_model::{Artifact, Digest};
 use object_store::{MultipartUpload, ObjectStoreExt as _};
 
-use crate::{Novelty, Store, StoreError, place};
+use crate::{Novelty, Store, StoreError, artifact_path};
 
 /// Bytes buffered in memory before a part is written to the medium; S3 requires at least 5 MiB per part.
 const PART: usize = 8 << 20;
@@ -14,14 +14,14 @@ pub struct Upload {
     store: Store,
     announced: Digest,
     hash: blake3::Hasher,
-    held: BytesMut,
+    buffer: BytesMut,
     size: u64,
     parts: Option<Box<dyn MultipartUpload>>,
 }
 
 impl Upload {
     pub(crate) fn new(store: Store, announced: Digest) -> Self {
-        Self { store, announced, hash: blake3::Hasher::new(), held: BytesMut::new(), size: 0, parts: None }
+        Self { store, announced, hash: blake3::Hasher::new(), buffer: BytesMut::new(), size: 0, parts: None }
     }
 
     /// Returns the number of bytes received so far.
@@ -42,8 +42,8 @@ impl Upload {
             return Err(StoreError::TooLarge { limit: self.store.limit });
         }
         self.hash.update(piece);
-        self.held.extend_from_slice(piece);
-        while self.held.len() >= PART {
+        self.buffer.extend_from_slice(piece);
+        while self.buffer.len() >= PART {
             self.flush().await?;
         }
         Ok(())
@@ -53,13 +53,13 @@ impl Upload {
         let parts = match &mut self.parts {
             Some(parts) => parts,
             None => {
-                let begun = self.store.objects.put_multipart(&place(&self.announced)).await;
-                self.parts.insert(begun.map_err(|error| self.store.medium(error))?)
+                let begun = self.store.objects.put_multipart(&artifact_path(&self.announced)).await;
+                self.parts.insert(begun.map_err(|error| self.store.medium_error(error))?)
             }
         };
         // All parts have the same size, because some servers require it. The last part may be shorter.
-        let part = self.held.split_to(self.held.len().min(PART)).freeze();
-        parts.put_part(part.into()).await.map_err(|error| self.store.medium(error))
+        let part = self.buffer.split_to(self.buffer.len().min(PART)).freeze();
+        parts.put_part(part.into()).await.map_err(|error| self.store.medium_error(error))
     }
 
     async fn abort(&mut self) {
@@ -77,17 +77,17 @@ impl Upload {
             return Err(StoreError::Mismatch { announced: self.announced, found });
         }
         if self.parts.is_none() {
-            return self.store.keep(self.held.freeze()).await;
+            return self.store.put_with_novelty(self.buffer.freeze()).await;
         }
-        if !self.held.is_empty() {
+        if !self.buffer.is_empty() {
             self.flush().await?;
         }
         if let Some(mut parts) = self.parts.take() {
             let _open = self.store.gate.read().await;
-            parts.complete().await.map_err(|error| self.store.medium(error))?;
+            parts.complete().await.map_err(|error| self.store.medium_error(error))?;
         }
         let artifact = Artifact { digest: found, bytes: self.size };
-        self.store.seen().note(artifact);
+        self.store.recent().insert(artifact);
         Ok((artifact, Novelty::Older))
     }
 }

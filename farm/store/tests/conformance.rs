@@ -4,13 +4,13 @@ use std::time::Duration;
 
 use bytes::Bytes;
 use femc_model::{Artifact, Digest};
-use femc_require::Need;
+use femc_require::Prerequisite;
 use femc_store::object_store::ObjectStoreExt as _;
-use femc_store::{Novelty, Soundness, Store, StoreError, Sweep, place};
+use femc_store::{Novelty, Soundness, Store, StoreError, Sweep, artifact_path};
 
 async fn conforms(store: &Store) {
     let bytes = Bytes::from_static(b"a tile");
-    let digest = Digest::of(&bytes);
+    let digest = Digest::compute(&bytes);
     assert!(!store.has(&digest).await.unwrap());
     assert!(matches!(store.get(&digest).await, Err(StoreError::Missing { .. })));
     assert_eq!(store.put(bytes.clone()).await.unwrap(), Artifact { digest, bytes: 6 });
@@ -21,16 +21,16 @@ async fn conforms(store: &Store) {
     assert_eq!(store.list().await.unwrap(), [Artifact { digest, bytes: 6 }]);
 
     let listing = store.listing().await.unwrap();
-    let age = listing[0].kept.elapsed().unwrap_or_default();
+    let age = listing[0].last_modified.elapsed().unwrap_or_default();
     assert!(listing.len() == 1 && age.as_secs() < 3600, "kept just now, give or take the clocks: {listing:?}");
 
-    let others: Vec<Digest> = (0..100u8).map(|i| Digest::of(&[i])).collect();
+    let others: Vec<Digest> = (0..100u8).map(|i| Digest::compute(&[i])).collect();
     let asked: Vec<Digest> = others.iter().take(50).chain([&digest]).chain(&others[50..]).copied().collect();
     assert_eq!(store.missing(&asked).await.unwrap(), others);
 
     // Larger than a part, and not a multiple of one.
     let large: Vec<u8> = (0..20_000_003u32).map(|i| (i * 7 + i / 251) as u8).collect();
-    let digest = Digest::of(&large);
+    let digest = Digest::compute(&large);
     let mut upload = store.upload(digest);
     for (before, piece) in large.chunks(3_000_000).enumerate() {
         assert_eq!(upload.size(), before as u64 * 3_000_000);
@@ -51,12 +51,12 @@ async fn conforms(store: &Store) {
         tail.extend_from_slice(&piece);
     }
     assert_eq!(tail, large[19_000_000..]);
-    assert_eq!(store.part(&digest, 4_000_000..4_000_100).await.unwrap(), large[4_000_000..4_000_100]);
-    let beyond = store.part(&digest, 20_000_000..20_000_004).await;
+    assert_eq!(store.read_range(&digest, 4_000_000..4_000_100).await.unwrap(), large[4_000_000..4_000_100]);
+    let beyond = store.read_range(&digest, 20_000_000..20_000_004).await;
     assert!(beyond.is_err(), "four bytes where three are left: {beyond:?}");
 
     for size in [10, 20_000_000] {
-        let announced = Digest::of(b"something else");
+        let announced = Digest::compute(b"something else");
         let mut upload = store.upload(announced);
         upload.write(&large[..size]).await.unwrap();
         assert!(matches!(upload.finish().await, Err(StoreError::Mismatch { .. })));
@@ -79,20 +79,20 @@ async fn conforms(store: &Store) {
     assert!(!store.has(&digest).await.unwrap());
 
     for novelty in [Novelty::New, Novelty::Older] {
-        let mut upload = store.upload(Digest::of(b"small"));
+        let mut upload = store.upload(Digest::compute(b"small"));
         upload.write(b"small").await.unwrap();
-        assert_eq!(upload.finish().await.unwrap(), (Artifact::of(b"small"), novelty));
+        assert_eq!(upload.finish().await.unwrap(), (Artifact::from_bytes(b"small"), novelty));
     }
 
     // Two simultaneous puts of the same bytes both succeed.
     let same = Bytes::from(vec![7; 300_000]);
     let both = tokio::join!(store.put(same.clone()), store.put(same.clone()));
     assert_eq!(both.0.unwrap(), both.1.unwrap());
-    assert_eq!(store.get(&Digest::of(&same)).await.unwrap(), same);
+    assert_eq!(store.get(&Digest::compute(&same)).await.unwrap(), same);
 }
 
 /// Returns damaged variants of `whole`: empty, shorter, changed and longer ones.
-fn harms(whole: &[u8]) -> Vec<(String, Vec<u8>)> {
+fn damaged_variants(whole: &[u8]) -> Vec<(String, Vec<u8>)> {
     let size = whole.len();
     let mut cuts: Vec<usize> = [0, 1, size / 2, size - 1].into_iter().filter(|&cut| cut < size).collect();
     cuts.dedup();
@@ -112,7 +112,7 @@ fn harms(whole: &[u8]) -> Vec<(String, Vec<u8>)> {
 
 /// Method of replacing damaged bytes.
 #[derive(Debug, Clone, Copy)]
-enum Way {
+enum ReplaceMethod {
     Put,
     /// For the large artifact, one full part and a smaller one; for the small one, a single put.
     Upload,
@@ -124,15 +124,15 @@ async fn heals(store: &Store) {
     let large: Vec<u8> = (0..9_000_003u32).map(|i| (i * 7 + i / 251) as u8).collect();
     for whole in [b"a tile of some bytes".to_vec(), large] {
         let whole = Bytes::from(whole);
-        let Artifact { digest, bytes } = Artifact::of(&whole);
-        let all = harms(&whole);
+        let Artifact { digest, bytes } = Artifact::from_bytes(&whole);
+        let all = damaged_variants(&whole);
         // For the large artifact, only every second kind of damage is tested.
         let step = if whole.len() < 1000 { 1 } else { 2 };
         for (harm, damaged) in all.into_iter().step_by(step) {
-            for way in [Way::Put, Way::Upload] {
+            for method in [ReplaceMethod::Put, ReplaceMethod::Upload] {
                 let plant = || async {
                     store.put(whole.clone()).await.unwrap();
-                    store.medium_itself().put(&place(&digest), damaged.clone().into()).await.unwrap();
+                    store.objects().put(&artifact_path(&digest), damaged.clone().into()).await.unwrap();
                 };
                 let is_gone = || async { !store.has(&digest).await.unwrap() };
                 plant().await;
@@ -160,15 +160,15 @@ async fn heals(store: &Store) {
 
                 // Store over the damaged artifact, like a client that has not checked before.
                 plant().await;
-                match way {
-                    Way::Put => drop(store.put(whole.clone()).await.unwrap()),
-                    Way::Upload => {
+                match method {
+                    ReplaceMethod::Put => drop(store.put(whole.clone()).await.unwrap()),
+                    ReplaceMethod::Upload => {
                         let mut upload = store.upload(digest);
                         upload.write(&whole).await.unwrap();
                         upload.finish().await.unwrap();
                     }
                 }
-                assert_eq!(store.get(&digest).await.unwrap(), whole, "{harm}, {way:?}");
+                assert_eq!(store.get(&digest).await.unwrap(), whole, "{harm}, {method:?}");
 
                 plant().await;
                 if damaged.len() as u64 != bytes {
@@ -177,30 +177,40 @@ async fn heals(store: &Store) {
                 }
                 // One store remembers the artifact from before the damage; a fresh one has an empty cache.
                 store.put(whole.clone()).await.unwrap();
-                assert_eq!(store.known(&Artifact { digest, bytes }).await.unwrap(), Soundness::Sound(bytes));
-                let fresh = Store::over("the same", store.medium_itself().clone());
-                store.medium_itself().put(&place(&digest), damaged.clone().into()).await.unwrap();
+                assert_eq!(
+                    store.verify_unless_recent(&Artifact { digest, bytes }).await.unwrap(),
+                    Soundness::Sound(bytes)
+                );
+                let fresh = Store::from_object_store("the same", store.objects().clone());
+                store.objects().put(&artifact_path(&digest), damaged.clone().into()).await.unwrap();
                 assert_eq!(fresh.missing(&[digest]).await.unwrap(), [digest], "{harm}");
                 store.remove(&digest).await.unwrap();
-                assert_eq!(store.known(&Artifact { digest, bytes }).await.unwrap(), Soundness::Missing, "{harm}");
+                assert_eq!(
+                    store.verify_unless_recent(&Artifact { digest, bytes }).await.unwrap(),
+                    Soundness::Missing,
+                    "{harm}"
+                );
             }
         }
         // An artifact that another process removed is forgotten as soon as that is detected.
         store.put(whole.clone()).await.unwrap();
-        store.medium_itself().delete(&place(&digest)).await.unwrap();
+        store.objects().delete(&artifact_path(&digest)).await.unwrap();
         assert_eq!(store.verify(&digest).await.unwrap(), Soundness::Missing);
-        assert_eq!(store.known(&Artifact { digest, bytes }).await.unwrap(), Soundness::Missing);
+        assert_eq!(store.verify_unless_recent(&Artifact { digest, bytes }).await.unwrap(), Soundness::Missing);
         // A sound artifact is kept even if the caller expects another size.
         store.put(whole.clone()).await.unwrap();
-        assert_eq!(store.known(&Artifact { digest, bytes: bytes + 1 }).await.unwrap(), Soundness::Sound(bytes));
+        assert_eq!(
+            store.verify_unless_recent(&Artifact { digest, bytes: bytes + 1 }).await.unwrap(),
+            Soundness::Sound(bytes)
+        );
         assert_eq!(store.get(&digest).await.unwrap(), whole, "and it stays");
     }
 }
 
 /// Opens a separate prefix on the S3 server that `tests/s3` starts.
 fn s3(name: &str) -> Option<Store> {
-    let bucket = Need::S3.variable("FEMC_TEST_S3")?;
-    Some(Store::s3(&format!("{bucket}/{name}/{}", std::process::id())).unwrap())
+    let bucket = Prerequisite::S3.variable_or_skip("FEMC_TEST_S3")?;
+    Some(Store::open_s3(&format!("{bucket}/{name}/{}", std::process::id())).unwrap())
 }
 
 #[tokio::test]
@@ -223,7 +233,7 @@ async fn unreachable_store_is_named_with_cause_not_called_missing() {
     let Some(store) = s3("no-such-bucket") else { return };
     // A bucket that the server does not have.
     let url = store.name().replace("femc-test", "femc-nowhere");
-    let away = Store::s3(&url).unwrap();
+    let away = Store::open_s3(&url).unwrap();
     let bytes = Bytes::from_static(b"a tile");
     for error in [away.probe().await.unwrap_err(), away.put(bytes).await.unwrap_err()] {
         assert!(matches!(error, StoreError::Medium { .. }), "{error}");
@@ -233,30 +243,30 @@ async fn unreachable_store_is_named_with_cause_not_called_missing() {
 
 #[tokio::test]
 async fn memory_conforms() {
-    conforms(&Store::memory()).await;
+    conforms(&Store::in_memory()).await;
 }
 
 #[tokio::test]
 async fn what_memory_damages_is_found_and_can_be_put_again() {
-    heals(&Store::memory()).await;
+    heals(&Store::in_memory()).await;
 }
 
 #[tokio::test]
 async fn what_a_disk_damages_is_found_and_can_be_put_again() {
     let folder = tempfile::tempdir().unwrap();
-    heals(&Store::folder(folder.path()).unwrap()).await;
+    heals(&Store::open_folder(folder.path()).unwrap()).await;
 }
 
 #[tokio::test]
 async fn a_folder_conforms() {
     let folder = tempfile::tempdir().unwrap();
-    conforms(&Store::folder(&folder.path().join("new/artifacts")).unwrap()).await;
+    conforms(&Store::open_folder(&folder.path().join("new/artifacts")).unwrap()).await;
 }
 
 #[tokio::test]
 async fn a_damaged_artifact_is_missing_and_can_be_put_again() {
     let folder = tempfile::tempdir().unwrap();
-    let store = Store::folder(folder.path()).unwrap();
+    let store = Store::open_folder(folder.path()).unwrap();
     let bytes = Bytes::from_static(b"a tile");
     let digest = store.put(bytes.clone()).await.unwrap().digest;
     let name = digest.to_string();
@@ -270,10 +280,10 @@ async fn a_damaged_artifact_is_missing_and_can_be_put_again() {
 #[tokio::test]
 async fn only_files_of_unfinished_uploads_are_swept() {
     let folder = tempfile::tempdir().unwrap();
-    let store = Store::folder(folder.path()).unwrap();
+    let store = Store::open_folder(folder.path()).unwrap();
     store.put(Bytes::from_static(b"a tile")).await.unwrap();
     std::fs::write(folder.path().join("a person's note #1"), "stays").unwrap();
-    let mut upload = store.upload(Digest::of(b"large"));
+    let mut upload = store.upload(Digest::compute(b"large"));
     upload.write(&[7; 9_000_000]).await.unwrap();
     // As if the process had been killed.
     std::mem::forget(upload);
@@ -284,5 +294,5 @@ async fn only_files_of_unfinished_uploads_are_swept() {
     assert_eq!(store.sweep_uploads(now, Sweep::Count).await.unwrap(), (0, 0));
     assert_eq!(store.list().await.unwrap().len(), 1);
     assert!(folder.path().join("a person's note #1").exists());
-    assert_eq!(Store::memory().sweep_uploads(now, Sweep::Remove).await.unwrap(), (0, 0));
+    assert_eq!(Store::in_memory().sweep_uploads(now, Sweep::Remove).await.unwrap(), (0, 0));
 }

@@ -63,42 +63,42 @@ pub struct Audit(Arc<Shared>);
 
 #[derive(Debug)]
 struct Shared {
-    book: Arc<Mutex<Book>>,
+    audit_file: Arc<Mutex<AuditFile>>,
     /// Sender that is dropped at the end to stop the thread that syncs the file.
-    open: Option<Sender<()>>,
-    keeper: Option<JoinHandle<()>>,
+    stop: Option<Sender<()>>,
+    sync_thread: Option<JoinHandle<()>>,
 }
 
 impl Audit {
     /// Size in bytes at which a file is rotated.
-    pub const MOST: u64 = 64 << 20;
+    pub const MAX_FILE_BYTES: u64 = 64 << 20;
     /// Number of rotated files that are kept.
-    const ASIDE: usize = 7;
+    const ROTATED_FILES: usize = 7;
     /// Time between two syncs to the disk.
     const SYNC: Duration = Duration::from_millis(200);
 
     /// Opens the log at `path`, or creates it.
     pub fn open(path: &Path) -> Result<Self, TrustError> {
-        Self::with(path, Self::MOST)
+        Self::with_max_bytes(path, Self::MAX_FILE_BYTES)
     }
 
-    fn with(path: &Path, most: u64) -> Result<Self, TrustError> {
-        let book = Arc::new(Mutex::new(Book::open(path, most).map_err(TrustError::file(path))?));
+    fn with_max_bytes(path: &Path, max_bytes: u64) -> Result<Self, TrustError> {
+        let book = Arc::new(Mutex::new(AuditFile::open(path, max_bytes).map_err(TrustError::file(path))?));
         let (open, closed) = channel();
         let keeper = std::thread::Builder::new().name("audit".into()).spawn({
             let book = book.clone();
-            move || keep(&book, &closed)
+            move || sync_loop(&book, &closed)
         });
         let keeper = Some(keeper.map_err(TrustError::file(path))?);
-        Ok(Self(Arc::new(Shared { book, open: Some(open), keeper })))
+        Ok(Self(Arc::new(Shared { audit_file: book, stop: Some(open), sync_thread: keeper })))
     }
 
     /// Returns the latest `count` lines, newest first. Lines that cannot be parsed are left out.
     pub fn latest(&self, count: usize) -> Result<Vec<serde_json::Value>, TrustError> {
-        let path = lock(&self.0.book).path.clone();
+        let path = lock(&self.0.audit_file).path.clone();
         let mut found = Vec::new();
-        for number in 0..=Self::ASIDE {
-            let path = if number == 0 { path.clone() } else { aside(&path, number) };
+        for number in 0..=Self::ROTATED_FILES {
+            let path = if number == 0 { path.clone() } else { rotated_path(&path, number) };
             match File::open(&path).and_then(|file| last_lines(file, count - found.len())) {
                 Ok(lines) => found.extend(lines),
                 Err(error) if error.kind() == std::io::ErrorKind::NotFound && number > 0 => break,
@@ -112,49 +112,49 @@ impl Audit {
     }
 
     /// Records an action that was performed, or that failed for another reason than a refusal.
-    pub fn note(&self, event: &AuditEvent) {
-        lock(&self.0.book).write(event, None);
+    pub fn record(&self, event: &AuditEvent) {
+        lock(&self.0.audit_file).write(event, None);
     }
 
     /// Records a refusal: the first one immediately, repetitions as a count once a second.
-    pub fn refused(&self, event: AuditEvent) {
-        let mut book = lock(&self.0.book);
-        if let Some(times) = book.again.get_mut(&event) {
+    pub fn record_refusal(&self, event: AuditEvent) {
+        let mut book = lock(&self.0.audit_file);
+        if let Some(times) = book.repeats.get_mut(&event) {
             *times += 1;
-        } else if book.again.len() < Book::DIFFERENT {
+        } else if book.repeats.len() < AuditFile::MAX_DISTINCT {
             book.write(&event, None);
-            book.again.insert(event, 0);
+            book.repeats.insert(event, 0);
         } else {
-            book.others += 1;
+            book.overflow += 1;
         }
     }
 }
 
 impl Drop for Shared {
     fn drop(&mut self) {
-        self.open = None;
-        if let Some(keeper) = self.keeper.take() {
+        self.stop = None;
+        if let Some(keeper) = self.sync_thread.take() {
             // A panic of this thread has already been logged.
             let _ = keeper.join();
         }
     }
 }
 
-fn lock(book: &Mutex<Book>) -> MutexGuard<'_, Book> {
+fn lock(audit_file: &Mutex<AuditFile>) -> MutexGuard<'_, AuditFile> {
     // A panic under this lock leaves at worst a half-written line.
-    book.lock().unwrap_or_else(PoisonError::into_inner)
+    audit_file.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Syncs written lines to the disk until the log is closed.
-fn keep(book: &Mutex<Book>, closed: &Receiver<()>) {
+fn sync_loop(audit_file: &Mutex<AuditFile>, closed: &Receiver<()>) {
     let mut turns = 0;
     loop {
         let is_over = closed.recv_timeout(Audit::SYNC) != Err(RecvTimeoutError::Timeout);
         turns += 1;
         let file = {
-            let mut book = lock(book);
+            let mut book = lock(audit_file);
             if is_over || turns % 5 == 0 {
-                book.tell_again();
+                book.write_repeats();
             }
             std::mem::take(&mut book.is_dirty).then(|| book.file.try_clone())
         };
@@ -169,26 +169,26 @@ fn keep(book: &Mutex<Book>, closed: &Receiver<()>) {
 }
 
 #[derive(Debug)]
-struct Book {
+struct AuditFile {
     path: PathBuf,
     file: File,
     bytes: u64,
-    most: u64,
+    max_bytes: u64,
     is_dirty: bool,
     /// Refusals of this second, with the number of repetitions after the first.
-    again: BTreeMap<AuditEvent, u64>,
-    /// Number of refusals beyond [`Book::DIFFERENT`] different ones.
-    others: u64,
+    repeats: BTreeMap<AuditEvent, u64>,
+    /// Number of refusals beyond [`AuditFile::MAX_DISTINCT`] different ones.
+    overflow: u64,
 }
 
-impl Book {
+impl AuditFile {
     /// Maximum number of different refusals that are counted separately within a second.
-    const DIFFERENT: usize = 256;
+    const MAX_DISTINCT: usize = 256;
 
-    fn open(path: &Path, most: u64) -> std::io::Result<Self> {
+    fn open(path: &Path, max_bytes: u64) -> std::io::Result<Self> {
         let file = append_to(path)?;
         let bytes = file.metadata()?.len();
-        Ok(Self { path: path.into(), file, bytes, most, is_dirty: false, again: BTreeMap::new(), others: 0 })
+        Ok(Self { path: path.into(), file, bytes, max_bytes, is_dirty: false, repeats: BTreeMap::new(), overflow: 0 })
     }
 
     fn write(&mut self, event: &AuditEvent, times: Option<u64>) {
@@ -201,8 +201,8 @@ impl Book {
     fn try_write(&mut self, event: &AuditEvent, times: Option<u64>) -> std::io::Result<()> {
         let mut line = serde_json::to_vec(&Line { time: now(), event, times })?;
         line.push(b'\n');
-        if self.bytes > 0 && self.bytes + line.len() as u64 > self.most {
-            self.put_aside()?;
+        if self.bytes > 0 && self.bytes + line.len() as u64 > self.max_bytes {
+            self.rotate()?;
         }
         self.file.write_all(&line)?;
         self.bytes += line.len() as u64;
@@ -211,10 +211,10 @@ impl Book {
     }
 
     /// Rotates the files: `audit.jsonl` becomes `audit.jsonl.1`, `.1` becomes `.2`, and the oldest is removed.
-    fn put_aside(&mut self) -> std::io::Result<()> {
+    fn rotate(&mut self) -> std::io::Result<()> {
         self.file.sync_data()?;
-        let aside = |number| aside(&self.path, number);
-        for number in (1..Audit::ASIDE).rev() {
+        let aside = |number| rotated_path(&self.path, number);
+        for number in (1..Audit::ROTATED_FILES).rev() {
             match std::fs::rename(aside(number), aside(number + 1)) {
                 Err(error) if error.kind() != std::io::ErrorKind::NotFound => return Err(error),
                 Ok(()) | Err(_) => {}
@@ -227,13 +227,13 @@ impl Book {
     }
 
     /// Writes the number of repetitions of this second's refusals.
-    fn tell_again(&mut self) {
-        for (event, times) in std::mem::take(&mut self.again) {
+    fn write_repeats(&mut self) {
+        for (event, times) in std::mem::take(&mut self.repeats) {
             if times > 0 {
                 self.write(&event, Some(times));
             }
         }
-        let others = std::mem::take(&mut self.others);
+        let others = std::mem::take(&mut self.overflow);
         if others > 0 {
             let event = AuditEvent { who: "others".into(), outcome: "refused".into(), ..AuditEvent::default() };
             self.write(&event, Some(others));
@@ -242,7 +242,7 @@ impl Book {
 }
 
 /// Returns the path of rotated file `number`.
-fn aside(path: &Path, number: usize) -> PathBuf {
+fn rotated_path(path: &Path, number: usize) -> PathBuf {
     let mut name = path.to_owned().into_os_string();
     name.push(format!(".{number}"));
     PathBuf::from(name)
@@ -272,7 +272,7 @@ fn append_to(path: &Path) -> std::io::Result<File> {
 fn now() -> String {
     let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     let moment = OffsetDateTime::from(UNIX_EPOCH + since);
-    let seconds = crate::until::text(moment);
+    let seconds = crate::expiration::format(moment);
     format!("{}.{:03}Z", seconds.trim_end_matches('Z'), since.subsec_millis())
 }
 
@@ -295,22 +295,22 @@ mod tests {
         let path = folder.path().join("audit.jsonl");
         let audit = Audit::open(&path).unwrap();
         for job in 0..3 {
-            audit.note(&event(job, "ok"));
+            audit.record(&event(job, "ok"));
         }
         assert_eq!(lines(&path).len(), 3);
         for _ in 0..1000 {
-            audit.refused(event(7, "PermissionDenied"));
+            audit.record_refusal(event(7, "PermissionDenied"));
         }
-        audit.refused(AuditEvent { what: Some("a\"b\n\u{7}".into()), ..event(8, "PermissionDenied") });
+        audit.record_refusal(AuditEvent { what: Some("a\"b\n\u{7}".into()), ..event(8, "PermissionDenied") });
         drop(audit.clone());
         drop(audit);
         let record = lines(&path);
         assert!(record.iter().all(|line| line["time"].as_str().is_some_and(|time| time.ends_with('Z'))));
-        let of = |job: u64| record.iter().filter(move |line| line["job"] == job);
-        let times: u64 = of(7).map(|line| line["times"].as_u64().unwrap_or(1)).sum();
+        let lines_of_job = |job: u64| record.iter().filter(move |line| line["job"] == job);
+        let times: u64 = lines_of_job(7).map(|line| line["times"].as_u64().unwrap_or(1)).sum();
         assert_eq!(times, 1000);
-        assert!(of(7).count() < 10);
-        assert_eq!(of(8).next().unwrap()["what"], "a\"b\n\u{7}");
+        assert!(lines_of_job(7).count() < 10);
+        assert_eq!(lines_of_job(8).next().unwrap()["what"], "a\"b\n\u{7}");
         drop(Audit::open(&path).unwrap());
         assert_eq!(lines(&path), record, "what is there stays");
     }
@@ -319,19 +319,19 @@ mod tests {
     fn a_full_file_is_put_aside_and_the_oldest_goes() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("audit.jsonl");
-        let audit = Audit::with(&path, 1000).unwrap();
+        let audit = Audit::with_max_bytes(&path, 1000).unwrap();
         for job in 0..500 {
-            audit.note(&event(job, "ok"));
+            audit.record(&event(job, "ok"));
         }
         drop(audit);
         let files = std::fs::read_dir(folder.path()).unwrap().count();
-        assert_eq!(files, 1 + Audit::ASIDE);
+        assert_eq!(files, 1 + Audit::ROTATED_FILES);
         let bytes = |name: &str| std::fs::metadata(folder.path().join(name)).unwrap().len();
         assert!(bytes("audit.jsonl") <= 1000 && bytes("audit.jsonl.1") <= 1000);
         assert_eq!(lines(&path).last().unwrap()["job"], 499);
         let first = lines(&path)[0]["job"].as_u64().unwrap();
         assert_eq!(lines(&folder.path().join("audit.jsonl.1")).last().unwrap()["job"], first - 1);
-        let audit = Audit::with(&path, 1000).unwrap();
+        let audit = Audit::with_max_bytes(&path, 1000).unwrap();
         let latest: Vec<u64> = audit.latest(20).unwrap().iter().map(|line| line["job"].as_u64().unwrap()).collect();
         assert_eq!(latest, (480..500).rev().collect::<Vec<_>>(), "also from rotated files");
         assert!(audit.latest(1000).unwrap().len() < 200, "what is gone is gone");

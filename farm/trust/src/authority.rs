@@ -13,12 +13,12 @@ use rustls_pki_types::pem::PemObject as _;
 use serde::{Deserialize, Serialize};
 use time::{Duration, OffsetDateTime};
 
-use crate::identity::{create, private};
-use crate::until;
-use crate::{Fingerprint, Holder, Identity, Pass, Revoked, Token, TokenLine, TrustError};
+use crate::expiration;
+use crate::identity::{check_private, create_private_file};
+use crate::{Fingerprint, Holder, Identity, RevocationList, Token, TokenFile, TokenLine, TrustError};
 
-/// A certificate authority. Its folder holds `authority.pem` (its certificate), `authority.key`, `name`, `issued.jsonl`, `revoked`
-/// and `tokens`.
+/// A certificate authority. Its folder holds `authority.pem` (its certificate), `authority.key`, `name`, `issued.jsonl`,
+/// `revocation_list_path` and `tokens_path`.
 #[derive(Debug)]
 pub struct Authority {
     folder: PathBuf,
@@ -31,7 +31,7 @@ pub const COORDINATOR_HOST: &str = "coordinator.femc.internal";
 
 /// A request for a certificate.
 #[derive(Debug, Clone)]
-pub struct Issue {
+pub struct CertificateRequest {
     /// Holder of the certificate.
     pub holder: Holder,
     /// Additional host names and addresses of a coordinator, for tools that verify them. The clients of femc do not need them.
@@ -43,7 +43,7 @@ pub struct Issue {
 
 /// Record of an issued certificate.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Issued {
+pub struct IssuedCertificate {
     /// Holder, as written in the certificate.
     pub holder: String,
     /// Name of the holder, for people and for `revoke`.
@@ -54,15 +54,15 @@ pub struct Issued {
     pub until: i64,
 }
 
-impl Issued {
+impl IssuedCertificate {
     /// Returns the remaining validity in days; negative after its end.
     pub fn days_left(&self) -> i64 {
         (self.until - OffsetDateTime::now_utc().unix_timestamp()).div_euclid(86_400)
     }
 
     /// Checks whether the list contains its certificate.
-    pub fn is_revoked(&self, revoked: &Revoked) -> bool {
-        Fingerprint::parse(&self.fingerprint).is_none_or(|fingerprint| revoked.holds(&fingerprint))
+    pub fn is_revoked(&self, list: &RevocationList) -> bool {
+        Fingerprint::parse(&self.fingerprint).is_none_or(|fingerprint| list.contains(&fingerprint))
     }
 }
 
@@ -79,11 +79,11 @@ impl Authority {
         Holder::Coordinator { name: name.into() }.check()?;
         std::fs::create_dir_all(folder).map_err(TrustError::file(folder))?;
         let key = KeyPair::generate()?;
-        let certificate = of_authority(name).self_signed(&key)?.pem();
+        let certificate = authority_params(name).self_signed(&key)?.pem();
         // The key is written first: a folder with a key counts as an authority.
-        create(&folder.join("authority.key"), &key.serialize_pem())?;
-        create(&folder.join("name"), name)?;
-        create(&folder.join("authority.pem"), &certificate)?;
+        create_private_file(&folder.join("authority.key"), &key.serialize_pem())?;
+        create_private_file(&folder.join("name"), name)?;
+        create_private_file(&folder.join("authority.pem"), &certificate)?;
         Self::open(folder)
     }
 
@@ -95,15 +95,15 @@ impl Authority {
         };
         let path = folder.join("authority.key");
         let key = read("authority.key")?;
-        private(&path)?;
+        check_private(&path)?;
         let key =
             KeyPair::from_pem(&key).map_err(|error| TrustError::Malformed { path, message: error.to_string() })?;
         let (certificate, name) = (read("authority.pem")?, read("name")?);
-        Ok(Self { folder: folder.into(), certificate, issuer: Issuer::new(of_authority(name.trim()), key) })
+        Ok(Self { folder: folder.into(), certificate, issuer: Issuer::new(authority_params(name.trim()), key) })
     }
 
     /// Reads the PEM certificate of the authority in `folder`. Its key is not read.
-    pub fn certificate(folder: &Path) -> Result<String, TrustError> {
+    pub fn read_certificate(folder: &Path) -> Result<String, TrustError> {
         let path = folder.join("authority.pem");
         let text = std::fs::read_to_string(&path).map_err(TrustError::file(&path))?;
         // A file that also contains a private key is refused, so that the key is not handed out.
@@ -116,24 +116,24 @@ impl Authority {
     }
 
     /// Issues a new identity. It is recorded in the folder before this returns.
-    pub fn issue(&self, issue: &Issue) -> Result<Identity, TrustError> {
-        issue.holder.check()?;
-        let until = until::after_days(issue.days);
+    pub fn issue(&self, request: &CertificateRequest) -> Result<Identity, TrustError> {
+        request.holder.check()?;
+        let until = expiration::after_days(request.days);
         let key = KeyPair::generate()?;
-        let certificate = of_holder(issue, until)?.signed_by(&key, &self.issuer)?;
-        let issued = Issued {
-            holder: issue.holder.uri(),
-            name: issue.holder.name().into(),
-            fingerprint: Fingerprint::of(certificate.der()).to_string(),
+        let certificate = holder_params(request, until)?.signed_by(&key, &self.issuer)?;
+        let issued = IssuedCertificate {
+            holder: request.holder.uri(),
+            name: request.holder.name().into(),
+            fingerprint: Fingerprint::from_certificate(certificate.der()).to_string(),
             until: until.unix_timestamp(),
         };
         let line = serde_json::to_string(&issued).map_err(|error| self.malformed("issued.jsonl", &error))?;
         self.append("issued.jsonl", &line)?;
-        Ok(Identity::new(certificate.pem(), key.serialize_pem(), self.certificate.clone(), issue.holder.clone()))
+        Ok(Identity::new(certificate.pem(), key.serialize_pem(), self.certificate.clone(), request.holder.clone()))
     }
 
     /// Returns the records of all issued certificates, oldest first.
-    pub fn issued(&self) -> Result<Vec<Issued>, TrustError> {
+    pub fn issued_certificates(&self) -> Result<Vec<IssuedCertificate>, TrustError> {
         let path = self.folder.join("issued.jsonl");
         let text = match std::fs::read_to_string(&path) {
             Ok(text) => text,
@@ -146,7 +146,7 @@ impl Authority {
 
     /// Issues a new token that is valid for `days` days. Its line is recorded in the folder before this returns. A coordinator
     /// cannot have a token.
-    pub fn token(&self, holder: Holder, days: u32) -> Result<Pass, TrustError> {
+    pub fn issue_token(&self, holder: Holder, days: u32) -> Result<TokenFile, TrustError> {
         holder.check()?;
         if let Holder::Coordinator { .. } = holder {
             return Err(TrustError::Holder {
@@ -154,14 +154,14 @@ impl Authority {
             });
         }
         let token = Token::random()?;
-        let line = TokenLine { holder, digest: token.digest(), until: Some(until::after_days(days)) };
+        let line = TokenLine { holder, digest: token.digest(), until: Some(expiration::after_days(days)) };
         self.append("tokens", &line.to_string())?;
-        Ok(Pass::new(token, self.certificate.clone()))
+        Ok(TokenFile::new(token, self.certificate.clone()))
     }
 
     /// Returns the lines of all tokens that are not revoked, oldest first.
     pub fn token_lines(&self) -> Result<Vec<TokenLine>, TrustError> {
-        let path = self.tokens();
+        let path = self.tokens_path();
         match std::fs::read_to_string(&path) {
             Ok(text) => crate::tokens::parse(&path, &text),
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(Vec::new()),
@@ -171,37 +171,37 @@ impl Authority {
 
     /// Revokes all certificates and tokens that were issued to `name`. Returns their number.
     pub fn revoke(&self, name: &str) -> Result<usize, TrustError> {
-        let issued = self.issued()?;
-        let of_name: Vec<&Issued> = issued.iter().filter(|issued| issued.name == name).collect();
+        let issued = self.issued_certificates()?;
+        let named: Vec<&IssuedCertificate> = issued.iter().filter(|issued| issued.name == name).collect();
         let (tokens, others): (Vec<TokenLine>, Vec<TokenLine>) =
             self.token_lines()?.into_iter().partition(|line| line.holder.name() == name);
-        if of_name.is_empty() && tokens.is_empty() {
+        if named.is_empty() && tokens.is_empty() {
             return Err(TrustError::Unknown { name: name.into() });
         }
-        for issued in &of_name {
+        for issued in &named {
             self.append("revoked", &format!("{} {}", issued.fingerprint, issued.holder))?;
         }
         if !tokens.is_empty() {
-            self.keep_tokens(&others)?;
+            self.replace_tokens(&others)?;
         }
-        Ok(of_name.len() + tokens.len())
+        Ok(named.len() + tokens.len())
     }
 
     /// Replaces the list of tokens atomically: a coordinator reads either the old or the new list.
-    fn keep_tokens(&self, lines: &[TokenLine]) -> Result<(), TrustError> {
-        let (path, new) = (self.tokens(), self.folder.join("tokens.new"));
+    fn replace_tokens(&self, lines: &[TokenLine]) -> Result<(), TrustError> {
+        let (path, new) = (self.tokens_path(), self.folder.join("tokens.new"));
         let text: String = lines.iter().map(|line| format!("{line}\n")).collect();
         std::fs::write(&new, text).map_err(TrustError::file(&new))?;
         std::fs::rename(&new, &path).map_err(TrustError::file(path))
     }
 
     /// Returns the path of the list of tokens that coordinators read: [`crate::Tokens`].
-    pub fn tokens(&self) -> PathBuf {
+    pub fn tokens_path(&self) -> PathBuf {
         self.folder.join("tokens")
     }
 
-    /// Returns the path of the revocation list that coordinators read: [`crate::Revoked`].
-    pub fn revoked(&self) -> PathBuf {
+    /// Returns the path of the revocation list that coordinators read: [`crate::RevocationList`].
+    pub fn revocation_list_path(&self) -> PathBuf {
         self.folder.join("revoked")
     }
 
@@ -217,16 +217,16 @@ impl Authority {
     }
 }
 
-fn named(name: &str) -> DistinguishedName {
+fn common_name(name: &str) -> DistinguishedName {
     let mut distinguished = DistinguishedName::new();
     distinguished.push(DnType::CommonName, name);
     distinguished
 }
 
-fn of_authority(name: &str) -> CertificateParams {
+fn authority_params(name: &str) -> CertificateParams {
     let now = OffsetDateTime::now_utc();
     let mut params = CertificateParams::default();
-    params.distinguished_name = named(&format!("femc authority {name}"));
+    params.distinguished_name = common_name(&format!("femc authority {name}"));
     params.is_ca = IsCa::Ca(BasicConstraints::Constrained(0));
     params.key_usages = vec![KeyUsagePurpose::KeyCertSign, KeyUsagePurpose::CrlSign];
     params.not_before = now - SKEW;
@@ -234,20 +234,20 @@ fn of_authority(name: &str) -> CertificateParams {
     params
 }
 
-fn of_holder(issue: &Issue, until: OffsetDateTime) -> Result<CertificateParams, TrustError> {
+fn holder_params(request: &CertificateRequest, until: OffsetDateTime) -> Result<CertificateParams, TrustError> {
     let mut params = CertificateParams::default();
-    params.distinguished_name = named(&issue.holder.to_string());
+    params.distinguished_name = common_name(&request.holder.to_string());
     params.use_authority_key_identifier_extension = true;
     params.key_usages = vec![KeyUsagePurpose::DigitalSignature];
     params.not_before = OffsetDateTime::now_utc() - SKEW;
     params.not_after = until;
-    params.subject_alt_names = vec![SanType::URI(issue.holder.uri().try_into()?)];
+    params.subject_alt_names = vec![SanType::URI(request.holder.uri().try_into()?)];
     params.extended_key_usages = vec![ExtendedKeyUsagePurpose::ClientAuth];
-    if let Holder::Coordinator { .. } = issue.holder {
+    if let Holder::Coordinator { .. } = request.holder {
         params.extended_key_usages.push(ExtendedKeyUsagePurpose::ServerAuth);
         for host in [COORDINATOR_HOST, "localhost", "127.0.0.1", "::1"]
             .into_iter()
-            .chain(issue.hosts.iter().map(String::as_str))
+            .chain(request.hosts.iter().map(String::as_str))
         {
             params.subject_alt_names.push(match host.parse::<IpAddr>() {
                 Ok(address) => SanType::IpAddress(address),

@@ -27,7 +27,7 @@ pub enum TrustError {
     },
     /// Other users of this machine can read a private key or a token.
     #[error("{} is secret, but other users can read it (mode {mode:o}); run `chmod 600` on it", path.display())]
-    Readable {
+    InsecurePermissions {
         /// Path of the file or folder.
         path: PathBuf,
         /// Permissions of the file.

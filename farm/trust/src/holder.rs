@@ -99,7 +99,7 @@ impl Holder {
         }
     }
 
-    pub(crate) fn of_uri(uri: &str) -> Result<Self, TrustError> {
+    pub(crate) fn from_uri(uri: &str) -> Result<Self, TrustError> {
         let strange = || TrustError::Holder { message: format!("`{uri}`") };
         let (kind, rest) = uri.strip_prefix(Self::SCHEME).and_then(|rest| rest.split_once('/')).ok_or_else(strange)?;
         let holder = match kind {
@@ -135,7 +135,7 @@ mod tests {
         let name = || "ann.b-c_1".to_owned();
         let users = Role::ALL.map(|role| Holder::User { name: name(), role });
         for holder in users.into_iter().chain([Holder::Coordinator { name: name() }, Holder::Worker { name: name() }]) {
-            assert_eq!(Holder::of_uri(&holder.uri()).unwrap(), holder);
+            assert_eq!(Holder::from_uri(&holder.uri()).unwrap(), holder);
         }
         for wrong in [
             "",
@@ -152,7 +152,7 @@ mod tests {
             "femc://root/ann",
             "femc://worker/../../etc",
         ] {
-            assert!(matches!(Holder::of_uri(wrong), Err(TrustError::Holder { .. })), "{wrong}");
+            assert!(matches!(Holder::from_uri(wrong), Err(TrustError::Holder { .. })), "{wrong}");
         }
     }
 

@@ -53,7 +53,7 @@ impl Identity {
     /// Reads a file that [`Identity::write`] wrote. A file that other users can access is an error.
     pub fn read(path: &Path) -> Result<Self, TrustError> {
         let text = std::fs::read_to_string(path).map_err(TrustError::file(path))?;
-        private(path)?;
+        check_private(path)?;
         Self::parse(&text).map_err(|message| TrustError::Malformed { path: path.into(), message })
     }
 
@@ -62,9 +62,9 @@ impl Identity {
         let begin = "-----BEGIN ";
         let sections: Vec<String> =
             text.match_indices(begin).map(|(at, _)| section(&text[at..])).collect::<Result<_, _>>()?;
-        let of =
+        let sections_of_kind =
             |kind: &str| sections.iter().filter(|section| section.contains(kind)).cloned().collect::<Vec<String>>();
-        let (certificates, keys) = (of("BEGIN CERTIFICATE-"), of("PRIVATE KEY-"));
+        let (certificates, keys) = (sections_of_kind("BEGIN CERTIFICATE-"), sections_of_kind("PRIVATE KEY-"));
         let ([certificate, authority], [key]) = (&certificates[..], &keys[..]) else {
             return Err(format!(
                 "not an identity: found {} certificates and {} private keys; expected its own certificate, the authority's, and one \
@@ -76,19 +76,20 @@ impl Identity {
         let own = CertificateDer::from_pem_slice(certificate.as_bytes()).map_err(|error| error.to_string())?;
         CertificateDer::from_pem_slice(authority.as_bytes()).map_err(|error| error.to_string())?;
         PrivateKeyDer::from_pem_slice(key.as_bytes()).map_err(|error| error.to_string())?;
-        let holder = holder_of(&own).map_err(|error| error.to_string())?;
+        let holder = certificate_holder(&own).map_err(|error| error.to_string())?;
         Ok(Self::new(certificate.clone(), key.clone(), authority.clone(), holder))
     }
 
     /// Writes a new file that only its owner can read.
     pub fn write(&self, path: &Path) -> Result<(), TrustError> {
-        create(path, &[&self.certificate, &self.key, &self.authority].map(String::as_str).concat())
+        create_private_file(path, &[&self.certificate, &self.key, &self.authority].map(String::as_str).concat())
     }
 
     /// Returns the fingerprint of its certificate.
     pub fn fingerprint(&self) -> Result<Fingerprint, TrustError> {
         let own = CertificateDer::from_pem_slice(self.certificate.as_bytes());
-        own.map(|own| Fingerprint::of(&own)).map_err(|error| TrustError::Holder { message: error.to_string() })
+        own.map(|own| Fingerprint::from_certificate(&own))
+            .map_err(|error| TrustError::Holder { message: error.to_string() })
     }
 }
 
@@ -100,12 +101,12 @@ fn section(text: &str) -> Result<String, String> {
 }
 
 /// Returns the holder of a certificate. The signature is not verified.
-pub fn holder_of(certificate: &CertificateDer<'_>) -> Result<Holder, TrustError> {
+pub fn certificate_holder(certificate: &CertificateDer<'_>) -> Result<Holder, TrustError> {
     let strange = |message: String| TrustError::Holder { message };
     let parsed = webpki::EndEntityCert::try_from(certificate).map_err(|error| strange(error.to_string()))?;
     let uris: Vec<&str> = parsed.valid_uri_names().collect();
     match uris[..] {
-        [uri] => Holder::of_uri(uri),
+        [uri] => Holder::from_uri(uri),
         _ => Err(strange(format!("expected one URI in the certificate, found {}", uris.len()))),
     }
 }
@@ -116,7 +117,7 @@ pub struct Fingerprint(blake3::Hash);
 
 impl Fingerprint {
     /// Computes the fingerprint of this certificate.
-    pub fn of(certificate: &CertificateDer<'_>) -> Self {
+    pub fn from_certificate(certificate: &CertificateDer<'_>) -> Self {
         Self(blake3::hash(certificate))
     }
 
@@ -138,7 +139,7 @@ impl fmt::Debug for Fingerprint {
 }
 
 /// Writes a new file that only its owner can read. An existing file is an error.
-pub(crate) fn create(path: &Path, text: &str) -> Result<(), TrustError> {
+pub(crate) fn create_private_file(path: &Path, text: &str) -> Result<(), TrustError> {
     let mut options = std::fs::OpenOptions::new();
     options.write(true).create_new(true);
     #[cfg(unix)]
@@ -151,13 +152,13 @@ pub(crate) fn create(path: &Path, text: &str) -> Result<(), TrustError> {
 }
 
 /// Checks that only the file's owner can access it.
-pub(crate) fn private(path: &Path) -> Result<(), TrustError> {
+pub(crate) fn check_private(path: &Path) -> Result<(), TrustError> {
     #[cfg(unix)]
     {
         use std::os::unix::fs::MetadataExt as _;
         let mode = std::fs::metadata(path).map_err(TrustError::file(path))?.mode() & 0o777;
         if mode & 0o077 != 0 {
-            return Err(TrustError::Readable { path: path.into(), mode });
+            return Err(TrustError::InsecurePermissions { path: path.into(), mode });
         }
     }
     Ok(())

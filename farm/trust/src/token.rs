@@ -11,7 +11,7 @@ use rustls_pki_types::CertificateDer;
 use rustls_pki_types::pem::PemObject as _;
 
 use crate::TrustError;
-use crate::identity::{create, private};
+use crate::identity::{check_private, create_private_file};
 
 /// A token: the secret itself.
 #[derive(Clone, PartialEq, Eq)]
@@ -80,12 +80,12 @@ impl fmt::Debug for TokenDigest {
 
 /// A token as its owner keeps it: one file, with the authority's certificate that verifies coordinators.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Pass {
+pub struct TokenFile {
     token: Token,
     authority: Option<String>,
 }
 
-impl Pass {
+impl TokenFile {
     pub(crate) fn new(token: Token, authority: String) -> Self {
         Self { token, authority: Some(authority) }
     }
@@ -100,10 +100,11 @@ impl Pass {
         self.authority.as_deref()
     }
 
-    /// Reads a file that [`Pass::write`] wrote, or one that contains only a token. A file that other users can access is an error.
+    /// Reads a file that [`TokenFile::write`] wrote, or one that contains only a token. A file that other users can access is an
+    /// error.
     pub fn read(path: &Path) -> Result<Self, TrustError> {
         let text = std::fs::read_to_string(path).map_err(TrustError::file(path))?;
-        private(path)?;
+        check_private(path)?;
         Self::parse(&text).map_err(|message| TrustError::Malformed { path: path.into(), message })
     }
 
@@ -126,7 +127,7 @@ impl Pass {
 
     /// Writes a new file that only its owner can read.
     pub fn write(&self, path: &Path) -> Result<(), TrustError> {
-        create(path, &format!("{}\n{}", self.token.secret(), self.authority().unwrap_or_default()))
+        create_private_file(path, &format!("{}\n{}", self.token.secret(), self.authority().unwrap_or_default()))
     }
 }
 
@@ -153,10 +154,10 @@ mod tests {
     #[test]
     fn a_pass_is_a_token_and_at_most_one_certificate() {
         let text = Token::random().unwrap().secret();
-        assert_eq!(Pass::parse(&format!("{text}\n")).unwrap().authority(), None);
+        assert_eq!(TokenFile::parse(&format!("{text}\n")).unwrap().authority(), None);
         let cut = "-----BEGIN CERTIFICATE-----\nMIIB";
         for rest in ["rubbish", "-----BEGIN CERTIFICATE-----", &text, cut] {
-            assert!(Pass::parse(&format!("{text}\n{rest}")).is_err(), "{rest}");
+            assert!(TokenFile::parse(&format!("{text}\n{rest}")).is_err(), "{rest}");
         }
     }
 }

@@ -5,15 +5,15 @@ use std::path::{Path, PathBuf};
 
 use time::OffsetDateTime;
 
-use crate::reread::{Reread, lines};
-use crate::until;
+use crate::expiration;
+use crate::reload::{ReloadingFile, lines};
 use crate::{Holder, Token, TokenDigest, TrustError};
 
 /// A file of token digests, one per line: `NAME ROLE DIGEST`, followed by an optional expiration time: `2027-02-19`, or
 /// `2027-02-19T10:00:00Z`. The role is a user's role, or `worker`. The file is reread when it has changed; removing a line revokes
 /// its token.
 #[derive(Debug, Clone)]
-pub struct Tokens(Reread<Vec<TokenLine>>);
+pub struct Tokens(ReloadingFile<Vec<TokenLine>>);
 
 /// Reason for refusing a token.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
@@ -35,18 +35,18 @@ impl Tokens {
     pub fn open(path: impl Into<PathBuf>) -> Result<Self, TrustError> {
         let path = path.into();
         parse(&path, &std::fs::read_to_string(&path).map_err(TrustError::file(&path))?)?;
-        Reread::open(path, sensible).map(Self)
+        ReloadingFile::open(path, parse_leniently).map(Self)
     }
 
     /// Returns the holder and the digest of the token.
     pub fn holder(&self, token: &str) -> Result<(Holder, TokenDigest), BadToken> {
         let digest = Token::parse(token).ok_or(BadToken::Malformed)?.digest();
-        self.holder_of(&digest).map(|holder| (holder, digest))
+        self.holder_by_digest(&digest).map(|holder| (holder, digest))
     }
 
     /// Returns the present holder of the token with this digest.
-    pub fn holder_of(&self, digest: &TokenDigest) -> Result<Holder, BadToken> {
-        self.0.look(|lines| {
+    pub fn holder_by_digest(&self, digest: &TokenDigest) -> Result<Holder, BadToken> {
+        self.0.with_content(|lines| {
             // All lines are compared, so that the time does not reveal which line matches.
             let found = lines.iter().fold(None, |found, line| if line.digest == *digest { Some(line) } else { found });
             let line = found.ok_or(BadToken::Unknown)?;
@@ -92,7 +92,7 @@ impl TokenLine {
             role => Holder::User { name, role: role.parse().ok()? },
         };
         holder.check().ok()?;
-        let until = words.next().map(|word| until::parse(word).ok_or(())).transpose().ok()?;
+        let until = words.next().map(|word| expiration::parse(word).ok_or(())).transpose().ok()?;
         if words.next().is_some() {
             return None;
         }
@@ -108,22 +108,22 @@ impl fmt::Display for TokenLine {
             Holder::Coordinator { .. } => "coordinator",
         };
         write!(f, "{} {role} {}", self.holder.name(), self.digest)?;
-        self.until.map_or(Ok(()), |moment| write!(f, " {}", until::text(moment)))
+        self.until.map_or(Ok(()), |moment| write!(f, " {}", expiration::format(moment)))
     }
 }
 
 /// Parses all lines of a file; an invalid line is an error.
 pub(crate) fn parse(path: &Path, text: &str) -> Result<Vec<TokenLine>, TrustError> {
-    each(path, text).collect()
+    parse_lines(path, text).collect()
 }
 
 /// Parses a file and skips invalid lines with a warning.
-fn sensible(path: &Path, text: &str) -> Result<Vec<TokenLine>, TrustError> {
+fn parse_leniently(path: &Path, text: &str) -> Result<Vec<TokenLine>, TrustError> {
     let warn = |error: &TrustError| tracing::warn!(%error, "ignored an invalid line");
-    Ok(each(path, text).filter_map(|line| line.inspect_err(warn).ok()).collect())
+    Ok(parse_lines(path, text).filter_map(|line| line.inspect_err(warn).ok()).collect())
 }
 
-fn each(path: &Path, text: &str) -> impl Iterator<Item = Result<TokenLine, TrustError>> {
+fn parse_lines(path: &Path, text: &str) -> impl Iterator<Item = Result<TokenLine, TrustError>> {
     lines(text).map(move |(at, line)| {
         let message = || format!("line {at}: expected `NAME ROLE DIGEST` or `NAME ROLE DIGEST UNTIL`");
         TokenLine::parse(line).ok_or_else(|| TrustError::Malformed { path: path.into(), message: message() })
@@ -147,7 +147,7 @@ mod tests {
 
     #[test]
     fn a_line_comes_back_and_what_is_none_is_refused() {
-        let moment = until::parse("2027-02-19T10:00:00Z");
+        let moment = expiration::parse("2027-02-19T10:00:00Z");
         for line in [line(ann(), None).1, line(Holder::Worker { name: "w1".into() }, moment).1] {
             assert_eq!(TokenLine::parse(&line.to_string()), Some(line));
         }
@@ -171,7 +171,7 @@ mod tests {
         let path = folder.path().join("tokens");
         assert!(matches!(Tokens::open(&path), Err(TrustError::File { .. })));
         let (token, open) = line(ann(), None);
-        let (old, expired) = line(ann(), until::parse("2020-01-01"));
+        let (old, expired) = line(ann(), expiration::parse("2020-01-01"));
         std::fs::write(&path, format!("# the farm's\n\n{open}\n{expired}\n")).unwrap();
         let tokens = Tokens::open(&path).unwrap();
         assert_eq!(tokens.holder(&token.secret()), Ok((ann(), token.digest())));
@@ -180,7 +180,7 @@ mod tests {
         assert_eq!(tokens.holder(&token.secret()[..40]), Err(BadToken::Malformed));
         assert_eq!(tokens.holder(&token.digest().to_string()), Err(BadToken::Malformed), "the digest is no token");
         std::fs::write(&path, format!("{expired}\n")).unwrap();
-        assert_eq!(tokens.holder_of(&token.digest()), Err(BadToken::Unknown));
+        assert_eq!(tokens.holder_by_digest(&token.digest()), Err(BadToken::Unknown));
         std::fs::write(&path, format!("slip of the pen\n{open}\n")).unwrap();
         assert!(matches!(Tokens::open(&path), Err(TrustError::Malformed { .. })));
         assert!(tokens.holder(&token.secret()).is_ok());

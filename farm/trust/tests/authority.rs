@@ -2,10 +2,10 @@
 
 use std::os::unix::fs::{MetadataExt as _, PermissionsExt as _};
 
-use femc_trust::{Authority, Holder, Identity, Issue, Revoked, Role, TrustError};
+use femc_trust::{Authority, CertificateRequest, Holder, Identity, RevocationList, Role, TrustError};
 
-fn user(name: &str) -> Issue {
-    Issue { holder: Holder::User { name: name.into(), role: Role::Operator }, hosts: vec![], days: 30 }
+fn user(name: &str) -> CertificateRequest {
+    CertificateRequest { holder: Holder::User { name: name.into(), role: Role::Operator }, hosts: vec![], days: 30 }
 }
 
 #[test]
@@ -20,7 +20,7 @@ fn an_identity_is_one_file_that_comes_back_as_it_was() {
     assert!(matches!(ann.write(&path), Err(TrustError::Exists { .. })), "nothing is written over");
     assert!(!format!("{ann:?}").contains("PRIVATE"), "a key is not printed");
     std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o644)).unwrap();
-    assert!(matches!(Identity::read(&path), Err(TrustError::Readable { mode: 0o644, .. })));
+    assert!(matches!(Identity::read(&path), Err(TrustError::InsecurePermissions { mode: 0o644, .. })));
 }
 
 #[test]
@@ -61,21 +61,21 @@ fn names_that_would_not_do_are_refused() {
     for name in ["", "a b", "../ann", ".", "a/b", "ann\n", "ä", &"x".repeat(65)] {
         assert!(matches!(authority.issue(&user(name)), Err(TrustError::Name { .. })), "{name}");
     }
-    assert_eq!(authority.issued().unwrap(), []);
+    assert_eq!(authority.issued_certificates().unwrap(), []);
 }
 
 #[test]
 fn a_revoked_name_is_on_the_list_that_coordinators_read_at_once() {
     let folder = tempfile::tempdir().unwrap();
     let authority = Authority::init(folder.path(), "farm").unwrap();
-    let revoked = Revoked::open(authority.revoked()).unwrap();
+    let revoked = RevocationList::open(authority.revocation_list_path()).unwrap();
     let ids = ["ann", "bob", "ann"].map(|name| authority.issue(&user(name)).unwrap().fingerprint().unwrap());
-    assert!(ids.iter().all(|id| !revoked.holds(id)));
+    assert!(ids.iter().all(|id| !revoked.contains(id)));
     assert!(matches!(authority.revoke("eve"), Err(TrustError::Unknown { .. })));
     assert_eq!(authority.revoke("ann").unwrap(), 2);
-    assert_eq!(ids.map(|id| revoked.holds(&id)), [true, false, true]);
-    assert_eq!(authority.issued().unwrap().len(), 3);
-    std::fs::write(authority.revoked(), "rubbish\n").unwrap();
-    assert!(ids.iter().any(|id| revoked.holds(id)), "what it said before holds");
-    assert!(matches!(Revoked::open(authority.revoked()), Err(TrustError::Malformed { .. })));
+    assert_eq!(ids.map(|id| revoked.contains(&id)), [true, false, true]);
+    assert_eq!(authority.issued_certificates().unwrap().len(), 3);
+    std::fs::write(authority.revocation_list_path(), "rubbish\n").unwrap();
+    assert!(ids.iter().any(|id| revoked.contains(id)), "what it said before holds");
+    assert!(matches!(RevocationList::open(authority.revocation_list_path()), Err(TrustError::Malformed { .. })));
 }

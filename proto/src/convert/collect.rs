@@ -1,7 +1,7 @@
 //! Requests and replies of a garbage collection.
 
-use super::{ConvertError, each, need};
-use crate::server::{CollectMode, Collected, Volume};
+use super::{ConvertError, convert_all, required};
+use crate::server::{ArtifactTotals, CollectMode, CollectReport};
 use crate::wire;
 
 impl From<CollectMode> for wire::CollectMode {
@@ -22,35 +22,35 @@ pub(crate) fn collect_mode(value: i32) -> Result<CollectMode, ConvertError> {
     }
 }
 
-impl From<Volume> for wire::collect_reply::Volume {
-    fn from(Volume { artifacts, bytes }: Volume) -> Self {
+impl From<ArtifactTotals> for wire::collect_reply::Volume {
+    fn from(ArtifactTotals { artifacts, bytes }: ArtifactTotals) -> Self {
         Self { artifacts, bytes }
     }
 }
 
-impl From<wire::collect_reply::Volume> for Volume {
+impl From<wire::collect_reply::Volume> for ArtifactTotals {
     fn from(wire::collect_reply::Volume { artifacts, bytes }: wire::collect_reply::Volume) -> Self {
         Self { artifacts, bytes }
     }
 }
 
-impl From<Collected> for wire::CollectReply {
-    fn from(collected: Collected) -> Self {
-        let Collected { referenced, young, garbage, names } = collected;
+impl From<CollectReport> for wire::CollectReply {
+    fn from(report: CollectReport) -> Self {
+        let CollectReport { referenced, young, garbage, names } = report;
         let [referenced, young, garbage] = [referenced, young, garbage].map(|volume| Some(volume.into()));
         Self { referenced, young, garbage, names: names.into_iter().map(Into::into).collect() }
     }
 }
 
-impl TryFrom<wire::CollectReply> for Collected {
+impl TryFrom<wire::CollectReply> for CollectReport {
     type Error = ConvertError;
 
     fn try_from(wire: wire::CollectReply) -> Result<Self, ConvertError> {
         Ok(Self {
-            referenced: need("collect.referenced", wire.referenced)?.into(),
-            young: need("collect.young", wire.young)?.into(),
-            garbage: need("collect.garbage", wire.garbage)?.into(),
-            names: each(wire.names)?,
+            referenced: required("collect.referenced", wire.referenced)?.into(),
+            young: required("collect.young", wire.young)?.into(),
+            garbage: required("collect.garbage", wire.garbage)?.into(),
+            names: convert_all(wire.names)?,
         })
     }
 }

@@ -2,7 +2,7 @@
 
 use femc_model::{Failure, JobId, Refusal};
 
-use super::{ConvertError, digest, digest_bytes, need};
+use super::{ConvertError, digest_bytes, parse_digest, required};
 use crate::wire;
 use wire::failure::{Cause, Killed, Lost, Text};
 use wire::refusal::{Field, Forbidden, Lacking, Limit, Reason, Room};
@@ -33,13 +33,13 @@ impl TryFrom<wire::Failure> for Failure {
     type Error = ConvertError;
 
     fn try_from(wire: wire::Failure) -> Result<Self, ConvertError> {
-        Ok(match need("failure.cause", wire.cause)? {
+        Ok(match required("failure.cause", wire.cause)? {
             Cause::Scene(Text { message }) => Self::Scene { message },
             Cause::Settings(Text { message }) => Self::Settings { message },
             Cause::Panicked(Text { message }) => Self::Panicked { message },
             Cause::Stalled(seconds) => Self::Stalled { seconds },
             Cause::LostInputs(Lost { digests, message }) => {
-                let digests = digests.iter().map(|bytes| digest("failure.lost_inputs", bytes));
+                let digests = digests.iter().map(|bytes| parse_digest("failure.lost_inputs", bytes));
                 Self::LostInputs { digests: digests.collect::<Result<_, _>>()?, message }
             }
             Cause::Store(Text { message }) => Self::Store { message },
@@ -81,16 +81,17 @@ impl TryFrom<wire::Refusal> for Refusal {
     type Error = ConvertError;
 
     fn try_from(wire: wire::Refusal) -> Result<Self, ConvertError> {
-        Ok(match need("refusal.reason", wire.reason)? {
+        Ok(match required("refusal.reason", wire.reason)? {
             Reason::NoSuchJob(job) => Self::NoSuchJob { job: JobId(job) },
             Reason::Ended(job) => Self::Ended { job: JobId(job) },
             Reason::Invalid(Field { field, message }) => Self::Invalid { field, message },
             Reason::StaleEpoch(_) => Self::StaleEpoch,
-            Reason::NoSuchArtifact(bytes) => Self::NoSuchArtifact { digest: digest("refusal.artifact", &bytes)? },
-            Reason::DigestMismatch(bytes) => Self::DigestMismatch { digest: digest("refusal.mismatch", &bytes)? },
+            Reason::NoSuchArtifact(bytes) => Self::NoSuchArtifact { digest: parse_digest("refusal.artifact", &bytes)? },
+            Reason::DigestMismatch(bytes) => Self::DigestMismatch { digest: parse_digest("refusal.mismatch", &bytes)? },
             Reason::TooLarge(Limit { what, limit }) => Self::TooLarge { what, limit },
             Reason::MissingArtifacts(Lacking { digests, count }) => {
-                let digests = digests.iter().map(|bytes| digest("refusal.missing", bytes)).collect::<Result<_, _>>()?;
+                let digests =
+                    digests.iter().map(|bytes| parse_digest("refusal.missing", bytes)).collect::<Result<_, _>>()?;
                 Self::MissingArtifacts { digests, count }
             }
             Reason::ArtifactTooLarge(limit) => Self::ArtifactTooLarge { limit },

@@ -1,35 +1,35 @@
 //! Job graphs: stages, inputs and outputs.
 
-use femc_model::{Graph, Hint, Loop, Need, Output, Reach, Role, Round, Scope, Sizes, StageKind, Template};
+use femc_model::{Graph, Hint, Loop, Need, Output, Reach, Role, Round, Scope, StageKind, StageTemplate, TaskSizes};
 
-use super::{ConvertError, each, maybe, need};
+use super::{ConvertError, convert_all, convert_optional, required};
 use crate::wire;
 
 /// Returns the wire number of a row of the farm's tables: its index plus 1.
-fn number(place: usize) -> i32 {
-    place as i32 + 1
+fn wire_number(index: usize) -> i32 {
+    index as i32 + 1
 }
 
 /// Returns the row with this wire number.
-fn numbered<T: Copy>(table: &[T], field: &'static str, value: i32) -> Result<T, ConvertError> {
-    let place = usize::try_from(value).ok().and_then(|number| number.checked_sub(1));
-    place.and_then(|place| table.get(place)).copied().ok_or(ConvertError::Unknown { field, value })
+fn from_wire_number<T: Copy>(table: &[T], field: &'static str, value: i32) -> Result<T, ConvertError> {
+    let index = usize::try_from(value).ok().and_then(|number| number.checked_sub(1));
+    index.and_then(|place| table.get(place)).copied().ok_or(ConvertError::Unknown { field, value })
 }
 
-pub(super) fn of_kind(kind: StageKind) -> i32 {
-    number(kind.place())
+pub(super) fn kind_number(kind: StageKind) -> i32 {
+    wire_number(kind.index())
 }
 
 pub(super) fn kind(value: i32) -> Result<StageKind, ConvertError> {
-    numbered(&StageKind::ALL, "stage.kind", value)
+    from_wire_number(&StageKind::ALL, "stage.kind", value)
 }
 
-fn of_role(role: Role) -> i32 {
-    number(role.place())
+fn role_number(role: Role) -> i32 {
+    wire_number(role.index())
 }
 
 fn role(value: i32) -> Result<Role, ConvertError> {
-    numbered(&Role::ALL, "output.role", value)
+    from_wire_number(&Role::ALL, "output.role", value)
 }
 
 /// Converts the number of a stage in a graph.
@@ -39,7 +39,7 @@ pub(super) fn stage(value: u32) -> Result<u16, ConvertError> {
 
 impl From<Output> for wire::Output {
     fn from(Output { role, artifact }: Output) -> Self {
-        Self { role: of_role(role), artifact: Some(artifact.into()) }
+        Self { role: role_number(role), artifact: Some(artifact.into()) }
     }
 }
 
@@ -47,7 +47,7 @@ impl TryFrom<wire::Output> for Output {
     type Error = ConvertError;
 
     fn try_from(wire: wire::Output) -> Result<Self, ConvertError> {
-        Ok(Self { role: role(wire.role)?, artifact: need("output.artifact", wire.artifact)?.try_into()? })
+        Ok(Self { role: role(wire.role)?, artifact: required("output.artifact", wire.artifact)?.try_into()? })
     }
 }
 
@@ -61,26 +61,26 @@ impl TryFrom<wire::Graph> for Graph {
     type Error = ConvertError;
 
     fn try_from(wire: wire::Graph) -> Result<Self, ConvertError> {
-        Ok(Self { stages: each(wire.stages)? })
+        Ok(Self { stages: convert_all(wire.stages)? })
     }
 }
 
-impl From<Template> for wire::Template {
-    fn from(template: Template) -> Self {
-        let Template { kind, scope, sizes, steps, needs, hints, makes, closes, options, tags } = template;
+impl From<StageTemplate> for wire::Template {
+    fn from(template: StageTemplate) -> Self {
+        let StageTemplate { kind, scope, sizes, steps, needs, hints, outputs: makes, closes, options, tags } = template;
         let scope = match scope {
             Scope::Job => wire::Scope::Job,
             Scope::Frame => wire::Scope::Frame,
             Scope::Content => wire::Scope::Content,
         };
         Self {
-            kind: of_kind(kind),
+            kind: kind_number(kind),
             scope: scope.into(),
             sizes: sizes.runs().iter().map(|&(tasks, units)| wire::Sizes { tasks, units }).collect(),
             steps,
             needs: needs.into_iter().map(Into::into).collect(),
             hints: hints.into_iter().map(Into::into).collect(),
-            makes: makes.into_iter().map(of_role).collect(),
+            makes: makes.into_iter().map(role_number).collect(),
             closes: closes.map(|Loop { first, rounds }| wire::Loop { first: first.into(), rounds }),
             options,
             tags,
@@ -88,13 +88,13 @@ impl From<Template> for wire::Template {
     }
 }
 
-impl TryFrom<wire::Template> for Template {
+impl TryFrom<wire::Template> for StageTemplate {
     type Error = ConvertError;
 
     fn try_from(wire: wire::Template) -> Result<Self, ConvertError> {
-        let wire::Template { kind: of, scope, sizes, steps, needs, hints, makes, closes, options, tags } = wire;
+        let wire::Template { kind: kind_value, scope, sizes, steps, needs, hints, makes, closes, options, tags } = wire;
         Ok(Self {
-            kind: kind(of)?,
+            kind: kind(kind_value)?,
             scope: match wire::Scope::try_from(scope) {
                 Ok(wire::Scope::Job) => Scope::Job,
                 Ok(wire::Scope::Frame) => Scope::Frame,
@@ -103,12 +103,12 @@ impl TryFrom<wire::Template> for Template {
                     return Err(ConvertError::Unknown { field: "stage.scope", value: scope });
                 }
             },
-            sizes: sizes.into_iter().map(|wire::Sizes { tasks, units }| (tasks, units)).collect::<Sizes>(),
+            sizes: sizes.into_iter().map(|wire::Sizes { tasks, units }| (tasks, units)).collect::<TaskSizes>(),
             steps,
-            needs: each(needs)?,
-            hints: each(hints)?,
-            makes: makes.into_iter().map(role).collect::<Result<_, _>>()?,
-            closes: maybe(closes)?,
+            needs: convert_all(needs)?,
+            hints: convert_all(hints)?,
+            outputs: makes.into_iter().map(role).collect::<Result<_, _>>()?,
+            closes: convert_optional(closes)?,
             options,
             tags,
         })
@@ -124,7 +124,7 @@ impl TryFrom<wire::Loop> for Loop {
 }
 
 /// Defines the conversions of a [`Reach`], which two wire messages contain.
-macro_rules! reach {
+macro_rules! impl_reach {
     ($($wire:ident)::+) => {
         impl From<Reach> for $($wire)::+ {
             fn from(reach: Reach) -> Self {
@@ -150,17 +150,17 @@ macro_rules! reach {
     };
 }
 
-reach!(wire::need::Reach);
-reach!(wire::hint::Reach);
+impl_reach!(wire::need::Reach);
+impl_reach!(wire::hint::Reach);
 
 impl From<Need> for wire::Need {
     fn from(Need { stage, role, reach, round, gaps }: Need) -> Self {
         let round = match round {
             Round::Same => wire::Round::Same,
-            Round::Before => wire::Round::Before,
+            Round::Previous => wire::Round::Before,
             Round::Every => wire::Round::Every,
         };
-        Self { stage: stage.into(), role: of_role(role), reach: Some(reach.into()), round: round.into(), gaps }
+        Self { stage: stage.into(), role: role_number(role), reach: Some(reach.into()), round: round.into(), gaps }
     }
 }
 
@@ -171,10 +171,10 @@ impl TryFrom<wire::Need> for Need {
         Ok(Self {
             stage: stage(wire.stage)?,
             role: role(wire.role)?,
-            reach: need("need.reach", wire.reach)?.into(),
+            reach: required("need.reach", wire.reach)?.into(),
             round: match wire::Round::try_from(wire.round) {
                 Ok(wire::Round::Same) => Round::Same,
-                Ok(wire::Round::Before) => Round::Before,
+                Ok(wire::Round::Before) => Round::Previous,
                 Ok(wire::Round::Every) => Round::Every,
                 Ok(wire::Round::Unspecified) | Err(_) => {
                     return Err(ConvertError::Unknown { field: "need.round", value: wire.round });
@@ -187,7 +187,7 @@ impl TryFrom<wire::Need> for Need {
 
 impl From<Hint> for wire::Hint {
     fn from(Hint { stage, role, reach }: Hint) -> Self {
-        Self { stage: stage.into(), role: of_role(role), reach: Some(reach.into()) }
+        Self { stage: stage.into(), role: role_number(role), reach: Some(reach.into()) }
     }
 }
 
@@ -195,6 +195,10 @@ impl TryFrom<wire::Hint> for Hint {
     type Error = ConvertError;
 
     fn try_from(wire: wire::Hint) -> Result<Self, ConvertError> {
-        Ok(Self { stage: stage(wire.stage)?, role: role(wire.role)?, reach: need("hint.reach", wire.reach)?.into() })
+        Ok(Self {
+            stage: stage(wire.stage)?,
+            role: role(wire.role)?,
+            reach: required("hint.reach", wire.reach)?.into(),
+        })
     }
 }

@@ -2,7 +2,7 @@
 
 use femc_model::{Control, FrameRecord, Grid, JobNotes, JobSpec, JobState};
 
-use super::{ConvertError, digest, digest_bytes, each, maybe, need};
+use super::{ConvertError, convert_all, convert_optional, digest_bytes, parse_digest, required};
 use crate::wire;
 
 impl From<JobSpec> for wire::JobSpec {
@@ -10,7 +10,7 @@ impl From<JobSpec> for wire::JobSpec {
         let JobSpec { name, bundle, entry, settings, frames, grid, graph, contents, priority, owner, tags, notes } =
             spec;
         let Grid { film: [film_width, film_height], tile } = grid;
-        let (comment, labels, notify) = notes_parts(notes);
+        let (comment, labels, notify) = split_notes(notes);
         let (bundle, graph, priority) = (digest_bytes(&bundle), Some(graph.into()), priority.into());
         let contents = contents.iter().map(|(end, key)| wire::Content { end: *end, key: digest_bytes(key) }).collect();
         Self {
@@ -40,26 +40,26 @@ impl TryFrom<wire::JobSpec> for JobSpec {
     fn try_from(wire: wire::JobSpec) -> Result<Self, ConvertError> {
         Ok(Self {
             name: wire.name,
-            bundle: digest("job.bundle", &wire.bundle)?,
+            bundle: parse_digest("job.bundle", &wire.bundle)?,
             entry: wire.entry,
             settings: wire.settings,
             frames: wire.frames,
             grid: Grid { film: [wire.film_width, wire.film_height], tile: wire.tile },
-            graph: need("job.graph", wire.graph)?.try_into()?,
+            graph: required("job.graph", wire.graph)?.try_into()?,
             contents: {
-                let content = |it: wire::Content| Ok((it.end, digest("job.contents", &it.key)?));
+                let content = |entry: wire::Content| Ok((entry.end, parse_digest("job.contents", &entry.key)?));
                 wire.contents.into_iter().map(content).collect::<Result<_, ConvertError>>()?
             },
             priority: priority(wire.priority)?,
             owner: wire.owner,
             tags: wire.tags,
-            notes: notes(wire.comment, wire.labels, wire.notify)?,
+            notes: join_notes(wire.comment, wire.labels, wire.notify)?,
         })
     }
 }
 
 /// Returns the comment, labels and URL of a job's notes.
-pub(super) fn notes_parts(notes: JobNotes) -> (String, Vec<wire::Label>, Option<String>) {
+pub(super) fn split_notes(notes: JobNotes) -> (String, Vec<wire::Label>, Option<String>) {
     let JobNotes { comment, labels, notify } = notes;
     (comment, labels.into_iter().map(|(name, value)| wire::Label { name, value }).collect(), notify)
 }
@@ -68,7 +68,7 @@ pub(super) fn notes_parts(notes: JobNotes) -> (String, Vec<wire::Label>, Option<
 ///
 /// # Errors
 /// Two labels have the same name.
-pub(super) fn notes(
+pub(super) fn join_notes(
     comment: String,
     labels: Vec<wire::Label>,
     notify: Option<String>,
@@ -179,7 +179,7 @@ impl TryFrom<wire::FrameRecord> for FrameRecord {
             rounds,
             times,
         } = wire;
-        let (outputs, blocks, times) = (each(outputs)?, maybe(blocks)?, maybe(times)?);
+        let (outputs, blocks, times) = (convert_all(outputs)?, convert_optional(blocks)?, convert_optional(times)?);
         Ok(Self { frame, outputs, spp, relative_error, blocks, bad_samples, busy_seconds, seconds, rounds, times })
     }
 }

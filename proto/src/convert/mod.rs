@@ -52,7 +52,7 @@ pub enum ConvertError {
     /// The protocol version is not supported.
     #[error(
         "the worker uses protocol {found}, but the coordinator accepts {} to {}; {}",
-        crate::OLDEST,
+        crate::OLDEST_PROTOCOL,
         crate::PROTOCOL,
         if *found > crate::PROTOCOL { "upgrade the coordinator first, then its workers" } else { "upgrade this worker" }
     )]
@@ -62,11 +62,11 @@ pub enum ConvertError {
     },
 }
 
-pub(crate) fn need<T>(field: &'static str, value: Option<T>) -> Result<T, ConvertError> {
+pub(crate) fn required<T>(field: &'static str, value: Option<T>) -> Result<T, ConvertError> {
     value.ok_or(ConvertError::Missing { field })
 }
 
-pub(crate) fn digest(field: &'static str, bytes: &[u8]) -> Result<Digest, ConvertError> {
+pub(crate) fn parse_digest(field: &'static str, bytes: &[u8]) -> Result<Digest, ConvertError> {
     Digest::try_from(bytes).map_err(|_| ConvertError::Digest { field })
 }
 
@@ -75,11 +75,13 @@ pub(crate) fn digest_bytes(digest: &Digest) -> Vec<u8> {
 }
 
 /// Converts every element.
-pub(crate) fn each<W, M: TryFrom<W, Error = ConvertError>>(values: Vec<W>) -> Result<Vec<M>, ConvertError> {
+pub(crate) fn convert_all<W, M: TryFrom<W, Error = ConvertError>>(values: Vec<W>) -> Result<Vec<M>, ConvertError> {
     values.into_iter().map(M::try_from).collect()
 }
 
-pub(crate) fn maybe<W, M: TryFrom<W, Error = ConvertError>>(value: Option<W>) -> Result<Option<M>, ConvertError> {
+pub(crate) fn convert_optional<W, M: TryFrom<W, Error = ConvertError>>(
+    value: Option<W>,
+) -> Result<Option<M>, ConvertError> {
     value.map(M::try_from).transpose()
 }
 
@@ -93,6 +95,6 @@ impl TryFrom<wire::Artifact> for Artifact {
     type Error = ConvertError;
 
     fn try_from(wire: wire::Artifact) -> Result<Self, ConvertError> {
-        Ok(Self { digest: digest("artifact.digest", &wire.digest)?, bytes: wire.bytes })
+        Ok(Self { digest: parse_digest("artifact.digest", &wire.digest)?, bytes: wire.bytes })
     }
 }

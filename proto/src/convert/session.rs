@@ -1,14 +1,14 @@
 //! Messages of a worker's session.
 
 use femc_model::{
-    Death, FromWorker, HeldLease, Intake, JobId, JobSpec, LeaseLeft, Phase, Registration, RevokeReason, TaskProgress,
+    Death, FromWorker, HeldLease, Intake, JobId, JobSpec, LeaseStatus, Phase, Registration, RevokeReason, TaskProgress,
     ToWorker, WorkerId,
 };
 
-use super::status::intake_of;
+use super::status::parse_intake;
 use super::task::{from_lease, from_range, to_lease, to_range};
-use super::{ConvertError, digest, digest_bytes, each, maybe, need};
-use crate::{OLDEST, PROTOCOL, wire};
+use super::{ConvertError, convert_all, convert_optional, digest_bytes, parse_digest, required};
+use crate::{OLDEST_PROTOCOL, PROTOCOL, wire};
 
 impl From<FromWorker> for wire::FromWorker {
     fn from(message: FromWorker) -> Self {
@@ -40,21 +40,33 @@ impl TryFrom<wire::FromWorker> for FromWorker {
 
     fn try_from(wire: wire::FromWorker) -> Result<Self, ConvertError> {
         use wire::from_worker::Message;
-        Ok(match need("message", wire.message)? {
+        Ok(match required("message", wire.message)? {
             Message::Many(_) => return Err(ConvertError::Nested),
             Message::Register(registration) => Self::Register(registration.try_into()?),
             Message::Heartbeat(wire::Heartbeat { number, tasks, spent }) => {
-                Self::Heartbeat { number, tasks: each(tasks)?, usage: each(spent)? }
+                Self::Heartbeat { number, tasks: convert_all(tasks)?, usage: convert_all(spent)? }
             }
             Message::Completed(completed) => {
                 let (task, epoch) = from_lease(completed.lease)?;
-                let result = need("completed.result", completed.result)?.try_into()?;
-                Self::Completed { task, epoch, result, log: maybe(completed.log)?, usage: maybe(completed.usage)? }
+                let result = required("completed.result", completed.result)?.try_into()?;
+                Self::Completed {
+                    task,
+                    epoch,
+                    result,
+                    log: convert_optional(completed.log)?,
+                    usage: convert_optional(completed.usage)?,
+                }
             }
             Message::Failed(failed) => {
                 let (task, epoch) = from_lease(failed.lease)?;
-                let failure = need("failed.failure", failed.failure)?.try_into()?;
-                Self::Failed { task, epoch, failure, log: maybe(failed.log)?, usage: maybe(failed.usage)? }
+                let failure = required("failed.failure", failed.failure)?.try_into()?;
+                Self::Failed {
+                    task,
+                    epoch,
+                    failure,
+                    log: convert_optional(failed.log)?,
+                    usage: convert_optional(failed.usage)?,
+                }
             }
             Message::Draining(_) => Self::Draining,
             Message::Available(_) => Self::Available,
@@ -100,18 +112,18 @@ impl TryFrom<wire::ToWorker> for ToWorker {
 
     fn try_from(wire: wire::ToWorker) -> Result<Self, ConvertError> {
         use wire::to_worker::Message;
-        Ok(match need("message", wire.message)? {
+        Ok(match required("message", wire.message)? {
             Message::Many(_) => return Err(ConvertError::Nested),
             Message::Welcome(wire::Welcome { worker, heartbeat, lease }) => {
                 Self::Welcome { worker: WorkerId(worker), heartbeat, lease }
             }
             Message::Renewed(wire::Renewed { heartbeat, leases, intake }) => {
                 // Older coordinators leave this field out.
-                let intake = if intake == 0 { Intake::Open } else { intake_of("renewed.intake", intake)? };
-                Self::Renewed { heartbeat, leases: each(leases)?, intake }
+                let intake = if intake == 0 { Intake::Open } else { parse_intake("renewed.intake", intake)? };
+                Self::Renewed { heartbeat, leases: convert_all(leases)?, intake }
             }
             Message::Job(job) => {
-                Self::Job { job: JobId(job.job), spec: Box::new(need("job.spec", job.spec)?.try_into()?) }
+                Self::Job { job: JobId(job.job), spec: Box::new(required("job.spec", job.spec)?.try_into()?) }
             }
             Message::Assign(assignment) => Self::Assign(assignment.try_into()?),
             Message::Revoke(revoke) => {
@@ -124,7 +136,7 @@ impl TryFrom<wire::ToWorker> for ToWorker {
             }
             Message::Refused(refused) => {
                 let (task, epoch) = from_lease(refused.lease)?;
-                Self::Refused { task, epoch, refusal: need("refused.refusal", refused.refusal)?.try_into()? }
+                Self::Refused { task, epoch, refusal: required("refused.refusal", refused.refusal)?.try_into()? }
             }
             Message::Goodbye(_) => Self::Goodbye,
         })
@@ -143,9 +155,9 @@ fn reason(value: i32) -> Result<RevokeReason, ConvertError> {
 
 impl From<Registration> for wire::Registration {
     fn from(registration: Registration) -> Self {
-        let Registration { name, instance, engine, threads, slots, tags, held, died } = registration;
+        let Registration { name, instance, engine, threads, slots, tags, held, death: died } = registration;
         let held = held.into_iter().map(Into::into).collect();
-        let protocol = femc_fault::pretended(femc_fault::Pretense::Protocol);
+        let protocol = femc_fault::pretended_value(femc_fault::PretendedValue::Protocol);
         let protocol = protocol.and_then(|text| text.parse().ok()).unwrap_or(PROTOCOL);
         Self { protocol, name, instance, engine, threads, slots, tags, held, died: died.map(Into::into) }
     }
@@ -156,7 +168,7 @@ impl TryFrom<wire::Registration> for Registration {
 
     fn try_from(wire: wire::Registration) -> Result<Self, ConvertError> {
         let wire::Registration { protocol, name, instance, engine, threads, slots, tags, held, died } = wire;
-        if !(OLDEST..=PROTOCOL).contains(&protocol) {
+        if !(OLDEST_PROTOCOL..=PROTOCOL).contains(&protocol) {
             return Err(ConvertError::Protocol { found: protocol });
         }
         if slots == 0 || slots > 1024 {
@@ -168,7 +180,16 @@ impl TryFrom<wire::Registration> for Registration {
         {
             return Err(ConvertError::Range { field: "registration.name, engine or tags" });
         }
-        Ok(Self { name, instance, engine, threads, slots, tags, held: each(held)?, died: maybe(died)? })
+        Ok(Self {
+            name,
+            instance,
+            engine,
+            threads,
+            slots,
+            tags,
+            held: convert_all(held)?,
+            death: convert_optional(died)?,
+        })
     }
 }
 
@@ -182,10 +203,10 @@ impl TryFrom<wire::Death> for Death {
     type Error = ConvertError;
 
     fn try_from(wire::Death { instance, computing }: wire::Death) -> Result<Self, ConvertError> {
-        if computing.len() > Self::MOST {
+        if computing.len() > Self::MAX_TASKS {
             return Err(ConvertError::Range { field: "died.computing" });
         }
-        Ok(Self { instance, computing: each(computing)? })
+        Ok(Self { instance, computing: convert_all(computing)? })
     }
 }
 
@@ -202,23 +223,23 @@ impl TryFrom<wire::HeldLease> for HeldLease {
     fn try_from(wire: wire::HeldLease) -> Result<Self, ConvertError> {
         let (task, epoch) = from_lease(wire.lease)?;
         let steps = from_range("held.steps", wire.steps)?;
-        Ok(Self { task, epoch, steps, job: digest("held.job", &wire.job)? })
+        Ok(Self { task, epoch, steps, job: parse_digest("held.job", &wire.job)? })
     }
 }
 
-impl From<LeaseLeft> for wire::LeaseLeft {
-    fn from(lease: LeaseLeft) -> Self {
-        let LeaseLeft { task, epoch, left } = lease;
+impl From<LeaseStatus> for wire::LeaseLeft {
+    fn from(lease: LeaseStatus) -> Self {
+        let LeaseStatus { task, epoch, remaining: left } = lease;
         Self { lease: to_lease(task, epoch), left }
     }
 }
 
-impl TryFrom<wire::LeaseLeft> for LeaseLeft {
+impl TryFrom<wire::LeaseLeft> for LeaseStatus {
     type Error = ConvertError;
 
     fn try_from(wire: wire::LeaseLeft) -> Result<Self, ConvertError> {
         let (task, epoch) = from_lease(wire.lease)?;
-        Ok(Self { task, epoch, left: wire.left })
+        Ok(Self { task, epoch, remaining: wire.left })
     }
 }
 

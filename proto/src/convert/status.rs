@@ -1,18 +1,18 @@
 //! Statuses of jobs and workers.
 
 use femc_model::{
-    Crew, Drain, FrameProgress, FrameStop, Intake, JobId, JobStatus, OfflineWorker, Quarantined, Wait, WorkerId,
-    WorkerName, WorkerStatus, WorstFrame,
+    Drain, FrameProgress, FrameStop, Intake, JobId, JobStatus, OfflineWorker, QuarantinedTask, WaitReason, WorkerId,
+    WorkerList, WorkerSelector, WorkerStatus, WorstFrame,
 };
 
-use super::graph::{kind, of_kind};
-use super::{ConvertError, each, job, maybe, need};
+use super::graph::{kind, kind_number};
+use super::{ConvertError, convert_all, convert_optional, job, required};
 use crate::wire;
 use wire::wait::{Reason, Tags, Tasks};
 
 impl From<JobStatus> for wire::JobStatus {
     fn from(status: JobStatus) -> Self {
-        let (comment, labels, notify) = job::notes_parts(status.notes);
+        let (comment, labels, notify) = job::split_notes(status.notes);
         Self {
             job: status.job.0,
             name: status.name,
@@ -57,28 +57,28 @@ impl TryFrom<wire::JobStatus> for JobStatus {
             name: wire.name,
             owner: wire.owner,
             scene: wire.scene,
-            notes: job::notes(wire.comment, wire.labels, wire.notify)?,
+            notes: job::join_notes(wire.comment, wire.labels, wire.notify)?,
             priority: job::priority(wire.priority)?,
             state: job::state(wire.state)?,
-            failure: maybe(wire.failure)?,
+            failure: convert_optional(wire.failure)?,
             frames_total: wire.frames_total,
             frames_done: wire.frames_done,
             frames_failed: wire.frames_failed,
-            active: each(wire.active)?,
+            active: convert_all(wire.active)?,
             workers: wire.workers,
             samples_done: wire.samples_done,
             samples_planned: wire.samples_planned,
             samples_per_second: wire.samples_per_second,
             bad_samples: wire.bad_samples,
             relative_error: wire.relative_error,
-            blocks: maybe(wire.blocks)?,
-            worst_frame: maybe(wire.worst_frame)?,
+            blocks: convert_optional(wire.blocks)?,
+            worst_frame: convert_optional(wire.worst_frame)?,
             error_target: wire.error_target,
             seconds: wire.seconds,
-            quarantined: each(wire.quarantined)?,
+            quarantined: convert_all(wire.quarantined)?,
             stale_messages: wire.stale_messages,
             copies: wire.copies,
-            waits: each(wire.waits)?,
+            waits: convert_all(wire.waits)?,
             submitted: wire.submitted_unix_ms,
             submitted_date: wire.submitted_date_unix_ms,
         })
@@ -118,7 +118,7 @@ impl From<FrameProgress> for wire::FrameProgress {
             frame: progress.frame,
             round: progress.round,
             rounds: progress.rounds,
-            stage: of_kind(progress.stage),
+            stage: kind_number(progress.stage),
             tiles_done: progress.tiles_done,
             tiles_total: progress.tiles_total,
             running: progress.running,
@@ -143,86 +143,90 @@ impl TryFrom<wire::FrameProgress> for FrameProgress {
             running: wire.running,
             samples_done: wire.samples_done,
             relative_error: wire.relative_error,
-            blocks: maybe(wire.blocks)?,
+            blocks: convert_optional(wire.blocks)?,
         })
     }
 }
 
-impl From<Quarantined> for wire::Quarantined {
-    fn from(quarantined: Quarantined) -> Self {
-        let Quarantined { task, attempts, failure } = quarantined;
+impl From<QuarantinedTask> for wire::Quarantined {
+    fn from(quarantined: QuarantinedTask) -> Self {
+        let QuarantinedTask { task, attempts, failure } = quarantined;
         Self { task: Some(task.into()), attempts, failure: Some(failure.into()) }
     }
 }
 
-impl TryFrom<wire::Quarantined> for Quarantined {
+impl TryFrom<wire::Quarantined> for QuarantinedTask {
     type Error = ConvertError;
 
     fn try_from(wire: wire::Quarantined) -> Result<Self, ConvertError> {
         Ok(Self {
-            task: need("quarantined.task", wire.task)?.try_into()?,
+            task: required("quarantined.task", wire.task)?.try_into()?,
             attempts: wire.attempts,
-            failure: need("quarantined.failure", wire.failure)?.try_into()?,
+            failure: required("quarantined.failure", wire.failure)?.try_into()?,
         })
     }
 }
 
-impl From<Wait> for wire::Wait {
-    fn from(wait: Wait) -> Self {
+impl From<WaitReason> for wire::Wait {
+    fn from(wait: WaitReason) -> Self {
         let empty = wire::Empty {};
         Self {
             reason: Some(match wait {
-                Wait::Paused => Reason::Paused(empty),
-                Wait::NoWorkers => Reason::NoWorkers(empty),
-                Wait::NoWorkerWithTags(tags) => Reason::NoWorkerWithTags(Tags { tags }),
-                Wait::WorkersBusy { workers } => Reason::WorkersBusy(workers),
-                Wait::WorkersDraining { workers } => Reason::WorkersDraining(workers),
-                Wait::WorkersResting => Reason::WorkersResting(empty),
-                Wait::WorkersSilent { workers, seconds } => Reason::WorkersSilent(wire::Silent { workers, seconds }),
-                Wait::WorkersInTrouble { workers, seconds, failure } => {
+                WaitReason::Paused => Reason::Paused(empty),
+                WaitReason::NoWorkers => Reason::NoWorkers(empty),
+                WaitReason::NoWorkerWithTags(tags) => Reason::NoWorkerWithTags(Tags { tags }),
+                WaitReason::WorkersBusy { workers } => Reason::WorkersBusy(workers),
+                WaitReason::WorkersDraining { workers } => Reason::WorkersDraining(workers),
+                WaitReason::AllWorkersBackingOff => Reason::WorkersResting(empty),
+                WaitReason::WorkersSilent { workers, seconds } => {
+                    Reason::WorkersSilent(wire::Silent { workers, seconds })
+                }
+                WaitReason::WorkersBackingOff { workers, seconds, failure } => {
                     Reason::WorkersInTrouble(wire::Trouble { workers, seconds, failure: Some(failure.into()) })
                 }
-                Wait::WorkersQuarantined { workers, seconds } => {
+                WaitReason::WorkersQuarantined { workers, seconds } => {
                     Reason::WorkersQuarantined(wire::QuarantinedWorkers { workers, seconds })
                 }
-                Wait::WorkersAvoided { tasks } => Reason::WorkersAvoided(tasks),
-                Wait::OtherBuild { frames } => Reason::OtherBuild(frames),
-                Wait::Regrouping { milliseconds } => Reason::Regrouping(milliseconds),
-                Wait::BehindJob(job) => Reason::BehindJob(job.0),
-                Wait::StageWaits { frame, stage, needs, tasks } => {
-                    let [stage, needs] = [stage, needs].map(of_kind);
+                WaitReason::WorkersAvoided { tasks } => Reason::WorkersAvoided(tasks),
+                WaitReason::OtherBuild { frames } => Reason::OtherBuild(frames),
+                WaitReason::Regrouping { milliseconds } => Reason::Regrouping(milliseconds),
+                WaitReason::BehindJob(job) => Reason::BehindJob(job.0),
+                WaitReason::StageWaits { frame, stage, needs, tasks } => {
+                    let [stage, needs] = [stage, needs].map(kind_number);
                     Reason::StageWaits(wire::StageWaits { frame, stage, needs, tasks })
                 }
-                Wait::SharedStage { shared, stage, done, tasks, jobs } => {
-                    let (shared, stage) = (shared.0, of_kind(stage));
+                WaitReason::SharedStage { shared, stage, done, tasks, jobs } => {
+                    let (shared, stage) = (shared.0, kind_number(stage));
                     Reason::SharedStage(wire::SharedStage { shared, stage, done, tasks, jobs })
                 }
-                Wait::SharedQuarantined { shared, frames, tasks } => {
+                WaitReason::SharedQuarantined { shared, frames, tasks } => {
                     Reason::SharedQuarantined(wire::SharedQuarantined { shared: shared.0, frames, tasks })
                 }
-                Wait::Mishaps { tasks, message } => Reason::Mishaps(wire::Mishaps { tasks, message }),
-                Wait::ImageLost { frame } => Reason::ImageLost(frame),
-                Wait::Quarantined { frame, tasks } => Reason::Quarantined(Tasks { frame, tasks }),
+                WaitReason::InfrastructureFailures { tasks, message } => {
+                    Reason::Mishaps(wire::Mishaps { tasks, message })
+                }
+                WaitReason::ImageLost { frame } => Reason::ImageLost(frame),
+                WaitReason::Quarantined { frame, tasks } => Reason::Quarantined(Tasks { frame, tasks }),
             }),
         }
     }
 }
 
-impl TryFrom<wire::Wait> for Wait {
+impl TryFrom<wire::Wait> for WaitReason {
     type Error = ConvertError;
 
     fn try_from(wire: wire::Wait) -> Result<Self, ConvertError> {
-        Ok(match need("wait.reason", wire.reason)? {
+        Ok(match required("wait.reason", wire.reason)? {
             Reason::Paused(_) => Self::Paused,
             Reason::NoWorkers(_) => Self::NoWorkers,
             Reason::NoWorkerWithTags(Tags { tags }) => Self::NoWorkerWithTags(tags),
             Reason::WorkersBusy(workers) => Self::WorkersBusy { workers },
             Reason::WorkersDraining(workers) => Self::WorkersDraining { workers },
-            Reason::WorkersResting(_) => Self::WorkersResting,
+            Reason::WorkersResting(_) => Self::AllWorkersBackingOff,
             Reason::WorkersSilent(wire::Silent { workers, seconds }) => Self::WorkersSilent { workers, seconds },
             Reason::WorkersInTrouble(wire::Trouble { workers, seconds, failure }) => {
-                let failure = need("wait.workers_in_trouble.failure", failure)?.try_into()?;
-                Self::WorkersInTrouble { workers, seconds, failure }
+                let failure = required("wait.workers_in_trouble.failure", failure)?.try_into()?;
+                Self::WorkersBackingOff { workers, seconds, failure }
             }
             Reason::WorkersQuarantined(wire::QuarantinedWorkers { workers, seconds }) => {
                 Self::WorkersQuarantined { workers, seconds }
@@ -240,7 +244,7 @@ impl TryFrom<wire::Wait> for Wait {
             Reason::SharedQuarantined(wire::SharedQuarantined { shared, frames, tasks }) => {
                 Self::SharedQuarantined { shared: JobId(shared), frames, tasks }
             }
-            Reason::Mishaps(wire::Mishaps { tasks, message }) => Self::Mishaps { tasks, message },
+            Reason::Mishaps(wire::Mishaps { tasks, message }) => Self::InfrastructureFailures { tasks, message },
             Reason::ImageLost(frame) => Self::ImageLost { frame },
             Reason::Quarantined(Tasks { frame, tasks }) => Self::Quarantined { frame, tasks },
         })
@@ -259,7 +263,7 @@ impl From<Intake> for wire::Intake {
 
 /// Converts an [`Intake`].
 /// - `field`: name of the field, for the error.
-pub(super) fn intake_of(field: &'static str, value: i32) -> Result<Intake, ConvertError> {
+pub(super) fn parse_intake(field: &'static str, value: i32) -> Result<Intake, ConvertError> {
     let unknown = ConvertError::Unknown { field, value };
     match wire::Intake::try_from(value).map_err(|_| unknown.clone())? {
         wire::Intake::Unspecified => Err(unknown),
@@ -283,14 +287,14 @@ impl TryFrom<wire::WorkerStatus> for WorkerStatus {
 
     fn try_from(wire: wire::WorkerStatus) -> Result<Self, ConvertError> {
         let wire::WorkerStatus { worker, name, threads, tags, tasks, silent, completed, failed, intake, engine } = wire;
-        let intake = intake_of("worker.intake", intake)?;
-        let (worker, tasks) = (WorkerId(worker), each(tasks)?);
+        let intake = parse_intake("worker.intake", intake)?;
+        let (worker, tasks) = (WorkerId(worker), convert_all(tasks)?);
         Ok(Self { worker, name, threads, tags, tasks, silent, completed, failed, intake, engine })
     }
 }
 
 impl From<OfflineWorker> for wire::OfflineWorker {
-    fn from(OfflineWorker { name, threads, tags, engine, heard }: OfflineWorker) -> Self {
+    fn from(OfflineWorker { name, threads, tags, engine, last_contact: heard }: OfflineWorker) -> Self {
         Self { name, threads, tags, engine, heard }
     }
 }
@@ -300,44 +304,44 @@ impl TryFrom<wire::OfflineWorker> for OfflineWorker {
 
     fn try_from(wire: wire::OfflineWorker) -> Result<Self, ConvertError> {
         let wire::OfflineWorker { name, threads, tags, engine, heard } = wire;
-        Ok(Self { name, threads, tags, engine, heard })
+        Ok(Self { name, threads, tags, engine, last_contact: heard })
     }
 }
 
-impl From<Crew> for wire::ListWorkersReply {
-    fn from(Crew { there, offline }: Crew) -> Self {
+impl From<WorkerList> for wire::ListWorkersReply {
+    fn from(WorkerList { connected: there, offline }: WorkerList) -> Self {
         let workers = there.into_iter().map(Into::into).collect();
         Self { workers, offline: offline.into_iter().map(Into::into).collect() }
     }
 }
 
-impl TryFrom<wire::ListWorkersReply> for Crew {
+impl TryFrom<wire::ListWorkersReply> for WorkerList {
     type Error = ConvertError;
 
     fn try_from(wire::ListWorkersReply { workers, offline }: wire::ListWorkersReply) -> Result<Self, ConvertError> {
-        Ok(Self { there: each(workers)?, offline: each(offline)? })
+        Ok(Self { connected: convert_all(workers)?, offline: convert_all(offline)? })
     }
 }
 
-impl From<(WorkerName, Drain)> for wire::DrainWorkersRequest {
-    fn from((worker, drain): (WorkerName, Drain)) -> Self {
+impl From<(WorkerSelector, Drain)> for wire::DrainWorkersRequest {
+    fn from((worker, drain): (WorkerSelector, Drain)) -> Self {
         use wire::drain_workers_request::Worker;
         let worker = match worker {
-            WorkerName::Number(WorkerId(number)) => Worker::Number(number),
-            WorkerName::Name(name) => Worker::Name(name),
+            WorkerSelector::Number(WorkerId(number)) => Worker::Number(number),
+            WorkerSelector::Name(name) => Worker::Name(name),
         };
         Self { worker: Some(worker), undo: drain == Drain::Undo }
     }
 }
 
-impl TryFrom<wire::DrainWorkersRequest> for (WorkerName, Drain) {
+impl TryFrom<wire::DrainWorkersRequest> for (WorkerSelector, Drain) {
     type Error = ConvertError;
 
     fn try_from(wire: wire::DrainWorkersRequest) -> Result<Self, ConvertError> {
         use wire::drain_workers_request::Worker;
-        let worker = match need("drain.worker", wire.worker)? {
-            Worker::Number(number) => WorkerName::Number(WorkerId(number)),
-            Worker::Name(name) => WorkerName::Name(name),
+        let worker = match required("drain.worker", wire.worker)? {
+            Worker::Number(number) => WorkerSelector::Number(WorkerId(number)),
+            Worker::Name(name) => WorkerSelector::Name(name),
         };
         Ok((worker, if wire.undo { Drain::Undo } else { Drain::Begin }))
     }

@@ -3,17 +3,18 @@
 use std::ops::Range;
 
 use femc_model::{
-    Assignment, Blocks, Decision, Epoch, FrameParts, Graph, Grid, Input, JobId, More, Stage, TaskKey, TaskResult, Work,
+    Assignment, BlockCounts, Decision, Epoch, FrameParts, Graph, Grid, Input, JobId, NextRound, Stage, TaskKey,
+    TaskResult, TaskSpec,
 };
 
-use super::graph::{kind, of_kind, stage};
-use super::{ConvertError, each, maybe, need};
+use super::graph::{kind, kind_number, stage};
+use super::{ConvertError, convert_all, convert_optional, required};
 use crate::wire;
 
 impl From<TaskKey> for wire::TaskKey {
     fn from(task: TaskKey) -> Self {
         let TaskKey { job, stage: Stage { frame, round, number, kind }, index } = task;
-        Self { job: job.0, frame, round, stage: number.into(), kind: of_kind(kind), index }
+        Self { job: job.0, frame, round, stage: number.into(), kind: kind_number(kind), index }
     }
 }
 
@@ -21,8 +22,8 @@ impl TryFrom<wire::TaskKey> for TaskKey {
     type Error = ConvertError;
 
     fn try_from(wire: wire::TaskKey) -> Result<Self, ConvertError> {
-        let wire::TaskKey { job, frame, round, stage: number, kind: of, index } = wire;
-        let stage = Stage { frame, round, number: stage(number)?, kind: kind(of)? };
+        let wire::TaskKey { job, frame, round, stage: number, kind: kind_value, index } = wire;
+        let stage = Stage { frame, round, number: stage(number)?, kind: kind(kind_value)? };
         Ok(Self { job: JobId(job), stage, index })
     }
 }
@@ -32,8 +33,8 @@ pub(super) fn to_lease(task: TaskKey, epoch: Epoch) -> Option<wire::Lease> {
 }
 
 pub(super) fn from_lease(lease: Option<wire::Lease>) -> Result<(TaskKey, Epoch), ConvertError> {
-    let lease = need("lease", lease)?;
-    Ok((need("lease.task", lease.task)?.try_into()?, Epoch(lease.epoch)))
+    let lease = required("lease", lease)?;
+    Ok((required("lease.task", lease.task)?.try_into()?, Epoch(lease.epoch)))
 }
 
 pub(super) fn to_range(range: &Range<u32>) -> Option<wire::Range> {
@@ -41,13 +42,13 @@ pub(super) fn to_range(range: &Range<u32>) -> Option<wire::Range> {
 }
 
 pub(super) fn from_range(field: &'static str, range: Option<wire::Range>) -> Result<Range<u32>, ConvertError> {
-    let wire::Range { start, end } = need(field, range)?;
+    let wire::Range { start, end } = required(field, range)?;
     if start <= end { Ok(start..end) } else { Err(ConvertError::Range { field }) }
 }
 
 impl From<Assignment> for wire::Assignment {
     fn from(assignment: Assignment) -> Self {
-        let Assignment { task, epoch, lease, copy_of, work } = assignment;
+        let Assignment { task, epoch, lease, copy_of, spec: work } = assignment;
         let copy_of = copy_of.map_or(0, |epoch| epoch.0);
         Self { lease: to_lease(task, epoch), lease_time: lease, work: Some(work.into()), copy_of }
     }
@@ -59,20 +60,31 @@ impl TryFrom<wire::Assignment> for Assignment {
     fn try_from(wire: wire::Assignment) -> Result<Self, ConvertError> {
         let (task, epoch) = from_lease(wire.lease)?;
         let copy_of = (wire.copy_of > 0).then_some(Epoch(wire.copy_of));
-        let work = need("assignment.work", wire.work)?.try_into()?;
-        Ok(Self { task, epoch, lease: wire.lease_time, copy_of, work })
+        let work = required("assignment.work", wire.work)?.try_into()?;
+        Ok(Self { task, epoch, lease: wire.lease_time, copy_of, spec: work })
     }
 }
 
-impl From<Work> for wire::Work {
-    fn from(Work { item, steps, inputs, hints, taken, more, elapsed, busy_seconds }: Work) -> Self {
+impl From<TaskSpec> for wire::Work {
+    fn from(
+        TaskSpec { item, steps, inputs, hints, steps_taken: taken, next_round: more, elapsed, busy_seconds }: TaskSpec,
+    ) -> Self {
         let [inputs, hints] = [inputs, hints].map(|all| all.into_iter().map(Into::into).collect());
         let taken = taken.numbers().to_vec();
-        Self { item, steps: to_range(&steps), inputs, hints, more: more == More::Rounds, elapsed, busy_seconds, taken }
+        Self {
+            item,
+            steps: to_range(&steps),
+            inputs,
+            hints,
+            more: more == NextRound::Possible,
+            elapsed,
+            busy_seconds,
+            taken,
+        }
     }
 }
 
-impl TryFrom<wire::Work> for Work {
+impl TryFrom<wire::Work> for TaskSpec {
     type Error = ConvertError;
 
     fn try_from(wire: wire::Work) -> Result<Self, ConvertError> {
@@ -82,12 +94,12 @@ impl TryFrom<wire::Work> for Work {
         Ok(Self {
             item: wire.item,
             steps: from_range("work.steps", wire.steps)?,
-            inputs: each(wire.inputs)?,
-            hints: each(wire.hints)?,
-            taken: wire.taken.into_iter().collect(),
-            more: if wire.more { More::Rounds } else { More::Last },
+            inputs: convert_all(wire.inputs)?,
+            hints: convert_all(wire.hints)?,
+            steps_taken: wire.taken.into_iter().collect(),
+            next_round: if wire.more { NextRound::Possible } else { NextRound::Impossible },
             elapsed: wire.elapsed,
-            busy_seconds: finite(wire.busy_seconds)?,
+            busy_seconds: finite_seconds(wire.busy_seconds)?,
         })
     }
 }
@@ -102,19 +114,19 @@ impl TryFrom<wire::Input> for Input {
     type Error = ConvertError;
 
     fn try_from(wire: wire::Input) -> Result<Self, ConvertError> {
-        let place = wire.need.try_into().map_err(|_| ConvertError::Range { field: "input.need" })?;
-        let output = need("input.output", wire.output)?.try_into()?;
-        Ok(Self { need: place, frame: wire.frame, item: wire.item, output })
+        let need_index = wire.need.try_into().map_err(|_| ConvertError::Range { field: "input.need" })?;
+        let output = required("input.output", wire.output)?.try_into()?;
+        Ok(Self { need: need_index, frame: wire.frame, item: wire.item, output })
     }
 }
 
-impl From<Blocks> for wire::Blocks {
-    fn from(Blocks { all, unlit }: Blocks) -> Self {
+impl From<BlockCounts> for wire::Blocks {
+    fn from(BlockCounts { all, unlit }: BlockCounts) -> Self {
         Self { all, unlit }
     }
 }
 
-impl TryFrom<wire::Blocks> for Blocks {
+impl TryFrom<wire::Blocks> for BlockCounts {
     type Error = ConvertError;
 
     fn try_from(wire::Blocks { all, unlit }: wire::Blocks) -> Result<Self, ConvertError> {
@@ -156,13 +168,13 @@ impl TryFrom<wire::TaskResult> for TaskResult {
             Some(Wire::Done(_)) => Some(Decision::Done),
             None => None,
         };
-        let (outputs, seconds, blocks) = (each(outputs)?, finite(seconds)?, maybe(blocks)?);
+        let (outputs, seconds, blocks) = (convert_all(outputs)?, finite_seconds(seconds)?, convert_optional(blocks)?);
         Ok(Self { outputs, units, bad_samples, relative_error, blocks, decision, seconds })
     }
 }
 
 /// Checks that a number of seconds is finite. Seconds are summed, and a single NaN would make the sum useless.
-pub(super) fn finite(seconds: f64) -> Result<f64, ConvertError> {
+pub(super) fn finite_seconds(seconds: f64) -> Result<f64, ConvertError> {
     let is_sound = seconds.is_finite() && seconds >= 0.0;
     is_sound.then_some(seconds).ok_or(ConvertError::Range { field: "seconds" })
 }
@@ -179,6 +191,6 @@ impl TryFrom<wire::FrameParts> for FrameParts {
 
     fn try_from(wire: wire::FrameParts) -> Result<Self, ConvertError> {
         let grid = Grid { film: [wire.film_width, wire.film_height], tile: wire.tile };
-        Ok(Self { frame: wire.frame, grid, outputs: each(wire.outputs)? })
+        Ok(Self { frame: wire.frame, grid, outputs: convert_all(wire.outputs)? })
     }
 }

@@ -7,10 +7,10 @@ use prost::Message;
 
 use super::ConvertError;
 use crate::wire;
-use crate::{OLDEST, PROTOCOL};
+use crate::{OLDEST_PROTOCOL, PROTOCOL};
 
 /// Encodes a value for the wire, decodes it, and checks that nothing changed.
-fn crosses<M, W>(value: M)
+fn assert_round_trip<M, W>(value: M)
 where
     M: Clone + PartialEq + Debug + Into<W> + TryFrom<W, Error = ConvertError>,
     W: Message + Default,
@@ -20,7 +20,7 @@ where
 }
 
 fn digest() -> Digest {
-    Digest::of(b"x")
+    Digest::compute(b"x")
 }
 
 fn artifact() -> Artifact {
@@ -38,17 +38,17 @@ fn outputs() -> Vec<Output> {
 fn graph() -> Graph {
     let need = |reach, round| Need { stage: u16::MAX, role: Role::Sums, reach, round, gaps: true };
     let sizes = [(3, 256), (1, u64::MAX)].into_iter().collect();
-    let render = Template::new(StageKind::Render, Scope::Frame, sizes, &[Role::Tile]).steps(&[16, 32]);
-    let reduce = Template::new(StageKind::Reduce, Scope::Job, Sizes::even(1, 1), &Role::ALL)
-        .needs(need(Reach::Fan(256), Round::Before))
+    let render = StageTemplate::new(StageKind::Render, Scope::Frame, sizes, &[Role::Tile]).steps(&[16, 32]);
+    let reduce = StageTemplate::new(StageKind::Reduce, Scope::Job, TaskSizes::even(1, 1), &Role::ALL)
+        .needs(need(Reach::Fan(256), Round::Previous))
         .needs(need(Reach::Same, Round::Every))
         .reads(0, Role::Tile, Reach::All)
-        .looks_at(1, Role::Sums, Reach::All)
-        .looks_at(0, Role::Tile, Reach::Fan(2))
-        .looks_at(1, Role::Pixels, Reach::Same)
+        .hinted_by(1, Role::Sums, Reach::All)
+        .hinted_by(0, Role::Tile, Reach::Fan(2))
+        .hinted_by(1, Role::Pixels, Reach::Same)
         .options("rate=24")
         .tags(&["ffmpeg", "lab"]);
-    let image = Template::new(StageKind::Image, Scope::Frame, Sizes::default(), &[]).closes(u16::MAX, 64);
+    let image = StageTemplate::new(StageKind::Image, Scope::Frame, TaskSizes::default(), &[]).closes(u16::MAX, 64);
     Graph { stages: vec![render, reduce, image] }
 }
 
@@ -75,7 +75,7 @@ fn spec() -> JobSpec {
 }
 
 fn log(text: LogText) -> TaskLog {
-    TaskLog { attempt: Attempt::Failed, seconds: 1.5, text }
+    TaskLog { outcome: AttemptOutcome::Failed, seconds: 1.5, text }
 }
 
 fn failures() -> Vec<Failure> {
@@ -103,7 +103,7 @@ pub(crate) fn refusals() -> Vec<Refusal> {
         Refusal::NoSuchArtifact { digest: digest() },
         Refusal::DigestMismatch { digest: digest() },
         Refusal::TooLarge { what: "w".into(), limit: 9 },
-        Refusal::MissingArtifacts { digests: vec![digest(); Refusal::MOST_NAMED], count: 70 },
+        Refusal::MissingArtifacts { digests: vec![digest(); Refusal::MAX_NAMED], count: 70 },
         Refusal::ArtifactTooLarge { limit: 9 },
         Refusal::Resume { offset: 5 },
         Refusal::Unavailable { message: "m".into() },
@@ -117,13 +117,13 @@ pub(crate) fn refusals() -> Vec<Refusal> {
 #[test]
 fn failures_and_refusals_cross_the_wire_also_as_statuses() {
     for failure in failures() {
-        crosses::<Failure, wire::Failure>(failure);
+        assert_round_trip::<Failure, wire::Failure>(failure);
     }
     for refusal in refusals() {
         let status = crate::error::to_status(&refusal);
         let error = crate::error::from_status("url", &status);
         assert!(matches!(error, crate::CallError::Refused(back) if back == refusal));
-        crosses::<Refusal, wire::Refusal>(refusal);
+        assert_round_trip::<Refusal, wire::Refusal>(refusal);
     }
 }
 
@@ -141,38 +141,38 @@ fn the_words_of_a_session_cross_the_wire() {
                 task: task(kind),
                 epoch: Epoch::new(1, 4),
                 steps,
-                job: Digest::of(b"job"),
+                job: Digest::compute(b"job"),
             })
             .to_vec(),
-        died: None,
+        death: None,
     };
     let died = Death { instance: 1 << 60, computing: registration.held.clone() };
-    let reborn = Registration { died: Some(died), ..registration.clone() };
+    let reborn = Registration { death: Some(died), ..registration.clone() };
     let (render, image, epoch) = (task(StageKind::Render), task(StageKind::Image), Epoch::new(3, 9));
     let phases = [Phase::Waiting, Phase::Preparing, Phase::Working, Phase::Uploading];
     let progress = phases.map(|phase| TaskProgress { task: render, epoch, phase, units: 12 });
-    crosses::<FromWorker, wire::FromWorker>(FromWorker::Register(registration));
-    crosses::<FromWorker, wire::FromWorker>(FromWorker::Register(reborn));
-    crosses::<FromWorker, wire::FromWorker>(FromWorker::Heartbeat {
+    assert_round_trip::<FromWorker, wire::FromWorker>(FromWorker::Register(registration));
+    assert_round_trip::<FromWorker, wire::FromWorker>(FromWorker::Register(reborn));
+    assert_round_trip::<FromWorker, wire::FromWorker>(FromWorker::Heartbeat {
         number: 3,
         tasks: progress.to_vec(),
         usage: vec![TaskUsage { task: image, epoch, usage: usage() }],
     });
-    crosses::<FromWorker, wire::FromWorker>(FromWorker::Draining);
-    crosses::<FromWorker, wire::FromWorker>(FromWorker::Available);
-    let stored = LogText::Stored(Artifact { bytes: LogText::STORED as u64, ..artifact() });
-    let record = LogRecord { task: render, epoch, worker: "w".into(), at: Tick(7), log: log(stored) };
-    crosses::<LogRecord, wire::LogRecord>(record);
-    let long = wire::TaskLog::from(log(LogText::Inline("x".repeat(LogText::INLINE + 1))));
+    assert_round_trip::<FromWorker, wire::FromWorker>(FromWorker::Draining);
+    assert_round_trip::<FromWorker, wire::FromWorker>(FromWorker::Available);
+    let stored = LogText::Stored(Artifact { bytes: LogText::MAX_STORED as u64, ..artifact() });
+    let record = LogRecord { task: render, epoch, worker: "w".into(), reported_at: Tick(7), log: log(stored) };
+    assert_round_trip::<LogRecord, wire::LogRecord>(record);
+    let long = wire::TaskLog::from(log(LogText::Inline("x".repeat(LogText::MAX_INLINE + 1))));
     assert_eq!(TaskLog::try_from(long), Err(ConvertError::Range { field: "log.inline" }));
     let large = wire::TaskLog::from(log(LogText::Stored(artifact())));
     assert_eq!(TaskLog::try_from(large), Err(ConvertError::Range { field: "log.stored" }));
     for decision in [None, Some(Decision::Continue), Some(Decision::Steps(vec![16, 0])), Some(Decision::Done)] {
         let (outputs, relative_error) = (outputs(), decision.as_ref().map(|_| 0.01));
         let (units, bad_samples, seconds) = (1 << 40, 2, 0.25);
-        let blocks = decision.as_ref().map(|_| Blocks { all: 9, unlit: 2 });
+        let blocks = decision.as_ref().map(|_| BlockCounts { all: 9, unlit: 2 });
         let result = TaskResult { outputs, units, bad_samples, relative_error, blocks, decision, seconds };
-        crosses::<FromWorker, wire::FromWorker>(FromWorker::Completed {
+        assert_round_trip::<FromWorker, wire::FromWorker>(FromWorker::Completed {
             task: render,
             epoch,
             result,
@@ -181,7 +181,7 @@ fn the_words_of_a_session_cross_the_wire() {
         });
     }
     for failure in failures() {
-        crosses::<FromWorker, wire::FromWorker>(FromWorker::Failed {
+        assert_round_trip::<FromWorker, wire::FromWorker>(FromWorker::Failed {
             task: image,
             epoch,
             failure,
@@ -189,9 +189,9 @@ fn the_words_of_a_session_cross_the_wire() {
             usage: None,
         });
     }
-    for ending in Ending::ALL {
-        let usage = (ending == Ending::Done).then(usage);
-        crosses::<AttemptRecord, wire::AttemptRecord>(AttemptRecord {
+    for ending in LeaseEnding::ALL {
+        let usage = (ending == LeaseEnding::Done).then(usage);
+        assert_round_trip::<AttemptRecord, wire::AttemptRecord>(AttemptRecord {
             task: image,
             epoch,
             worker: "w".into(),
@@ -204,35 +204,52 @@ fn the_words_of_a_session_cross_the_wire() {
             usage,
         });
     }
-    let endless = wire::Usage::from(Usage { cpu: f64::NAN, ..usage() });
-    assert_eq!(Usage::try_from(endless), Err(ConvertError::Range { field: "seconds" }));
+    let endless = wire::Usage::from(ResourceUsage { cpu: f64::NAN, ..usage() });
+    assert_eq!(ResourceUsage::try_from(endless), Err(ConvertError::Range { field: "seconds" }));
 
     let output = Output { role: Role::Pixels, artifact: artifact() };
-    let inputs = vec![Input { need: u16::MAX, frame: Stage::OF_JOB, item: 9, output }; 2];
-    for (more, copy_of) in [(More::Rounds, None), (More::Last, Some(Epoch::new(2, 8)))] {
+    let inputs = vec![Input { need: u16::MAX, frame: Stage::JOB_FRAME, item: 9, output }; 2];
+    for (more, copy_of) in [(NextRound::Possible, None), (NextRound::Impossible, Some(Epoch::new(2, 8)))] {
         let (hints, inputs, taken) = (inputs[1..].to_vec(), inputs.clone(), [16, 64, 32].into_iter().collect());
-        let work = Work { item: 5, steps: 16..32, inputs, hints, taken, more, elapsed: 1234, busy_seconds: 0.5 };
-        let assignment = Assignment { task: image, epoch, lease: 5000, copy_of, work };
-        crosses::<ToWorker, wire::ToWorker>(ToWorker::Assign(assignment));
+        let work = TaskSpec {
+            item: 5,
+            steps: 16..32,
+            inputs,
+            hints,
+            steps_taken: taken,
+            next_round: more,
+            elapsed: 1234,
+            busy_seconds: 0.5,
+        };
+        let assignment = Assignment { task: image, epoch, lease: 5000, copy_of, spec: work };
+        assert_round_trip::<ToWorker, wire::ToWorker>(ToWorker::Assign(assignment));
     }
-    crosses::<ToWorker, wire::ToWorker>(ToWorker::Welcome { worker: WorkerId(4), heartbeat: 500, lease: 5000 });
-    let leases = vec![LeaseLeft { task: render, epoch, left: 4321 }];
+    assert_round_trip::<ToWorker, wire::ToWorker>(ToWorker::Welcome {
+        worker: WorkerId(4),
+        heartbeat: 500,
+        lease: 5000,
+    });
+    let leases = vec![LeaseStatus { task: render, epoch, remaining: 4321 }];
     for intake in [Intake::Open, Intake::Off, Intake::Drained] {
-        crosses::<ToWorker, wire::ToWorker>(ToWorker::Renewed { heartbeat: 3, leases: leases.clone(), intake });
+        assert_round_trip::<ToWorker, wire::ToWorker>(ToWorker::Renewed {
+            heartbeat: 3,
+            leases: leases.clone(),
+            intake,
+        });
     }
     let older = wire::Renewed { heartbeat: 3, leases: vec![], intake: 0 };
     let older = wire::ToWorker { message: Some(wire::to_worker::Message::Renewed(older)) };
     let heard = ToWorker::Renewed { heartbeat: 3, leases: vec![], intake: Intake::Open };
     assert_eq!(ToWorker::try_from(older), Ok(heard), "an older coordinator that does not send the field");
-    crosses::<ToWorker, wire::ToWorker>(ToWorker::Job { job: JobId(7), spec: Box::new(spec()) });
+    assert_round_trip::<ToWorker, wire::ToWorker>(ToWorker::Job { job: JobId(7), spec: Box::new(spec()) });
     for reason in [RevokeReason::Expired, RevokeReason::JobEnded, RevokeReason::Done] {
-        crosses::<ToWorker, wire::ToWorker>(ToWorker::Revoke { task: render, epoch, reason });
+        assert_round_trip::<ToWorker, wire::ToWorker>(ToWorker::Revoke { task: render, epoch, reason });
     }
-    crosses::<ToWorker, wire::ToWorker>(ToWorker::Accepted { task: render, epoch });
+    assert_round_trip::<ToWorker, wire::ToWorker>(ToWorker::Accepted { task: render, epoch });
     for refusal in refusals() {
-        crosses::<ToWorker, wire::ToWorker>(ToWorker::Refused { task: render, epoch, refusal });
+        assert_round_trip::<ToWorker, wire::ToWorker>(ToWorker::Refused { task: render, epoch, refusal });
     }
-    crosses::<ToWorker, wire::ToWorker>(ToWorker::Goodbye);
+    assert_round_trip::<ToWorker, wire::ToWorker>(ToWorker::Goodbye);
 }
 
 #[test]
@@ -248,26 +265,26 @@ fn statuses_cross_the_wire() {
         running: 1,
         samples_done: 99,
         relative_error: Some(0.2),
-        blocks: Some(Blocks { all: 4, unlit: 1 }),
+        blocks: Some(BlockCounts { all: 4, unlit: 1 }),
     };
     let waits = vec![
-        Wait::Paused,
-        Wait::NoWorkers,
-        Wait::NoWorkerWithTags(vec!["lab".into()]),
-        Wait::WorkersBusy { workers: 3 },
-        Wait::WorkersDraining { workers: 1 },
-        Wait::WorkersResting,
-        Wait::WorkersSilent { workers: 2, seconds: 9 },
-        Wait::WorkersInTrouble { workers: 1, seconds: 4, failure: Failure::Store { message: "full".into() } },
-        Wait::WorkersQuarantined { workers: 2, seconds: 60 },
-        Wait::WorkersAvoided { tasks: 3 },
-        Wait::Regrouping { milliseconds: 300 },
-        Wait::OtherBuild { frames: 2 },
-        Wait::BehindJob(JobId(2)),
-        Wait::StageWaits { frame: 1, stage: StageKind::Image, needs: StageKind::Reduce, tasks: 2 },
-        Wait::Mishaps { tasks: 2, message: "the disk is full".into() },
-        Wait::ImageLost { frame: 7 },
-        Wait::Quarantined { frame: 1, tasks: 2 },
+        WaitReason::Paused,
+        WaitReason::NoWorkers,
+        WaitReason::NoWorkerWithTags(vec!["lab".into()]),
+        WaitReason::WorkersBusy { workers: 3 },
+        WaitReason::WorkersDraining { workers: 1 },
+        WaitReason::AllWorkersBackingOff,
+        WaitReason::WorkersSilent { workers: 2, seconds: 9 },
+        WaitReason::WorkersBackingOff { workers: 1, seconds: 4, failure: Failure::Store { message: "full".into() } },
+        WaitReason::WorkersQuarantined { workers: 2, seconds: 60 },
+        WaitReason::WorkersAvoided { tasks: 3 },
+        WaitReason::Regrouping { milliseconds: 300 },
+        WaitReason::OtherBuild { frames: 2 },
+        WaitReason::BehindJob(JobId(2)),
+        WaitReason::StageWaits { frame: 1, stage: StageKind::Image, needs: StageKind::Reduce, tasks: 2 },
+        WaitReason::InfrastructureFailures { tasks: 2, message: "the disk is full".into() },
+        WaitReason::ImageLost { frame: 7 },
+        WaitReason::Quarantined { frame: 1, tasks: 2 },
     ];
     let mut stops = FrameStop::ALL.into_iter();
     for state in [Queued, Running, Paused, Done, Failed, Cancelled] {
@@ -290,18 +307,22 @@ fn statuses_cross_the_wire() {
             samples_per_second: 1e6,
             bad_samples: 4,
             relative_error: Some(0.1),
-            blocks: Some(Blocks { all: 4, unlit: 0 }),
+            blocks: Some(BlockCounts { all: 4, unlit: 0 }),
             worst_frame: stops.next().map(|stop| WorstFrame { frame: 3, stop }),
             error_target: (state != Done).then_some(0.05),
             seconds: 5.5,
-            quarantined: vec![Quarantined { task: task(StageKind::Render), attempts: 3, failure: Failure::Cancelled }],
+            quarantined: vec![QuarantinedTask {
+                task: task(StageKind::Render),
+                attempts: 3,
+                failure: Failure::Cancelled,
+            }],
             stale_messages: 8,
             copies: 2,
             waits: waits.clone(),
             submitted: (state != Queued).then_some(1_795_680_000_123),
             submitted_date: (state == Queued).then_some(1_795_680_000_124),
         };
-        crosses::<JobStatus, wire::JobStatus>(status);
+        assert_round_trip::<JobStatus, wire::JobStatus>(status);
     }
     let tasks = vec![task(StageKind::Render)];
     let (name, tags) = ("w".to_owned(), vec!["lab".to_owned()]);
@@ -319,19 +340,22 @@ fn statuses_cross_the_wire() {
         engine: "0.1".into(),
     };
     for intake in [Intake::Open, Intake::Off, Intake::Drained] {
-        crosses::<WorkerStatus, wire::WorkerStatus>(WorkerStatus { intake, ..worker.clone() });
+        assert_round_trip::<WorkerStatus, wire::WorkerStatus>(WorkerStatus { intake, ..worker.clone() });
     }
     let offline = OfflineWorker {
         name: "v".into(),
         threads: 8,
         tags: vec!["hall".into()],
         engine: "0.2".into(),
-        heard: 1_795_680,
+        last_contact: 1_795_680,
     };
-    crosses::<Crew, wire::ListWorkersReply>(Crew { there: vec![worker], offline: vec![offline] });
-    for worker in [WorkerName::Number(WorkerId(3)), WorkerName::Name("w".into())] {
+    assert_round_trip::<WorkerList, wire::ListWorkersReply>(WorkerList {
+        connected: vec![worker],
+        offline: vec![offline],
+    });
+    for worker in [WorkerSelector::Number(WorkerId(3)), WorkerSelector::Name("w".into())] {
         for drain in [Drain::Begin, Drain::Undo] {
-            crosses::<(WorkerName, Drain), wire::DrainWorkersRequest>((worker.clone(), drain));
+            assert_round_trip::<(WorkerSelector, Drain), wire::DrainWorkersRequest>((worker.clone(), drain));
         }
     }
     let record = FrameRecord {
@@ -339,22 +363,22 @@ fn statuses_cross_the_wire() {
         outputs: outputs(),
         spp: 16,
         relative_error: None,
-        blocks: Some(Blocks { all: 4, unlit: 4 }),
+        blocks: Some(BlockCounts { all: 4, unlit: 4 }),
         bad_samples: 0,
         busy_seconds: 1.0,
         seconds: 2.0,
         rounds: Some(3),
-        times: Some(Times { attempts: 7, processor: 1.5, wall: 2.5, waiting: 0.5 }),
+        times: Some(AttemptTimes { attempts: 7, processor: 1.5, wall: 2.5, waiting: 0.5 }),
     };
-    crosses::<FrameRecord, wire::FrameRecord>(FrameRecord { rounds: None, times: None, ..record.clone() });
-    crosses::<FrameRecord, wire::FrameRecord>(record);
-    crosses::<JobSpec, wire::JobSpec>(spec());
+    assert_round_trip::<FrameRecord, wire::FrameRecord>(FrameRecord { rounds: None, times: None, ..record.clone() });
+    assert_round_trip::<FrameRecord, wire::FrameRecord>(record);
+    assert_round_trip::<JobSpec, wire::JobSpec>(spec());
 }
 
 #[test]
 fn nonsense_is_refused_by_name() {
     let blocks = wire::Blocks { all: 1, unlit: 2 };
-    assert_eq!(Blocks::try_from(blocks), Err(ConvertError::Range { field: "blocks.unlit" }));
+    assert_eq!(BlockCounts::try_from(blocks), Err(ConvertError::Range { field: "blocks.unlit" }));
     let spec = wire::JobSpec::from(spec());
     let short = wire::JobSpec { bundle: vec![1u8; 31], ..spec.clone() };
     assert_eq!(JobSpec::try_from(short), Err(ConvertError::Digest { field: "job.bundle" }));
@@ -367,14 +391,19 @@ fn nonsense_is_refused_by_name() {
     assert_eq!(TaskKey::try_from(kind), Err(ConvertError::Unknown { field: "stage.kind", value: kinds + 1 }));
     let kind = wire::TaskKey { kind: 0, ..task(StageKind::Render).into() };
     assert!(TaskKey::try_from(kind).is_err(), "unspecified is not a kind");
-    for (found, what_to_do) in [(OLDEST - 1, "upgrade this worker"), (PROTOCOL + 1, "upgrade the coordinator first")] {
+    for (found, what_to_do) in
+        [(OLDEST_PROTOCOL - 1, "upgrade this worker"), (PROTOCOL + 1, "upgrade the coordinator first")]
+    {
         let other = wire::Registration { protocol: found, slots: 1, ..wire::Registration::default() };
         let refused = Registration::try_from(other);
         assert_eq!(refused, Err(ConvertError::Protocol { found }));
         let said = ConvertError::Protocol { found }.to_string();
-        assert!(said.contains(what_to_do) && said.contains(&format!("accepts {OLDEST} to {PROTOCOL}")), "{said}");
+        assert!(
+            said.contains(what_to_do) && said.contains(&format!("accepts {OLDEST_PROTOCOL} to {PROTOCOL}")),
+            "{said}"
+        );
     }
-    for known in OLDEST..=PROTOCOL {
+    for known in OLDEST_PROTOCOL..=PROTOCOL {
         let worker = wire::Registration { protocol: known, slots: 1, ..wire::Registration::default() };
         assert!(Registration::try_from(worker).is_ok(), "{known}");
     }
@@ -391,9 +420,9 @@ fn nonsense_is_refused_by_name() {
     let stage = wire::TaskKey { stage: 1 << 16, ..task(StageKind::Render).into() };
     assert_eq!(TaskKey::try_from(stage), Err(range("stage")));
     let steps = Some(wire::Range { start: 2, end: 1 });
-    assert_eq!(Work::try_from(wire::Work { steps, ..wire::Work::default() }), Err(range("work.steps")));
+    assert_eq!(TaskSpec::try_from(wire::Work { steps, ..wire::Work::default() }), Err(range("work.steps")));
     let taken = vec![1; Graph::MAX_TASKS as usize + 1];
-    assert_eq!(Work::try_from(wire::Work { taken, ..wire::Work::default() }), Err(range("work.taken")));
+    assert_eq!(TaskSpec::try_from(wire::Work { taken, ..wire::Work::default() }), Err(range("work.taken")));
 }
 
 #[test]
@@ -416,14 +445,23 @@ fn the_largest_assignment_fits_a_message() {
     let output = Output { role: Role::Preview, artifact: artifact() };
     let input = |item| Input { need: Graph::MAX_NEEDS as u16, frame: u32::MAX, item, output };
     let [inputs, hints] =
-        [Graph::MAX_INPUTS as u32, Work::MAX_HINTS as u32].map(|count| (0..count).map(input).collect());
-    let (taken, more) = ((0..Graph::MAX_TASKS).map(|item| u32::MAX - item).collect(), More::Last);
-    let work = Work { item: 0, steps: 0..1, inputs, hints, taken, more, elapsed: u64::MAX, busy_seconds: 1.0 };
-    assert!(wire::Work::from(work).encoded_len() < crate::ASSIGNMENT * 7 / 8);
+        [Graph::MAX_INPUTS as u32, TaskSpec::MAX_HINTS as u32].map(|count| (0..count).map(input).collect());
+    let (taken, more) = ((0..Graph::MAX_TASKS).map(|item| u32::MAX - item).collect(), NextRound::Impossible);
+    let work = TaskSpec {
+        item: 0,
+        steps: 0..1,
+        inputs,
+        hints,
+        steps_taken: taken,
+        next_round: more,
+        elapsed: u64::MAX,
+        busy_seconds: 1.0,
+    };
+    assert!(wire::Work::from(work).encoded_len() < crate::MAX_ASSIGNMENT_SIZE * 7 / 8);
 }
 
-fn usage() -> Usage {
-    Usage {
+fn usage() -> ResourceUsage {
+    ResourceUsage {
         wait: 0.5,
         wall: 2.0,
         preparation: 0.25,
@@ -440,7 +478,7 @@ fn usage() -> Usage {
 fn usage_crosses_the_wire_and_a_month_that_is_none_is_refused() {
     let sums = UsageSums { jobs: 1, frames: 2, tasks: 3, samples: 1 << 40, worker_ms: 3_600_001, processor_us: 7 };
     let usage = OwnerUsage { month: Month::new(2026, 11).unwrap(), owner: "ann".into(), sums };
-    crosses::<OwnerUsage, wire::OwnerUsage>(usage.clone());
+    assert_round_trip::<OwnerUsage, wire::OwnerUsage>(usage.clone());
     let wire = wire::OwnerUsage { month: "2026-13".into(), ..usage.clone().into() };
     assert_eq!(OwnerUsage::try_from(wire), Err(ConvertError::Range { field: "usage.month" }));
     let wire = wire::OwnerUsage { worker_seconds: f64::NAN, ..usage.into() };

@@ -2,19 +2,21 @@
 
 use std::num::NonZeroU64;
 
-use femc_model::{AttemptRecord, Cut, Ending, OwnerUsage, TaskUsage, Tick, Times, Usage, UsageSums};
+use femc_model::{
+    AttemptRecord, AttemptTimes, ChunkSize, LeaseEnding, OwnerUsage, ResourceUsage, TaskUsage, Tick, UsageSums,
+};
 
-use super::task::{finite, from_lease, to_lease};
-use super::{ConvertError, maybe, need};
+use super::task::{finite_seconds, from_lease, to_lease};
+use super::{ConvertError, convert_optional, required};
 use crate::{JobShape, wire};
 
 impl From<JobShape> for wire::JobShape {
     fn from(JobShape { spec, cut }: JobShape) -> Self {
-        let grain = match cut {
-            Cut::Whole => None,
-            Cut::Grains(units) => Some(units.get()),
+        let chunk = match cut {
+            ChunkSize::Whole => None,
+            ChunkSize::Units(units) => Some(units.get()),
         };
-        Self { job: Some((*spec).into()), grain }
+        Self { job: Some((*spec).into()), grain: chunk }
     }
 }
 
@@ -23,10 +25,10 @@ impl TryFrom<wire::JobShape> for JobShape {
 
     fn try_from(wire: wire::JobShape) -> Result<Self, ConvertError> {
         let cut = match wire.grain.map(NonZeroU64::new) {
-            None => Cut::Whole,
-            Some(units) => Cut::Grains(need("shape.grain", units)?),
+            None => ChunkSize::Whole,
+            Some(units) => ChunkSize::Units(required("shape.grain", units)?),
         };
-        Ok(Self { spec: Box::new(need("shape.job", wire.job)?.try_into()?), cut })
+        Ok(Self { spec: Box::new(required("shape.job", wire.job)?.try_into()?), cut })
     }
 }
 
@@ -50,7 +52,7 @@ impl TryFrom<wire::OwnerUsage> for OwnerUsage {
     type Error = ConvertError;
 
     fn try_from(wire: wire::OwnerUsage) -> Result<Self, ConvertError> {
-        let (worker, processor) = (finite(wire.worker_seconds)?, finite(wire.processor_seconds)?);
+        let (worker, processor) = (finite_seconds(wire.worker_seconds)?, finite_seconds(wire.processor_seconds)?);
         Ok(Self {
             month: wire.month.parse().map_err(|_| ConvertError::Range { field: "usage.month" })?,
             owner: wire.owner,
@@ -66,13 +68,13 @@ impl TryFrom<wire::OwnerUsage> for OwnerUsage {
     }
 }
 
-impl From<Times> for wire::Times {
-    fn from(Times { attempts, processor, wall, waiting }: Times) -> Self {
+impl From<AttemptTimes> for wire::Times {
+    fn from(AttemptTimes { attempts, processor, wall, waiting }: AttemptTimes) -> Self {
         Self { attempts, processor_seconds: processor, wall_seconds: wall, waiting_seconds: waiting }
     }
 }
 
-impl TryFrom<wire::Times> for Times {
+impl TryFrom<wire::Times> for AttemptTimes {
     type Error = ConvertError;
 
     fn try_from(wire: wire::Times) -> Result<Self, ConvertError> {
@@ -81,19 +83,20 @@ impl TryFrom<wire::Times> for Times {
     }
 }
 
-impl From<Usage> for wire::Usage {
-    fn from(usage: Usage) -> Self {
-        let Usage { wait, wall, preparation, cpu, peak, samples, rays, fetched, sent } = usage;
+impl From<ResourceUsage> for wire::Usage {
+    fn from(usage: ResourceUsage) -> Self {
+        let ResourceUsage { wait, wall, preparation, cpu, peak, samples, rays, fetched, sent } = usage;
         Self { wait, wall, preparation, cpu, peak, samples, rays, fetched, sent }
     }
 }
 
-impl TryFrom<wire::Usage> for Usage {
+impl TryFrom<wire::Usage> for ResourceUsage {
     type Error = ConvertError;
 
     fn try_from(wire: wire::Usage) -> Result<Self, ConvertError> {
         let wire::Usage { wait, wall, preparation, cpu, peak, samples, rays, fetched, sent } = wire;
-        let [wait, wall, preparation, cpu] = [finite(wait)?, finite(wall)?, finite(preparation)?, finite(cpu)?];
+        let [wait, wall, preparation, cpu] =
+            [finite_seconds(wait)?, finite_seconds(wall)?, finite_seconds(preparation)?, finite_seconds(cpu)?];
         Ok(Self { wait, wall, preparation, cpu, peak, samples, rays, fetched, sent })
     }
 }
@@ -109,31 +112,31 @@ impl TryFrom<wire::Spent> for TaskUsage {
 
     fn try_from(wire: wire::Spent) -> Result<Self, ConvertError> {
         let (task, epoch) = from_lease(wire.lease)?;
-        Ok(Self { task, epoch, usage: need("spent.usage", wire.usage)?.try_into()? })
+        Ok(Self { task, epoch, usage: required("spent.usage", wire.usage)?.try_into()? })
     }
 }
 
-impl From<Ending> for wire::Ending {
-    fn from(ending: Ending) -> Self {
+impl From<LeaseEnding> for wire::Ending {
+    fn from(ending: LeaseEnding) -> Self {
         match ending {
-            Ending::Lost => Self::Lost,
-            Ending::Revoked => Self::Revoked,
-            Ending::Cancelled => Self::Cancelled,
-            Ending::Failed => Self::Failed,
-            Ending::Done => Self::Done,
+            LeaseEnding::Lost => Self::Lost,
+            LeaseEnding::Revoked => Self::Revoked,
+            LeaseEnding::Cancelled => Self::Cancelled,
+            LeaseEnding::Failed => Self::Failed,
+            LeaseEnding::Done => Self::Done,
         }
     }
 }
 
-fn ending(value: i32) -> Result<Ending, ConvertError> {
+fn ending(value: i32) -> Result<LeaseEnding, ConvertError> {
     let unknown = ConvertError::Unknown { field: "attempt.ending", value };
     Ok(match wire::Ending::try_from(value).map_err(|_| unknown.clone())? {
         wire::Ending::Unspecified => return Err(unknown),
-        wire::Ending::Lost => Ending::Lost,
-        wire::Ending::Revoked => Ending::Revoked,
-        wire::Ending::Cancelled => Ending::Cancelled,
-        wire::Ending::Failed => Ending::Failed,
-        wire::Ending::Done => Ending::Done,
+        wire::Ending::Lost => LeaseEnding::Lost,
+        wire::Ending::Revoked => LeaseEnding::Revoked,
+        wire::Ending::Cancelled => LeaseEnding::Cancelled,
+        wire::Ending::Failed => LeaseEnding::Failed,
+        wire::Ending::Done => LeaseEnding::Done,
     })
 }
 
@@ -170,7 +173,7 @@ impl TryFrom<wire::AttemptRecord> for AttemptRecord {
             ending: ending(wire.ending)?,
             samples: wire.samples,
             relative_error: wire.relative_error,
-            usage: maybe(wire.usage)?,
+            usage: convert_optional(wire.usage)?,
         })
     }
 }

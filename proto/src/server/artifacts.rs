@@ -5,59 +5,59 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use bytes::Bytes;
-use femc_fault::{Point, pass_async};
+use femc_fault::{Point, pass_point_async};
 use femc_model::{Artifact, Digest, Refusal};
-use femc_service::{Place, Who, store_refusal};
+use femc_service::{CallerKey, TransferSlot, store_refusal};
 use femc_store::{Novelty, Soundness, StoreError};
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
 use tokio_stream::{Stream, StreamExt as _};
 use tonic::{Request, Response, Status, Streaming};
 
-use super::uploads::Turn;
+use super::uploads::UploadAdmission;
 use super::{Server, collect, trail};
-use crate::convert::{self, digest, digest_bytes, need};
+use crate::convert::{self, digest_bytes, parse_digest, required};
 use crate::error::to_status;
-use crate::{PIECE, wire};
+use crate::{MAX_PIECE_SIZE, wire};
 use wire::put_request::Part;
 
 /// Largest number of digests in one request.
-const DIGESTS: usize = 1 << 16;
+const MAX_DIGESTS: usize = 1 << 16;
 
 #[tonic::async_trait]
 impl wire::artifacts_server::Artifacts for Server {
     async fn missing(&self, request: Request<wire::MissingRequest>) -> Result<Response<wire::MissingReply>, Status> {
-        let who = request.extensions().get::<Who>().cloned().unwrap_or_default();
-        let asked = request.into_inner().digests;
-        if asked.len() > DIGESTS {
-            return Err(to_status(&Refusal::TooLarge { what: "digests".into(), limit: DIGESTS as u64 }));
+        let caller_key = request.extensions().get::<CallerKey>().cloned().unwrap_or_default();
+        let requested = request.into_inner().digests;
+        if requested.len() > MAX_DIGESTS {
+            return Err(to_status(&Refusal::TooLarge { what: "digests".into(), limit: MAX_DIGESTS as u64 }));
         }
-        let digests = asked.iter().map(|bytes| digest("digest", bytes)).collect::<Result<Vec<_>, _>>()?;
-        self.promised.note(&digests).await;
+        let digests = requested.iter().map(|bytes| parse_digest("digest", bytes)).collect::<Result<Vec<_>, _>>()?;
+        self.promises.record(&digests).await;
         // The store may read the artifacts, which takes a place. Clients send an empty request as a greeting.
-        let _place = if digests.is_empty() { None } else { Some(self.places.take(who).await) };
-        let missing = self.store.missing(&digests).await.map_err(|error| refuse(&error))?;
+        let _slot = if digests.is_empty() { None } else { Some(self.transfer_slots.acquire(caller_key).await) };
+        let missing = self.store.missing(&digests).await.map_err(|error| store_status(&error))?;
         let digests = missing.iter().map(digest_bytes).collect();
         Ok(Response::new(wire::MissingReply { digests }))
     }
 
     async fn offer(&self, request: Request<wire::OfferRequest>) -> Result<Response<wire::OfferReply>, Status> {
         use wire::offer_reply::Answer;
-        let who = request.extensions().get::<Who>().cloned().unwrap_or_default();
-        let name = digest("digest", &request.into_inner().digest)?;
-        self.promised.note(&[name]).await;
+        let caller_key = request.extensions().get::<CallerKey>().cloned().unwrap_or_default();
+        let name = parse_digest("digest", &request.into_inner().digest)?;
+        self.promises.record(&[name]).await;
         // Wait for an upload that is being finished before asking the store.
-        let from = self.uploads.offered(&name).await;
-        let found = self.sound(&name, who).await.map_err(|error| refuse(&error))?;
+        let from = self.uploads.wanted_offset(&name).await;
+        let found = self.verified_size(&name, caller_key).await.map_err(|error| store_status(&error))?;
         let answer = if found.is_some() { Answer::There(wire::Empty {}) } else { Answer::From(from) };
         Ok(Response::new(wire::OfferReply { answer: Some(answer) }))
     }
 
     async fn put(&self, request: Request<Streaming<wire::PutRequest>>) -> Result<Response<wire::PutReply>, Status> {
-        let who = request.extensions().get::<Who>().cloned().unwrap_or_default();
-        let place = self.places.take(who).await;
+        let caller_key = request.extensions().get::<CallerKey>().cloned().unwrap_or_default();
+        let slot = self.transfer_slots.acquire(caller_key).await;
         // Use a separate task, so that all received bytes of an upload are processed even if the sender is gone.
-        let put = tokio::spawn(put(self.clone(), place, request.into_inner()));
+        let put = tokio::spawn(receive_upload(self.clone(), slot, request.into_inner()));
         let artifact = put.await.map_err(|error| Status::internal(error.to_string()))??;
         Ok(Response::new(wire::PutReply { artifact: Some(artifact.into()) }))
     }
@@ -66,7 +66,7 @@ impl wire::artifacts_server::Artifacts for Server {
         let trail = trail(&request);
         let request = request.into_inner();
         let mode = convert::collect_mode(request.mode)?;
-        trail.what(&format!("{mode:?}"));
+        trail.set_action(&format!("{mode:?}"));
         let collected = collect::collect(self, mode, Duration::from_millis(request.grace)).await;
         Ok(Response::new(collected.map_err(|no| to_status(&no))?.into()))
     }
@@ -74,32 +74,32 @@ impl wire::artifacts_server::Artifacts for Server {
     type GetStream = Pin<Box<dyn Stream<Item = Result<wire::GetReply, Status>> + Send>>;
 
     async fn get(&self, request: Request<wire::GetRequest>) -> Result<Response<Self::GetStream>, Status> {
-        let who = request.extensions().get::<Who>().cloned().unwrap_or_default();
+        let caller_key = request.extensions().get::<CallerKey>().cloned().unwrap_or_default();
         let wire::GetRequest { digest: name, offset, bytes } = request.into_inner();
-        let name = digest("digest", &name)?;
-        let mut found = self.store.size(&name).await.map_err(|error| refuse(&error))?;
+        let name = parse_digest("digest", &name)?;
+        let mut found = self.store.size(&name).await.map_err(|error| store_status(&error))?;
         let is_other = |found: Option<u64>| found.is_some() && bytes.is_some() && found != bytes;
         if is_other(found) {
-            found = self.sound(&name, who.clone()).await.map_err(|error| refuse(&error))?;
+            found = self.verified_size(&name, caller_key.clone()).await.map_err(|error| store_status(&error))?;
         }
         if found.is_none() {
-            self.farm.lost(name).await;
+            self.farm.report_lost(name).await;
             return Err(to_status(&Refusal::NoSuchArtifact { digest: name }));
         }
         if is_other(found) {
             // The store is not at fault: the caller expects another artifact.
             return Err(to_status(&Refusal::DigestMismatch { digest: name }));
         }
-        let place = Arc::new(self.places.take(who).await);
-        let (server, reading) = (self.clone(), place.clone());
+        let slot = Arc::new(self.transfer_slots.acquire(caller_key).await);
+        let (server, reading) = (self.clone(), slot.clone());
         let (send, receive) = mpsc::channel::<Result<Bytes, StoreError>>(1);
         tokio::spawn(async move {
             let _held = reading;
-            if let Err(error) = server.store.read(&name, offset, PIECE, &send).await {
+            if let Err(error) = server.store.read(&name, offset, MAX_PIECE_SIZE, &send).await {
                 let is_bad = matches!(error, StoreError::Mismatch { .. } | StoreError::Missing { .. });
                 // The stored artifact may be sound: it was damaged on the way, or it was uploaded again meanwhile.
                 if is_bad && matches!(server.store.has(&name).await, Ok(false)) {
-                    server.farm.lost(name).await;
+                    server.farm.report_lost(name).await;
                 }
                 let _ = send.send(Err(error)).await;
             }
@@ -107,9 +107,9 @@ impl wire::artifacts_server::Artifacts for Server {
         let sent = self.traffic.sent.clone();
         let replies = ReceiverStream::new(receive).map(move |piece| {
             // Hold the place until the last byte is read or the reader is gone.
-            let _held = &place;
+            let _held = &slot;
             sent.add(piece.as_ref().map_or(0, |piece| piece.len() as u64));
-            piece.map(|piece| wire::GetReply { piece }).map_err(|error| refuse(&error))
+            piece.map(|piece| wire::GetReply { piece }).map_err(|error| store_status(&error))
         });
         Ok(Response::new(Box::pin(replies)))
     }
@@ -117,11 +117,11 @@ impl wire::artifacts_server::Artifacts for Server {
 
 impl Server {
     /// Returns the size of an artifact if the store has it undamaged. Verification reads the artifact, which takes a place.
-    async fn sound(&self, name: &Digest, who: Who) -> Result<Option<u64>, StoreError> {
+    async fn verified_size(&self, name: &Digest, caller_key: CallerKey) -> Result<Option<u64>, StoreError> {
         if !self.store.has(name).await? {
             return Ok(None);
         }
-        let _place = self.places.take(who).await;
+        let _slot = self.transfer_slots.acquire(caller_key).await;
         Ok(match self.store.verify(name).await? {
             Soundness::Sound(bytes) => Some(bytes),
             Soundness::Damaged | Soundness::Missing => None,
@@ -129,39 +129,43 @@ impl Server {
     }
 }
 
-async fn put(server: Server, _place: Place, mut parts: Streaming<wire::PutRequest>) -> Result<Artifact, Status> {
-    let first = need("digest", parts.message().await?)?;
-    let Part::Digest(announced) = need("digest", first.part)? else {
+async fn receive_upload(
+    server: Server,
+    _slot: TransferSlot,
+    mut parts: Streaming<wire::PutRequest>,
+) -> Result<Artifact, Status> {
+    let first = required("digest", parts.message().await?)?;
+    let Part::Digest(announced) = required("digest", first.part)? else {
         return Err(Status::invalid_argument("an upload must begin with the digest"));
     };
-    let announced = digest("digest", &announced)?;
-    server.promised.note(&[announced]).await;
-    let mut upload = match server.uploads.take(&server.store, announced, first.offset).await {
-        Ok(Turn::Sends(upload)) => upload,
+    let announced = parse_digest("digest", &announced)?;
+    server.promises.record(&[announced]).await;
+    let mut upload = match server.uploads.begin_or_resume(&server.store, announced, first.offset).await {
+        Ok(UploadAdmission::Granted(upload)) => upload,
         // The sender can stop.
-        Ok(Turn::There(artifact)) => return Ok(artifact),
+        Ok(UploadAdmission::AlreadyStored(artifact)) => return Ok(artifact),
         Err(no) => return Err(to_status(&no)),
     };
     while let Some(part) = parts.message().await? {
-        let Part::Piece(piece) = need("piece", part.part)? else {
+        let Part::Piece(piece) = required("piece", part.part)? else {
             return Err(Status::invalid_argument("an upload must have only one digest"));
         };
-        pass_async(Point::CoordinatorMidUpload).await;
+        pass_point_async(Point::CoordinatorMidUpload).await;
         server.traffic.received.add(piece.len() as u64);
         if let Some(artifact) = upload.write(&piece).await.map_err(|no| to_status(&no))? {
             return Ok(artifact);
         }
     }
     // Note it again: the upload may have taken long, and an artifact that was stored before keeps its old time.
-    server.promised.note(&[announced]).await;
+    server.promises.record(&[announced]).await;
     let (artifact, novelty) = upload.finish().await.map_err(|no| to_status(&no))?;
     if novelty == Novelty::New {
         // A new artifact is young, which protects it from collection.
-        server.promised.forget(&announced);
+        server.promises.remove(&announced);
     }
     Ok(artifact)
 }
 
-pub(super) fn refuse(error: &StoreError) -> Status {
+pub(super) fn store_status(error: &StoreError) -> Status {
     to_status(&store_refusal(error))
 }

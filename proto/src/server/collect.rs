@@ -10,10 +10,10 @@ use std::time::{Duration, SystemTime};
 
 use femc_model::{Artifact, Digest, Refusal};
 use femc_service::{References, store_refusal};
-use femc_store::{Store, Stored, Sweep};
+use femc_store::{Store, StoredArtifact, Sweep};
 use tokio::task::JoinSet;
 
-use super::promised::Promised;
+use super::promises::Promises;
 use super::{Call, Server, inputs};
 
 /// Mode of a garbage collection.
@@ -27,14 +27,14 @@ pub enum CollectMode {
 
 /// Number and size of a set of artifacts.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Volume {
+pub struct ArtifactTotals {
     /// Number of artifacts.
     pub artifacts: u64,
     /// Total size in bytes.
     pub bytes: u64,
 }
 
-impl Volume {
+impl ArtifactTotals {
     fn add(&mut self, artifact: &Artifact) {
         self.artifacts += 1;
         self.bytes += artifact.bytes;
@@ -43,62 +43,62 @@ impl Volume {
 
 /// Contents of a store, as a collection classifies them.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Collected {
+pub struct CollectReport {
     /// Artifacts that some job refers to.
-    pub referenced: Volume,
+    pub referenced: ArtifactTotals,
     /// Unreferenced artifacts that are younger than the grace period, or that a client was recently told are in the store.
-    pub young: Volume,
+    pub young: ArtifactTotals,
     /// Artifacts removed or, in a dry run, to be removed. Includes the files of unfinished uploads.
-    pub garbage: Volume,
+    pub garbage: ArtifactTotals,
     /// Names of the first artifacts of the garbage.
     pub names: Vec<Artifact>,
 }
 
 /// Shortest allowed grace period. A result's artifacts must be recorded in the log within it.
-pub const LEAST_GRACE: Duration = Duration::from_secs(60);
+pub const MIN_GRACE: Duration = Duration::from_secs(60);
 /// Largest number of artifacts named in an answer.
-const NAMES: usize = 10_000;
+const MAX_NAMES: usize = 10_000;
 /// Number of artifacts removed in one step. Uploads wait during a step.
-const AT_ONCE: usize = 64;
+const REMOVAL_BATCH: usize = 64;
 
-pub(super) async fn collect(server: &Server, mode: CollectMode, grace: Duration) -> Result<Collected, Refusal> {
-    if grace < LEAST_GRACE {
-        let message = format!("must be at least {} s, or results in transit would be lost", LEAST_GRACE.as_secs());
+pub(super) async fn collect(server: &Server, mode: CollectMode, grace: Duration) -> Result<CollectReport, Refusal> {
+    if grace < MIN_GRACE {
+        let message = format!("must be at least {} s, or results in transit would be lost", MIN_GRACE.as_secs());
         return Err(Refusal::Invalid { field: "grace".into(), message });
     }
     let busy = |message: String| Refusal::Unavailable { message };
-    let _alone = server.collecting.try_lock().map_err(|_| busy("another garbage collection is running".into()))?;
-    if let Some(wait) = server.promised.is_blind_for() {
+    let _alone = server.collection_lock.try_lock().map_err(|_| busy("another garbage collection is running".into()))?;
+    if let Some(wait) = server.promises.overflow_remaining() {
         let minutes = wait.as_secs() / 60 + 1;
         return Err(busy(format!("too many recent uploads to identify garbage; try again in {minutes} min")));
     }
     let listing = server.store.listing().await.map_err(|error| store_refusal(&error))?;
-    let references = server.question(|reply| Call::References { reply }).await?;
-    let references = named(&server.store, references).await?;
+    let references = server.ask_raw(|reply| Call::References { reply }).await?;
+    let references = referenced_artifacts(&server.store, references).await?;
     let now = SystemTime::now();
-    let (mut collected, mut old) = (Collected::default(), Vec::new());
-    for Stored { artifact, kept } in listing {
+    let (mut report, mut old) = (CollectReport::default(), Vec::new());
+    for StoredArtifact { artifact, last_modified: kept } in listing {
         let is_old = now.duration_since(kept).is_ok_and(|age| age >= grace);
         if references.contains(&artifact.digest) {
-            collected.referenced.add(&artifact);
+            report.referenced.add(&artifact);
         } else if is_old {
             old.push(artifact);
         } else {
-            collected.young.add(&artifact);
+            report.young.add(&artifact);
         }
     }
-    for some in old.chunks(AT_ONCE) {
-        let _closed = server.promised.close().await;
+    for some in old.chunks(REMOVAL_BATCH) {
+        let _closed = server.promises.block_recording().await;
         let (young, garbage): (Vec<Artifact>, Vec<Artifact>) =
-            some.iter().partition(|artifact| server.promised.holds(&artifact.digest, grace));
-        young.iter().for_each(|artifact| collected.young.add(artifact));
+            some.iter().partition(|artifact| server.promises.is_promised(&artifact.digest, grace));
+        young.iter().for_each(|artifact| report.young.add(artifact));
         if mode == CollectMode::Remove {
-            remove(server, &garbage).await?;
+            remove_artifacts(server, &garbage).await?;
         }
         for artifact in garbage {
-            collected.garbage.add(&artifact);
-            if collected.names.len() < NAMES {
-                collected.names.push(artifact);
+            report.garbage.add(&artifact);
+            if report.names.len() < MAX_NAMES {
+                report.names.push(artifact);
             }
         }
     }
@@ -107,20 +107,20 @@ pub(super) async fn collect(server: &Server, mode: CollectMode, grace: Duration)
         CollectMode::Remove => Sweep::Remove,
     };
     // An interrupted upload may resume for a while, no matter how short the grace period is.
-    let idle = grace.max(Promised::HOLDS);
+    let idle = grace.max(Promises::DURATION);
     let (uploads, bytes) = server.store.sweep_uploads(idle, sweep).await.map_err(|error| store_refusal(&error))?;
-    collected.garbage.artifacts += uploads;
-    collected.garbage.bytes += bytes;
-    Ok(collected)
+    report.garbage.artifacts += uploads;
+    report.garbage.bytes += bytes;
+    Ok(report)
 }
 
 /// Returns all artifacts that jobs refer to, directly or through their scenes.
-pub(super) async fn named(
+pub(super) async fn referenced_artifacts(
     store: &Store,
     References { mut artifacts, scenes }: References,
 ) -> Result<BTreeSet<Digest>, Refusal> {
     for scene in scenes {
-        match inputs::pieces(store, &scene).await {
+        match inputs::scene_pieces(store, &scene).await {
             Ok(pieces) => artifacts.extend(pieces),
             // The pieces of a lost or invalid scene are unknown, and it cannot be rendered anyway.
             Err(Refusal::MissingArtifacts { .. } | Refusal::Invalid { .. }) => {
@@ -132,7 +132,7 @@ pub(super) async fn named(
     Ok(artifacts)
 }
 
-async fn remove(server: &Server, garbage: &[Artifact]) -> Result<(), Refusal> {
+async fn remove_artifacts(server: &Server, garbage: &[Artifact]) -> Result<(), Refusal> {
     let mut removals = JoinSet::new();
     for artifact in garbage {
         let (store, digest) = (server.store.clone(), artifact.digest);

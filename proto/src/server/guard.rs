@@ -6,7 +6,10 @@ use std::task::{Context, Poll};
 use std::time::Duration;
 
 use femc_model::Refusal;
-use femc_service::{Gate, Http, Introduced, Operation, Outcome, Served, Shown, Trail, Visitor, Who};
+use femc_service::{
+    AuditEntry, CallerKey, ConnectedClient, Gate, Http, Operation, Outcome, PermittedResponse, PresentedCredentials,
+    PublicResponse,
+};
 use http::header::{AUTHORIZATION, CONTENT_TYPE};
 use http::{Request, Response};
 use tonic::body::Body;
@@ -14,8 +17,8 @@ use tonic::{Code, Status};
 use tower::{Layer, Service};
 
 use super::Session;
-use super::door::Peer;
-use super::punctual::Pace;
+use super::body_timeout::BodyTimeout;
+use super::connection_limiter::Peer;
 use crate::error::to_status;
 
 /// Returns the operation of a gRPC call by its path. Calls that are not listed here require an admin.
@@ -58,14 +61,14 @@ impl Guard {
         Self { gate, http }
     }
 
-    /// Checks the call and attaches its caller, its [`Who`] and its [`Trail`]. Returns how long a call that exceeds its rate must
-    /// wait.
+    /// Checks the call and attaches its caller, its [`CallerKey`] and its [`AuditEntry`]. Returns how long a call that exceeds its
+    /// rate must wait.
     fn check<B>(&self, request: &mut Request<B>) -> Result<Duration, Refusal> {
         let peer = request.extensions().get::<Peer>().cloned();
         let address = peer.as_ref().and_then(|peer| peer.address);
         let path = request.uri().path();
         let operation = operation(path);
-        let trail = self.gate.trail(operation, named(path), address.map(|address| address.to_string()));
+        let trail = self.gate.audit_entry(operation, call_name(path), address.map(|address| address.to_string()));
         request.extensions_mut().insert(trail.clone());
         let place = address.map(|address| address.ip().to_string());
         // A header that is not a bearer token counts as a wrong token.
@@ -75,20 +78,20 @@ impl Guard {
         };
         let token = request.headers().get(AUTHORIZATION).map(bearer);
         let certificate = peer.as_ref().and_then(|peer| peer.certificate.as_ref());
-        let shown = Shown { token: token.as_deref(), certificate, place: place.as_deref() };
-        let granted = self.gate.check(operation, shown, &trail)?;
+        let credentials = PresentedCredentials { token: token.as_deref(), certificate, address: place.as_deref() };
+        let granted = self.gate.check(operation, credentials, &trail)?;
         if let Some(caller) = granted.caller {
             request.extensions_mut().insert(caller);
         }
         let connection = peer.as_ref().map_or(0, |peer| peer.number);
-        request.extensions_mut().insert(Who { name: granted.name, connection });
+        request.extensions_mut().insert(CallerKey { name: granted.name, connection });
         if let Some(peer) = peer {
-            peer.introduce();
+            peer.mark_introduced();
         }
         Ok(granted.wait)
     }
 
-    fn note<B>(&self, trail: &Trail, response: &Response<B>) {
+    fn audit_outcome<B>(&self, trail: &AuditEntry, response: &Response<B>) {
         let Some(audit) = self.gate.audit() else { return };
         let status = Status::from_header_map(response.headers());
         let code = status.as_ref().map_or(Code::Ok, Status::code);
@@ -97,12 +100,12 @@ impl Guard {
             Code::Unauthenticated | Code::PermissionDenied | Code::ResourceExhausted => Outcome::Refused,
             _ => Outcome::Failed,
         };
-        trail.end(audit, outcome, &format!("{code:?}"), status.as_ref().map_or("", Status::message));
+        trail.write(audit, outcome, &format!("{code:?}"), status.as_ref().map_or("", Status::message));
     }
 }
 
 /// Returns the call's name in the audit record.
-fn named(path: &str) -> &str {
+fn call_name(path: &str) -> &str {
     path.trim_start_matches('/').trim_start_matches("femc.v1.")
 }
 
@@ -113,31 +116,31 @@ fn is_grpc<B>(request: &Request<B>) -> bool {
 }
 
 /// Returns the client of a request, for the HTTP side.
-fn visitor<B>(request: &Request<B>) -> (Visitor, Option<Peer>) {
+fn visitor<B>(request: &Request<B>) -> (ConnectedClient, Option<Peer>) {
     let peer = request.extensions().get::<Peer>().cloned();
     let certificate = peer.as_ref().and_then(|peer| peer.certificate.clone());
     let address = peer.as_ref().and_then(|peer| peer.address);
-    let reached = peer.as_ref().and_then(|peer| peer.reached);
+    let reached = peer.as_ref().and_then(|peer| peer.local_address);
     let connection = peer.as_ref().map_or(0, |peer| peer.number);
-    (Visitor { address, reached, connection, certificate }, peer)
+    (ConnectedClient { address, local_address: reached, connection, certificate }, peer)
 }
 
 impl<S> Layer<S> for Guard {
-    type Service = Guarded<S>;
+    type Service = GuardService<S>;
 
-    fn layer(&self, inner: S) -> Guarded<S> {
-        Guarded { guard: self.clone(), inner }
+    fn layer(&self, inner: S) -> GuardService<S> {
+        GuardService { guard: self.clone(), inner }
     }
 }
 
 /// A service behind the guard.
 #[derive(Debug, Clone)]
-pub(super) struct Guarded<S> {
+pub(super) struct GuardService<S> {
     guard: Guard,
     inner: S,
 }
 
-impl<S> Service<Request<Body>> for Guarded<S>
+impl<S> Service<Request<Body>> for GuardService<S>
 where
     S: Service<Request<Body>, Response = Response<Body>> + Clone + Send + 'static,
     S::Future: Send + 'static,
@@ -157,18 +160,19 @@ where
             return Box::pin(async move {
                 let response = http.serve(request, visitor).await;
                 let has = |is_there: bool| peer.as_ref().filter(|_| is_there);
-                if let Some(peer) = has(response.extensions().get::<Introduced>().is_some()) {
-                    peer.introduce();
-                } else if let Some(peer) = has(response.extensions().get::<Served>().is_some()) {
-                    peer.serve();
+                if let Some(peer) = has(response.extensions().get::<PermittedResponse>().is_some()) {
+                    peer.mark_introduced();
+                } else if let Some(peer) = has(response.extensions().get::<PublicResponse>().is_some()) {
+                    peer.mark_served();
                 }
                 Ok(response.map(Body::new))
             });
         }
         let checked = self.guard.check(&mut request);
-        let trail = request.extensions().get::<Trail>().cloned().unwrap_or_default();
+        let trail = request.extensions().get::<AuditEntry>().cloned().unwrap_or_default();
         let guard = self.guard.clone();
-        let (pace, patience) = (Pace::of(request.uri().path()), self.guard.gate.limits().patience);
+        let (body_timeout, timeout) =
+            (BodyTimeout::from_path(request.uri().path()), self.guard.gate.limits().request_timeout);
         // Use the service that is ready, and leave a copy for the next call.
         let next = self.inner.clone();
         let mut inner = std::mem::replace(&mut self.inner, next);
@@ -178,11 +182,11 @@ where
                     if !wait.is_zero() {
                         tokio::time::sleep(wait).await;
                     }
-                    inner.call(request.map(|body| pace.hold(body, patience))).await?
+                    inner.call(request.map(|body| body_timeout.wrap(body, timeout))).await?
                 }
                 Err(refusal) => to_status(&refusal).into_http(),
             };
-            guard.note(&trail, &response);
+            guard.audit_outcome(&trail, &response);
             Ok(response)
         })
     }

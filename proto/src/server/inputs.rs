@@ -4,13 +4,13 @@ use femc_model::{Digest, Manifest, Refusal};
 use femc_service::store_refusal;
 use femc_store::{Store, StoreError};
 
-use super::promised::Promised;
+use super::promises::Promises;
 
 /// Returns the artifacts that hold a scene, without its manifest.
-pub(super) async fn pieces(store: &Store, bundle: &Digest) -> Result<Vec<Digest>, Refusal> {
+pub(super) async fn scene_pieces(store: &Store, bundle: &Digest) -> Result<Vec<Digest>, Refusal> {
     let missing = |digest: &Digest| Refusal::MissingArtifacts { digests: vec![*digest], count: 1 };
     let size = store.size(bundle).await.map_err(|error| store_refusal(&error))?.ok_or_else(|| missing(bundle))?;
-    if size > Manifest::MOST {
+    if size > Manifest::MAX_BYTES {
         // A bundle of an earlier version, which may be that large.
         return Ok(Vec::new());
     }
@@ -18,7 +18,7 @@ pub(super) async fn pieces(store: &Store, bundle: &Digest) -> Result<Vec<Digest>
         StoreError::Missing { digest } => missing(&digest),
         other => store_refusal(&other),
     })?;
-    if !Manifest::is_one(&bytes) {
+    if !Manifest::is_manifest(&bytes) {
         return Ok(Vec::new());
     }
     let invalid =
@@ -28,15 +28,15 @@ pub(super) async fn pieces(store: &Store, bundle: &Digest) -> Result<Vec<Digest>
 }
 
 /// Refuses a job whose scene is incomplete. The scene's artifacts are protected from collection for a while.
-pub(super) async fn check(store: &Store, promised: &Promised, bundle: &Digest) -> Result<(), Refusal> {
-    promised.note(&[*bundle]).await;
-    let pieces = pieces(store, bundle).await?;
-    promised.note(&pieces).await;
+pub(super) async fn check_scene(store: &Store, promises: &Promises, bundle: &Digest) -> Result<(), Refusal> {
+    promises.record(&[*bundle]).await;
+    let pieces = scene_pieces(store, bundle).await?;
+    promises.record(&pieces).await;
     let mut missing = store.missing(&pieces).await.map_err(|error| store_refusal(&error))?;
     if missing.is_empty() {
         return Ok(());
     }
     let count = missing.len() as u64;
-    missing.truncate(Refusal::MOST_NAMED);
+    missing.truncate(Refusal::MAX_NAMED);
     Err(Refusal::MissingArtifacts { digests: missing, count })
 }

@@ -4,21 +4,21 @@ use std::pin::Pin;
 use std::sync::Arc;
 use std::time::Duration;
 
-use femc_model::{Control, Drain, JobId, JobSpec, JobStatus, Tick, WorkerName};
-use femc_service::{Caller, JobShape, Listing};
+use femc_model::{Control, Drain, JobId, JobSpec, JobStatus, Tick, WorkerSelector};
+use femc_service::{Caller, JobList, JobShape};
 use tokio::sync::{mpsc, watch};
 use tokio_stream::Stream;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response, Status};
 
 use super::{Call, Server, backup, inputs, trail};
-use crate::convert::need;
+use crate::convert::required;
 use crate::error::to_status;
 use crate::wire;
 use wire::attempts_reply::Part;
 
 /// Interval between checks whether a watching caller is revoked.
-const LOOKS: Duration = Duration::from_secs(1);
+const REVOCATION_CHECK_INTERVAL: Duration = Duration::from_secs(1);
 
 type Answer<T> = Result<Response<T>, Status>;
 
@@ -28,20 +28,20 @@ impl wire::jobs_server::Jobs for Server {
         let caller = request.extensions().get::<Arc<Caller>>().cloned();
         let trail = trail(&request);
         let wire::SubmitRequest { job, key } = request.into_inner();
-        let mut spec: Box<JobSpec> = Box::new(need("job", job)?.try_into()?);
-        trail.what(&format!("{} frames of {}", spec.frames.len(), spec.name));
+        let mut spec: Box<JobSpec> = Box::new(required("job", job)?.try_into()?);
+        trail.set_action(&format!("{} frames of {}", spec.frames.len(), spec.name));
         if let Some(caller) = caller {
             // The owner is the caller, so that nobody uses another owner's share.
             spec.owner = caller.holder.name().to_owned();
         }
-        inputs::check(&self.store, &self.promised, &spec.bundle).await.map_err(|no| to_status(&no))?;
+        inputs::check_scene(&self.store, &self.promises, &spec.bundle).await.map_err(|no| to_status(&no))?;
         let job = self.ask(|reply| Call::Submit { key, spec, reply }).await?;
-        trail.job(job);
+        trail.set_job(job);
         Ok(Response::new(wire::SubmitReply { job: job.0 }))
     }
 
     async fn list(&self, _: Request<wire::ListRequest>) -> Answer<wire::ListReply> {
-        let Listing { jobs, warnings } = self.ask(|reply| Call::List { reply }).await?;
+        let JobList { jobs, warnings } = self.ask(|reply| Call::List { reply }).await?;
         Ok(Response::new(wire::ListReply { jobs: jobs.into_iter().map(Into::into).collect(), warnings }))
     }
 
@@ -57,7 +57,7 @@ impl wire::jobs_server::Jobs for Server {
         let job = JobId(request.into_inner().job);
         let statuses = self.ask(|reply| Call::Watch { job, reply }).await?;
         let (send, receive) = mpsc::channel(1);
-        tokio::spawn(forward(caller, statuses, send));
+        tokio::spawn(forward_statuses(caller, statuses, send));
         Ok(Response::new(Box::pin(ReceiverStream::new(receive))))
     }
 
@@ -65,10 +65,10 @@ impl wire::jobs_server::Jobs for Server {
         let caller = request.extensions().get::<Arc<Caller>>().cloned();
         let trail = trail(&request);
         let wire::ControlRequest { job, control } = request.into_inner();
-        let (job, control): (JobId, Control) = (JobId(job), need("control", control)?.try_into()?);
-        trail.job(job);
-        trail.what(&format!("{control:?}"));
-        let steered = self.farm.steer(&self.store, caller.as_deref(), job, control).await;
+        let (job, control): (JobId, Control) = (JobId(job), required("control", control)?.try_into()?);
+        trail.set_job(job);
+        trail.set_action(&format!("{control:?}"));
+        let steered = self.farm.control_job(&self.store, caller.as_deref(), job, control).await;
         steered.map_err(|no| to_status(&no))?;
         Ok(Response::new(wire::ControlReply {}))
     }
@@ -103,7 +103,7 @@ impl wire::jobs_server::Jobs for Server {
         let job = JobId(request.into_inner().job);
         let shape = self.ask(|reply| Call::Shape { job, reply }).await?;
         let (send, receive) = mpsc::channel(1);
-        tokio::spawn(pages(self.clone(), job, shape, send));
+        tokio::spawn(send_attempt_pages(self.clone(), job, shape, send));
         Ok(Response::new(Box::pin(ReceiverStream::new(receive))))
     }
 
@@ -117,8 +117,8 @@ impl wire::jobs_server::Jobs for Server {
     }
 
     async fn list_workers(&self, _: Request<wire::ListWorkersRequest>) -> Answer<wire::ListWorkersReply> {
-        let crew = self.ask(|reply| Call::Workers { reply }).await?;
-        Ok(Response::new(crew.into()))
+        let workers = self.ask(|reply| Call::Workers { reply }).await?;
+        Ok(Response::new(workers.into()))
     }
 
     async fn usage(&self, _: Request<wire::UsageRequest>) -> Answer<wire::UsageReply> {
@@ -128,24 +128,29 @@ impl wire::jobs_server::Jobs for Server {
 
     async fn drain_workers(&self, request: Request<wire::DrainWorkersRequest>) -> Answer<wire::DrainWorkersReply> {
         let trail = trail(&request);
-        let (worker, drain): (WorkerName, Drain) = request.into_inner().try_into()?;
-        trail.what(&format!("{drain:?} {worker}"));
+        let (worker, drain): (WorkerSelector, Drain) = request.into_inner().try_into()?;
+        trail.set_action(&format!("{drain:?} {worker}"));
         let workers = self.ask(|reply| Call::Drain { worker, drain, reply }).await?;
         Ok(Response::new(wire::DrainWorkersReply { workers: workers.into_iter().map(|worker| worker.0).collect() }))
     }
 }
 
 /// Waits until the caller is revoked.
-async fn revoked(caller: Option<&Caller>) -> Status {
+async fn wait_until_revoked(caller: Option<&Caller>) -> Status {
     let Some(caller) = caller else { return std::future::pending().await };
-    while caller.still_counts() {
-        tokio::time::sleep(LOOKS).await;
+    while caller.is_valid() {
+        tokio::time::sleep(REVOCATION_CHECK_INTERVAL).await;
     }
-    to_status(&caller.revoked())
+    to_status(&caller.revoked_refusal())
 }
 
 /// Sends a job's shape and its attempts page by page, as fast as the client reads.
-async fn pages(server: Server, job: JobId, shape: JobShape, send: mpsc::Sender<Result<wire::AttemptsReply, Status>>) {
+async fn send_attempt_pages(
+    server: Server,
+    job: JobId,
+    shape: JobShape,
+    send: mpsc::Sender<Result<wire::AttemptsReply, Status>>,
+) {
     let mut part = Part::Job(shape.into());
     let mut from = Some(0);
     loop {
@@ -167,7 +172,7 @@ async fn pages(server: Server, job: JobId, shape: JobShape, send: mpsc::Sender<R
 
 /// Sends the newest status whenever there is one. A slow client misses some in between, but never the last. A revoked caller gets
 /// no more.
-async fn forward(
+async fn forward_statuses(
     caller: Option<Arc<Caller>>,
     mut statuses: watch::Receiver<JobStatus>,
     send: mpsc::Sender<Result<wire::JobStatus, Status>>,
@@ -182,10 +187,10 @@ async fn forward(
             biased;
             changed = statuses.changed() => if changed.is_err() { return },
             () = send.closed() => return,
-            revoked = revoked(caller.as_deref()) => return drop(send.send(Err(revoked)).await),
+            revoked = wait_until_revoked(caller.as_deref()) => return drop(send.send(Err(revoked)).await),
         }
-        if let Some(caller) = caller.as_ref().filter(|caller| !caller.still_counts()) {
-            return drop(send.send(Err(to_status(&caller.revoked()))).await);
+        if let Some(caller) = caller.as_ref().filter(|caller| !caller.is_valid()) {
+            return drop(send.send(Err(to_status(&caller.revoked_refusal()))).await);
         }
     }
 }

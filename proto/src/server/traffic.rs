@@ -38,13 +38,13 @@ const OTHER: &str = "other";
 
 impl Default for Traffic {
     fn default() -> Self {
-        let paths: Vec<String> = paths().into_iter().chain([OTHER.to_owned()]).collect();
+        let paths: Vec<String> = call_paths().into_iter().chain([OTHER.to_owned()]).collect();
         let histogram = |path: &String| (path.clone(), Histogram::new(Histogram::LATENCIES));
         let timed = |operation: &'static str| (operation, Histogram::new(Histogram::LATENCIES));
         Self {
-            calls: Tally::of(paths.iter().map(|path| (path.clone(), name(Code::Ok)))),
+            calls: Tally::with_keys(paths.iter().map(|path| (path.clone(), code_name(Code::Ok)))),
             latencies: Arc::new(paths.iter().map(histogram).collect()),
-            requests: Tally::of(Operation::HTTP.map(|operation| (operation.name(), 200))),
+            requests: Tally::with_keys(Operation::HTTP.map(|operation| (operation.name(), 200))),
             request_latencies: Arc::new(Operation::HTTP.map(Operation::name).into_iter().map(timed).collect()),
             received: Counter::default(),
             sent: Counter::default(),
@@ -53,25 +53,25 @@ impl Default for Traffic {
 }
 
 impl Traffic {
-    fn note<B>(&self, path: &str, response: &Response<B>, begun: Instant) {
+    fn record<B>(&self, path: &str, response: &Response<B>, begun: Instant) {
         if let Some(operation) = response.extensions().get::<Operation>() {
             self.requests.add((operation.name(), response.status().as_u16()), 1);
             if let Some(latencies) = self.request_latencies.get(operation.name()) {
-                latencies.note(begun.elapsed());
+                latencies.observe(begun.elapsed());
             }
             return;
         }
         let path = self.latencies.get_key_value(path).map_or(OTHER, |(path, _)| path);
         let code = response.headers().get("grpc-status").map_or(Code::Ok, |code| Code::from_bytes(code.as_bytes()));
-        self.calls.add((path.to_owned(), name(code)), 1);
+        self.calls.add((path.to_owned(), code_name(code)), 1);
         if let Some(latencies) = self.latencies.get(path) {
-            latencies.note(begun.elapsed());
+            latencies.observe(begun.elapsed());
         }
     }
 }
 
 /// Returns the paths of the protocol's calls, such as `/femc.v1.Jobs/List`.
-fn paths() -> Vec<String> {
+fn call_paths() -> Vec<String> {
     let set = prost_types::FileDescriptorSet::decode(wire::DESCRIPTORS).unwrap_or_default();
     let mut paths = Vec::new();
     for file in &set.file {
@@ -86,7 +86,7 @@ fn paths() -> Vec<String> {
 }
 
 /// Returns the code's name in gRPC.
-fn name(code: Code) -> &'static str {
+fn code_name(code: Code) -> &'static str {
     match code {
         Code::Ok => "OK",
         Code::Cancelled => "CANCELLED",
@@ -109,21 +109,21 @@ fn name(code: Code) -> &'static str {
 }
 
 impl<S> Layer<S> for Traffic {
-    type Service = Counted<S>;
+    type Service = TrafficService<S>;
 
-    fn layer(&self, inner: S) -> Counted<S> {
-        Counted { traffic: self.clone(), inner }
+    fn layer(&self, inner: S) -> TrafficService<S> {
+        TrafficService { traffic: self.clone(), inner }
     }
 }
 
 /// A service whose calls are counted.
 #[derive(Debug, Clone)]
-pub struct Counted<S> {
+pub struct TrafficService<S> {
     traffic: Traffic,
     inner: S,
 }
 
-impl<S, A, B> Service<Request<A>> for Counted<S>
+impl<S, A, B> Service<Request<A>> for TrafficService<S>
 where
     S: Service<Request<A>, Response = Response<B>>,
     S::Future: Send + 'static,
@@ -141,7 +141,7 @@ where
         let answer = self.inner.call(request);
         Box::pin(async move {
             let response = answer.await?;
-            traffic.note(&path, &response, begun);
+            traffic.record(&path, &response, begun);
             Ok(response)
         })
     }
@@ -158,10 +158,10 @@ mod tests {
             let response = Response::builder().header("grpc-status", code).body(());
             response.expect("a response")
         };
-        traffic.note("/femc.v1.Jobs/List", &Response::new(()), Instant::now());
-        traffic.note("/femc.v1.Jobs/List", &answer("7"), Instant::now());
-        traffic.note("/femc.v1.Jobs/Lisp", &answer("12"), Instant::now());
-        traffic.note("/what/ever", &answer("12"), Instant::now());
+        traffic.record("/femc.v1.Jobs/List", &Response::new(()), Instant::now());
+        traffic.record("/femc.v1.Jobs/List", &answer("7"), Instant::now());
+        traffic.record("/femc.v1.Jobs/Lisp", &answer("12"), Instant::now());
+        traffic.record("/what/ever", &answer("12"), Instant::now());
         let calls: BTreeMap<(String, &str), u64> = traffic.calls.get().into_iter().collect();
         let count = |path: &str, code| calls.get(&(path.to_owned(), code)).copied();
         assert_eq!(count("/femc.v1.Jobs/List", "OK"), Some(1));
@@ -185,7 +185,7 @@ mod tests {
             ("/api/v1/made/up", Operation::Other, 404),
             ("/api/v1/made/up/otherwise", Operation::Other, 404),
         ] {
-            traffic.note(path, &answer(operation, status), Instant::now());
+            traffic.record(path, &answer(operation, status), Instant::now());
         }
         assert_eq!(traffic.calls.get(), calls, "none of them is a call");
         let requests: BTreeMap<(&str, u16), u64> = traffic.requests.get().into_iter().collect();

@@ -12,14 +12,14 @@ use tokio_stream::{Stream, StreamExt as _};
 use tonic::{Request, Response, Status, Streaming};
 
 use super::{Call, Server, Session, WorkerMessages, trail};
-use crate::many::together;
+use crate::batch::batch_ready;
 use crate::wire;
 
 /// Number of messages that may wait for a slow worker before its session is ended.
-const WAITING: usize = 1024;
+const MAX_QUEUED_MESSAGES: usize = 1024;
 
 /// Time limit for the first message of a new session.
-const INTRODUCTION: Duration = Duration::from_secs(10);
+const REGISTRATION_TIMEOUT: Duration = Duration::from_secs(10);
 
 #[tonic::async_trait]
 impl wire::workers_server::Workers for Server {
@@ -32,18 +32,18 @@ impl wire::workers_server::Workers for Server {
         let caller = request.extensions().get::<Arc<Caller>>().cloned();
         let trail = trail(&request);
         let mut messages = request.into_inner();
-        let first = tokio::time::timeout(INTRODUCTION, messages.message()).await;
+        let first = tokio::time::timeout(REGISTRATION_TIMEOUT, messages.message()).await;
         let first = first.map_err(|_| Status::deadline_exceeded("the worker did not register"))??;
         let first = first.ok_or_else(|| Status::invalid_argument("the worker did not register"))?;
         let FromWorker::Register(registration) = FromWorker::try_from(first)? else {
             return Err(Status::invalid_argument("the first message must register the worker"));
         };
-        trail.what(&format!("worker {}", registration.name));
-        let (out, receive) = mpsc::channel(WAITING);
+        trail.set_action(&format!("worker {}", registration.name));
+        let (out, receive) = mpsc::channel(MAX_QUEUED_MESSAGES);
         let session = Session { registration, messages: WorkerMessages::new(messages, caller), out };
-        if !self.farm.tell(Call::Session(Box::new(session))).await {
+        if !self.farm.send(Call::Session(Box::new(session))).await {
             return Err(Status::unavailable("the coordinator is stopping"));
         }
-        Ok(Response::new(Box::pin(together(ReceiverStream::new(receive).map(Into::into)).map(Ok))))
+        Ok(Response::new(Box::pin(batch_ready(ReceiverStream::new(receive).map(Into::into)).map(Ok))))
     }
 }

@@ -9,42 +9,42 @@ use tokio_stream::{Stream, StreamExt as _};
 use tonic::{Code, Request, Response, Status, Streaming};
 
 use super::*;
-use crate::{Dial, Link, Why};
+use crate::{ByteStream, Dialer, UnreachableCause};
 use wire::artifacts_server::{Artifacts, ArtifactsServer};
 
 type Replies = Pin<Box<dyn Stream<Item = Result<wire::GetReply, Status>> + Send>>;
 
 /// A server with scripted answers.
 #[derive(Default)]
-struct Liar {
+struct ScriptedServer {
     /// Scripted replies to download requests, in order: pieces, and the code with which the transfer is cut. The last reply is
     /// repeated.
-    gives: Vec<(Vec<Bytes>, Option<Code>)>,
+    downloads: Vec<(Vec<Bytes>, Option<Code>)>,
     /// Answer to an offer: the first byte wanted; `None`: the artifact is in the store.
-    wants: Option<u64>,
+    wanted_offset: Option<u64>,
     /// Answer to an upload: the artifact kept.
-    kept: Option<Artifact>,
+    stored: Option<Artifact>,
     missing: Vec<Digest>,
-    heard: Mutex<Heard>,
+    requests: Mutex<ReceivedRequests>,
 }
 
 /// Requests and uploads that the server received.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-struct Heard {
+struct ReceivedRequests {
     /// First byte wanted and size expected, for each download request.
-    got: Vec<(u64, Option<u64>)>,
+    downloads: Vec<(u64, Option<u64>)>,
     /// First byte and bytes, for each upload.
-    put: Vec<(u64, Vec<u8>)>,
+    uploads: Vec<(u64, Vec<u8>)>,
 }
 
 #[tonic::async_trait]
-impl Artifacts for Arc<Liar> {
+impl Artifacts for Arc<ScriptedServer> {
     async fn missing(&self, _: Request<wire::MissingRequest>) -> Result<Response<wire::MissingReply>, Status> {
         Ok(Response::new(wire::MissingReply { digests: self.missing.iter().map(digest_bytes).collect() }))
     }
 
     async fn offer(&self, _: Request<wire::OfferRequest>) -> Result<Response<wire::OfferReply>, Status> {
-        let answer = self.wants.map_or(Answer::There(wire::Empty {}), Answer::From);
+        let answer = self.wanted_offset.map_or(Answer::There(wire::Empty {}), Answer::From);
         Ok(Response::new(wire::OfferReply { answer: Some(answer) }))
     }
 
@@ -56,20 +56,20 @@ impl Artifacts for Arc<Liar> {
                 Part::Piece(piece) => bytes.extend_from_slice(&piece),
             }
         }
-        self.heard.lock().unwrap().put.push((from, bytes));
-        Ok(Response::new(wire::PutReply { artifact: self.kept.map(Into::into) }))
+        self.requests.lock().unwrap().uploads.push((from, bytes));
+        Ok(Response::new(wire::PutReply { artifact: self.stored.map(Into::into) }))
     }
 
     type GetStream = Replies;
 
     async fn get(&self, request: Request<wire::GetRequest>) -> Result<Response<Replies>, Status> {
         let wire::GetRequest { offset, bytes, .. } = request.into_inner();
-        let asked = {
-            let got = &mut self.heard.lock().unwrap().got;
+        let number = {
+            let got = &mut self.requests.lock().unwrap().downloads;
             got.push((offset, bytes));
             got.len()
         };
-        let (pieces, ends) = self.gives[asked.min(self.gives.len()) - 1].clone();
+        let (pieces, ends) = self.downloads[number.min(self.downloads.len()) - 1].clone();
         let pieces = pieces.into_iter().map(|piece| Ok(wire::GetReply { piece }));
         let ends = ends.map(|code| Err(Status::new(code, "cut")));
         Ok(Response::new(Box::pin(tokio_stream::iter(pieces.chain(ends)))))
@@ -86,21 +86,21 @@ async fn client(server: impl Artifacts) -> Client {
     let server = ArtifactsServer::new(server);
     let connections = UnboundedReceiverStream::new(connections).map(Ok::<_, io::Error>);
     tokio::spawn(tonic::transport::Server::builder().add_service(server).serve_with_incoming(connections));
-    let dial = Dial::by(move |_, _| {
+    let dial = Dialer::from_fn(move |_, _| {
         let (ours, theirs) = tokio::io::duplex(1 << 16);
-        let sent = send.send(Link::new(theirs)).map_err(|_| io::ErrorKind::ConnectionRefused.into());
-        Box::pin(async move { sent.map(|()| Link::new(ours)) })
+        let sent = send.send(ByteStream::new(theirs)).map_err(|_| io::ErrorKind::ConnectionRefused.into());
+        Box::pin(async move { sent.map(|()| ByteStream::new(ours)) })
     });
-    Client::connect_by(&dial, "http://farm:1").await.unwrap()
+    Client::connect_with(&dial, "http://farm:1").await.unwrap()
 }
 
 /// Returns a client of a server that sends exactly these pieces.
-async fn given(pieces: &[&'static [u8]]) -> Client {
+async fn client_receiving(pieces: &[&'static [u8]]) -> Client {
     let pieces = pieces.iter().copied().map(Bytes::from_static).collect();
-    client(Arc::new(Liar { gives: vec![(pieces, None)], ..Liar::default() })).await
+    client(Arc::new(ScriptedServer { downloads: vec![(pieces, None)], ..ScriptedServer::default() })).await
 }
 
-const TRUE: &[u8] = b"the light of a tile";
+const CONTENT: &[u8] = b"the light of a tile";
 
 fn is_mismatch(outcome: &Result<Bytes, CallError>, of: &Digest) -> bool {
     matches!(outcome, Err(CallError::Refused(Refusal::DigestMismatch { digest })) if digest == of)
@@ -108,12 +108,12 @@ fn is_mismatch(outcome: &Result<Bytes, CallError>, of: &Digest) -> bool {
 
 #[tokio::test(start_paused = true)]
 async fn bytes_that_mismatch_digest_are_refused_at_any_size() {
-    let artifact = Artifact::of(TRUE);
-    for pieces in [&[TRUE][..], &[b"the light ", b"of a tile"], &[b"", b"the light of a til", b"", b"e"]] {
-        let client = given(pieces).await;
-        assert_eq!(client.get(&artifact.digest, 1_000).await.unwrap(), TRUE);
-        assert_eq!(client.get(&artifact.digest, artifact.bytes).await.unwrap(), TRUE, "as many as the limit");
-        assert_eq!(client.get_exactly(&artifact).await.unwrap(), TRUE);
+    let artifact = Artifact::from_bytes(CONTENT);
+    for pieces in [&[CONTENT][..], &[b"the light ", b"of a tile"], &[b"", b"the light of a til", b"", b"e"]] {
+        let client = client_receiving(pieces).await;
+        assert_eq!(client.get(&artifact.digest, 1_000).await.unwrap(), CONTENT);
+        assert_eq!(client.get(&artifact.digest, artifact.bytes).await.unwrap(), CONTENT, "as many as the limit");
+        assert_eq!(client.get_exactly(&artifact).await.unwrap(), CONTENT);
     }
     let lies: [&[&'static [u8]]; 10] = [
         &[],
@@ -125,10 +125,10 @@ async fn bytes_that_mismatch_digest_are_refused_at_any_size() {
         &[b"The light of a tile"],
         &[b"of a tile", b"the light "],
         &[b"the light of a tile", b"\0"],
-        &[TRUE, TRUE],
+        &[CONTENT, CONTENT],
     ];
     for pieces in lies {
-        let client = given(pieces).await;
+        let client = client_receiving(pieces).await;
         for outcome in [client.get(&artifact.digest, 1_000).await, client.get_exactly(&artifact).await] {
             assert!(is_mismatch(&outcome, &artifact.digest), "{pieces:?}: {outcome:?}");
         }
@@ -137,28 +137,29 @@ async fn bytes_that_mismatch_digest_are_refused_at_any_size() {
 
 #[tokio::test(start_paused = true)]
 async fn bytes_of_unexpected_size_are_refused_despite_right_digest() {
-    let Artifact { digest, bytes } = Artifact::of(TRUE);
+    let Artifact { digest, bytes } = Artifact::from_bytes(CONTENT);
     for known in [0, 1, bytes - 1, bytes + 1, 1 << 40, u64::MAX] {
-        let liar = Arc::new(Liar { gives: vec![(vec![TRUE.into()], None)], ..Liar::default() });
-        let outcome = client(liar.clone()).await.get_exactly(&Artifact { digest, bytes: known }).await;
+        let server =
+            Arc::new(ScriptedServer { downloads: vec![(vec![CONTENT.into()], None)], ..ScriptedServer::default() });
+        let outcome = client(server.clone()).await.get_exactly(&Artifact { digest, bytes: known }).await;
         assert!(is_mismatch(&outcome, &digest), "{known} bytes: {outcome:?}");
-        let heard = liar.heard.lock().unwrap().clone();
-        assert_eq!(heard.got, [(0, Some(known))], "a damaged artifact is requested only once");
+        let heard = server.requests.lock().unwrap().clone();
+        assert_eq!(heard.downloads, [(0, Some(known))], "a damaged artifact is requested only once");
     }
     // An empty artifact, too.
-    let nothing = Artifact::of(b"");
-    assert_eq!(given(&[]).await.get_exactly(&nothing).await.unwrap(), "");
-    let outcome = given(&[]).await.get_exactly(&Artifact { bytes: 1, ..nothing }).await;
+    let nothing = Artifact::from_bytes(b"");
+    assert_eq!(client_receiving(&[]).await.get_exactly(&nothing).await.unwrap(), "");
+    let outcome = client_receiving(&[]).await.get_exactly(&Artifact { bytes: 1, ..nothing }).await;
     assert!(is_mismatch(&outcome, &nothing.digest), "{outcome:?}");
 }
 
 #[tokio::test(start_paused = true)]
 async fn no_more_is_taken_in_than_the_limit_however_much_comes() {
     /// A server that sends pieces for as long as the client reads.
-    struct Endless;
+    struct EndlessServer;
 
     #[tonic::async_trait]
-    impl Artifacts for Endless {
+    impl Artifacts for EndlessServer {
         async fn missing(&self, _: Request<wire::MissingRequest>) -> Result<Response<wire::MissingReply>, Status> {
             Err(Status::unimplemented(""))
         }
@@ -175,7 +176,7 @@ async fn no_more_is_taken_in_than_the_limit_however_much_comes() {
 
         async fn get(&self, _: Request<wire::GetRequest>) -> Result<Response<Replies>, Status> {
             let (send, receive) = tokio::sync::mpsc::channel(1);
-            tokio::spawn(async move { while send.send(Ok(wire::GetReply { piece: TRUE.into() })).await.is_ok() {} });
+            tokio::spawn(async move { while send.send(Ok(wire::GetReply { piece: CONTENT.into() })).await.is_ok() {} });
             Ok(Response::new(Box::pin(ReceiverStream::new(receive))))
         }
 
@@ -184,8 +185,8 @@ async fn no_more_is_taken_in_than_the_limit_however_much_comes() {
         }
     }
 
-    let artifact = Artifact::of(TRUE);
-    let client = client(Endless).await;
+    let artifact = Artifact::from_bytes(CONTENT);
+    let client = client(EndlessServer).await;
     for limit in [0, artifact.bytes, 10 * artifact.bytes - 1] {
         let outcome = client.get(&artifact.digest, limit).await;
         let is_refused =
@@ -198,104 +199,122 @@ async fn no_more_is_taken_in_than_the_limit_however_much_comes() {
 
 #[tokio::test(start_paused = true)]
 async fn a_transfer_that_was_cut_is_checked_as_a_whole() {
-    let artifact = Artifact::of(TRUE);
-    let (first, rest) = TRUE.split_at(10);
+    let artifact = Artifact::from_bytes(CONTENT);
+    let (first, rest) = CONTENT.split_at(10);
     let cut = (vec![Bytes::from_static(first)], Some(Code::Unavailable));
-    for (second, is_right) in [(rest, true), (TRUE, false), (first, false), (&rest[1..], false), (b"of a tale", false)]
+    for (second, is_right) in
+        [(rest, true), (CONTENT, false), (first, false), (&rest[1..], false), (b"of a tale", false)]
     {
         let gives = vec![cut.clone(), (vec![Bytes::from_static(second)], None)];
-        let liar = Arc::new(Liar { gives, ..Liar::default() });
-        let outcome = client(liar.clone()).await.get(&artifact.digest, 1_000).await;
+        let server = Arc::new(ScriptedServer { downloads: gives, ..ScriptedServer::default() });
+        let outcome = client(server.clone()).await.get(&artifact.digest, 1_000).await;
         match is_right {
-            true => assert_eq!(outcome.unwrap(), TRUE),
+            true => assert_eq!(outcome.unwrap(), CONTENT),
             false => assert!(is_mismatch(&outcome, &artifact.digest), "{second:?}: {outcome:?}"),
         }
-        assert_eq!(liar.heard.lock().unwrap().got, [(0, None), (10, None)], "the transfer resumes at its byte");
+        assert_eq!(
+            server.requests.lock().unwrap().downloads,
+            [(0, None), (10, None)],
+            "the transfer resumes at its byte"
+        );
     }
 }
 
 #[tokio::test(start_paused = true)]
 async fn put_fails_if_server_kept_another_artifact() {
-    let artifact = Artifact::of(TRUE);
+    let artifact = Artifact::from_bytes(CONTENT);
     let others = [
-        Artifact::of(b"the light of a tale"),
+        Artifact::from_bytes(b"the light of a tale"),
         Artifact { bytes: artifact.bytes + 1, ..artifact },
         Artifact { bytes: artifact.bytes - 1, ..artifact },
         Artifact { bytes: 0, ..artifact },
     ];
     for kept in others {
-        let liar = Arc::new(Liar { wants: Some(0), kept: Some(kept), ..Liar::default() });
-        let outcome = client(liar).await.put(TRUE.into()).await;
+        let server =
+            Arc::new(ScriptedServer { wanted_offset: Some(0), stored: Some(kept), ..ScriptedServer::default() });
+        let outcome = client(server).await.put(CONTENT.into()).await;
         let is_refused = matches!(&outcome, Err(CallError::Refused(Refusal::DigestMismatch { digest })) if *digest == artifact.digest);
         assert!(is_refused, "{kept:?}: {outcome:?}");
     }
-    let mute = Arc::new(Liar { wants: Some(0), kept: None, ..Liar::default() });
-    assert!(matches!(client(mute).await.put(TRUE.into()).await, Err(CallError::Answer(_))));
+    let mute = Arc::new(ScriptedServer { wanted_offset: Some(0), stored: None, ..ScriptedServer::default() });
+    assert!(matches!(client(mute).await.put(CONTENT.into()).await, Err(CallError::Answer(_))));
 }
 
 #[tokio::test(start_paused = true)]
 async fn upload_starts_at_wanted_offset_or_at_zero_if_past_end() {
-    let artifact = Artifact::of(TRUE);
+    let artifact = Artifact::from_bytes(CONTENT);
     for (wants, from) in [(0, 0), (7, 7), (18, 18), (19, 19), (20, 0), (u64::MAX, 0)] {
-        let liar = Arc::new(Liar { wants: Some(wants), kept: Some(artifact), ..Liar::default() });
-        assert_eq!(client(liar.clone()).await.put(TRUE.into()).await.unwrap(), artifact);
-        let put = liar.heard.lock().unwrap().put.clone();
-        assert_eq!(put, [(from, TRUE[from as usize..].to_vec())], "from {wants} on");
+        let server = Arc::new(ScriptedServer {
+            wanted_offset: Some(wants),
+            stored: Some(artifact),
+            ..ScriptedServer::default()
+        });
+        assert_eq!(client(server.clone()).await.put(CONTENT.into()).await.unwrap(), artifact);
+        let put = server.requests.lock().unwrap().uploads.clone();
+        assert_eq!(put, [(from, CONTENT[from as usize..].to_vec())], "from {wants} on");
     }
-    let has_it = Arc::new(Liar::default());
-    assert_eq!(client(has_it.clone()).await.put(TRUE.into()).await.unwrap(), artifact);
-    assert_eq!(*has_it.heard.lock().unwrap(), Heard::default());
+    let has_it = Arc::new(ScriptedServer::default());
+    assert_eq!(client(has_it.clone()).await.put(CONTENT.into()).await.unwrap(), artifact);
+    assert_eq!(*has_it.requests.lock().unwrap(), ReceivedRequests::default());
     // The artifact is longer than two pieces and not a multiple of a piece.
-    let large: Bytes = (0..2 * PIECE + 3).map(|at| (at / 251) as u8).collect();
-    let liar = Arc::new(Liar { wants: Some(5), kept: Some(Artifact::of(&large)), ..Liar::default() });
-    client(liar.clone()).await.put(large.clone()).await.unwrap();
-    assert!(liar.heard.lock().unwrap().put == [(5, large[5..].to_vec())]);
+    let large: Bytes = (0..2 * MAX_PIECE_SIZE + 3).map(|at| (at / 251) as u8).collect();
+    let server = Arc::new(ScriptedServer {
+        wanted_offset: Some(5),
+        stored: Some(Artifact::from_bytes(&large)),
+        ..ScriptedServer::default()
+    });
+    client(server.clone()).await.put(large.clone()).await.unwrap();
+    assert!(server.requests.lock().unwrap().uploads == [(5, large[5..].to_vec())]);
 }
 
 #[tokio::test(start_paused = true)]
 async fn only_offered_artifacts_are_sent_though_server_misses_others() {
     let all = ["one", "two", "one", "three"].map(Bytes::from);
-    let missing = [&all[0], &all[3], &Bytes::from_static(b"four")].map(|bytes| Digest::of(bytes)).to_vec();
-    let liar = Arc::new(Liar { missing, ..Liar::default() });
-    assert_eq!(client(liar).await.put_all(&all).await.unwrap(), 8, "one and three, once");
+    let missing = [&all[0], &all[3], &Bytes::from_static(b"four")].map(|bytes| Digest::compute(bytes)).to_vec();
+    let server = Arc::new(ScriptedServer { missing, ..ScriptedServer::default() });
+    assert_eq!(client(server).await.put_all(&all).await.unwrap(), 8, "one and three, once");
 }
 
 #[tokio::test(start_paused = true)]
 async fn cut_long_transfer_resumes_and_transfer_without_progress_ends() {
-    let cut = || CallError::Unreachable { url: "http://farm".into(), message: "cut".into(), why: Why::Away };
-    let mut patience = Patience::new(Direction::Up);
+    let cut = || CallError::Unreachable {
+        url: "http://farm".into(),
+        message: "cut".into(),
+        cause: UnreachableCause::Connection,
+    };
+    let mut patience = RetryState::new(Direction::Up);
     for reached in 1..=3 {
-        patience.reached(reached);
+        patience.advance_to(reached);
         // The transfer works for a minute before it is cut.
         tokio::time::sleep(Duration::from_secs(60)).await;
-        patience.after(cut()).await.unwrap();
+        patience.wait_before_retry(cut()).await.unwrap();
     }
     let begun = Instant::now();
-    while patience.after(cut()).await.is_ok() {}
-    assert!(begun.elapsed() <= Patience::LONGEST);
+    while patience.wait_before_retry(cut()).await.is_ok() {}
+    assert!(begun.elapsed() <= RetryState::MAX_STALL);
 }
 
 #[tokio::test(start_paused = true)]
 async fn an_upload_that_another_gets_on_with_is_not_given_up() {
     let resume = |offset| CallError::Refused(Refusal::Resume { offset });
-    let mut patience = Patience::new(Direction::Up);
+    let mut patience = RetryState::new(Direction::Up);
     for offset in 1..=3 {
-        patience.after(resume(offset)).await.unwrap();
+        patience.wait_before_retry(resume(offset)).await.unwrap();
         // The client waited for the other sender, which was cut again.
-        tokio::time::sleep(Patience::LONGEST).await;
+        tokio::time::sleep(RetryState::MAX_STALL).await;
     }
-    patience.after(resume(3)).await.expect_err("nobody gets on");
+    patience.wait_before_retry(resume(3)).await.expect_err("nobody gets on");
 }
 
 #[tokio::test(start_paused = true)]
 async fn wrong_bytes_of_earlier_sender_do_not_spoil_upload() {
-    let digest = Digest::of(b"bytes of this sender");
+    let digest = Digest::compute(b"bytes of this sender");
     let mismatch = || CallError::Refused(Refusal::DigestMismatch { digest });
-    let mut patience = Patience::new(Direction::Up);
-    patience.after(mismatch()).await.expect_err("all bytes were its own");
-    patience.reached(100);
-    patience.after(mismatch()).await.expect("the other's bytes are forgotten");
-    let mut patience = Patience::new(Direction::Down);
-    patience.reached(100);
-    patience.after(mismatch()).await.expect_err("it is damaged, however often one asks");
+    let mut patience = RetryState::new(Direction::Up);
+    patience.wait_before_retry(mismatch()).await.expect_err("all bytes were its own");
+    patience.advance_to(100);
+    patience.wait_before_retry(mismatch()).await.expect("the other's bytes are forgotten");
+    let mut patience = RetryState::new(Direction::Down);
+    patience.advance_to(100);
+    patience.wait_before_retry(mismatch()).await.expect_err("it is damaged, however often one asks");
 }

@@ -71,17 +71,17 @@ impl Element {
 
 /// Returns all named elements in the order of the descriptor.
 pub fn elements(file: &FileDescriptorProto) -> Vec<Element> {
-    let mut walk = Walk { comments: comments(file), found: Vec::new() };
+    let mut walk = DescriptorWalk { comments: comments(file), elements: Vec::new() };
     for (at, service) in (0..).zip(&file.service) {
         walk.service(service, &[6, at]);
     }
     for (at, message) in (0..).zip(&file.message_type) {
         walk.message(message, "", &[4, at]);
     }
-    for (at, of) in (0..).zip(&file.enum_type) {
-        walk.enumeration(of, "", &[5, at]);
+    for (at, enumeration) in (0..).zip(&file.enum_type) {
+        walk.enumeration(enumeration, "", &[5, at]);
     }
-    walk.found
+    walk.elements
 }
 
 /// Returns the comments by the path of their element: field numbers and indices of the descriptor.
@@ -90,40 +90,42 @@ fn comments(file: &FileDescriptorProto) -> BTreeMap<Vec<i32>, String> {
     places.map(|place| (place.path.clone(), place.leading_comments().trim().to_owned())).collect()
 }
 
-struct Walk {
+struct DescriptorWalk {
     comments: BTreeMap<Vec<i32>, String>,
-    found: Vec<Element>,
+    elements: Vec<Element>,
 }
 
-impl Walk {
-    fn found(&mut self, name: String, kind: Kind, path: &[i32]) {
+impl DescriptorWalk {
+    fn push(&mut self, name: String, kind: Kind, path: &[i32]) {
         let comment = self.comments.get(path).cloned().unwrap_or_default();
-        self.found.push(Element { name, kind, comment });
+        self.elements.push(Element { name, kind, comment });
     }
 
     fn service(&mut self, service: &ServiceDescriptorProto, path: &[i32]) {
-        self.found(service.name().into(), Kind::Service, path);
+        self.push(service.name().into(), Kind::Service, path);
         for (at, call) in (0..).zip(&service.method) {
-            let stream = |is: bool, of: &str| format!("{}{}", if is { "stream " } else { "" }, short(of));
+            let stream = |is_stream: bool, type_name: &str| {
+                format!("{}{}", if is_stream { "stream " } else { "" }, short(type_name))
+            };
             let request = stream(call.client_streaming(), call.input_type());
             let reply = stream(call.server_streaming(), call.output_type());
             let name = format!("{}.{}", service.name(), call.name());
-            self.found(name, Kind::Call { request, reply }, &[path, &[2, at]].concat());
+            self.push(name, Kind::Call { request, reply }, &[path, &[2, at]].concat());
         }
     }
 
     fn message(&mut self, message: &DescriptorProto, within: &str, path: &[i32]) {
         let name = format!("{within}{}", message.name());
-        self.found(name.clone(), Kind::Message, path);
+        self.push(name.clone(), Kind::Message, path);
         for (at, field) in (0..).zip(&message.field) {
             let (number, form) = (field.number(), form(message, field));
             let name = format!("{name}.{}", field.name());
-            self.found(name, Kind::Field { number, form }, &[path, &[2, at]].concat());
+            self.push(name, Kind::Field { number, form }, &[path, &[2, at]].concat());
         }
         for (at, oneof) in (0..).zip(&message.oneof_decl) {
             // The compiler adds a oneof for each `optional` field that is not in the file.
             if !oneof.name().starts_with('_') {
-                self.found(format!("{name}.{}", oneof.name()), Kind::Oneof, &[path, &[8, at]].concat());
+                self.push(format!("{name}.{}", oneof.name()), Kind::Oneof, &[path, &[8, at]].concat());
             }
         }
         for (at, inner) in (0..).zip(&message.nested_type) {
@@ -134,12 +136,12 @@ impl Walk {
         }
     }
 
-    fn enumeration(&mut self, of: &EnumDescriptorProto, within: &str, path: &[i32]) {
-        let name = format!("{within}{}", of.name());
-        self.found(name.clone(), Kind::Enum, path);
-        for (at, value) in (0..).zip(&of.value) {
+    fn enumeration(&mut self, enumeration: &EnumDescriptorProto, within: &str, path: &[i32]) {
+        let name = format!("{within}{}", enumeration.name());
+        self.push(name.clone(), Kind::Enum, path);
+        for (at, value) in (0..).zip(&enumeration.value) {
             let number = value.number();
-            self.found(format!("{name}.{}", value.name()), Kind::Value { number }, &[path, &[2, at]].concat());
+            self.push(format!("{name}.{}", value.name()), Kind::Value { number }, &[path, &[2, at]].concat());
         }
     }
 }

@@ -8,14 +8,14 @@ const SERVICES: [&str; 3] = ["Jobs", "Workers", "Artifacts"];
 
 /// Exception to buf's rule that a call `X` uses `XRequest` and `XResponse`, each only once: both sides of a session share its
 /// messages, and several calls return a job's status.
-const OTHERWISE_NAMED: [&str; 3] = ["Jobs.Status", "Jobs.Watch", "Workers.Session"];
+const NAME_EXCEPTIONS: [&str; 3] = ["Jobs.Status", "Jobs.Watch", "Workers.Session"];
 
 fn all() -> Vec<Element> {
     elements(&file())
 }
 
 /// Returns the names of the elements that violate `rule`.
-fn breaking(mut rule: impl FnMut(&Element) -> bool) -> Vec<String> {
+fn violations(mut rule: impl FnMut(&Element) -> bool) -> Vec<String> {
     all().into_iter().filter(|element| !rule(element)).map(|element| element.name).collect()
 }
 
@@ -46,37 +46,37 @@ fn screaming(name: &str) -> String {
 #[test]
 fn every_element_has_a_comment_of_whole_sentences() {
     assert!(all().len() > 350, "the walk finds them");
-    let undocumented = breaking(|element| element.comment.len() > 3);
+    let undocumented = violations(|element| element.comment.len() > 3);
     assert!(undocumented.is_empty(), "no comment: {undocumented:?}");
-    let unfinished = breaking(|element| element.comment.ends_with('.'));
+    let unfinished = violations(|element| element.comment.ends_with('.'));
     assert!(unfinished.is_empty(), "no full stop: {unfinished:?}");
 }
 
 #[test]
 fn every_call_says_who_may_call_it() {
     let silent =
-        breaking(|element| !matches!(element.kind, Kind::Call { .. }) || element.comment.contains("Who may: "));
+        violations(|element| !matches!(element.kind, Kind::Call { .. }) || element.comment.contains("Who may: "));
     assert!(silent.is_empty(), "{silent:?}");
 }
 
 #[test]
 fn names_are_written_as_the_rules_have_them() {
-    let badly = breaking(|element| match element.kind {
+    let badly = violations(|element| match element.kind {
         Kind::Service | Kind::Call { .. } | Kind::Message | Kind::Enum => is_pascal(element.last()),
         Kind::Field { .. } | Kind::Oneof => is_snake(element.last()),
         Kind::Value { .. } => {
-            let of = element.name.rsplit('.').nth(1).expect("a value's enum");
-            element.last().strip_prefix(&screaming(of)).is_some_and(|rest| rest.starts_with('_'))
+            let enum_name = element.name.rsplit('.').nth(1).expect("a value's enum");
+            element.last().strip_prefix(&screaming(enum_name)).is_some_and(|rest| rest.starts_with('_'))
         }
     });
     assert!(badly.is_empty(), "{badly:?}");
-    let services: Vec<String> = breaking(|element| element.kind != Kind::Service);
+    let services: Vec<String> = violations(|element| element.kind != Kind::Service);
     assert_eq!(services, SERVICES, "a new service ends in `Service`");
 }
 
 #[test]
 fn an_enum_s_value_0_says_nothing() {
-    let badly = breaking(|element| match element.kind {
+    let badly = violations(|element| match element.kind {
         Kind::Value { number } => (number == 0) == element.last().ends_with("_UNSPECIFIED"),
         _ => true,
     });
@@ -85,8 +85,8 @@ fn an_enum_s_value_0_says_nothing() {
 
 #[test]
 fn a_call_s_messages_are_its_own_and_named_after_it() {
-    let badly = breaking(|element| match &element.kind {
-        Kind::Call { request, reply } if !OTHERWISE_NAMED.contains(&element.name.as_str()) => {
+    let badly = violations(|element| match &element.kind {
+        Kind::Call { request, reply } if !NAME_EXCEPTIONS.contains(&element.name.as_str()) => {
             let named =
                 |text: &str, end: &str| text.trim_start_matches("stream ") == format!("{}{end}", element.last());
             named(request, "Request") && named(reply, "Reply")

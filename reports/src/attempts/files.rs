@@ -1,7 +1,7 @@
 //! Formats rows as text: as CSV, and as a table for people.
 
 use crate::human;
-use femc_service::attempts::{Cell, Column, Kind, Reader};
+use femc_service::attempts::{Audience, Cell, Column, Kind};
 use std::borrow::Cow;
 
 /// Formats rows as CSV with a header line. A gap becomes an empty field.
@@ -14,11 +14,11 @@ pub fn csv<R>(columns: &[Column<R>], rows: &[R]) -> String {
             if place > 0 {
                 text.push(',');
             }
-            match (column.of)(row) {
+            match (column.value)(row) {
                 Cell::Text(field) => text.push_str(&quoted(&field)),
                 Cell::Count(count) => text.push_str(&count.to_string()),
                 Cell::Real(real) => text.push_str(&real.to_string()),
-                Cell::Gap => {}
+                Cell::Empty => {}
             }
         }
     }
@@ -35,29 +35,29 @@ fn quoted(field: &str) -> Cow<'_, str> {
 }
 
 /// Formats rows for people: returns the columns' titles, and the text of each row's cells.
-pub fn shown<R>(columns: &[Column<R>], rows: &[R]) -> (Vec<&'static str>, Vec<Vec<String>>) {
-    let shown: Vec<&Column<R>> = columns.iter().filter(|column| is_shown(column, rows)).collect();
-    let cells = |row: &R| shown.iter().map(|column| cell(column.kind, &(column.of)(row))).collect();
+pub fn visible_cells<R>(columns: &[Column<R>], rows: &[R]) -> (Vec<&'static str>, Vec<Vec<String>>) {
+    let shown: Vec<&Column<R>> = columns.iter().filter(|column| is_visible(column, rows)).collect();
+    let cells = |row: &R| shown.iter().map(|column| cell(column.kind, &(column.value)(row))).collect();
     (shown.iter().map(|column| column.title).collect(), rows.iter().map(cells).collect())
 }
 
-fn is_shown<R>(column: &Column<R>, rows: &[R]) -> bool {
-    match column.reader {
-        Reader::Anybody => true,
-        Reader::Programs => false,
-        Reader::WhoCompares => rows.windows(2).any(|pair| (column.of)(&pair[0]) != (column.of)(&pair[1])),
+fn is_visible<R>(column: &Column<R>, rows: &[R]) -> bool {
+    match column.audience {
+        Audience::Everyone => true,
+        Audience::Programs => false,
+        Audience::Comparing => rows.windows(2).any(|pair| (column.value)(&pair[0]) != (column.value)(&pair[1])),
     }
 }
 
 /// Formats rows as a table for people.
-pub fn human<R>(columns: &[Column<R>], rows: &[R]) -> String {
-    let (titles, cells) = shown(columns, rows);
+pub fn text_table<R>(columns: &[Column<R>], rows: &[R]) -> String {
+    let (titles, cells) = visible_cells(columns, rows);
     human::table(&titles, &cells)
 }
 
 fn cell(kind: Kind, cell: &Cell) -> String {
     match (kind, cell) {
-        (_, Cell::Gap) => "-".to_owned(),
+        (_, Cell::Empty) => "-".to_owned(),
         (_, Cell::Text(text)) => text.clone(),
         (Kind::Bytes, Cell::Count(bytes)) => human::bytes(*bytes),
         (_, Cell::Count(count)) => human::quantity(*count as f64),

@@ -5,8 +5,8 @@ mod job_record;
 mod parquet;
 
 pub use femc_service::attempts::{
-    By, Cell, Column, FailureLog, JobRecord, Json, Kind, Reader, Row, column, columns, rows,
+    Audience, Cell, Column, FailureLog, GroupBy, JobRecord, Kind, Row, RowsAsJson, column, columns, rows,
 };
-pub use files::{csv, human, shown};
+pub use files::{csv, text_table, visible_cells};
 pub use job_record::{read_all, write as write_record};
 pub use parquet::write as write_parquet;

@@ -23,7 +23,7 @@ pub fn write<R>(path: &Path, columns: &[Column<R>], rows: &[R]) -> Result<(), Re
     let new = path.with_extension("parquet.new");
     let written = fs::File::create(&new)
         .map_err(&at)
-        .and_then(|file| put(file, columns, rows).map_err(unwritten))
+        .and_then(|file| write_rows(file, columns, rows).map_err(unwritten))
         .and_then(|()| fs::rename(&new, path).map_err(&at));
     if written.is_err() {
         // A leftover file does no harm.
@@ -32,13 +32,13 @@ pub fn write<R>(path: &Path, columns: &[Column<R>], rows: &[R]) -> Result<(), Re
     written
 }
 
-fn put<W: Write + Send, R>(file: W, columns: &[Column<R>], rows: &[R]) -> Result<(), ParquetError> {
+fn write_rows<W: Write + Send, R>(file: W, columns: &[Column<R>], rows: &[R]) -> Result<(), ParquetError> {
     let mut writer = SerializedFileWriter::new(file, schema(columns)?, Arc::new(WriterProperties::default()))?;
     for some in rows.chunks(GROUP) {
         let mut group = writer.next_row_group()?;
         for column in columns {
             let Some(mut out) = group.next_column()? else { break };
-            put_column(&mut out, column, some)?;
+            write_column(&mut out, column, some)?;
             out.close()?;
         }
         group.close()?;
@@ -61,10 +61,10 @@ fn schema<R>(columns: &[Column<R>]) -> Result<TypePtr, ParquetError> {
     Type::group_type_builder("rows").with_fields(fields).build().map(Arc::new)
 }
 
-fn put_column<R>(out: &mut SerializedColumnWriter<'_>, column: &Column<R>, rows: &[R]) -> Result<(), ParquetError> {
-    let cells: Vec<Cell> = rows.iter().map(column.of).collect();
+fn write_column<R>(out: &mut SerializedColumnWriter<'_>, column: &Column<R>, rows: &[R]) -> Result<(), ParquetError> {
+    let cells: Vec<Cell> = rows.iter().map(column.value).collect();
     // 0 marks a gap, which has no value.
-    let levels: Vec<i16> = cells.iter().map(|cell| i16::from(*cell != Cell::Gap)).collect();
+    let levels: Vec<i16> = cells.iter().map(|cell| i16::from(*cell != Cell::Empty)).collect();
     let levels = Some(levels.as_slice());
     match column.kind {
         Kind::Text => {

@@ -1,6 +1,6 @@
 //! Methods that can be measured.
 
-use femc_pipeline::Stop;
+use femc_pipeline::StopCondition;
 
 /// A rendering method and the kind of its budgets.
 #[derive(Debug, PartialEq, Eq)]
@@ -10,7 +10,7 @@ pub struct Method {
     /// Description in one line.
     pub about: &'static str,
     /// Light transport method.
-    pub light: femc_pipeline::Method,
+    pub transport: femc_pipeline::Method,
     /// Kind of budget that ends a frame.
     pub budget: Budget,
 }
@@ -27,16 +27,16 @@ pub enum Budget {
 /// All methods. Add a line for a new one.
 #[rustfmt::skip]
 pub const METHODS: [Method; 4] = [
-    Method { name: "pt", about: "path tracing, the same number of samples for every pixel", light: femc_pipeline::Method::Pt, budget: Budget::Spp },
-    Method { name: "adaptive", about: "path tracing, each tile until it reaches the requested error", light: femc_pipeline::Method::Pt, budget: Budget::Error },
-    Method { name: "fem", about: "only the finite-element solution (biased), the same number of samples for every pixel", light: femc_pipeline::Method::Fem, budget: Budget::Spp },
-    Method { name: "femc", about: "path tracing guided by the finite-element solution, the same number of samples for every pixel", light: femc_pipeline::Method::Femc, budget: Budget::Spp },
+    Method { name: "pt", about: "path tracing, the same number of samples for every pixel", transport: femc_pipeline::Method::Pt, budget: Budget::Spp },
+    Method { name: "adaptive", about: "path tracing, each tile until it reaches the requested error", transport: femc_pipeline::Method::Pt, budget: Budget::Error },
+    Method { name: "fem", about: "only the finite-element solution (biased), the same number of samples for every pixel", transport: femc_pipeline::Method::Fem, budget: Budget::Spp },
+    Method { name: "femc", about: "path tracing guided by the finite-element solution, the same number of samples for every pixel", transport: femc_pipeline::Method::Femc, budget: Budget::Spp },
 ];
 
 impl Method {
     /// Returns the method of a name.
     /// - errors: the name is unknown. The message lists the known names.
-    pub fn named(name: &str) -> Result<&'static Self, String> {
+    pub fn from_name(name: &str) -> Result<&'static Self, String> {
         METHODS.iter().find(|method| method.name == name).ok_or_else(|| {
             let names: Vec<&str> = METHODS.iter().map(|method| method.name).collect();
             format!("unknown method `{name}` (methods: {})", names.join(", "))
@@ -44,16 +44,16 @@ impl Method {
     }
 
     /// Returns the stop criterion for a budget.
-    pub fn stop(&self, budget: f64) -> Stop {
+    pub fn stop(&self, budget: f64) -> StopCondition {
         match self.budget {
             // Budgets of this kind are whole numbers.
-            Budget::Spp => Stop::Spp(budget as u32),
-            Budget::Error => Stop::Error(budget),
+            Budget::Spp => StopCondition::Spp(budget as u32),
+            Budget::Error => StopCondition::Error(budget),
         }
     }
 
     /// Formats a budget: `16 spp`, `error 0.5`.
-    pub fn shown(&self, budget: f64) -> String {
+    pub fn format_budget(&self, budget: f64) -> String {
         match self.budget {
             Budget::Spp => format!("{budget} spp"),
             Budget::Error => format!("error {budget}"),
@@ -68,9 +68,9 @@ mod tests {
     #[test]
     fn every_method_is_found_by_name_and_error_lists_all_methods() {
         for method in &METHODS {
-            assert_eq!(Method::named(method.name), Ok(method));
+            assert_eq!(Method::from_name(method.name), Ok(method));
         }
-        let refused = Method::named("magic").expect_err("no method");
+        let refused = Method::from_name("magic").expect_err("no method");
         assert!(METHODS.iter().all(|method| refused.contains(method.name)), "{refused}");
     }
 }

@@ -60,7 +60,7 @@ pub struct Run {
 
 impl Run {
     /// Checks whether the run has this scene, method and budget.
-    pub fn is_of(&self, scene: &str, method: &Method, budget: f64) -> bool {
+    pub fn matches(&self, scene: &str, method: &Method, budget: f64) -> bool {
         // A budget that was written as text may be off by a bit.
         self.scene == scene && self.method == method.name && (self.budget - budget).abs() <= 1e-9 * budget
     }
@@ -77,35 +77,35 @@ impl Record {
             serde_json::from_str(&text).map_err(|cause| ReportError::Measurements { path: path.to_owned(), cause })?;
         if old.femc_bench != VERSION {
             let found = old.femc_bench;
-            return Err(ReportError::MeasurementsForm { path: path.to_owned(), found, own: VERSION });
+            return Err(ReportError::MeasurementsVersion { path: path.to_owned(), found, own: VERSION });
         }
-        new.gone_on_with(old, path)
+        new.resume_from(old, path)
     }
 
-    fn gone_on_with(mut self, old: Self, path: &Path) -> Result<Self, ReportError> {
-        let mut differing = told("", self.setup.differences(&old.setup));
+    fn resume_from(mut self, stored: Self, path: &Path) -> Result<Self, ReportError> {
+        let mut differing = describe_differences("", self.setup.differences(&stored.setup));
         for scene in &self.scenes {
-            if let Some(there) = old.scenes.iter().find(|there| there.name == scene.name) {
-                differing.extend(told(&format!("{}: ", scene.name), scene.differences(there)));
+            if let Some(there) = stored.scenes.iter().find(|there| there.name == scene.name) {
+                differing.extend(describe_differences(&format!("{}: ", scene.name), scene.differences(there)));
             }
         }
         if !differing.is_empty() {
-            return Err(ReportError::MeasuredOtherwise { path: path.to_owned(), differing: differing.join("; ") });
+            return Err(ReportError::SetupMismatch { path: path.to_owned(), differing: differing.join("; ") });
         }
         let is_new = |there: &SceneSetup| self.scenes.iter().all(|scene| scene.name != there.name);
-        let others: Vec<SceneSetup> = old.scenes.into_iter().filter(is_new).collect();
+        let others: Vec<SceneSetup> = stored.scenes.into_iter().filter(is_new).collect();
         self.scenes.extend(others);
-        self.runs = old.runs;
+        self.runs = stored.runs;
         Ok(self)
     }
 
     /// Returns the measurement of this scene, method, budget and seed.
     pub fn run(&self, scene: &str, method: &Method, budget: f64, seed: u64) -> Option<&Run> {
-        self.runs.iter().find(|run| run.seed == seed && run.is_of(scene, method, budget))
+        self.runs.iter().find(|run| run.seed == seed && run.matches(scene, method, budget))
     }
 }
 
-fn told(of: &str, differences: Vec<Difference>) -> Vec<String> {
-    let tell = |(name, there, here): Difference| format!("{of}{name}: {there} in the file, {here} now");
+fn describe_differences(prefix: &str, differences: Vec<Difference>) -> Vec<String> {
+    let tell = |(name, there, here): Difference| format!("{prefix}{name}: {there} in the file, {here} now");
     differences.into_iter().map(tell).collect()
 }

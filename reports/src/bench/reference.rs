@@ -8,7 +8,7 @@ use std::str::FromStr;
 
 /// A reference as given on the command line: a file, or two independent halves separated by a comma.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Named {
+pub enum ReferenceSpec {
     /// `REF.exr`; `REF_A.exr` and `REF_B.exr` beside it are its halves, if they exist.
     File(PathBuf),
     /// `A.exr,B.exr`.
@@ -38,7 +38,7 @@ const RELATIVE_FLOOR: f64 = 0.01;
 /// Largest relmse between a reference and the mean of its halves that counts as rounding, as a fraction of the reference's noise.
 const ROUNDING: f64 = 1e-3;
 
-impl FromStr for Named {
+impl FromStr for ReferenceSpec {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
@@ -51,7 +51,7 @@ impl FromStr for Named {
     }
 }
 
-impl std::fmt::Display for Named {
+impl std::fmt::Display for ReferenceSpec {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::File(file) => write!(f, "{}", file.display()),
@@ -60,42 +60,42 @@ impl std::fmt::Display for Named {
     }
 }
 
-impl Named {
+impl ReferenceSpec {
     /// Reads the reference, and its halves if they exist.
     pub fn read(&self) -> Result<Reference, ReportError> {
         match self {
-            Self::Halves(halves) => self.of_halves(halves),
+            Self::Halves(halves) => self.read_halves(halves),
             Self::File(file) => {
-                let halves = ["A", "B"].map(|half| beside(file, half));
+                let halves = ["A", "B"].map(|half| half_path(file, half));
                 let is_there = halves.iter().all(|half| half.is_file());
                 match (file.exists(), is_there) {
-                    (false, true) => self.of_halves(&halves),
+                    (false, true) => self.read_halves(&halves),
                     (_, false) => Ok(Reference { image: read(file)?, noise: None }),
-                    (true, true) => self.of_all(read(file)?, &halves),
+                    (true, true) => self.with_halves(read(file)?, &halves),
                 }
             }
         }
     }
 
-    fn of_halves(&self, halves: &[PathBuf; 2]) -> Result<Reference, ReportError> {
+    fn read_halves(&self, halves: &[PathBuf; 2]) -> Result<Reference, ReportError> {
         let [a, b] = [read(&halves[0])?, read(&halves[1])?];
-        self.one_size(&a, &b)?;
+        self.check_equal_sizes(&a, &b)?;
         let image = mean(&a, &b);
-        Ok(Reference { noise: Some(Noise::of(&a, &b)), image })
+        Ok(Reference { noise: Some(Noise::from_halves(&a, &b)), image })
     }
 
-    fn of_all(&self, image: Image, halves: &[PathBuf; 2]) -> Result<Reference, ReportError> {
-        let halves = self.of_halves(halves)?;
-        self.one_size(&image, &halves.image)?;
+    fn with_halves(&self, image: Image, halves: &[PathBuf; 2]) -> Result<Reference, ReportError> {
+        let halves = self.read_halves(halves)?;
+        self.check_equal_sizes(&image, &halves.image)?;
         let noise = halves.noise.map_or(0.0, |noise| noise.relmse);
-        let off = femc_film::compare(&image, &halves.image)?.relmse;
+        let off = femc_film::compare_images(&image, &halves.image)?.relmse;
         if off > ROUNDING * noise + 1e-12 {
             return Err(ReportError::NotHalves(self.to_string()));
         }
         Ok(Reference { image, ..halves })
     }
 
-    fn one_size(&self, a: &Image, b: &Image) -> Result<(), ReportError> {
+    fn check_equal_sizes(&self, a: &Image, b: &Image) -> Result<(), ReportError> {
         if (a.width, a.height) == (b.width, b.height) {
             return Ok(());
         }
@@ -105,7 +105,7 @@ impl Named {
 }
 
 /// Returns the path `REF_A.exr` for `REF.exr`.
-fn beside(file: &Path, half: &str) -> PathBuf {
+fn half_path(file: &Path, half: &str) -> PathBuf {
     let stem = file.file_stem().unwrap_or_default().to_string_lossy();
     file.with_file_name(format!("{stem}_{half}.exr"))
 }
@@ -125,7 +125,7 @@ fn mean(a: &Image, b: &Image) -> Image {
 impl Noise {
     /// Estimates the noise of the mean of two independent halves: a squared half difference is an unbiased estimate of the mean's
     /// variance. Pixels that are not finite are left out, as in comparisons.
-    fn of(a: &Image, b: &Image) -> Self {
+    fn from_halves(a: &Image, b: &Image) -> Self {
         let (mut mse, mut relmse, mut count) = (0.0, 0.0, 0_u64);
         for (a, b) in a.pixels.iter().zip(&b.pixels) {
             if !a.iter().chain(b).all(|value| value.is_finite()) {
@@ -169,9 +169,9 @@ mod tests {
     #[test]
     fn error_without_references_noise_is_images_own_error() {
         let [a, b] = [noisy(1, 0.02), noisy(2, 0.02)];
-        let (reference, noise) = (mean(&a, &b), Noise::of(&a, &b));
+        let (reference, noise) = (mean(&a, &b), Noise::from_halves(&a, &b));
         assert!((noise.mse / 0.01 - 1.0).abs() < 0.03, "halves of 0.02 have a mean of 0.01: {noise:?}");
-        let found = femc_film::compare(&noisy(3, 0.005), &reference).expect("one size");
+        let found = femc_film::compare_images(&noisy(3, 0.005), &reference).expect("one size");
         assert!((found.mse / 0.015 - 1.0).abs() < 0.03, "with the reference's noise: {}", found.mse);
         assert!(((found.mse - noise.mse) / 0.005 - 1.0).abs() < 0.05, "without: {}", found.mse - noise.mse);
         let (relmse, truth) = (found.relmse - noise.relmse, 0.005 / 4.01);
@@ -182,14 +182,14 @@ mod tests {
     fn pixels_that_are_no_numbers_tell_nothing_of_the_noise() {
         let [mut a, b] = [Image::filled(2, 1, [1.0; 3]), Image::filled(2, 1, [3.0; 3])];
         a.pixels[0][1] = f32::NAN;
-        assert_eq!(Noise::of(&a, &b).mse, 1.0);
+        assert_eq!(Noise::from_halves(&a, &b).mse, 1.0);
     }
 
     #[test]
     fn a_reference_is_a_file_or_two_halves() {
-        assert_eq!("a.exr".parse(), Ok(Named::File("a.exr".into())));
-        assert_eq!("a.exr,b.exr".parse(), Ok(Named::Halves(["a.exr".into(), "b.exr".into()])));
-        assert!(["", "a.exr,", "a,b,c"].iter().all(|text| text.parse::<Named>().is_err()));
-        assert_eq!(beside(Path::new("x/box.exr"), "A"), Path::new("x/box_A.exr"));
+        assert_eq!("a.exr".parse(), Ok(ReferenceSpec::File("a.exr".into())));
+        assert_eq!("a.exr,b.exr".parse(), Ok(ReferenceSpec::Halves(["a.exr".into(), "b.exr".into()])));
+        assert!(["", "a.exr,", "a,b,c"].iter().all(|text| text.parse::<ReferenceSpec>().is_err()));
+        assert_eq!(half_path(Path::new("x/box.exr"), "A"), Path::new("x/box_A.exr"));
     }
 }

@@ -48,7 +48,7 @@ pub type Difference = (&'static str, String, String);
 impl Setup {
     /// Describes this program on this machine.
     /// - `engine`: build of the engine.
-    pub fn here(threads: usize, engine: &str) -> Self {
+    pub fn current(threads: usize, engine: &str) -> Self {
         let sets = [
             ("sse4.2", cfg!(target_feature = "sse4.2")),
             ("avx2", cfg!(target_feature = "avx2")),
@@ -68,15 +68,15 @@ impl Setup {
     }
 
     /// Lists the differences from the setup of a file.
-    pub fn differences(&self, there: &Self) -> Vec<Difference> {
+    pub fn differences(&self, stored: &Self) -> Vec<Difference> {
         let all = [
-            ("processor", &there.processor, &self.processor),
-            ("cores", &there.cores.to_string(), &self.cores.to_string()),
-            ("threads", &there.threads.to_string(), &self.threads.to_string()),
-            ("version", &there.version, &self.version),
-            ("engine build", &there.engine, &self.engine),
-            ("profile", &there.profile, &self.profile),
-            ("instructions", &there.instructions, &self.instructions),
+            ("processor", &stored.processor, &self.processor),
+            ("cores", &stored.cores.to_string(), &self.cores.to_string()),
+            ("threads", &stored.threads.to_string(), &self.threads.to_string()),
+            ("version", &stored.version, &self.version),
+            ("engine build", &stored.engine, &self.engine),
+            ("profile", &stored.profile, &self.profile),
+            ("instructions", &stored.instructions, &self.instructions),
         ]
         .map(|(name, there, here)| (name, there.clone(), here.clone()));
         all.into_iter().filter(|(_, there, here)| there != here).collect()
@@ -85,14 +85,14 @@ impl Setup {
 
 impl SceneSetup {
     /// Lists the differences from the setup of a file. Paths of files may differ.
-    pub fn differences(&self, there: &Self) -> Vec<Difference> {
+    pub fn differences(&self, stored: &Self) -> Vec<Difference> {
         let film = |[width, height]: [u32; 2]| format!("{width}x{height}");
         let all = [
-            ("scene's content", there.digest.clone(), self.digest.clone()),
-            ("frame", there.frame.to_string(), self.frame.to_string()),
-            ("film", film(there.film), film(self.film)),
-            ("settings", there.settings.to_string(), self.settings.to_string()),
-            ("reference's pixels", there.reference_digest.clone(), self.reference_digest.clone()),
+            ("scene's content", stored.digest.clone(), self.digest.clone()),
+            ("frame", stored.frame.to_string(), self.frame.to_string()),
+            ("film", film(stored.film), film(self.film)),
+            ("settings", stored.settings.to_string(), self.settings.to_string()),
+            ("reference's pixels", stored.reference_digest.clone(), self.reference_digest.clone()),
         ];
         all.into_iter().filter(|(_, there, here)| there != here).collect()
     }

@@ -14,14 +14,14 @@ pub struct Estimate {
 
 impl Estimate {
     /// Computes the mean of one or more independent values.
-    pub fn of(values: &[f64]) -> Self {
+    pub fn from_values(values: &[f64]) -> Self {
         let (mean, variance) = mean_and_variance(values);
         let half_width = variance.map(|it| student_95(values.len() as f64 - 1.0) * it.sqrt());
         Self { mean, half_width }
     }
 
     /// Subtracts a constant from the mean.
-    pub fn less(self, constant: f64) -> Self {
+    pub fn minus(self, constant: f64) -> Self {
         Self { mean: self.mean - constant, ..self }
     }
 }
@@ -77,15 +77,15 @@ impl Factor {
     }
 
     /// Divides by another, independent number.
-    pub fn over(self, other: Self) -> Self {
-        Self { log: self.log - other.log, spread: summed(&[self, other]) }
+    pub fn divided_by(self, other: Self) -> Self {
+        Self { log: self.log - other.log, spread: combine_spreads(&[self, other]) }
     }
 
     /// Computes the geometric mean of independent numbers; `None`: the list is empty.
     pub fn geometric_mean(factors: &[Self]) -> Option<Self> {
         let n = factors.len() as f64;
         let log = factors.iter().map(|it| it.log).sum::<f64>() / n;
-        let spread = summed(factors).map(|(variance, freedom)| (variance / (n * n), freedom));
+        let spread = combine_spreads(factors).map(|(variance, freedom)| (variance / (n * n), freedom));
         (!factors.is_empty()).then_some(Self { log, spread })
     }
 
@@ -103,7 +103,7 @@ impl Factor {
 
     /// Interpolates between points (error, factor) at an error, linearly in the logarithms of both. `None`: the error is outside
     /// the measured range.
-    pub fn interpolated(points: &[(f64, Self)], error: f64) -> Option<Self> {
+    pub fn interpolate(points: &[(f64, Self)], error: f64) -> Option<Self> {
         let mut sorted: Vec<(f64, Self)> = points.to_vec();
         sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
         if let Some((_, there)) = sorted.iter().find(|it| it.0 == error) {
@@ -126,7 +126,7 @@ impl Factor {
     }
 
     fn times(self, other: Self) -> Self {
-        Self { log: self.log + other.log, spread: summed(&[self, other]) }
+        Self { log: self.log + other.log, spread: combine_spreads(&[self, other]) }
     }
 
     /// Returns the number and its interval.
@@ -140,7 +140,7 @@ impl Factor {
 }
 
 /// Computes the variance of a sum, and its degrees of freedom by Satterthwaite's rule.
-fn summed(factors: &[Factor]) -> Option<(f64, f64)> {
+fn combine_spreads(factors: &[Factor]) -> Option<(f64, f64)> {
     let spreads: Vec<(f64, f64)> = factors.iter().map(|it| it.spread).collect::<Option<_>>()?;
     let variance: f64 = spreads.iter().map(|it| it.0).sum();
     let squares: f64 = spreads.iter().map(|(variance, freedom)| variance * variance / freedom).sum();
@@ -158,11 +158,11 @@ mod tests {
     #[test]
     fn the_interval_of_a_mean_is_students() {
         // Mean 3, standard deviation sqrt(2.5); 2.776 from the table for 4 degrees of freedom.
-        let Estimate { mean, half_width } = Estimate::of(&[1.0, 2.0, 3.0, 4.0, 5.0]);
+        let Estimate { mean, half_width } = Estimate::from_values(&[1.0, 2.0, 3.0, 4.0, 5.0]);
         assert!(mean == 3.0 && is_near(half_width.expect("an interval"), 2.776 * (2.5f64 / 5.0).sqrt()));
-        let two = Estimate::of(&[1.0, 3.0]);
+        let two = Estimate::from_values(&[1.0, 3.0]);
         assert!(is_near(two.half_width.expect("an interval"), 12.706), "{two:?}");
-        assert_eq!(Estimate::of(&[7.0]), Estimate { mean: 7.0, half_width: None });
+        assert_eq!(Estimate::from_values(&[7.0]), Estimate { mean: 7.0, half_width: None });
         assert_eq!((median(&[5.0, 1.0, 9.0]), median(&[1.0, 2.0, 4.0, 9.0])), (5.0, 3.0));
     }
 
@@ -172,13 +172,13 @@ mod tests {
         let factor = |error: f64| Factor { log: -0.5 * error.ln(), spread: Some((0.04, 4.0)) };
         let points = [0.1, 0.001, 0.01].map(|error| (error, factor(error)));
         for error in [0.1, 0.03, 0.01, 0.0025, 0.001] {
-            let found = Factor::interpolated(&points, error).expect("within").interval();
+            let found = Factor::interpolate(&points, error).expect("within").interval();
             assert!(is_near(found.value, error.powf(-0.5)), "{error}: {found:?}");
         }
-        let half_way = Factor::interpolated(&points, 0.1f64.powf(1.5)).expect("within");
+        let half_way = Factor::interpolate(&points, 0.1f64.powf(1.5)).expect("within");
         assert!(is_near(half_way.spread.expect("a spread").0, 0.02), "of two independent halves: {half_way:?}");
-        assert_eq!([0.2, 0.0005].map(|error| Factor::interpolated(&points, error)), [None; 2]);
-        assert_eq!(Factor::interpolated(&[], 1.0), None);
+        assert_eq!([0.2, 0.0005].map(|error| Factor::interpolate(&points, error)), [None; 2]);
+        assert_eq!(Factor::interpolate(&[], 1.0), None);
     }
 
     #[test]
@@ -201,7 +201,7 @@ mod tests {
     fn ratios_and_geometric_means_add_their_variances() {
         let one = Factor { log: 8f64.ln(), spread: Some((0.04, 4.0)) };
         let other = Factor { log: 2f64.ln(), spread: Some((0.04, 4.0)) };
-        let ratio = one.over(other).interval();
+        let ratio = one.divided_by(other).interval();
         // 2.306 from the table for 8 degrees of freedom.
         assert!(is_near(ratio.value, 4.0));
         assert!(is_near(ratio.interval.expect("an interval")[1], 4.0 * (2.306 * 0.08f64.sqrt()).exp()));

@@ -27,7 +27,7 @@ pub struct SceneSummary {
     /// Results by method and budget.
     pub points: Vec<Point>,
     /// Results by method.
-    pub methods: Vec<SceneMethod>,
+    pub methods: Vec<SceneMethodSummary>,
 }
 
 /// A method with a budget in a scene: means over seeds.
@@ -69,7 +69,7 @@ pub struct Point {
 
 /// A method in a scene: geometric means over its budgets. Ratios use only budgets in the first method's measured range.
 #[derive(Clone, Debug, Serialize)]
-pub struct SceneMethod {
+pub struct SceneMethodSummary {
     /// Name of the method.
     pub method: &'static str,
     /// 1 / (relmse x s).
@@ -105,53 +105,53 @@ pub type Ladder = (&'static Method, Vec<f64>);
 impl Summary {
     /// Summarizes the measurements of these scenes, ladders and seeds.
     /// - `scenes`: names, and the noise of their references where it is known.
-    pub fn of(record: &Record, scenes: &[(&str, Option<Noise>)], ladders: &[Ladder], seeds: &[u64]) -> Self {
+    pub fn new(record: &Record, scenes: &[(&str, Option<Noise>)], ladders: &[Ladder], seeds: &[u64]) -> Self {
         let scenes: Vec<SceneSummary> = scenes
             .iter()
             .map(|&(scene, noise)| {
-                SceneSummary::of(scene, noise, ladders, |method, budget| {
+                SceneSummary::new(scene, noise, ladders, |method, budget| {
                     seeds.iter().filter_map(|&seed| record.run(scene, method, budget, seed)).collect()
                 })
             })
             .collect();
-        let methods = ladders.iter().map(|(method, _)| MethodSummary::of(method.name, &scenes)).collect();
+        let methods = ladders.iter().map(|(method, _)| MethodSummary::new(method.name, &scenes)).collect();
         Self { seeds: seeds.to_vec(), scenes, methods }
     }
 }
 
 impl SceneSummary {
-    fn of<'a>(
+    fn new<'a>(
         scene: &str,
         noise: Option<Noise>,
         ladders: &[Ladder],
         runs: impl Fn(&'static Method, f64) -> Vec<&'a Run>,
     ) -> Self {
-        let (mut points, mut methods): (Vec<Point>, Vec<SceneMethod>) = (Vec::new(), Vec::new());
+        let (mut points, mut methods): (Vec<Point>, Vec<SceneMethodSummary>) = (Vec::new(), Vec::new());
         let mut first: Option<[Vec<(f64, Factor)>; 2]> = None;
         for (method, budgets) in ladders {
             let measured = budgets.iter().map(|&budget| (budget, runs(method, budget))).filter(|it| !it.1.is_empty());
-            let mut of_method: Vec<Point> =
-                measured.map(|(budget, runs)| Point::of(method.name, budget, noise, &runs)).collect();
-            let factors: Vec<Factor> = of_method.iter().filter_map(|point| point.factors[0]).collect();
+            let mut method_points: Vec<Point> =
+                measured.map(|(budget, runs)| Point::from_runs(method.name, budget, noise, &runs)).collect();
+            let factors: Vec<Factor> = method_points.iter().filter_map(|point| point.factors[0]).collect();
             let mut all: [Vec<Factor>; 2] = Default::default();
             if let Some(first) = &first {
-                for point in &mut of_method {
+                for point in &mut method_points {
                     let ratios = std::array::from_fn(|place| {
-                        let there = Factor::interpolated(&first[place], point.scales()[place]);
-                        point.factors[place].zip(there).map(|(here, there)| here.over(there))
+                        let there = Factor::interpolate(&first[place], point.comparison_errors()[place]);
+                        point.factors[place].zip(there).map(|(here, there)| here.divided_by(there))
                     });
-                    [point.time_ratio, point.worst_time_ratio] = ratios.map(time);
+                    [point.time_ratio, point.worst_time_ratio] = ratios.map(to_time_ratio);
                     all.iter_mut().zip(ratios).for_each(|(all, ratio)| all.extend(ratio));
                 }
             } else {
                 let known = |place: usize| {
-                    of_method.iter().filter_map(move |it| Some((it.scales()[place], it.factors[place]?)))
+                    method_points.iter().filter_map(move |it| Some((it.comparison_errors()[place], it.factors[place]?)))
                 };
                 first = Some([known(0).collect(), known(1).collect()]);
             }
             let ratios = all.map(|ratios| Factor::mean_of_dependent(&ratios));
-            let [time_ratio, worst_time_ratio] = ratios.map(time);
-            methods.push(SceneMethod {
+            let [time_ratio, worst_time_ratio] = ratios.map(to_time_ratio);
+            methods.push(SceneMethodSummary {
                 method: method.name,
                 efficiency: Factor::geometric_mean(&factors).map(Factor::interval),
                 efficiency_ratio: ratios[0].map(Factor::interval),
@@ -159,26 +159,26 @@ impl SceneSummary {
                 worst_time_ratio,
                 ratios,
             });
-            points.extend(of_method);
+            points.extend(method_points);
         }
         Self { scene: scene.to_owned(), reference_noise: noise, points, methods }
     }
 }
 
 /// Converts a ratio of efficiencies to a ratio of times.
-fn time(ratio: Option<Factor>) -> Option<Interval> {
+fn to_time_ratio(ratio: Option<Factor>) -> Option<Interval> {
     ratio.map(|ratio| ratio.inverse().interval())
 }
 
 impl Point {
     /// Returns the errors at which methods are compared. Both are inversely proportional to the time.
-    fn scales(&self) -> [f64; 2] {
+    fn comparison_errors(&self) -> [f64; 2] {
         [self.relmse.mean, self.worst.mean * self.worst.mean]
     }
 
-    fn of(method: &'static str, budget: f64, noise: Option<Noise>, runs: &[&Run]) -> Self {
+    fn from_runs(method: &'static str, budget: f64, noise: Option<Noise>, runs: &[&Run]) -> Self {
         let all = |of: fn(&Run) -> f64| runs.iter().map(|run| of(run)).collect::<Vec<f64>>();
-        let mean = |of: fn(&Run) -> f64| Estimate::of(&all(of));
+        let mean = |of: fn(&Run) -> f64| Estimate::from_values(&all(of));
         let (mse_noise, relmse_noise) = noise.map_or((0.0, 0.0), |noise| (noise.mse, noise.relmse));
         let (seconds, measured) = (all(|run| run.seconds), all(|run| run.relmse));
         let errors: Vec<f64> = measured.iter().map(|relmse| relmse - relmse_noise).collect();
@@ -189,12 +189,12 @@ impl Point {
             budget,
             spp: mean(|run| run.spp).mean,
             rays: mean(|run| run.rays as f64).mean,
-            seconds: Estimate::of(&seconds),
+            seconds: Estimate::from_values(&seconds),
             seconds_median: median(&seconds),
             cpu_seconds: mean(|run| run.cpu_seconds),
-            mse: mean(|run| run.mse).less(mse_noise),
-            relmse: Estimate::of(&errors),
-            noise_share: noise.map(|noise| noise.relmse / Estimate::of(&measured).mean),
+            mse: mean(|run| run.mse).minus(mse_noise),
+            relmse: Estimate::from_values(&errors),
+            noise_share: noise.map(|noise| noise.relmse / Estimate::from_values(&measured).mean),
             flip: mean(|run| run.flip),
             worst: mean(|run| run.worst),
             efficiency: factors[0].map(Factor::interval),
@@ -206,7 +206,7 @@ impl Point {
 }
 
 impl MethodSummary {
-    fn of(method: &'static str, scenes: &[SceneSummary]) -> Self {
+    fn new(method: &'static str, scenes: &[SceneSummary]) -> Self {
         let of_method = |scene: &SceneSummary| scene.methods.iter().find(|it| it.method == method).map(|it| it.ratios);
         let found: Vec<[Option<Factor>; 2]> = scenes.iter().filter_map(of_method).collect();
         let of = |place: usize| found.iter().filter_map(|ratios| ratios[place]).collect::<Vec<Factor>>();
@@ -216,8 +216,8 @@ impl MethodSummary {
             method,
             scenes: ratios[0].len().max(ratios[1].len()),
             efficiency_ratio: ratio.map(Factor::interval),
-            time_ratio: time(ratio),
-            worst_time_ratio: time(worst),
+            time_ratio: to_time_ratio(ratio),
+            worst_time_ratio: to_time_ratio(worst),
         }
     }
 }
@@ -263,8 +263,8 @@ mod tests {
                 .collect();
         let noise = Some(Noise { mse: 3.0 * NOISE, relmse: NOISE });
         let ladders: Vec<Ladder> = vec![(pt, vec![1.0, 4.0]), (other, vec![0.5, 0.2])];
-        let scene = SceneSummary::of("box", noise, &ladders, |method, budget| {
-            runs.iter().filter(|run| run.is_of("box", method, budget)).collect()
+        let scene = SceneSummary::new("box", noise, &ladders, |method, budget| {
+            runs.iter().filter(|run| run.matches("box", method, budget)).collect()
         });
         let is_near = |a: f64, b: f64| (a / b - 1.0).abs() < 1e-9;
         let point = &scene.points[0];
@@ -278,10 +278,10 @@ mod tests {
         let Interval { value, interval } = scene.methods[1].efficiency_ratio.expect("a ratio");
         let [low, high] = interval.expect("an interval");
         assert!(is_near(value, 2.0) && low < 1.9 && high > 2.1, "{value} {low} {high}");
-        let method = MethodSummary::of(other.name, &[scene.clone(), scene.clone()]);
+        let method = MethodSummary::new(other.name, &[scene.clone(), scene.clone()]);
         assert!(method.scenes == 2 && is_near(method.efficiency_ratio.expect("a ratio").value, 2.0));
         assert!(is_near(method.time_ratio.expect("a ratio").value, 0.5));
-        let first = MethodSummary::of(pt.name, &[scene]);
+        let first = MethodSummary::new(pt.name, &[scene]);
         assert!(first.efficiency_ratio.is_none() && first.time_ratio.is_none(), "the first is not compared to itself");
     }
 
@@ -290,9 +290,9 @@ mod tests {
         let pt = &METHODS[0];
         let runs = [run(pt, 1.0, 1.0, -0.01), run(pt, 1.0, 1.0, 0.005)];
         let noise = Some(Noise { mse: 0.0, relmse: NOISE });
-        let scene = SceneSummary::of("box", noise, &[(pt, vec![1.0])], |_, _| runs.iter().collect());
+        let scene = SceneSummary::new("box", noise, &[(pt, vec![1.0])], |_, _| runs.iter().collect());
         assert!(scene.points[0].efficiency.is_none() && scene.methods[0].efficiency.is_none());
-        let unknown = SceneSummary::of("box", None, &[(pt, vec![1.0])], |_, _| runs.iter().collect());
+        let unknown = SceneSummary::new("box", None, &[(pt, vec![1.0])], |_, _| runs.iter().collect());
         assert!(unknown.points[0].relmse.mean > 0.2 && unknown.points[0].noise_share.is_none());
     }
 }

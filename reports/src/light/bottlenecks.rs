@@ -3,15 +3,15 @@
 use super::files::read;
 use crate::ReportError;
 use crate::human;
-use femc_pipeline::paths::bottlenecks::{Bottlenecks, By, Evidence, Part};
-use femc_pipeline::paths::{Name, Statistics};
+use femc_pipeline::paths::bottlenecks::{Bottlenecks, Grouping, PartStatistics, ScenePart};
+use femc_pipeline::paths::{LightStatistics, Name};
 use serde::Serialize;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
 /// Sort key of the rows, greatest first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Order {
+pub enum SortKey {
     /// Noise.
     Noise,
     /// Light.
@@ -22,20 +22,20 @@ pub enum Order {
     Deep,
 }
 
-impl Order {
-    fn of(self, evidence: &Evidence) -> f64 {
+impl SortKey {
+    fn value(self, evidence: &PartStatistics) -> f64 {
         match self {
             Self::Noise => evidence.noise,
             Self::Light => evidence.light,
             Self::Work => evidence.intersections,
-            Self::Deep => evidence.deep,
+            Self::Deep => evidence.deep_throughput,
         }
     }
 }
 
 /// Report of `femc bottlenecks`.
 #[derive(Debug, Serialize)]
-pub struct Report {
+pub struct BottleneckReport {
     /// Files that were read.
     pub files: Vec<String>,
     /// Number of samples of the frames.
@@ -45,11 +45,11 @@ pub struct Report {
     /// Most important bottlenecks.
     pub findings: Vec<Finding>,
     /// Rows by object, material and interaction.
-    pub parts: Vec<Row>,
+    pub parts: Vec<PartRow>,
     /// Rows by object.
-    pub objects: Vec<Row>,
+    pub objects: Vec<PartRow>,
     /// Rows by material.
-    pub materials: Vec<Row>,
+    pub materials: Vec<PartRow>,
     /// Rows by lamp.
     pub lamps: Vec<LampRow>,
     /// Samples that add the most noise.
@@ -58,7 +58,7 @@ pub struct Report {
 
 /// A part of the scene with its fractions of the totals.
 #[derive(Clone, Debug, Serialize)]
-pub struct Row {
+pub struct PartRow {
     /// Dotted name; none: the camera, fog, or an object without a name.
     pub object: Option<String>,
     /// Name of the material or the medium.
@@ -136,11 +136,11 @@ pub struct FireflyRow {
 #[serde(tag = "what", rename_all = "lowercase")]
 pub enum Finding {
     /// The object that adds the most noise.
-    Noise(Row),
+    Noise(PartRow),
     /// The object that keeps paths bright and long.
-    Deep(Row),
+    Deep(PartRow),
     /// The object with the most intersections.
-    Work(Row),
+    Work(PartRow),
     /// The lamp whose light adds the most noise.
     Lamp(LampRow),
     /// The sample that adds the most noise.
@@ -148,13 +148,13 @@ pub enum Finding {
 }
 
 /// Number of samples that are listed.
-const FIREFLIES: usize = 1000;
+const MAX_FIREFLIES: usize = 1000;
 /// Ratio of mean throughputs above which a part is reported: that of paths that begin there over that of other paths.
-const MORE: f64 = 2.0;
+const LONG_PATH_RATIO: f64 = 2.0;
 
-impl Report {
+impl BottleneckReport {
     /// Reads files and finds their bottlenecks.
-    pub fn read(files: &[PathBuf], order: Order) -> Result<Self, ReportError> {
+    pub fn read(files: &[PathBuf], key: SortKey) -> Result<Self, ReportError> {
         let mut all: [Bottlenecks; 3] = Default::default();
         let (mut names, mut films) = (Vec::new(), Vec::new());
         for file in files {
@@ -164,24 +164,24 @@ impl Report {
                 films.push(statistics.scope.film[0]);
             }
         }
-        Ok(Self::of(&all, names, &films, order))
+        Ok(Self::from_bottlenecks(&all, names, &films, key))
     }
 
     /// Finds the bottlenecks of frames in memory.
-    pub fn of_frames(frames: &[(PathBuf, Statistics)]) -> Self {
+    pub fn from_frames(frames: &[(PathBuf, LightStatistics)]) -> Self {
         let mut all: [Bottlenecks; 3] = Default::default();
         frames.iter().for_each(|(_, statistics)| add(&mut all, statistics));
         let widths: Vec<u32> = frames.iter().map(|(_, statistics)| statistics.scope.film[0]).collect();
-        Self::of(&all, frames.iter().map(|(file, _)| name(file)).collect(), &widths, Order::Noise)
+        Self::from_bottlenecks(&all, frames.iter().map(|(file, _)| name(file)).collect(), &widths, SortKey::Noise)
     }
 
-    fn of(all: &[Bottlenecks; 3], files: Vec<String>, widths: &[u32], order: Order) -> Self {
+    fn from_bottlenecks(all: &[Bottlenecks; 3], files: Vec<String>, widths: &[u32], key: SortKey) -> Self {
         let rows = |by| {
-            let own = found(all, by);
-            own.ranked(|it| order.of(it)).into_iter().map(|(part, it)| row(own, part, &it)).collect::<Vec<Row>>()
+            let own = grouped_by(all, by);
+            own.ranked(|it| key.value(it)).into_iter().map(|(part, it)| row(own, part, &it)).collect::<Vec<PartRow>>()
         };
-        let parts = found(all, By::Part);
-        let text = |name: Name| parts.text(name).map(str::to_owned);
+        let parts = grouped_by(all, Grouping::Part);
+        let text = |name: Name| parts.name_text(name).map(str::to_owned);
         let total = &parts.total;
         let mut lamps: Vec<LampRow> = parts
             .lamps
@@ -190,7 +190,7 @@ impl Report {
                 lamp: text(*name),
                 noise: share(it.noise, total.noise),
                 light: share(it.light, total.light),
-                hidden: share(it.hidden as f64, it.records as f64),
+                hidden: share(it.occluded as f64, it.records as f64),
                 records: it.records,
             })
             .collect();
@@ -203,24 +203,24 @@ impl Report {
                 y: it.key.pixel / width,
                 sample: it.key.sample,
                 luminance: f64::from(it.luminance),
-                others: it.others,
+                others: it.mean_of_others,
                 noise: share(it.noise, total.noise),
                 object: text(it.part.object),
                 material: text(it.part.material),
                 interaction: it.part.interaction.map(|it| it.word()),
                 lamp: text(it.lamp),
-                found: it.found.word(),
+                found: it.technique.word(),
             }
         };
-        let fireflies: Vec<FireflyRow> = parts.fireflies.iter().take(FIREFLIES).map(firefly).collect();
+        let fireflies: Vec<FireflyRow> = parts.fireflies.iter().take(MAX_FIREFLIES).map(firefly).collect();
         let findings = findings(all, &lamps, &fireflies);
         Self {
             samples: parts.samples,
             deep_samples: share(parts.deep_samples as f64, parts.samples as f64),
             findings,
-            parts: rows(By::Part),
-            objects: rows(By::Object),
-            materials: rows(By::Material),
+            parts: rows(Grouping::Part),
+            objects: rows(Grouping::Object),
+            materials: rows(Grouping::Material),
             lamps,
             fireflies,
             files,
@@ -229,13 +229,13 @@ impl Report {
 }
 
 /// Returns the results that are grouped by `by`.
-fn found(all: &[Bottlenecks; 3], by: By) -> &Bottlenecks {
+fn grouped_by(all: &[Bottlenecks; 3], by: Grouping) -> &Bottlenecks {
     &all[by as usize]
 }
 
-fn add(all: &mut [Bottlenecks; 3], statistics: &Statistics) {
-    for by in [By::Part, By::Object, By::Material] {
-        all[by as usize].merge(Bottlenecks::of(statistics, by));
+fn add(all: &mut [Bottlenecks; 3], statistics: &LightStatistics) {
+    for by in [Grouping::Part, Grouping::Object, Grouping::Material] {
+        all[by as usize].merge(Bottlenecks::from_statistics(statistics, by));
     }
 }
 
@@ -247,58 +247,59 @@ fn share(part: f64, all: f64) -> f64 {
     if all > 0.0 { part / all } else { 0.0 }
 }
 
-fn row(all: &Bottlenecks, part: Part, evidence: &Evidence) -> Row {
-    let text = |name: Name| all.text(name).map(str::to_owned);
-    let others = all.others(evidence);
-    Row {
+fn row(all: &Bottlenecks, part: ScenePart, evidence: &PartStatistics) -> PartRow {
+    let text = |name: Name| all.name_text(name).map(str::to_owned);
+    let others = all.without_part(evidence);
+    PartRow {
         object: text(part.object),
         material: text(part.material),
         interaction: part.interaction.map(|it| it.word()),
         noise: share(evidence.noise, all.total.noise),
         light: share(evidence.light, all.total.light),
         work: share(evidence.intersections, all.total.intersections),
-        deep: share(evidence.deep, all.total.deep),
-        begun: share(evidence.begun as f64, all.total.begun as f64),
-        depth: (evidence.begun > 0).then(|| evidence.depth()),
-        left: (evidence.begun > 0).then(|| evidence.left()),
-        depth_of_others: others.depth(),
-        left_of_others: others.left(),
+        deep: share(evidence.deep_throughput, all.total.deep_throughput),
+        begun: share(evidence.first_hits as f64, all.total.first_hits as f64),
+        depth: (evidence.first_hits > 0).then(|| evidence.mean_depth()),
+        left: (evidence.first_hits > 0).then(|| evidence.mean_remaining_throughput()),
+        depth_of_others: others.mean_depth(),
+        left_of_others: others.mean_remaining_throughput(),
         records: evidence.records,
     }
 }
 
-/// Returns the object with the greatest value of `of`, with the material and interaction of its greatest part.
-fn first(all: &[Bottlenecks; 3], of: impl Fn(&Bottlenecks, &Evidence) -> f64) -> Option<Row> {
-    let (objects, parts) = (found(all, By::Object), found(all, By::Part));
-    let ranked = objects.ranked(|it| of(objects, it));
+/// Returns the object with the greatest value of `value`, with the material and interaction of its greatest part.
+fn greatest_object(all: &[Bottlenecks; 3], value: impl Fn(&Bottlenecks, &PartStatistics) -> f64) -> Option<PartRow> {
+    let (objects, parts) = (grouped_by(all, Grouping::Object), grouped_by(all, Grouping::Part));
+    let ranked = objects.ranked(|it| value(objects, it));
     let (object, evidence) = ranked.into_iter().find(|(part, _)| part.object != Name::NONE)?;
-    let of_object = |(part, _): &(Part, Evidence)| part.object == object.object;
-    let (part, _) = parts.ranked(|it| of(parts, it)).into_iter().find(of_object)?;
-    let own = row(objects, Part { object: object.object, ..part }, &evidence);
-    (of(objects, &evidence) > 0.0).then(|| Row { material: parts.text(part.material).map(str::to_owned), ..own })
+    let of_object = |(part, _): &(ScenePart, PartStatistics)| part.object == object.object;
+    let (part, _) = parts.ranked(|it| value(parts, it)).into_iter().find(of_object)?;
+    let own = row(objects, ScenePart { object: object.object, ..part }, &evidence);
+    (value(objects, &evidence) > 0.0)
+        .then(|| PartRow { material: parts.name_text(part.material).map(str::to_owned), ..own })
 }
 
 fn findings(all: &[Bottlenecks; 3], lamps: &[LampRow], fireflies: &[FireflyRow]) -> Vec<Finding> {
     let mut findings = Vec::new();
-    findings.extend(first(all, |_, it| it.noise).map(Finding::Noise));
-    let is_more = |row: &Row| row.left.is_some_and(|left| left > MORE * row.left_of_others);
-    findings.extend(first(all, Bottlenecks::lengthening).filter(is_more).map(Finding::Deep));
-    findings.extend(first(all, |_, it| it.intersections).map(Finding::Work));
+    findings.extend(greatest_object(all, |_, it| it.noise).map(Finding::Noise));
+    let is_more = |row: &PartRow| row.left.is_some_and(|left| left > LONG_PATH_RATIO * row.left_of_others);
+    findings.extend(greatest_object(all, Bottlenecks::lengthening).filter(is_more).map(Finding::Deep));
+    findings.extend(greatest_object(all, |_, it| it.intersections).map(Finding::Work));
     findings.extend(lamps.first().filter(|lamp| lamp.noise > 0.0 && lamps.len() > 1).cloned().map(Finding::Lamp));
     findings.extend(fireflies.first().cloned().map(Finding::Firefly));
     findings
 }
 
 /// Formats a part: `ball (chrome, reflection)`.
-fn spelled(object: Option<&str>, material: Option<&str>, interaction: Option<&str>) -> String {
+fn describe_part(object: Option<&str>, material: Option<&str>, interaction: Option<&str>) -> String {
     let within: Vec<&str> = [material, interaction].into_iter().flatten().collect();
     let object = object.unwrap_or(if within.is_empty() { "the camera" } else { "-" });
     if within.is_empty() { object.to_owned() } else { format!("{object} ({})", within.join(", ")) }
 }
 
-impl Row {
-    fn spelled(&self) -> String {
-        spelled(self.object.as_deref(), self.material.as_deref(), self.interaction)
+impl PartRow {
+    fn describe(&self) -> String {
+        describe_part(self.object.as_deref(), self.material.as_deref(), self.interaction)
     }
 }
 
@@ -309,7 +310,7 @@ impl fmt::Display for Finding {
             Self::Noise(row) => write!(
                 f,
                 "noise:       {}: {} of the noise, {} of the light",
-                row.spelled(),
+                row.describe(),
                 percent(row.noise),
                 percent(row.light)
             ),
@@ -317,14 +318,14 @@ impl fmt::Display for Finding {
                 f,
                 "long paths:  {}: after 8 intersections, {} of the light can still pass (elsewhere {}); {} intersections per path \
                  (elsewhere {})",
-                row.spelled(),
+                row.describe(),
                 percent(row.left.unwrap_or(0.0)),
                 percent(row.left_of_others),
                 number(row.depth.unwrap_or(0.0)),
                 number(row.depth_of_others)
             ),
             Self::Work(row) => {
-                write!(f, "most work:   {}: {} of the intersections", row.spelled(), percent(row.work))
+                write!(f, "most work:   {}: {} of the intersections", row.describe(), percent(row.work))
             }
             Self::Lamp(row) => write!(
                 f,
@@ -343,7 +344,7 @@ impl fmt::Display for Finding {
                 row.file,
                 number(row.luminance),
                 number(row.others),
-                spelled(row.object.as_deref(), row.material.as_deref(), row.interaction)
+                describe_part(row.object.as_deref(), row.material.as_deref(), row.interaction)
             ),
         }
     }

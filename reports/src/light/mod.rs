@@ -5,5 +5,5 @@ mod bottlenecks;
 mod files;
 pub mod path_table;
 
-pub use bottlenecks::{Finding, FireflyRow, LampRow, Order, Report, Row};
-pub use files::{Unit, read, united, units, write};
+pub use bottlenecks::{BottleneckReport, Finding, FireflyRow, LampRow, PartRow, SortKey};
+pub use files::{FrameSet, merge, read, read_all, write};

@@ -1,13 +1,13 @@
 //! Rows and columns of the tables of `femc paths`.
 
-use super::files::Unit;
-use crate::attempts::{Cell, Column, Kind, Reader, column};
+use super::files::FrameSet;
+use crate::attempts::{Audience, Cell, Column, Kind, column};
 use femc_pipeline::paths::histogram::{Counts, Histograms, Table};
 use femc_pipeline::paths::octree::{Octree, Root, Voxel};
-use femc_pipeline::paths::pixels::{Maps, Pixel};
+use femc_pipeline::paths::pixels::{Pixel, PixelMaps};
 use femc_pipeline::paths::schema::{Scale, radiance_edge, throughput_edge};
 use femc_pipeline::paths::statistics::IMAGE_BITS;
-use femc_pipeline::paths::{Intersection, Light, Name, Path, Scope, Statistics};
+use femc_pipeline::paths::{Intersection, LightPath, LightRecord, LightStatistics, Name, Scope};
 use std::collections::BTreeSet;
 
 /// A path that matches a query.
@@ -15,55 +15,55 @@ pub struct Match<'a> {
     /// Position of the path in the file.
     pub number: u32,
     /// Record of the path.
-    pub path: &'a Path,
+    pub path: &'a LightPath,
     /// Positions of the intersections that match the query.
-    pub places: BTreeSet<usize>,
+    pub positions: BTreeSet<usize>,
     /// Weight of the path among the representative paths.
     pub weight: Option<f64>,
 }
 
 /// A file with the results of a query.
-pub struct Frame<'a> {
+pub struct QueriedFrame<'a> {
     /// Name of the file.
     pub file: &'a str,
     /// All statistics of the file.
-    pub all: &'a Statistics,
+    pub statistics: &'a LightStatistics,
     /// Paths that match the query.
-    pub found: Vec<Match<'a>>,
+    pub matches: Vec<Match<'a>>,
 }
 
-impl<'a> Frame<'a> {
-    fn of<T>(&self, found: &Match<'a>, it: T) -> Of<'a, T> {
-        Of { file: self.file, all: self.all, number: found.number, path: found.path, it }
+impl<'a> QueriedFrame<'a> {
+    fn row<T>(&self, matching: &Match<'a>, item: T) -> PathItem<'a, T> {
+        PathItem { file: self.file, statistics: self.statistics, number: matching.number, path: matching.path, item }
     }
 }
 
 /// A path with an item of it.
-pub struct Of<'a, T> {
+pub struct PathItem<'a, T> {
     file: &'a str,
-    all: &'a Statistics,
+    statistics: &'a LightStatistics,
     number: u32,
-    path: &'a Path,
-    it: T,
+    path: &'a LightPath,
+    item: T,
 }
 
-impl<T> Of<'_, T> {
+impl<T> PathItem<'_, T> {
     fn text(&self, name: Name) -> Cell {
-        self.all.names.get(&name).map(|(_, text)| text.clone()).into()
+        self.statistics.names.get(&name).map(|(_, text)| text.clone()).into()
     }
 
     fn pixel(&self) -> [u32; 2] {
-        let (pixel, width) = (self.path.key.pixel, self.all.scope.film[0].max(1));
+        let (pixel, width) = (self.path.key.pixel, self.statistics.scope.film[0].max(1));
         [pixel % width, pixel / width]
     }
 
     fn weight(&self) -> Cell {
-        Cell::Real(part(self.all.image_weight(self.path.key)))
+        Cell::Real(image_pixels(self.statistics.image_weight(self.path.key)))
     }
 }
 
 /// Converts units of a part of the image to pixels.
-fn part(units: u64) -> f64 {
+fn image_pixels(units: u64) -> f64 {
     units as f64 / (1u64 << IMAGE_BITS) as f64
 }
 
@@ -79,110 +79,112 @@ fn word(text: &str) -> Cell {
     Cell::Text(text.to_owned())
 }
 
+use Audience::{Comparing, Everyone, Programs};
 use Kind::{Count, Number, Text};
-use Reader::{Anybody, Programs, WhoCompares};
 
 /// A path with the number of its matching intersections, the first of them, and the path's weight.
-pub type PathRow<'a> = Of<'a, (usize, Option<&'a Intersection>, Option<f64>)>;
+pub type PathRow<'a> = PathItem<'a, (usize, Option<&'a Intersection>, Option<f64>)>;
 
 /// Returns the rows of matching paths.
-pub fn path_rows<'a>(frame: &'a Frame<'a>) -> Vec<PathRow<'a>> {
+pub fn path_rows<'a>(frame: &'a QueriedFrame<'a>) -> Vec<PathRow<'a>> {
     let row = |it: &Match<'a>| {
-        let first = it.places.first().map(|place| &it.path.intersections[*place]);
-        frame.of(it, (it.places.len(), first, it.weight))
+        let first = it.positions.first().map(|place| &it.path.intersections[*place]);
+        frame.row(it, (it.positions.len(), first, it.weight))
     };
-    frame.found.iter().map(row).collect()
+    frame.matches.iter().map(row).collect()
 }
 
 /// Returns the columns of paths.
-pub fn paths<'a>() -> Vec<Column<PathRow<'a>>> {
+pub fn path_columns<'a>() -> Vec<Column<PathRow<'a>>> {
     vec![
-        column("file", "file", Text, WhoCompares, |row| word(row.file)),
-        column("frame", "frame", Count, WhoCompares, |row| number(row.all.scope.frame)),
+        column("file", "file", Text, Comparing, |row| word(row.file)),
+        column("frame", "frame", Count, Comparing, |row| number(row.statistics.scope.frame)),
         column("path", "path", Count, Programs, |row| number(row.number)),
-        column("pixel_x", "x", Count, Anybody, |row| number(row.pixel()[0])),
-        column("pixel_y", "y", Count, Anybody, |row| number(row.pixel()[1])),
-        column("sample", "sample", Count, Anybody, |row| number(row.path.key.sample)),
-        column("radiance_r", "red cd/m2", Number, Anybody, |row| real(row.path.radiance[0])),
-        column("radiance_g", "green", Number, Anybody, |row| real(row.path.radiance[1])),
-        column("radiance_b", "blue", Number, Anybody, |row| real(row.path.radiance[2])),
+        column("pixel_x", "x", Count, Everyone, |row| number(row.pixel()[0])),
+        column("pixel_y", "y", Count, Everyone, |row| number(row.pixel()[1])),
+        column("sample", "sample", Count, Everyone, |row| number(row.path.key.sample)),
+        column("radiance_r", "red cd/m2", Number, Everyone, |row| real(row.path.radiance[0])),
+        column("radiance_g", "green", Number, Everyone, |row| real(row.path.radiance[1])),
+        column("radiance_b", "blue", Number, Everyone, |row| real(row.path.radiance[2])),
         column("throughput_r", "throughput r", Number, Programs, |row| real(row.path.throughput[0])),
-        column("throughput_g", "throughput", Number, Anybody, |row| real(row.path.throughput[1])),
+        column("throughput_g", "throughput", Number, Everyone, |row| real(row.path.throughput[1])),
         column("throughput_b", "throughput b", Number, Programs, |row| real(row.path.throughput[2])),
-        column("depth", "depth", Count, Anybody, |row| number(row.path.depth)),
-        column("end", "end", Text, Anybody, |row| word(row.path.end.word())),
-        column("matches", "matches", Count, Anybody, |row| Cell::Count(row.it.0 as u64)),
-        column("bounce", "first at bounce", Count, Anybody, |row| row.it.1.map(|it| u64::from(it.bounce)).into()),
-        column("object", "object", Text, Anybody, |row| row.it.1.map_or(Cell::Gap, |it| row.text(it.object))),
-        column("material", "material", Text, Anybody, |row| row.it.1.map_or(Cell::Gap, |it| row.text(it.material))),
-        column("interaction", "interaction", Text, Anybody, |row| {
-            row.it.1.map_or(Cell::Gap, |it| word(it.interaction.word()))
+        column("depth", "depth", Count, Everyone, |row| number(row.path.depth)),
+        column("end", "end", Text, Everyone, |row| word(row.path.end.word())),
+        column("matches", "matches", Count, Everyone, |row| Cell::Count(row.item.0 as u64)),
+        column("bounce", "first at bounce", Count, Everyone, |row| row.item.1.map(|it| u64::from(it.bounce)).into()),
+        column("object", "object", Text, Everyone, |row| row.item.1.map_or(Cell::Empty, |it| row.text(it.object))),
+        column("material", "material", Text, Everyone, |row| {
+            row.item.1.map_or(Cell::Empty, |it| row.text(it.material))
         }),
-        column("pixels", "pixels", Number, Programs, Of::weight),
-        column("weight", "weight", Number, Programs, |row| row.it.2.map_or(Cell::Gap, Cell::Real)),
+        column("interaction", "interaction", Text, Everyone, |row| {
+            row.item.1.map_or(Cell::Empty, |it| word(it.interaction.word()))
+        }),
+        column("pixels", "pixels", Number, Programs, PathItem::weight),
+        column("weight", "weight", Number, Programs, |row| row.item.2.map_or(Cell::Empty, Cell::Real)),
     ]
 }
 
 /// An intersection and its position in the path.
-pub type IntersectionRow<'a> = Of<'a, (usize, &'a Intersection)>;
+pub type IntersectionRow<'a> = PathItem<'a, (usize, &'a Intersection)>;
 
 /// Returns the rows of matching intersections.
-pub fn intersection_rows<'a>(frame: &'a Frame<'a>) -> Vec<IntersectionRow<'a>> {
+pub fn intersection_rows<'a>(frame: &'a QueriedFrame<'a>) -> Vec<IntersectionRow<'a>> {
     let rows = frame
-        .found
+        .matches
         .iter()
-        .flat_map(|it| it.places.iter().map(move |&place| frame.of(it, (place, &it.path.intersections[place]))));
+        .flat_map(|it| it.positions.iter().map(move |&place| frame.row(it, (place, &it.path.intersections[place]))));
     rows.collect()
 }
 
 /// Returns the columns of intersections.
-pub fn intersections<'a>() -> Vec<Column<IntersectionRow<'a>>> {
+pub fn intersection_columns<'a>() -> Vec<Column<IntersectionRow<'a>>> {
     vec![
-        column("file", "file", Text, WhoCompares, |row| word(row.file)),
-        column("frame", "frame", Count, WhoCompares, |row| number(row.all.scope.frame)),
-        column("path", "path", Count, Anybody, |row| number(row.number)),
-        column("vertex", "vertex", Count, Anybody, |row| Cell::Count(row.it.0 as u64 + 1)),
-        column("bounce", "bounce", Count, Anybody, |row| number(row.it.1.bounce)),
-        column("x", "x m", Number, Anybody, |row| Cell::Real(row.it.1.position[0])),
-        column("y", "y", Number, Anybody, |row| Cell::Real(row.it.1.position[1])),
-        column("z", "z", Number, Anybody, |row| Cell::Real(row.it.1.position[2])),
-        column("radiance_r", "red cd/m2", Number, Anybody, |row| real(row.it.1.radiance[0])),
-        column("radiance_g", "green", Number, Anybody, |row| real(row.it.1.radiance[1])),
-        column("radiance_b", "blue", Number, Anybody, |row| real(row.it.1.radiance[2])),
-        column("throughput_r", "throughput r", Number, Programs, |row| real(row.it.1.throughput[0])),
-        column("throughput_g", "throughput", Number, Anybody, |row| real(row.it.1.throughput[1])),
-        column("throughput_b", "throughput b", Number, Programs, |row| real(row.it.1.throughput[2])),
-        column("object", "object", Text, Anybody, |row| row.text(row.it.1.object)),
-        column("material", "material", Text, Anybody, |row| row.text(row.it.1.material)),
-        column("interaction", "interaction", Text, Anybody, |row| word(row.it.1.interaction.word())),
-        column("pixels", "pixels", Number, Programs, Of::weight),
+        column("file", "file", Text, Comparing, |row| word(row.file)),
+        column("frame", "frame", Count, Comparing, |row| number(row.statistics.scope.frame)),
+        column("path", "path", Count, Everyone, |row| number(row.number)),
+        column("vertex", "vertex", Count, Everyone, |row| Cell::Count(row.item.0 as u64 + 1)),
+        column("bounce", "bounce", Count, Everyone, |row| number(row.item.1.bounce)),
+        column("x", "x m", Number, Everyone, |row| Cell::Real(row.item.1.position[0])),
+        column("y", "y", Number, Everyone, |row| Cell::Real(row.item.1.position[1])),
+        column("z", "z", Number, Everyone, |row| Cell::Real(row.item.1.position[2])),
+        column("radiance_r", "red cd/m2", Number, Everyone, |row| real(row.item.1.radiance[0])),
+        column("radiance_g", "green", Number, Everyone, |row| real(row.item.1.radiance[1])),
+        column("radiance_b", "blue", Number, Everyone, |row| real(row.item.1.radiance[2])),
+        column("throughput_r", "throughput r", Number, Programs, |row| real(row.item.1.throughput[0])),
+        column("throughput_g", "throughput", Number, Everyone, |row| real(row.item.1.throughput[1])),
+        column("throughput_b", "throughput b", Number, Programs, |row| real(row.item.1.throughput[2])),
+        column("object", "object", Text, Everyone, |row| row.text(row.item.1.object)),
+        column("material", "material", Text, Everyone, |row| row.text(row.item.1.material)),
+        column("interaction", "interaction", Text, Everyone, |row| word(row.item.1.interaction.word())),
+        column("pixels", "pixels", Number, Programs, PathItem::weight),
     ]
 }
 
 /// A light of a path.
-pub type LightRow<'a> = Of<'a, &'a Light>;
+pub type LightRow<'a> = PathItem<'a, &'a LightRecord>;
 
 /// Returns the rows of lights that the paths sampled or hit.
-pub fn light_rows<'a>(frame: &'a Frame<'a>) -> Vec<LightRow<'a>> {
-    frame.found.iter().flat_map(|it| it.path.lights.iter().map(move |light| frame.of(it, light))).collect()
+pub fn light_rows<'a>(frame: &'a QueriedFrame<'a>) -> Vec<LightRow<'a>> {
+    frame.matches.iter().flat_map(|it| it.path.lights.iter().map(move |light| frame.row(it, light))).collect()
 }
 
 /// Returns the columns of lights.
-pub fn lights<'a>() -> Vec<Column<LightRow<'a>>> {
+pub fn light_columns<'a>() -> Vec<Column<LightRow<'a>>> {
     vec![
-        column("file", "file", Text, WhoCompares, |row| word(row.file)),
-        column("frame", "frame", Count, WhoCompares, |row| number(row.all.scope.frame)),
-        column("path", "path", Count, Anybody, |row| number(row.number)),
-        column("vertex", "vertex", Count, Anybody, |row| number(row.it.vertex)),
-        column("light", "light", Text, Anybody, |row| row.text(row.it.light)),
-        column("medium", "medium", Text, Programs, |row| row.text(row.it.medium)),
-        column("radiance_r", "red cd/m2", Number, Anybody, |row| real(row.it.radiance[0])),
-        column("radiance_g", "green", Number, Anybody, |row| real(row.it.radiance[1])),
-        column("radiance_b", "blue", Number, Anybody, |row| real(row.it.radiance[2])),
-        column("is_hidden", "hidden", Count, Programs, |row| Cell::Count(u64::from(row.it.occluder.is_some()))),
-        column("occluder", "hidden by", Text, Anybody, |row| row.it.occluder.map_or(Cell::Gap, |it| row.text(it))),
-        column("found", "found by", Text, Anybody, |row| word(row.it.found.word())),
-        column("pixels", "pixels", Number, Programs, Of::weight),
+        column("file", "file", Text, Comparing, |row| word(row.file)),
+        column("frame", "frame", Count, Comparing, |row| number(row.statistics.scope.frame)),
+        column("path", "path", Count, Everyone, |row| number(row.number)),
+        column("vertex", "vertex", Count, Everyone, |row| number(row.item.vertex)),
+        column("light", "light", Text, Everyone, |row| row.text(row.item.light)),
+        column("medium", "medium", Text, Programs, |row| row.text(row.item.medium)),
+        column("radiance_r", "red cd/m2", Number, Everyone, |row| real(row.item.radiance[0])),
+        column("radiance_g", "green", Number, Everyone, |row| real(row.item.radiance[1])),
+        column("radiance_b", "blue", Number, Everyone, |row| real(row.item.radiance[2])),
+        column("is_hidden", "hidden", Count, Programs, |row| Cell::Count(u64::from(row.item.occluder.is_some()))),
+        column("occluder", "hidden by", Text, Everyone, |row| row.item.occluder.map_or(Cell::Empty, |it| row.text(it))),
+        column("found", "found by", Text, Everyone, |row| word(row.item.technique.word())),
+        column("pixels", "pixels", Number, Programs, PathItem::weight),
     ]
 }
 
@@ -198,15 +200,18 @@ pub struct BinRow<'a> {
 }
 
 /// Returns the bins of all histograms.
-pub fn bin_rows(unit: &Unit) -> Vec<BinRow<'_>> {
-    let (file, mut rows) = (&unit.file[..], Vec::new());
+pub fn bin_rows(set: &FrameSet) -> Vec<BinRow<'_>> {
+    let (file, mut rows) = (&set.file[..], Vec::new());
     for table in Table::ALL {
-        let of =
-            |all: &Statistics| Histograms::of_all(all, table).unwrap_or_else(|| Histograms::of(all, table).attributes);
-        let histograms = summed(unit.frames.iter().map(of));
+        let of = |all: &LightStatistics| {
+            Histograms::attributes_of_all_samples(all, table)
+                .unwrap_or_else(|| Histograms::from_statistics(all, table).attributes)
+        };
+        let histograms = sum_counts(set.frames.iter().map(of));
         for (attribute, counts) in table.attributes().iter().zip(&histograms) {
             for (bin, (samples, image)) in (0u8..).zip(counts.samples.iter().zip(&counts.image)) {
-                let lower = unit.frames.first().and_then(|all| lower(&all.scope, attribute.name, attribute.scale, bin));
+                let lower =
+                    set.frames.first().and_then(|all| bin_lower(&all.scope, attribute.name, attribute.scale, bin));
                 let (samples, image) = (*samples, *image);
                 rows.push(BinRow { file, table, attribute: attribute.name, bin, lower, samples, image });
             }
@@ -216,7 +221,7 @@ pub fn bin_rows(unit: &Unit) -> Vec<BinRow<'_>> {
 }
 
 /// Sums the counts of frames with equal bins.
-fn summed(mut frames: impl Iterator<Item = Vec<Counts>>) -> Vec<Counts> {
+fn sum_counts(mut frames: impl Iterator<Item = Vec<Counts>>) -> Vec<Counts> {
     let mut all = frames.next().unwrap_or_default();
     for counts in frames {
         all.iter_mut().zip(&counts).for_each(|(all, counts)| all.merge(counts));
@@ -225,7 +230,7 @@ fn summed(mut frames: impl Iterator<Item = Vec<Counts>>) -> Vec<Counts> {
 }
 
 /// Returns the lower end of a bin; `None`: the bin stands for words, names or missing values.
-fn lower(scope: &Scope, name: &str, scale: Scale, bin: u8) -> Option<f64> {
+fn bin_lower(scope: &Scope, name: &str, scale: Scale, bin: u8) -> Option<f64> {
     let axis = || "xyz".find(&name[name.len() - 1..]);
     match scale {
         Scale::Radiance => Some(radiance_edge(bin)),
@@ -241,15 +246,15 @@ fn lower(scope: &Scope, name: &str, scale: Scale, bin: u8) -> Option<f64> {
 }
 
 /// Returns the columns of bins.
-pub fn histograms<'a>() -> Vec<Column<BinRow<'a>>> {
+pub fn bin_columns<'a>() -> Vec<Column<BinRow<'a>>> {
     vec![
-        column("file", "file", Text, WhoCompares, |row| word(row.file)),
-        column("table", "table", Text, Anybody, |row| word(row.table.name())),
-        column("attribute", "attribute", Text, Anybody, |row| word(row.attribute)),
-        column("bin", "bin", Count, Anybody, |row| number(row.bin.into())),
-        column("lower", "from", Number, Anybody, |row| row.lower.map_or(Cell::Gap, Cell::Real)),
-        column("samples", "records", Count, Anybody, |row| Cell::Count(row.samples)),
-        column("pixels", "pixels", Number, Anybody, |row| Cell::Real(part(row.image))),
+        column("file", "file", Text, Comparing, |row| word(row.file)),
+        column("table", "table", Text, Everyone, |row| word(row.table.name())),
+        column("attribute", "attribute", Text, Everyone, |row| word(row.attribute)),
+        column("bin", "bin", Count, Everyone, |row| number(row.bin.into())),
+        column("lower", "from", Number, Everyone, |row| row.lower.map_or(Cell::Empty, Cell::Real)),
+        column("samples", "records", Count, Everyone, |row| Cell::Count(row.samples)),
+        column("pixels", "pixels", Number, Everyone, |row| Cell::Real(image_pixels(row.image))),
     ]
 }
 
@@ -264,10 +269,10 @@ pub struct PairRow<'a> {
 }
 
 /// Returns the non-empty bins of all histograms of two attributes.
-pub fn pair_rows(unit: &Unit) -> Vec<PairRow<'_>> {
-    let (file, mut rows) = (&unit.file[..], Vec::new());
+pub fn pair_rows(set: &FrameSet) -> Vec<PairRow<'_>> {
+    let (file, mut rows) = (&set.file[..], Vec::new());
     for table in Table::ALL {
-        let pairs = summed(unit.frames.iter().map(|all| Histograms::of(all, table).pairs));
+        let pairs = sum_counts(set.frames.iter().map(|all| Histograms::from_statistics(all, table).pairs));
         for (attributes, counts) in table.pairs().zip(&pairs) {
             for (place, (&samples, &image)) in (0u32..).zip(counts.samples.iter().zip(&counts.image)) {
                 if samples > 0 {
@@ -280,16 +285,16 @@ pub fn pair_rows(unit: &Unit) -> Vec<PairRow<'_>> {
 }
 
 /// Returns the columns of bins of two attributes.
-pub fn pairs<'a>() -> Vec<Column<PairRow<'a>>> {
+pub fn pair_columns<'a>() -> Vec<Column<PairRow<'a>>> {
     vec![
-        column("file", "file", Text, WhoCompares, |row| word(row.file)),
-        column("table", "table", Text, Anybody, |row| word(row.table.name())),
-        column("a", "a", Text, Anybody, |row| word(row.attributes[0])),
-        column("b", "b", Text, Anybody, |row| word(row.attributes[1])),
-        column("bin_a", "bin of a", Count, Anybody, |row| number(row.bins[0])),
-        column("bin_b", "bin of b", Count, Anybody, |row| number(row.bins[1])),
-        column("samples", "records", Count, Anybody, |row| Cell::Count(row.samples)),
-        column("pixels", "pixels", Number, Anybody, |row| Cell::Real(part(row.image))),
+        column("file", "file", Text, Comparing, |row| word(row.file)),
+        column("table", "table", Text, Everyone, |row| word(row.table.name())),
+        column("a", "a", Text, Everyone, |row| word(row.attributes[0])),
+        column("b", "b", Text, Everyone, |row| word(row.attributes[1])),
+        column("bin_a", "bin of a", Count, Everyone, |row| number(row.bins[0])),
+        column("bin_b", "bin of b", Count, Everyone, |row| number(row.bins[1])),
+        column("samples", "records", Count, Everyone, |row| Cell::Count(row.samples)),
+        column("pixels", "pixels", Number, Everyone, |row| Cell::Real(image_pixels(row.image))),
     ]
 }
 
@@ -303,17 +308,17 @@ pub struct VoxelRow<'a> {
 }
 
 /// Number of times that the scene's box is halved.
-pub const LEVELS: u8 = 6;
+pub const OCTREE_LEVELS: u8 = 6;
 
-fn octree(frames: &[Frame<'_>], root: Root) -> Octree {
-    Octree::of(root, frames.iter().flat_map(|frame| &frame.found).map(|it| it.path))
+fn octree(frames: &[QueriedFrame<'_>], root: Root) -> Octree {
+    Octree::from_paths(root, frames.iter().flat_map(|frame| &frame.matches).map(|it| it.path))
 }
 
 /// Returns the voxels of the frames of one file.
-pub fn voxel_rows<'a>(frames: &[Frame<'a>], root: Root) -> Vec<VoxelRow<'a>> {
+pub fn voxel_rows<'a>(frames: &[QueriedFrame<'a>], root: Root) -> Vec<VoxelRow<'a>> {
     let file = frames.first().map_or("", |frame| frame.file);
     let row = |(&(bounce, code), &voxel): (&(u32, u64), &Voxel)| {
-        let (lower, width) = root.voxel(LEVELS, code);
+        let (lower, width) = root.voxel(OCTREE_LEVELS, code);
         VoxelRow { file, bounce, lower, width, voxel }
     };
     octree(frames, root).leaves.iter().map(row).collect()
@@ -330,13 +335,13 @@ pub struct DifferenceRow {
 }
 
 /// Compares voxels over all bounces. The greatest difference comes first.
-pub fn difference_rows(here: &[Frame<'_>], there: &[Frame<'_>], root: Root) -> Vec<DifferenceRow> {
+pub fn difference_rows(here: &[QueriedFrame<'_>], there: &[QueriedFrame<'_>], root: Root) -> Vec<DifferenceRow> {
     let [here, there] = [here, there].map(|frames| octree(frames, root));
-    let [own, others] = [&here, &there].map(|tree| tree.level(LEVELS, None));
+    let [own, others] = [&here, &there].map(|tree| tree.level(OCTREE_LEVELS, None));
     // Both trees have the same root, so the difference exists.
-    let differences = here.difference(&there, LEVELS, None).unwrap_or_default();
+    let differences = here.difference(&there, OCTREE_LEVELS, None).unwrap_or_default();
     let row = |(code, difference): (u64, f64)| {
-        let (lower, width) = root.voxel(LEVELS, code);
+        let (lower, width) = root.voxel(OCTREE_LEVELS, code);
         let [here, there] = [&own, &others].map(|voxels| voxels.get(&code).copied().unwrap_or_default());
         DifferenceRow { lower, width, here, there, difference }
     };
@@ -346,31 +351,31 @@ pub fn difference_rows(here: &[Frame<'_>], there: &[Frame<'_>], root: Root) -> V
 }
 
 /// Returns the columns of differences between voxels.
-pub fn differences() -> Vec<Column<DifferenceRow>> {
+pub fn difference_columns() -> Vec<Column<DifferenceRow>> {
     vec![
-        column("x", "from x m", Number, Anybody, |row| Cell::Real(row.lower[0])),
-        column("y", "y", Number, Anybody, |row| Cell::Real(row.lower[1])),
-        column("z", "z", Number, Anybody, |row| Cell::Real(row.lower[2])),
-        column("width", "width m", Number, Anybody, |row| Cell::Real(row.width)),
-        column("intersections", "intersections", Count, Anybody, |row| Cell::Count(row.here.count)),
-        column("energy", "mean cd/m2", Number, Anybody, |row| Cell::Real(row.here.mean())),
-        column("intersections_there", "there", Count, Anybody, |row| Cell::Count(row.there.count)),
-        column("energy_there", "mean there", Number, Anybody, |row| Cell::Real(row.there.mean())),
-        column("difference", "difference", Number, Anybody, |row| Cell::Real(row.difference)),
+        column("x", "from x m", Number, Everyone, |row| Cell::Real(row.lower[0])),
+        column("y", "y", Number, Everyone, |row| Cell::Real(row.lower[1])),
+        column("z", "z", Number, Everyone, |row| Cell::Real(row.lower[2])),
+        column("width", "width m", Number, Everyone, |row| Cell::Real(row.width)),
+        column("intersections", "intersections", Count, Everyone, |row| Cell::Count(row.here.count)),
+        column("energy", "mean cd/m2", Number, Everyone, |row| Cell::Real(row.here.mean())),
+        column("intersections_there", "there", Count, Everyone, |row| Cell::Count(row.there.count)),
+        column("energy_there", "mean there", Number, Everyone, |row| Cell::Real(row.there.mean())),
+        column("difference", "difference", Number, Everyone, |row| Cell::Real(row.difference)),
     ]
 }
 
 /// Returns the columns of voxels.
-pub fn voxels<'a>() -> Vec<Column<VoxelRow<'a>>> {
+pub fn voxel_columns<'a>() -> Vec<Column<VoxelRow<'a>>> {
     vec![
-        column("file", "file", Text, WhoCompares, |row| word(row.file)),
-        column("bounce", "bounce", Count, Anybody, |row| number(row.bounce)),
-        column("x", "from x m", Number, Anybody, |row| Cell::Real(row.lower[0])),
-        column("y", "y", Number, Anybody, |row| Cell::Real(row.lower[1])),
-        column("z", "z", Number, Anybody, |row| Cell::Real(row.lower[2])),
-        column("width", "width m", Number, Anybody, |row| Cell::Real(row.width)),
-        column("intersections", "intersections", Count, Anybody, |row| Cell::Count(row.voxel.count)),
-        column("energy", "mean cd/m2", Number, Anybody, |row| Cell::Real(row.voxel.mean())),
+        column("file", "file", Text, Comparing, |row| word(row.file)),
+        column("bounce", "bounce", Count, Everyone, |row| number(row.bounce)),
+        column("x", "from x m", Number, Everyone, |row| Cell::Real(row.lower[0])),
+        column("y", "y", Number, Everyone, |row| Cell::Real(row.lower[1])),
+        column("z", "z", Number, Everyone, |row| Cell::Real(row.lower[2])),
+        column("width", "width m", Number, Everyone, |row| Cell::Real(row.width)),
+        column("intersections", "intersections", Count, Everyone, |row| Cell::Count(row.voxel.count)),
+        column("energy", "mean cd/m2", Number, Everyone, |row| Cell::Real(row.voxel.mean())),
     ]
 }
 
@@ -378,34 +383,34 @@ pub fn voxels<'a>() -> Vec<Column<VoxelRow<'a>>> {
 pub struct PixelRow<'a> {
     file: &'a str,
     frame: u32,
-    place: [u32; 2],
+    position: [u32; 2],
     pixel: Pixel,
 }
 
 /// Returns the pixels of a frame.
-pub fn pixel_rows<'a>(frame: &'a Frame<'a>) -> Vec<PixelRow<'a>> {
-    let maps = Maps::of(frame.all);
+pub fn pixel_rows<'a>(frame: &'a QueriedFrame<'a>) -> Vec<PixelRow<'a>> {
+    let maps = PixelMaps::from_statistics(frame.statistics);
     let width = maps.film[0].max(1);
     let row = |(number, pixel): (u32, Pixel)| PixelRow {
         file: frame.file,
-        frame: frame.all.scope.frame,
-        place: [number % width, number / width],
+        frame: frame.statistics.scope.frame,
+        position: [number % width, number / width],
         pixel,
     };
     (0..).zip(maps.pixels()).map(row).collect()
 }
 
 /// Returns the columns of pixels.
-pub fn pixels<'a>() -> Vec<Column<PixelRow<'a>>> {
+pub fn pixel_columns<'a>() -> Vec<Column<PixelRow<'a>>> {
     vec![
-        column("file", "file", Text, WhoCompares, |row| word(row.file)),
-        column("frame", "frame", Count, WhoCompares, |row| number(row.frame)),
-        column("pixel_x", "x", Count, Anybody, |row| number(row.place[0])),
-        column("pixel_y", "y", Count, Anybody, |row| number(row.place[1])),
-        column("samples", "samples", Count, Anybody, |row| Cell::Count(row.pixel.samples)),
-        column("luminance", "cd/m2", Number, Anybody, |row| Cell::Real(row.pixel.luminance)),
-        column("variance", "variance of a sample", Number, Anybody, |row| Cell::Real(row.pixel.variance)),
-        column("depth", "depth", Number, Anybody, |row| Cell::Real(row.pixel.depth)),
-        column("throughput", "throughput", Number, Anybody, |row| Cell::Real(row.pixel.throughput)),
+        column("file", "file", Text, Comparing, |row| word(row.file)),
+        column("frame", "frame", Count, Comparing, |row| number(row.frame)),
+        column("pixel_x", "x", Count, Everyone, |row| number(row.position[0])),
+        column("pixel_y", "y", Count, Everyone, |row| number(row.position[1])),
+        column("samples", "samples", Count, Everyone, |row| Cell::Count(row.pixel.samples)),
+        column("luminance", "cd/m2", Number, Everyone, |row| Cell::Real(row.pixel.luminance)),
+        column("variance", "variance of a sample", Number, Everyone, |row| Cell::Real(row.pixel.variance)),
+        column("depth", "depth", Number, Everyone, |row| Cell::Real(row.pixel.depth)),
+        column("throughput", "throughput", Number, Everyone, |row| Cell::Real(row.pixel.throughput)),
     ]
 }

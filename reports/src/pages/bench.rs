@@ -73,7 +73,7 @@ pub fn page(record: &Record, summary: &Summary) -> Result<String, ReportError> {
          interpolated between its budgets on straight lines of this plot. The worst block of 16x16 pixels has the largest relative \
          error of its mean luminance; `--error` limits this error.",
     );
-    Ok(page.end())
+    Ok(page.finish())
 }
 
 fn legend(scene: &SceneSummary) -> Vec<(&'static str, RGBColor)> {
@@ -81,27 +81,31 @@ fn legend(scene: &SceneSummary) -> Vec<(&'static str, RGBColor)> {
 }
 
 /// Plots a quantity of all points against seconds.
-fn chart(scene: &SceneSummary, name: &'static str, of: fn(&Point) -> Estimate) -> Chart {
+fn chart(scene: &SceneSummary, name: &'static str, quantity: fn(&Point) -> Estimate) -> Chart {
     let line = |(method, color): (&'static str, RGBColor)| {
-        let mut marks: Vec<Mark> =
-            scene.points.iter().filter(|point| point.method == method).map(|point| mark(point, of(point))).collect();
-        marks.sort_by(|a, b| a.at.0.total_cmp(&b.at.0));
+        let mut marks: Vec<Mark> = scene
+            .points
+            .iter()
+            .filter(|point| point.method == method)
+            .map(|point| mark(point, quantity(point)))
+            .collect();
+        marks.sort_by(|a, b| a.position.0.total_cmp(&b.position.0));
         Line { color, marks }
     };
     Chart { axes: ["seconds", name], lines: legend(scene).into_iter().map(line).collect() }
 }
 
 fn mark(point: &Point, error: Estimate) -> Mark {
-    let budget = Method::named(point.method).map_or_else(|_| String::new(), |it| it.shown(point.budget));
+    let budget = Method::from_name(point.method).map_or_else(|_| String::new(), |it| it.format_budget(point.budget));
     Mark {
-        at: (point.seconds.mean, error.mean),
+        position: (point.seconds.mean, error.mean),
         half_width: error.half_width,
         title: format!(
             "{}, {budget}: {} in {} s, {} samples per pixel",
             point.method,
-            table::estimate(error),
-            table::estimate(point.seconds),
-            table::digits(point.spp)
+            table::format_estimate(error),
+            table::format_estimate(point.seconds),
+            table::three_digits(point.spp)
         ),
     }
 }

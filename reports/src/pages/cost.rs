@@ -1,6 +1,6 @@
 //! Figure of the cost of each frame.
 
-use super::figure::{BLUE, FONT, beyond, figure};
+use super::figure::{BLUE, FONT, axis_end, figure};
 use crate::ReportError;
 use crate::attempts::Row;
 use plotters::prelude::*;
@@ -9,7 +9,7 @@ use plotters::prelude::*;
 pub fn draw(frames: &[Row]) -> Result<String, ReportError> {
     let number = |row: &Row| row.task.map_or(0, |task| task.stage.frame);
     let (first, last) = (frames.first().map_or(0, number), frames.last().map_or(0, number));
-    let most = beyond(frames.iter().map(|row| row.cpu).fold(0.0, f64::max));
+    let most = axis_end(frames.iter().map(|row| row.cpu).fold(0.0, f64::max));
     figure(260, |area| {
         let mut chart = ChartBuilder::on(area)
             .margin(10)

@@ -1,9 +1,9 @@
 //! Figure of the durations of tasks that compute.
 
-use super::figure::{BLUE, FONT, beyond, figure};
+use super::figure::{BLUE, FONT, axis_end, figure};
 use crate::ReportError;
 use crate::attempts::Row;
-use femc_model::{Ending, Lane};
+use femc_model::{Lane, LeaseEnding};
 use plotters::prelude::*;
 
 const BINS: usize = 40;
@@ -11,13 +11,14 @@ const BINS: usize = 40;
 /// Draws the figure for attempts; nothing if no such task is done.
 pub fn draw(attempts: &[Row]) -> Result<Vec<String>, ReportError> {
     let is_wanted = |row: &&Row| {
-        row.ending == Some(Ending::Done) && row.task.is_some_and(|task| task.stage.kind.row().lane == Lane::Compute)
+        row.ending == Some(LeaseEnding::Done)
+            && row.task.is_some_and(|task| task.stage.kind.properties().lane == Lane::Compute)
     };
     let walls: Vec<f64> = attempts.iter().filter(is_wanted).map(|row| row.wall).collect();
     if walls.is_empty() {
         return Ok(Vec::new());
     }
-    let end = beyond(walls.iter().copied().fold(0.0, f64::max));
+    let end = axis_end(walls.iter().copied().fold(0.0, f64::max));
     let mut bins = [0_u32; BINS];
     for wall in &walls {
         bins[((wall / end * BINS as f64) as usize).min(BINS - 1)] += 1;

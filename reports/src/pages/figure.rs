@@ -9,7 +9,7 @@ use std::io;
 /// A surface to draw on.
 pub type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 /// Result of drawing.
-pub type Drawn = Result<(), DrawingAreaErrorKind<io::Error>>;
+pub type DrawResult = Result<(), DrawingAreaErrorKind<io::Error>>;
 
 /// Width of every figure, pixels.
 pub const WIDTH: u32 = 1000;
@@ -21,7 +21,7 @@ pub const BLUE: RGBColor = RGBColor(46, 109, 164);
 pub const ORANGE: RGBColor = RGBColor(217, 130, 43);
 
 /// Draws an SVG of this height, pixels.
-pub fn figure(height: u32, draw: impl FnOnce(&Area<'_>) -> Drawn) -> Result<String, ReportError> {
+pub fn figure(height: u32, draw: impl FnOnce(&Area<'_>) -> DrawResult) -> Result<String, ReportError> {
     let mut svg = String::new();
     {
         let area = SVGBackend::with_string(&mut svg, (WIDTH, height)).into_drawing_area();
@@ -32,12 +32,12 @@ pub fn figure(height: u32, draw: impl FnOnce(&Area<'_>) -> Drawn) -> Result<Stri
 }
 
 /// Returns an upper end for an axis that shows `most`.
-pub fn beyond(most: f64) -> f64 {
+pub fn axis_end(most: f64) -> f64 {
     if most > 0.0 { most * 1.03 } else { 1.0 }
 }
 
 /// Returns round values for a logarithmic axis: 1, 2 and 5 of each decade, or equal steps if these are fewer than three.
-pub fn ticks(least: f64, most: f64) -> Vec<f64> {
+pub fn log_ticks(least: f64, most: f64) -> Vec<f64> {
     const ROUND: [f64; 3] = [1.0, 2.0, 5.0];
     let decade = |value: f64| value.log10().floor() as i32;
     let rounds = |decade: i32| ROUND.map(|digit| digit * 10_f64.powi(decade));

@@ -1,30 +1,31 @@
 //! Page about jobs.
 
 use super::page::Page;
-use super::{cost, durations, errors, heat, timeline, variants};
+use super::{cost, durations, errors, sample_maps, timeline, variants};
 use crate::ReportError;
-use crate::attempts::{By, JobRecord, Row, rows};
-use femc_model::Ending;
+use crate::attempts::{GroupBy, JobRecord, Row, rows};
+use femc_model::LeaseEnding;
 use std::collections::BTreeSet;
 
 /// Content of a report on jobs.
-pub struct Report {
+pub struct JobsReport {
     /// Title of the page; by default, it is made from the jobs.
     pub title: Option<String>,
     /// Record of each job.
     pub records: Vec<JobRecord>,
 }
 
-impl Report {
+impl JobsReport {
     /// Returns the HTML file.
     pub fn html(&self) -> Result<String, ReportError> {
         let of = |by| rows(&self.records, by);
-        let (attempts, tasks, frames, workers) = (of(By::Attempt), of(By::Task), of(By::Frame), of(By::Worker));
+        let (attempts, tasks, frames, workers) =
+            (of(GroupBy::Attempt), of(GroupBy::Task), of(GroupBy::Frame), of(GroupBy::Worker));
         let mut page = Page::new(&self.title());
         page.facts(&self.facts(&workers, &attempts));
         if attempts.is_empty() {
             page.text("No attempt has ended yet.");
-            return Ok(page.end());
+            return Ok(page.finish());
         }
         page.section(
             "Workers",
@@ -32,25 +33,25 @@ impl Report {
         );
         page.figure(&timeline::draw(&attempts)?);
         page.legend(&timeline::LEGEND);
-        page.table(By::Worker, &workers);
+        page.table(GroupBy::Worker, &workers);
         page.section("Durations of tasks", "Time from the beginning to the result, for tasks that compute.");
         page.figures(&durations::draw(&attempts)?, "No task that computes is done yet.");
         page.section("Error against time", "Relative error of a frame at the end of each round.");
         page.figures(&errors::draw(&attempts)?, "No error has been measured yet.");
         page.section("Samples", "Samples per pixel of each tile, from results that count.");
-        page.figures(&heat::draw(&tasks, &self.records)?, "No tile is done yet.");
+        page.figures(&sample_maps::draw(&tasks, &self.records)?, "No tile is done yet.");
         page.section("Cost", "Processor seconds, including unsuccessful attempts.");
         if self.records.len() > 1 {
-            let variants = of(By::Variant);
+            let variants = of(GroupBy::Variant);
             page.figure(&variants::draw(&variants)?);
-            page.table(By::Variant, &variants);
+            page.table(GroupBy::Variant, &variants);
         } else {
             page.figure(&cost::draw(&frames)?);
         }
-        page.table(By::Frame, &frames);
+        page.table(GroupBy::Frame, &frames);
         page.section("Failures", "Failed attempts, with the logs of their workers.");
         page.failures(&self.records);
-        Ok(page.end())
+        Ok(page.finish())
     }
 
     fn title(&self) -> String {
@@ -65,9 +66,9 @@ impl Report {
     }
 
     fn facts(&self, workers: &[Row], attempts: &[Row]) -> Vec<(&'static str, String)> {
-        use crate::human::{bytes, count, quantity, seconds};
+        use crate::human::{bytes, counted_noun, quantity, seconds};
         let sum = |of: fn(&Row) -> f64| workers.iter().map(of).sum::<f64>();
-        let wasted: f64 = attempts.iter().filter(|row| row.ending != Some(Ending::Done)).map(|row| row.cpu).sum();
+        let wasted: f64 = attempts.iter().filter(|row| row.ending != Some(LeaseEnding::Done)).map(|row| row.cpu).sum();
         let unknown =
             self.records.iter().flat_map(|record| &record.attempts).filter(|attempt| attempt.usage.is_none()).count();
         let span = attempts.iter().map(|row| row.ended).fold(0.0, f64::max);
@@ -87,7 +88,7 @@ impl Report {
                 "Processor",
                 format!("{}, of which {} in unsuccessful attempts", seconds(sum(|row| row.cpu)), seconds(wasted)),
             ),
-            ("Workers", count(workers.len() as u64, "process").replace("processs", "processes")),
+            ("Workers", counted_noun(workers.len() as u64, "process").replace("processs", "processes")),
             ("Attempts", attempts_text),
             ("Samples", quantity(sum(|row| row.samples as f64))),
             ("Rays", quantity(sum(|row| row.rays as f64))),

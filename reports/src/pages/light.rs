@@ -1,21 +1,21 @@
 //! Page about light: pictures of the statistics of frames' paths.
 
-use super::figure::{Area, BLUE, Drawn, FONT, ORANGE, figure};
+use super::figure::{Area, BLUE, DrawResult, FONT, ORANGE, figure};
 use super::page::Page;
 use crate::ReportError;
-use crate::attempts::shown;
+use crate::attempts::visible_cells;
 use crate::human;
-use crate::light::{Report as Findings, bottleneck_table as table};
+use crate::light::{BottleneckReport as Findings, bottleneck_table as table};
 use femc_film::Picture;
 use femc_pipeline::paths::histogram::{Counts, Histograms, Table};
-use femc_pipeline::paths::pixels::{Maps, Pixel};
-use femc_pipeline::paths::schema::{Attribute, FINE, Scale, radiance_edge, throughput_edge};
-use femc_pipeline::paths::{End, Found, Interaction, Statistics};
+use femc_pipeline::paths::pixels::{Pixel, PixelMaps};
+use femc_pipeline::paths::schema::{Attribute, FINE_BINS, Scale, radiance_edge, throughput_edge};
+use femc_pipeline::paths::{InteractionKind, LightStatistics, LightTechnique, PathEnd};
 use plotters::prelude::*;
 use std::path::PathBuf;
 
 /// Most files that are shown individually.
-pub const FILES: usize = 24;
+pub const MAX_FILES: usize = 24;
 /// Number of lines of a table.
 const LINES: usize = 20;
 /// Number of histograms side by side.
@@ -26,7 +26,7 @@ const HEIGHT: u32 = 150;
 const WIDEST: u32 = 1024;
 
 /// Returns the HTML file about the light of frames.
-pub fn html(frames: &[(PathBuf, Statistics)], findings: &Findings) -> Result<String, ReportError> {
+pub fn html(frames: &[(PathBuf, LightStatistics)], findings: &Findings) -> Result<String, ReportError> {
     let names: Vec<String> = frames.iter().map(|(path, _)| path.display().to_string()).collect();
     let mut page = Page::new(&format!("Light of {}", shortened(&names)));
     let samples: u64 = frames.iter().map(|(_, all)| all.samples()).sum();
@@ -39,10 +39,10 @@ pub fn html(frames: &[(PathBuf, Statistics)], findings: &Findings) -> Result<Str
     ]);
     page.section("Findings", "See `femc bottlenecks`.");
     findings.findings.iter().for_each(|finding| page.text(&finding.to_string()));
-    let (titles, cells) = shown(&table::parts(), &findings.parts[..findings.parts.len().min(LINES)]);
+    let (titles, cells) = visible_cells(&table::part_columns(), &findings.parts[..findings.parts.len().min(LINES)]);
     page.cells(&titles, &cells);
     if findings.lamps.len() > 1 {
-        let (titles, cells) = shown(&table::lamps(), &findings.lamps[..findings.lamps.len().min(LINES)]);
+        let (titles, cells) = visible_cells(&table::lamp_columns(), &findings.lamps[..findings.lamps.len().min(LINES)]);
         page.cells(&titles, &cells);
     }
     for ((_, all), name) in frames.iter().zip(&names) {
@@ -51,7 +51,7 @@ pub fn html(frames: &[(PathBuf, Statistics)], findings: &Findings) -> Result<Str
             page.picture(&map.title, &map.png()?);
         }
         for table in Table::ALL {
-            let histograms = Histograms::of(all, table);
+            let histograms = Histograms::from_statistics(all, table);
             page.section(
                 &format!("Histograms of {} of {name}", table.name()),
                 "Recorded paths. Bars: fractions of the image; lines: fractions of the samples.",
@@ -59,7 +59,7 @@ pub fn html(frames: &[(PathBuf, Statistics)], findings: &Findings) -> Result<Str
             page.figures(&draw(&histograms)?, "No such record.");
         }
     }
-    Ok(page.end())
+    Ok(page.finish())
 }
 
 fn shortened(names: &[String]) -> String {
@@ -77,8 +77,8 @@ struct Map {
     shares: Vec<f64>,
 }
 
-fn maps(all: &Statistics) -> Vec<Map> {
-    let maps = Maps::of(all);
+fn maps(all: &LightStatistics) -> Vec<Map> {
+    let maps = PixelMaps::from_statistics(all);
     let pixels: Vec<Pixel> = maps.pixels().collect();
     let logarithmic = |of: fn(&Pixel) -> f64, title: &str, unit: &str| {
         let values: Vec<f64> = pixels.iter().map(of).collect();
@@ -153,13 +153,13 @@ fn shares(counts: &[u64]) -> Vec<f64> {
     counts.iter().map(|count| *count as f64 / all.max(1) as f64).collect()
 }
 
-fn histogram(area: &Area<'_>, attribute: &Attribute, counts: &Counts) -> Drawn {
+fn histogram(area: &Area<'_>, attribute: &Attribute, counts: &Counts) -> DrawResult {
     let (image, samples) = (shares(&counts.image), shares(&counts.samples));
     // Leave out empty bins at the end.
     let last = samples.iter().rposition(|share| *share > 0.0).unwrap_or(0);
     let bins = match attribute.scale {
         Scale::Count | Scale::Class => last + 1,
-        _ => FINE,
+        _ => FINE_BINS,
     };
     let most = image.iter().chain(&samples).copied().fold(0.0, f64::max) * 1.05;
     let mut chart = ChartBuilder::on(area)
@@ -188,12 +188,12 @@ fn histogram(area: &Area<'_>, attribute: &Attribute, counts: &Counts) -> Drawn {
 
 /// Returns the label of a bin's lower end.
 fn label(attribute: &Attribute, place: f64) -> String {
-    let bin = place.round().clamp(0.0, (FINE - 1) as f64) as u8;
+    let bin = place.round().clamp(0.0, (FINE_BINS - 1) as f64) as u8;
     match attribute.scale {
         Scale::Radiance => power(radiance_edge(bin)),
         Scale::Throughput => power(throughput_edge(bin)),
         Scale::Count => bin.to_string(),
-        Scale::Film | Scale::World => human::percent(f64::from(bin) / FINE as f64),
+        Scale::Film | Scale::World => human::percent(f64::from(bin) / FINE_BINS as f64),
         Scale::Class => class(attribute.name, bin).to_owned(),
         Scale::Name => String::new(),
     }
@@ -207,9 +207,9 @@ fn power(edge: f64) -> String {
 fn class(attribute: &str, bin: u8) -> &'static str {
     let Some(number) = bin.checked_sub(1).map(usize::from) else { return "none" };
     let word = match attribute {
-        "end" => End::ALL.get(number).map(|it| it.word()),
-        "found" => Found::ALL.get(number).map(|it| it.word()),
-        _ => Interaction::ALL.get(number).map(|it| it.word()),
+        "end" => PathEnd::ALL.get(number).map(|it| it.word()),
+        "found" => LightTechnique::ALL.get(number).map(|it| it.word()),
+        _ => InteractionKind::ALL.get(number).map(|it| it.word()),
     };
     word.unwrap_or("")
 }
@@ -225,7 +225,10 @@ mod tests {
             0.2126 * r + 0.7152 * g + 0.0722 * b
         };
         assert!((0..100).all(|step| light(f64::from(step) / 100.0) < light(f64::from(step + 1) / 100.0)));
-        assert_eq!((class("end", 0), class("end", 1), class("found", 2)), ("none", "escaped", Found::ALL[1].word()));
-        assert_eq!(class("first.interaction", 3), Interaction::ALL[2].word());
+        assert_eq!(
+            (class("end", 0), class("end", 1), class("found", 2)),
+            ("none", "escaped", LightTechnique::ALL[1].word())
+        );
+        assert_eq!(class("first.interaction", 3), InteractionKind::ALL[2].word());
     }
 }

@@ -1,6 +1,6 @@
 //! Charts with two logarithmic axes: lines through points, with bands.
 
-use super::figure::{FONT, figure, ticks};
+use super::figure::{FONT, figure, log_ticks};
 use crate::ReportError;
 use plotters::coord::combinators::BindKeyPoints;
 use plotters::prelude::*;
@@ -25,7 +25,7 @@ pub struct Line {
 /// A point of a line.
 pub struct Mark {
     /// Position.
-    pub at: (f64, f64),
+    pub position: (f64, f64),
     /// Half width of the band at the point.
     pub half_width: Option<f64>,
     /// Tooltip of the point.
@@ -33,25 +33,25 @@ pub struct Mark {
 }
 
 /// Lower end of a band that would reach zero or below, as a fraction of the point's value.
-const LEAST: f64 = 0.2;
+const MIN_BAND: f64 = 0.2;
 
 impl Mark {
     /// Returns the ends of the band.
     fn band(&self) -> (f64, f64) {
         let half = self.half_width.unwrap_or(0.0);
-        ((self.at.1 - half).max(LEAST * self.at.1), self.at.1 + half)
+        ((self.position.1 - half).max(MIN_BAND * self.position.1), self.position.1 + half)
     }
 
-    fn is_shown(&self) -> bool {
+    fn is_drawable(&self) -> bool {
         let is_positive = |value: f64| value > 0.0 && value.is_finite();
-        is_positive(self.at.0) && is_positive(self.at.1)
+        is_positive(self.position.0) && is_positive(self.position.1)
     }
 }
 
 /// Draws charts of this height side by side; nothing if no point can be shown.
 pub fn draw(charts: Vec<Chart>, height: u32) -> Result<Vec<String>, ReportError> {
     let shown = |mut chart: Chart| {
-        chart.lines.iter_mut().for_each(|line| line.marks.retain(Mark::is_shown));
+        chart.lines.iter_mut().for_each(|line| line.marks.retain(Mark::is_drawable));
         chart
     };
     let charts: Vec<Chart> = charts.into_iter().map(shown).filter(|it| it.marks().next().is_some()).collect();
@@ -72,9 +72,9 @@ impl Chart {
         self.lines.iter().flat_map(|line| &line.marks)
     }
 
-    fn draw(&self, area: &super::figure::Area<'_>, titled: &mut String) -> super::figure::Drawn {
-        let (left, right) = around(self.marks().map(|mark| mark.at.0));
-        let (low, high) = around(self.marks().flat_map(|mark| <[f64; 2]>::from(mark.band())));
+    fn draw(&self, area: &super::figure::Area<'_>, titled: &mut String) -> super::figure::DrawResult {
+        let (left, right) = padded_range(self.marks().map(|mark| mark.position.0));
+        let (low, high) = padded_range(self.marks().flat_map(|mark| <[f64; 2]>::from(mark.band())));
         let [across, up] = [(left, right), (low, high)].map(|(least, most)| axis(least, most));
         let mut chart = ChartBuilder::on(area)
             .margin(10)
@@ -98,7 +98,7 @@ impl Chart {
         for Line { color, marks } in &self.lines {
             let edge = |upper: bool| {
                 let end = move |(low, high): (f64, f64)| if upper { high } else { low };
-                marks.iter().map(move |mark| (mark.at.0, end(mark.band())))
+                marks.iter().map(move |mark| (mark.position.0, end(mark.band())))
             };
             let band: Vec<(f64, f64)> = edge(true).chain(edge(false).rev()).collect();
             if marks.iter().any(|mark| mark.half_width.is_some()) {
@@ -106,14 +106,14 @@ impl Chart {
                 // The band of a single point is a line. Lines also mark the band at each point.
                 let whiskers = marks.iter().map(|mark| {
                     let ends = mark.band();
-                    PathElement::new(vec![(mark.at.0, ends.0), (mark.at.0, ends.1)], color.mix(0.5))
+                    PathElement::new(vec![(mark.position.0, ends.0), (mark.position.0, ends.1)], color.mix(0.5))
                 });
                 chart.draw_series(whiskers)?;
             }
-            chart.draw_series(LineSeries::new(marks.iter().map(|mark| mark.at), color.stroke_width(2)))?;
+            chart.draw_series(LineSeries::new(marks.iter().map(|mark| mark.position), color.stroke_width(2)))?;
             for mark in marks {
-                let ((x, y), RGBColor(r, g, b)) = (chart.backend_coord(&mark.at), color);
-                let title = super::page::escaped(&mark.title);
+                let ((x, y), RGBColor(r, g, b)) = (chart.backend_coord(&mark.position), color);
+                let title = super::page::escape_html(&mark.title);
                 // Writing into a string cannot fail.
                 let _ = writeln!(
                     titled,
@@ -126,7 +126,7 @@ impl Chart {
 }
 
 /// Returns the range of values, with some room at both ends.
-fn around(values: impl Iterator<Item = f64>) -> (f64, f64) {
+fn padded_range(values: impl Iterator<Item = f64>) -> (f64, f64) {
     let (least, most) = values.fold((f64::INFINITY, 0.0_f64), |(least, most), it| (least.min(it), most.max(it)));
     let room = (most / least).powf(0.06).max(1.25);
     (least / room, most * room)
@@ -136,7 +136,7 @@ fn around(values: impl Iterator<Item = f64>) -> (f64, f64) {
 fn axis(least: f64, most: f64) -> Vec<f64> {
     let decades: Vec<f64> =
         (least.log10().ceil() as i32..=most.log10().floor() as i32).map(|it| 10_f64.powi(it)).collect();
-    if decades.len() > 2 { decades } else { ticks(least, most) }
+    if decades.len() > 2 { decades } else { log_ticks(least, most) }
 }
 
 /// Formats a number: `0.02`, `5`, `2e-5`.
@@ -165,7 +165,7 @@ mod tests {
 
     #[test]
     fn points_have_titles_and_those_without_logarithm_are_left_out() {
-        let mark = |x, y, half_width| Mark { at: (x, y), half_width, title: format!("{x} <s>") };
+        let mark = |x, y, half_width| Mark { position: (x, y), half_width, title: format!("{x} <s>") };
         let line = |marks| Line { color: RGBColor(1, 2, 3), marks };
         let marks = vec![mark(1.0, 0.5, Some(0.9)), mark(2.0, -0.1, None), mark(4.0, 0.1, Some(0.01))];
         let svg = draw(vec![Chart { axes: ["s", "error"], lines: vec![line(marks)] }], 300).expect("drawn");

@@ -5,12 +5,12 @@ mod cost;
 mod durations;
 mod errors;
 mod figure;
-mod heat;
 mod jobs;
 pub mod light;
 mod logarithmic;
 mod page;
+mod sample_maps;
 mod timeline;
 mod variants;
 
-pub use jobs::Report;
+pub use jobs::JobsReport;

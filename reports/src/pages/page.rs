@@ -1,13 +1,13 @@
 //! HTML around the figures.
 
 use super::figure::WIDTH;
-use crate::attempts::{By, FailureLog, JobRecord, Row, columns, shown};
+use crate::attempts::{FailureLog, GroupBy, JobRecord, Row, columns, visible_cells};
 use base64::Engine as _;
 use plotters::style::RGBColor;
 use std::fmt::Write;
 
 /// Greatest displayed width of pictures, pixels.
-const SHOWN: u32 = WIDTH / 2;
+const PICTURE_WIDTH: u32 = WIDTH / 2;
 /// Most lines of a table. `femc stats` prints the whole table.
 const LINES: usize = 200;
 
@@ -29,7 +29,7 @@ pub struct Page(String);
 impl Page {
     /// Begins a page with this title.
     pub fn new(title: &str) -> Self {
-        let title = escaped(title);
+        let title = escape_html(title);
         Self(format!(
             "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>{title}</title>\
              <style>{STYLE}</style></head><body>\n<h1>{title}</h1>\n"
@@ -40,19 +40,19 @@ impl Page {
     pub fn facts(&mut self, facts: &[(&str, String)]) {
         self.0.push_str("<dl>");
         for (name, fact) in facts {
-            self.put(format_args!("<dt>{name}</dt><dd>{}</dd>", escaped(fact)));
+            self.put(format_args!("<dt>{name}</dt><dd>{}</dd>", escape_html(fact)));
         }
         self.0.push_str("</dl>\n");
     }
 
     /// Begins a section.
     pub fn section(&mut self, title: &str, about: &str) {
-        self.put(format_args!("<h2>{}</h2>\n<p>{}</p>\n", escaped(title), escaped(about)));
+        self.put(format_args!("<h2>{}</h2>\n<p>{}</p>\n", escape_html(title), escape_html(about)));
     }
 
     /// Adds a paragraph.
     pub fn text(&mut self, text: &str) {
-        self.put(format_args!("<p>{}</p>\n", escaped(text)));
+        self.put(format_args!("<p>{}</p>\n", escape_html(text)));
     }
 
     /// Adds an SVG.
@@ -77,7 +77,7 @@ impl Page {
 
     /// Adds a PNG with a caption.
     pub fn picture(&mut self, title: &str, png: &[u8]) {
-        let (title, address, width) = (escaped(title), address(png), SHOWN);
+        let (title, address, width) = (escape_html(title), data_url(png), PICTURE_WIDTH);
         self.put(format_args!(
             "<figure class=\"map\"><img src=\"{address}\" width=\"{width}\" alt=\"{title}\"><figcaption>{title}</figcaption>\
              </figure>\n"
@@ -94,8 +94,8 @@ impl Page {
     }
 
     /// Adds a table of rows, as `femc stats` shows them.
-    pub fn table(&mut self, by: By, rows: &[Row]) {
-        let (titles, cells) = shown(&columns(by), &rows[..rows.len().min(LINES)]);
+    pub fn table(&mut self, by: GroupBy, rows: &[Row]) {
+        let (titles, cells) = visible_cells(&columns(by), &rows[..rows.len().min(LINES)]);
         self.cells(&titles, &cells);
         if rows.len() > LINES {
             self.text(&format!("{} more rows are not shown; `femc stats` shows all rows.", rows.len() - LINES));
@@ -105,10 +105,10 @@ impl Page {
     /// Adds a table of titles and rows of text.
     pub fn cells<T: AsRef<str>>(&mut self, titles: &[T], rows: &[Vec<String>]) {
         self.0.push_str("<div class=\"wide\"><table><tr>");
-        titles.iter().for_each(|title| self.put(format_args!("<th>{}</th>", escaped(title.as_ref()))));
+        titles.iter().for_each(|title| self.put(format_args!("<th>{}</th>", escape_html(title.as_ref()))));
         for row in rows {
             self.0.push_str("</tr>\n<tr>");
-            row.iter().for_each(|cell| self.put(format_args!("<td>{}</td>", escaped(cell))));
+            row.iter().for_each(|cell| self.put(format_args!("<td>{}</td>", escape_html(cell))));
         }
         self.0.push_str("</tr></table></div>\n");
     }
@@ -119,9 +119,9 @@ impl Page {
             self.text("None.");
         }
         for record in records {
-            let (job, variant) = (record.job, escaped(record.variant.as_deref().unwrap_or_default()));
+            let (job, variant) = (record.job, escape_html(record.variant.as_deref().unwrap_or_default()));
             for FailureLog { task, worker, text } in &record.failures {
-                let (worker, text) = (escaped(worker), escaped(text));
+                let (worker, text) = (escape_html(worker), escape_html(text));
                 self.put(format_args!(
                     "<details><summary>{job} {variant} {task} on {worker}</summary><pre>{text}</pre></details>\n"
                 ));
@@ -130,19 +130,19 @@ impl Page {
     }
 
     /// Returns the finished page.
-    pub fn end(mut self) -> String {
+    pub fn finish(mut self) -> String {
         self.0.push_str("</body></html>\n");
         self.0
     }
 
-    fn put(&mut self, what: std::fmt::Arguments<'_>) {
+    fn put(&mut self, text: std::fmt::Arguments<'_>) {
         // Writing into a string cannot fail.
-        let _ = self.0.write_fmt(what);
+        let _ = self.0.write_fmt(text);
     }
 }
 
 /// Encodes a PNG as a data URL.
-fn address(png: &[u8]) -> String {
+fn data_url(png: &[u8]) -> String {
     format!("data:image/png;base64,{}", base64::engine::general_purpose::STANDARD.encode(png))
 }
 
@@ -153,7 +153,7 @@ fn attribute<'a>(svg: &'a str, name: &str) -> &'a str {
 }
 
 /// Escapes text for HTML.
-pub fn escaped(text: &str) -> String {
+pub fn escape_html(text: &str) -> String {
     let mut safe = String::with_capacity(text.len());
     for c in text.chars() {
         match c {
@@ -173,9 +173,9 @@ mod tests {
 
     #[test]
     fn what_others_wrote_is_text_and_nothing_else() {
-        assert_eq!(escaped("<b a=\"1\">&"), "&lt;b a=&quot;1&quot;&gt;&amp;");
-        let page = Page::new("<script>alert(1)</script>").end();
+        assert_eq!(escape_html("<b a=\"1\">&"), "&lt;b a=&quot;1&quot;&gt;&amp;");
+        let page = Page::new("<script>alert(1)</script>").finish();
         assert!(!page.contains("<script"), "{page}");
-        assert_eq!(address(b"abc"), "data:image/png;base64,YWJj");
+        assert_eq!(data_url(b"abc"), "data:image/png;base64,YWJj");
     }
 }

@@ -1,9 +1,9 @@
 //! Timeline of workers: a lane for each worker's computing tasks, and a second one for its joining tasks.
 
-use super::figure::{Area, BLUE, Drawn, FONT, ORANGE, WIDTH, beyond, figure};
+use super::figure::{Area, BLUE, DrawResult, FONT, ORANGE, WIDTH, axis_end, figure};
 use crate::ReportError;
 use crate::attempts::Row;
-use femc_model::{Ending, Lane};
+use femc_model::{Lane, LeaseEnding};
 use plotters::prelude::*;
 use std::collections::BTreeMap;
 
@@ -24,12 +24,12 @@ pub const LEGEND: [(&str, RGBColor); 4] =
     [("computed", BLUE), ("joined", ORANGE), ("failed", CRIMSON), ("cancelled, revoked or lost", GRAY)];
 
 impl Bar {
-    fn of(row: &Row) -> Self {
+    fn from_row(row: &Row) -> Self {
         match row.ending {
-            Some(Ending::Failed) => Self::Failed,
-            Some(Ending::Done) if joins(row) => Self::Joined,
-            Some(Ending::Done) => Self::Computed,
-            Some(Ending::Cancelled | Ending::Revoked | Ending::Lost) | None => Self::Dropped,
+            Some(LeaseEnding::Failed) => Self::Failed,
+            Some(LeaseEnding::Done) if is_join(row) => Self::Joined,
+            Some(LeaseEnding::Done) => Self::Computed,
+            Some(LeaseEnding::Cancelled | LeaseEnding::Revoked | LeaseEnding::Lost) | None => Self::Dropped,
         }
     }
 
@@ -38,8 +38,8 @@ impl Bar {
     }
 }
 
-fn joins(row: &Row) -> bool {
-    row.task.is_some_and(|task| task.stage.kind.row().lane == Lane::Join)
+fn is_join(row: &Row) -> bool {
+    row.task.is_some_and(|task| task.stage.kind.properties().lane == Lane::Join)
 }
 
 /// Start and end of each bar.
@@ -47,16 +47,16 @@ type Spans = Vec<(f64, f64)>;
 
 /// Draws the timeline of attempts.
 pub fn draw(attempts: &[Row]) -> Result<String, ReportError> {
-    let end = beyond(attempts.iter().map(|row| row.ended).fold(0.0, f64::max));
+    let end = axis_end(attempts.iter().map(|row| row.ended).fold(0.0, f64::max));
     // Width of half a pixel.
     let gap = end / f64::from(2 * WIDTH);
     let mut lanes: BTreeMap<(String, u64, bool), BTreeMap<Bar, Spans>> = BTreeMap::new();
     for row in attempts {
-        let lane = lanes.entry((row.worker.clone(), row.instance, joins(row))).or_default();
-        lane.entry(Bar::of(row)).or_default().push((row.began, row.ended));
+        let lane = lanes.entry((row.worker.clone(), row.instance, is_join(row))).or_default();
+        lane.entry(Bar::from_row(row)).or_default().push((row.began, row.ended));
     }
     for spans in lanes.values_mut().flat_map(BTreeMap::values_mut) {
-        join(spans, gap);
+        merge_spans(spans, gap);
         // At least two pixels.
         spans.iter_mut().for_each(|(began, ended)| *ended = ended.max(*began + 4.0 * gap));
     }
@@ -70,7 +70,7 @@ pub fn draw(attempts: &[Row]) -> Result<String, ReportError> {
 }
 
 /// Merges bars that begin within `gap` of each other.
-fn join(spans: &mut Spans, gap: f64) {
+fn merge_spans(spans: &mut Spans, gap: f64) {
     spans.sort_by(|a, b| a.0.total_cmp(&b.0));
     let mut joined = Spans::new();
     for &(began, ended) in spans.iter() {
@@ -82,7 +82,7 @@ fn join(spans: &mut Spans, gap: f64) {
     *spans = joined;
 }
 
-fn chart(area: &Area<'_>, names: &[String], bars: &[BTreeMap<Bar, Spans>], end: f64) -> Drawn {
+fn chart(area: &Area<'_>, names: &[String], bars: &[BTreeMap<Bar, Spans>], end: f64) -> DrawResult {
     let longest = names.iter().map(|name| name.chars().count()).max().unwrap_or(0) as u32;
     let mut chart = ChartBuilder::on(area)
         .margin(10)
@@ -126,10 +126,10 @@ mod tests {
     #[test]
     fn a_million_short_tasks_are_no_more_bars_than_can_be_seen() {
         let mut spans: Spans = (0..1_000_000).map(|n| (f64::from(n) * 1e-3, f64::from(n + 1) * 1e-3)).collect();
-        join(&mut spans, 0.5);
+        merge_spans(&mut spans, 0.5);
         assert!((500..5_000).contains(&spans.len()), "{}", spans.len());
         let mut apart = vec![(5.0, 6.0), (0.0, 1.0)];
-        join(&mut apart, 0.5);
+        merge_spans(&mut apart, 0.5);
         assert_eq!(apart, [(0.0, 1.0), (5.0, 6.0)]);
     }
 }

@@ -1,6 +1,6 @@
 //! Figure of the cost of each variant.
 
-use super::figure::{BLUE, FONT, beyond, figure};
+use super::figure::{BLUE, FONT, axis_end, figure};
 use crate::ReportError;
 use crate::attempts::Row;
 use plotters::prelude::*;
@@ -17,7 +17,7 @@ pub fn draw(variants: &[Row]) -> Result<String, ReportError> {
     }
     // The first one comes on top.
     shown.reverse();
-    let most = beyond(shown.iter().map(|(_, cpu)| *cpu).fold(0.0, f64::max));
+    let most = axis_end(shown.iter().map(|(_, cpu)| *cpu).fold(0.0, f64::max));
     let longest = shown.iter().map(|(name, _)| name.chars().count()).max().unwrap_or(0) as u32;
     figure(60 + 18 * shown.len() as u32, |area| {
         let mut chart = ChartBuilder::on(area)

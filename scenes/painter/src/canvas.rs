@@ -3,7 +3,7 @@
 use femc_film::Picture;
 
 /// Canvas pixels per picture pixel along each axis.
-pub const FINE: usize = 2;
+pub const SUPERSAMPLING: usize = 2;
 
 /// A point of a stroke, in picture pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -18,7 +18,7 @@ pub struct Dab {
 
 /// A canvas pixel that a stroke covers.
 #[derive(Clone, Copy, Debug)]
-pub struct Touch {
+pub struct CoveredPixel {
     /// Index of the canvas pixel.
     pub at: usize,
     /// Column in picture pixels.
@@ -35,10 +35,10 @@ pub struct Touch {
 
 /// Data of a pixel while a stroke covers it.
 #[derive(Clone, Copy, Debug, Default)]
-struct Mark {
+struct PixelCoverage {
     cover: f32,
     /// Depth inside the stroke at its nearest point.
-    within: f32,
+    depth: f32,
     along: f32,
     across: f32,
 }
@@ -52,24 +52,29 @@ pub struct Canvas {
     pub height: usize,
     /// Pixels of the canvas.
     pub pixels: Vec<[f32; 3]>,
-    marks: Vec<Mark>,
+    coverage: Vec<PixelCoverage>,
 }
 
 impl Canvas {
     /// Creates a canvas for a picture of this size in pixels.
     pub fn new(width: usize, height: usize, paper: [f32; 3]) -> Self {
-        let (width, height) = (FINE * width, FINE * height);
-        Self { width, height, pixels: vec![paper; width * height], marks: vec![Mark::default(); width * height] }
+        let (width, height) = (SUPERSAMPLING * width, SUPERSAMPLING * height);
+        Self {
+            width,
+            height,
+            pixels: vec![paper; width * height],
+            coverage: vec![PixelCoverage::default(); width * height],
+        }
     }
 
     /// Returns the center of a canvas pixel, in picture pixels.
     pub fn position(&self, at: usize) -> (f32, f32) {
-        let center = |n: usize| (n as f32 + 0.5) / FINE as f32;
+        let center = |n: usize| (n as f32 + 0.5) / SUPERSAMPLING as f32;
         (center(at % self.width), center(at / self.width))
     }
 
     /// Returns the pixels that a stroke through `dabs` covers, each once, from the top left.
-    pub fn touched(&mut self, dabs: &[Dab]) -> Vec<Touch> {
+    pub fn covered_pixels(&mut self, dabs: &[Dab]) -> Vec<CoveredPixel> {
         let mut touched = Vec::new();
         let mut along = 0.0;
         let only = dabs.first().map(|dab| [*dab, *dab]);
@@ -78,7 +83,7 @@ impl Canvas {
             let (dx, dy) = (b.x - a.x, b.y - a.y);
             let length = (dx * dx + dy * dy).sqrt();
             let most = a.radius.max(b.radius) + 1.0;
-            let fine = FINE as f32;
+            let fine = SUPERSAMPLING as f32;
             let span = |from: f32, to: f32, end: usize| {
                 let low = ((from.min(to) - most) * fine).max(0.0) as usize;
                 low.min(end)..(((from.max(to) + most) * fine).max(0.0) as usize + 1).min(end)
@@ -93,31 +98,38 @@ impl Canvas {
                     let off = (ox * ox + oy * oy).sqrt();
                     let radius = a.radius + t * (b.radius - a.radius);
                     let cover = ((radius - off) * fine + 0.5).clamp(0.0, 1.0);
-                    let mark = &mut self.marks[at];
-                    if cover == 0.0 || (mark.cover > 0.0 && radius - off <= mark.within) {
+                    let coverage = &mut self.coverage[at];
+                    if cover == 0.0 || (coverage.cover > 0.0 && radius - off <= coverage.depth) {
                         continue;
                     }
-                    if mark.cover == 0.0 {
+                    if coverage.cover == 0.0 {
                         touched.push(at);
                     }
                     let side = if dx * v - dy * u < 0.0 { -1.0 } else { 1.0 };
                     let across = side * (off / radius.max(1e-3)).min(1.0);
-                    *mark = Mark { cover, within: radius - off, along: along + t * length, across };
+                    *coverage = PixelCoverage { cover, depth: radius - off, along: along + t * length, across };
                 }
             }
             along += length;
         }
         touched.sort_unstable();
         let touch = |at: usize| {
-            let Mark { cover, along, across, .. } = std::mem::take(&mut self.marks[at]);
+            let PixelCoverage { cover, along, across, .. } = std::mem::take(&mut self.coverage[at]);
             let (x, y) = ((at % self.width) as f32, (at / self.width) as f32);
-            Touch { at, x: (x + 0.5) / FINE as f32, y: (y + 0.5) / FINE as f32, cover, along, across }
+            CoveredPixel {
+                at,
+                x: (x + 0.5) / SUPERSAMPLING as f32,
+                y: (y + 0.5) / SUPERSAMPLING as f32,
+                cover,
+                along,
+                across,
+            }
         };
         touched.into_iter().map(touch).collect()
     }
 
     /// Paints the fraction `cover` of a pixel with `color`.
-    pub fn lay(&mut self, at: usize, color: [f32; 3], cover: f32) {
+    pub fn blend(&mut self, at: usize, color: [f32; 3], cover: f32) {
         self.pixels[at] = mix(self.pixels[at], color, cover);
     }
 
@@ -129,7 +141,7 @@ impl Canvas {
 
     /// Computes the distance of each canvas pixel `inside` to the nearest pixel outside, in picture pixels; 0 outside. Counts steps
     /// along rows, columns and diagonals, which makes distances up to 8 % too large.
-    pub fn depth_within(&self, inside: &[bool]) -> Vec<f32> {
+    pub fn distance_to_border(&self, inside: &[bool]) -> Vec<f32> {
         const DIAGONAL: f32 = std::f32::consts::SQRT_2;
         let (width, height) = (self.width as isize, self.height as isize);
         let mut far: Vec<f32> = inside.iter().map(|&inside| if inside { 1e6 } else { 0.0 }).collect();
@@ -146,21 +158,21 @@ impl Canvas {
                 }
             }
         }
-        far.into_iter().map(|steps| steps / FINE as f32).collect()
+        far.into_iter().map(|steps| steps / SUPERSAMPLING as f32).collect()
     }
 
     /// Returns the picture: each pixel is the mean of its canvas pixels.
     pub fn picture(&self) -> Picture {
-        let (width, height) = (self.width / FINE, self.height / FINE);
+        let (width, height) = (self.width / SUPERSAMPLING, self.height / SUPERSAMPLING);
         let pixel = |at: usize| {
-            let (column, row) = (FINE * (at % width), FINE * (at / width));
+            let (column, row) = (SUPERSAMPLING * (at % width), SUPERSAMPLING * (at / width));
             let mut sum = [0.0f32; 3];
-            for y in row..row + FINE {
-                for x in column..column + FINE {
+            for y in row..row + SUPERSAMPLING {
+                for x in column..column + SUPERSAMPLING {
                     (0..3).for_each(|i| sum[i] += self.pixels[y * self.width + x][i].clamp(0.0, 1.0));
                 }
             }
-            sum.map(|s| (255.0 * s / (FINE * FINE) as f32 + 0.5) as u8)
+            sum.map(|s| (255.0 * s / (SUPERSAMPLING * SUPERSAMPLING) as f32 + 0.5) as u8)
         };
         Picture { width: width as u32, height: height as u32, pixels: (0..width * height).map(pixel).collect() }
     }
@@ -172,19 +184,20 @@ pub fn mix(a: [f32; 3], b: [f32; 3], t: f32) -> [f32; 3] {
 }
 
 /// Smooth step: 0 below `from`, 1 above `to`. `from` may be greater than `to`.
-pub fn ramp(from: f32, to: f32, x: f32) -> f32 {
+pub fn smoothstep(from: f32, to: f32, x: f32) -> f32 {
     let t = ((x - from) / (to - from)).clamp(0.0, 1.0);
     t * t * (3.0 - 2.0 * t)
 }
 
-/// Traces the line that follows a field of directions from `start`, both ways: points `step` apart, as long as `go` returns true.
+/// Traces the line that follows a field of directions from `start`, both ways: points `step` apart, as long as `accept` returns
+/// true.
 /// - `direction`: of any length and either sign; zero where there is none;
-/// - `go`: whether a point, the nth from the start, is part of the line.
-pub fn follow(
+/// - `accept`: whether a point, the nth from the start, is part of the line.
+pub fn trace_streamline(
     start: [f32; 2],
     step: f32,
     direction: impl Fn(f32, f32) -> [f32; 2],
-    mut go: impl FnMut(f32, f32, usize) -> bool,
+    mut accept: impl FnMut(f32, f32, usize) -> bool,
 ) -> Vec<[f32; 2]> {
     let mut line = Vec::new();
     for way in [-1.0, 1.0] {
@@ -199,7 +212,7 @@ pub fn follow(
             let sign = last.map_or(way, |l| if l[0] * d[0] + l[1] * d[1] < 0.0 { -1.0 } else { 1.0 });
             let d = d.map(|c| sign * c / length);
             (x, y, last) = (x + step * d[0], y + step * d[1], Some(d));
-            if !go(x, y, n) {
+            if !accept(x, y, n) {
                 break;
             }
             line.push([x, y]);
@@ -220,29 +233,29 @@ mod tests {
     fn a_stroke_covers_its_area_and_each_pixel_once() {
         let mut canvas = Canvas::new(40, 20, [1.0; 3]);
         let dabs = [5.0, 20.0, 30.0].map(|x| Dab { x, y: 10.0, radius: 2.0 });
-        let touches = canvas.touched(&dabs);
+        let touches = canvas.covered_pixels(&dabs);
         assert!(touches.windows(2).all(|pair| pair[0].at < pair[1].at));
         // 25 long and 4 wide with two half circles, in quarters of a pixel.
-        let area = touches.iter().map(|touch| touch.cover).sum::<f32>() / (FINE * FINE) as f32;
+        let area = touches.iter().map(|touch| touch.cover).sum::<f32>() / (SUPERSAMPLING * SUPERSAMPLING) as f32;
         assert!((area - (100.0 + 4.0 * std::f32::consts::PI)).abs() < 2.0, "{area}");
         let middle = touches.iter().find(|t| (t.x - 22.25).abs() < 0.1 && (t.y - 11.75).abs() < 0.1).unwrap();
         assert!((middle.along - 17.25).abs() < 1e-3 && (middle.across - 0.875).abs() < 1e-3, "{middle:?}");
         // The next stroke is independent of this one.
-        assert_eq!(canvas.touched(&dabs).len(), touches.len());
+        assert_eq!(canvas.covered_pixels(&dabs).len(), touches.len());
     }
 
     #[test]
     fn depth_grows_by_a_pixel_a_pixel_from_the_border() {
         let canvas = Canvas::new(20, 20, [1.0; 3]);
         let inside: Vec<bool> = (0..1600).map(|at| (10..30).contains(&(at % 40))).collect();
-        let far = canvas.depth_within(&inside);
+        let far = canvas.distance_to_border(&inside);
         assert_eq!([9, 10, 11, 19, 20, 29, 30].map(|column| far[800 + column]), [0.0, 0.5, 1.0, 5.0, 5.0, 0.5, 0.0]);
     }
 
     #[test]
     fn a_line_follows_a_circle_both_ways() {
         let around = |x: f32, y: f32| [-y, x];
-        let line = follow([10.0, 0.0], 0.1, around, |_, _, n| n <= 50);
+        let line = trace_streamline([10.0, 0.0], 0.1, around, |_, _, n| n <= 50);
         assert_eq!(line.len(), 101);
         assert_eq!(line[50], [10.0, 0.0]);
         assert!(line[0][1] < -4.0 && line[100][1] > 4.0);

@@ -27,15 +27,15 @@ pub struct Guides {
 impl Guides {
     /// Reads guides from a file that [`Guides::encode`] made.
     pub fn read(path: &Path) -> Result<Self, PainterError> {
-        let (layers, size) = layers(path)?;
-        let Forms { albedo, depth, .. } = forms(path)?;
+        let (layers, size) = read_layers(path)?;
+        let SurfaceLayers { albedo, depth, .. } = read_surface_layers(path)?;
         Ok(Self { width: size.0, height: size.1, layers, albedo, depth })
     }
 
     /// Reads a frame `NAME.exr`, and `NAME.layers.exr` beside it.
-    pub fn of_frame(frame: &Path) -> Result<Self, PainterError> {
-        let (layers, size) = layers(&frame.with_extension("layers.exr"))?;
-        let Forms { albedo, depth, size: found } = forms(frame)?;
+    pub fn from_frame(frame: &Path) -> Result<Self, PainterError> {
+        let (layers, size) = read_layers(&frame.with_extension("layers.exr"))?;
+        let SurfaceLayers { albedo, depth, size: found } = read_surface_layers(frame)?;
         if found != size {
             return Err(PainterError::OtherSize { frame: frame.into(), found, expected: size });
         }
@@ -56,35 +56,35 @@ impl Guides {
         planes.push(("depth.Z".into(), self.depth.clone(), Precision::Float));
         let named = planes.iter().map(|(name, values, precision)| NamedChannel { name, values, precision: *precision });
         let named: Vec<_> = named.collect();
-        exr::encode_named([self.width, self.height], &named, attributes)
+        exr::encode_named_channels([self.width, self.height], &named, attributes)
     }
 }
 
 type Layers = [Vec<[f32; 3]>; 5];
 
-fn layers(path: &Path) -> Result<(Layers, (u32, u32)), FilmError> {
+fn read_layers(path: &Path) -> Result<(Layers, (u32, u32)), FilmError> {
     let mut size = (0, 0);
     let mut read = Layers::default();
     for (name, layer) in LAYERS.iter().zip(&mut read) {
-        let (width, height, colors) = colors(path, name)?;
+        let (width, height, colors) = read_color_layer(path, name)?;
         (size, *layer) = ((width, height), colors);
     }
     Ok((read, size))
 }
 
-struct Forms {
+struct SurfaceLayers {
     albedo: Vec<[f32; 3]>,
     depth: Vec<f32>,
     size: (u32, u32),
 }
 
-fn forms(path: &Path) -> Result<Forms, FilmError> {
-    let (_, _, albedo) = colors(path, "albedo")?;
+fn read_surface_layers(path: &Path) -> Result<SurfaceLayers, FilmError> {
+    let (_, _, albedo) = read_color_layer(path, "albedo")?;
     let (width, height, [depth]) = exr::read_channels(path, ["depth.Z"])?;
-    Ok(Forms { albedo, depth, size: (width, height) })
+    Ok(SurfaceLayers { albedo, depth, size: (width, height) })
 }
 
-fn colors(path: &Path, layer: &str) -> Result<(u32, u32, Vec<[f32; 3]>), FilmError> {
+fn read_color_layer(path: &Path, layer: &str) -> Result<(u32, u32, Vec<[f32; 3]>), FilmError> {
     let names = ["R", "G", "B"].map(|channel| format!("{layer}.{channel}"));
     let (width, height, [r, g, b]) = exr::read_channels(path, [&names[0], &names[1], &names[2]])?;
     let colors = r.into_iter().zip(g).zip(b).map(|((r, g), b)| [r, g, b]);

@@ -1,20 +1,20 @@
 //! Paints a render in the manner of an artist: default styles for users without an artist.
 //!
-//! [`Sight`] is the painter's view of a render: light, half shadow, highlight, bounced light, forms. A style is a file of `style/`
-//! with one function from that to a picture, and a line of [`STYLES`]. Everything is drawn on a [`Canvas`] of twice the size.
-//! Random numbers come from hashes of the drawn objects, so that equal images give equal bytes on every machine.
+//! [`RenderView`] is the painter's view of a render: light, half shadow, highlight, bounced light, forms. A style is a file of
+//! `style/` with one function from that to a picture, and a line of [`STYLES`]. Everything is drawn on a [`Canvas`] of twice the
+//! size. Random numbers come from hashes of the drawn objects, so that equal images give equal bytes on every machine.
 #![deny(missing_docs)]
 
 pub mod canvas;
-pub mod chance;
 pub mod guides;
 pub mod outline;
-pub mod sight;
+pub mod random;
+pub mod render_view;
 pub mod style;
 
 pub use canvas::Canvas;
 pub use guides::Guides;
-pub use sight::Sight;
+pub use render_view::RenderView;
 
 use femc_film::Picture;
 
@@ -24,7 +24,7 @@ pub struct Style {
     /// Name, as in `scenes/styles/NAME.png`.
     pub name: &'static str,
     /// Function that paints a picture of the size of the render.
-    pub paint: fn(&Sight) -> Picture,
+    pub paint: fn(&RenderView) -> Picture,
 }
 
 /// All styles.

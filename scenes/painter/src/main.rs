@@ -1,7 +1,7 @@
 //! `femc-painter`: see the crate's README.
 
 use femc_film::{exr, file};
-use femc_painter::{Guides, STYLES, Sight};
+use femc_painter::{Guides, RenderView, STYLES};
 use std::path::Path;
 use std::process::ExitCode;
 
@@ -33,20 +33,20 @@ fn main() -> ExitCode {
     }
 }
 
-type Done = Result<(), Box<dyn std::error::Error>>;
+type CommandResult = Result<(), Box<dyn std::error::Error>>;
 
-fn guides(frame: &Path, out: &Path) -> Done {
-    let guides = Guides::of_frame(frame)?;
+fn guides(frame: &Path, out: &Path) -> CommandResult {
+    let guides = Guides::from_frame(frame)?;
     let mut attributes = exr::read_attributes(&frame.with_extension("layers.exr"))?;
     attributes.retain(|name, _| name.starts_with(exr::ATTRIBUTE_PREFIX));
     Ok(file::write_atomic(out, &guides.encode(&attributes)?)?)
 }
 
-fn paint(guides: &Path, folder: &Path) -> Done {
-    let sight = Sight::of(&Guides::read(guides)?)?;
-    let sight = &sight;
+fn paint(guides: &Path, folder: &Path) -> CommandResult {
+    let view = RenderView::from_guides(&Guides::read(guides)?)?;
+    let view = &view;
     let painted = std::thread::scope(|scope| {
-        let painters = STYLES.map(|style| scope.spawn(move || (style.paint)(sight)));
+        let painters = STYLES.map(|style| scope.spawn(move || (style.paint)(view)));
         painters.map(|painter| painter.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
     });
     for (style, picture) in STYLES.iter().zip(painted) {

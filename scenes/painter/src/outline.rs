@@ -1,7 +1,7 @@
 //! Outlines of objects, and of light and shadow on them, as lines.
 
-use crate::Sight;
-use crate::canvas::follow;
+use crate::RenderView;
+use crate::canvas::trace_streamline;
 
 /// Distance between points of an outline, pixels.
 pub const STEP: f32 = 1.0;
@@ -19,14 +19,14 @@ pub struct Line {
 
 /// Returns the lines where objects meet, each once, smoothed over a pixel or two. Round objects come first, because they are mostly
 /// in front of others.
-pub fn outlines(sight: &Sight) -> Vec<Line> {
-    let mut drawn = Near::new(sight.width, sight.height, APART);
-    let mut objects: Vec<u8> = (0..sight.curved.len() as u8).collect();
-    let curved = |object: u8| sight.curved[usize::from(object)];
+pub fn outlines(view: &RenderView) -> Vec<Line> {
+    let mut drawn = PointGrid::new(view.width, view.height, APART);
+    let mut objects: Vec<u8> = (0..view.curvature.len() as u8).collect();
+    let curved = |object: u8| view.curvature[usize::from(object)];
     objects.sort_by(|&a, &b| curved(b).total_cmp(&curved(a)));
     let mut lines = Vec::new();
     for object in objects {
-        let found = contours(sight, &inside(sight, object), 0.5, &mut drawn, |_, _| true);
+        let found = contours(view, &object_mask(view, object), 0.5, &mut drawn, |_, _| true);
         lines.extend(found.into_iter().map(|points| Line { object, points }));
     }
     lines
@@ -34,49 +34,49 @@ pub fn outlines(sight: &Sight) -> Vec<Line> {
 
 /// Returns the lines on which `plane` has the value `level`, on each object separately.
 /// - `keep`: whether a line may pass through a point.
-pub fn levels(sight: &Sight, plane: &[f32], level: f32, keep: impl Fn(f32, f32) -> bool) -> Vec<Line> {
+pub fn level_lines(view: &RenderView, plane: &[f32], level: f32, keep: impl Fn(f32, f32) -> bool) -> Vec<Line> {
     let mut lines = Vec::new();
-    for object in 0..sight.curved.len() as u8 {
-        let mut drawn = Near::new(sight.width, sight.height, APART);
-        let on_it = |x: f32, y: f32| sight.object[sight.at(x, y)] == object && keep(x, y);
-        let found = contours(sight, plane, level, &mut drawn, on_it);
+    for object in 0..view.curvature.len() as u8 {
+        let mut drawn = PointGrid::new(view.width, view.height, APART);
+        let on_it = |x: f32, y: f32| view.object[view.pixel_index(x, y)] == object && keep(x, y);
+        let found = contours(view, plane, level, &mut drawn, on_it);
         lines.extend(found.into_iter().map(|points| Line { object, points }));
     }
     lines
 }
 
 fn contours(
-    sight: &Sight,
+    view: &RenderView,
     plane: &[f32],
     level: f32,
-    drawn: &mut Near,
+    drawn: &mut PointGrid,
     keep: impl Fn(f32, f32) -> bool,
 ) -> Vec<Vec<[f32; 2]>> {
     let mut lines = Vec::new();
     let direction = |x: f32, y: f32| {
-        let value = |dx: f32, dy: f32| sight.smooth(plane, x + dx, y + dy);
+        let value = |dx: f32, dy: f32| view.interpolate(plane, x + dx, y + dy);
         let (gx, gy) = (0.5 * (value(1.0, 0.0) - value(-1.0, 0.0)), 0.5 * (value(0.0, 1.0) - value(0.0, -1.0)));
         [-gy, gx]
     };
     for at in 0..plane.len() {
-        let (column, row) = (at % sight.width, at / sight.width);
+        let (column, row) = (at % view.width, at / view.width);
         let crossed = |next: usize| (plane[at] < level) != (plane[next] < level);
-        if !(column + 1 < sight.width && crossed(at + 1) || row + 1 < sight.height && crossed(at + sight.width)) {
+        if !(column + 1 < view.width && crossed(at + 1) || row + 1 < view.height && crossed(at + view.width)) {
             continue;
         }
         let start = [column as f32 + 0.5, row as f32 + 0.5];
-        if !keep(start[0], start[1]) || !drawn.free(start[0], start[1], 0.0) {
+        if !keep(start[0], start[1]) || !drawn.is_free(start[0], start[1], 0.0) {
             continue;
         }
         let mut taken: Vec<[f32; 2]> = Vec::new();
-        let points = follow(start, STEP, direction, |x, y, n| {
-            let within = x > -1.0 && y > -1.0 && x < sight.width as f32 + 1.0 && y < sight.height as f32 + 1.0;
+        let points = trace_streamline(start, STEP, direction, |x, y, n| {
+            let within = x > -1.0 && y > -1.0 && x < view.width as f32 + 1.0 && y < view.height as f32 + 1.0;
             let met = taken.iter().rev().skip(8).any(|p| (p[0] - x).abs() + (p[1] - y).abs() < 1.5);
             taken.push([x, y]);
-            within && n < 4000 && !met && keep(x, y) && drawn.free(x, y, 0.0)
+            within && n < 4000 && !met && keep(x, y) && drawn.is_free(x, y, 0.0)
         });
         if points.len() > 6 {
-            points.iter().for_each(|p| drawn.take(p[0], p[1]));
+            points.iter().for_each(|p| drawn.insert(p[0], p[1]));
             lines.push(points);
         }
     }
@@ -84,14 +84,14 @@ fn contours(
 }
 
 /// Returns 1 inside the object, 0 outside, and a slope in between.
-fn inside(sight: &Sight, object: u8) -> Vec<f32> {
-    let sharp: Vec<f32> = sight.object.iter().map(|&number| f32::from(u8::from(number == object))).collect();
-    let soft = blur(sight, &sharp);
-    blur(sight, &soft)
+fn object_mask(view: &RenderView, object: u8) -> Vec<f32> {
+    let sharp: Vec<f32> = view.object.iter().map(|&number| f32::from(u8::from(number == object))).collect();
+    let soft = blur(view, &sharp);
+    blur(view, &soft)
 }
 
-fn blur(sight: &Sight, plane: &[f32]) -> Vec<f32> {
-    let (width, height) = (sight.width, sight.height);
+fn blur(view: &RenderView, plane: &[f32]) -> Vec<f32> {
+    let (width, height) = (view.width, view.height);
     let mean = |at: usize| {
         let (column, row) = (at % width, at / width);
         let (mut sum, mut count) = (0.0, 0.0);
@@ -108,19 +108,19 @@ fn blur(sight: &Sight, plane: &[f32]) -> Vec<f32> {
 
 /// Set of occupied points, which keeps lines apart.
 #[derive(Clone, Debug)]
-pub struct Near {
+pub struct PointGrid {
     columns: usize,
     rows: usize,
     cell: f32,
-    places: Vec<Vec<[f32; 2]>>,
+    points: Vec<Vec<[f32; 2]>>,
 }
 
-impl Near {
+impl PointGrid {
     /// Creates an empty set for a picture of this size in pixels. `apart` is the greatest distance for queries.
     pub fn new(width: usize, height: usize, apart: f32) -> Self {
         let cells = |pixels: usize| (pixels as f32 / apart) as usize + 1;
         let (columns, rows) = (cells(width), cells(height));
-        Self { columns, rows, cell: apart, places: vec![Vec::new(); columns * rows] }
+        Self { columns, rows, cell: apart, points: vec![Vec::new(); columns * rows] }
     }
 
     fn cell(&self, x: f32, y: f32) -> (usize, usize) {
@@ -129,19 +129,19 @@ impl Near {
     }
 
     /// Adds a point.
-    pub fn take(&mut self, x: f32, y: f32) {
+    pub fn insert(&mut self, x: f32, y: f32) {
         let (column, row) = self.cell(x, y);
-        self.places[row * self.columns + column].push([x, y]);
+        self.points[row * self.columns + column].push([x, y]);
     }
 
     /// Checks that no point is closer than `apart`; 0 means the greatest distance.
-    pub fn free(&self, x: f32, y: f32, apart: f32) -> bool {
+    pub fn is_free(&self, x: f32, y: f32, apart: f32) -> bool {
         let apart = if apart > 0.0 { apart.min(self.cell) } else { self.cell };
         let (column, row) = self.cell(x, y);
         for r in row.saturating_sub(1)..(row + 2).min(self.rows) {
             for c in column.saturating_sub(1)..(column + 2).min(self.columns) {
                 let close = |p: &[f32; 2]| (p[0] - x) * (p[0] - x) + (p[1] - y) * (p[1] - y) < apart * apart;
-                if self.places[r * self.columns + c].iter().any(close) {
+                if self.points[r * self.columns + c].iter().any(close) {
                     return false;
                 }
             }

@@ -3,7 +3,7 @@
 //! The route enters by the south approach and follows the center line of the ring counterclockwise to the west exit. The exit
 //! mirrors the entry in the line through the ring's center that halves the driven arc.
 
-use crate::sheet::{number, turn};
+use crate::mgf_writer::{number, sin_cos_degrees};
 use std::fmt::Write;
 
 /// Radius of the driven circle, m.
@@ -26,7 +26,7 @@ struct Pose {
 
 /// The entry: 2 m straight, then a cubic that joins the ring tangentially. `u` in [0, 1].
 fn entry(u: f64) -> Pose {
-    let (s, c) = turn(ENTER);
+    let (s, c) = sin_cos_degrees(ENTER);
     let joint = (RADIUS * c, RADIUS * s);
     let controls = [(2.15, -30.0), (2.15, -21.5), (joint.0 + 6.0 * s, joint.1 - 6.0 * c), joint];
     if u < 0.1 {
@@ -52,7 +52,7 @@ fn route(u: f64) -> Pose {
         // Mirror in the axis at half of the arc. The direction of travel is reversed.
         let there = entry(4.0 * (1.0 - u));
         let axis = 0.5 * (ENTER + LEAVE);
-        let (s, c) = turn(2.0 * axis);
+        let (s, c) = sin_cos_degrees(2.0 * axis);
         return Pose {
             x: c * there.x + s * there.y,
             y: s * there.x - c * there.y,
@@ -60,12 +60,12 @@ fn route(u: f64) -> Pose {
         };
     }
     let angle = ENTER + (LEAVE - ENTER) * (u - 0.25) * 2.0;
-    let (s, c) = turn(angle);
+    let (s, c) = sin_cos_degrees(angle);
     Pose { x: RADIUS * c, y: RADIUS * s, heading: angle + 90.0 }
 }
 
 /// The route over time: slower on the ring than on the approaches, `DURATION` in total.
-fn timed() -> Vec<(f64, Pose)> {
+fn timed_route() -> Vec<(f64, Pose)> {
     const FINE: u32 = 4000;
     let at = |k: u32| route(f64::from(k) / f64::from(FINE));
     let mut clock = vec![0.0];
@@ -93,14 +93,14 @@ fn timed() -> Vec<(f64, Pose)> {
 pub fn path() -> String {
     let mut text =
         String::from("# The route: speed about 9 m/s on the approaches, 7.5 m/s on the ring.\npath drive = spline\n");
-    for (time, Pose { x, y, heading }) in timed() {
+    for (time, Pose { x, y, heading }) in timed_route() {
         let _ = writeln!(text, "\tkey {} -rz {} -t {} {} 0", number(time), number(heading), number(x), number(y));
     }
     text
 }
 
 /// Scalars over time: the hazard lights of the parked car, and the right indicator before the exit.
-pub fn blinking() -> String {
+pub fn blinking_lights() -> String {
     let blink = |selector: &str, first: f64, last: f64, bright: u32| {
         let mut text = format!("vary {selector} = ");
         if first > 0.0 {
@@ -127,7 +127,7 @@ mod tests {
 
     #[test]
     fn route_is_smooth_stays_on_carriageway_and_fills_whole_clip() {
-        let keys = timed();
+        let keys = timed_route();
         for pair in keys.windows(2) {
             let ((t0, a), (t1, b)) = (pair[0], pair[1]);
             let speed = ((b.x - a.x).powi(2) + (b.y - a.y).powi(2)).sqrt() / (t1 - t0);

@@ -2,7 +2,7 @@
 //!
 //! Local frame: the pole at the origin, the arm toward +x (over the road), the luminous face at z = 8.
 
-use crate::sheet::{Sheet, polar};
+use crate::mgf_writer::{MgfWriter, polar};
 
 /// Luminous face: 0.5 m (x) by 0.22 m (y), at this height.
 const HEIGHT: f64 = 8.0;
@@ -14,14 +14,14 @@ fn octagon(radius: f64, z: f64) -> Vec<[f64; 3]> {
 
 /// Pole, arm and housing: 41 polygons.
 pub fn body() -> String {
-    let mut sheet = Sheet::new("l");
-    sheet.put("# A lamp without its light.");
-    sheet.material("steel");
-    sheet.prism(&octagon(0.1, 1.3), 1.6);
-    sheet.prism(&octagon(0.065, HEIGHT - 0.05), HEIGHT - 1.25);
-    sheet.rod([0.0, 0.0, HEIGHT - 0.12], [0.6, 0.0, HEIGHT + 0.06], 0.045, 4);
-    sheet.rod([0.57, 0.0, HEIGHT + 0.057], [1.3, 0.0, HEIGHT + 0.09], 0.04, 4);
-    sheet.material("black");
+    let mut writer = MgfWriter::new("l");
+    writer.write_lines("# A lamp without its light.");
+    writer.material("steel");
+    writer.prism(&octagon(0.1, 1.3), 1.6);
+    writer.prism(&octagon(0.065, HEIGHT - 0.05), HEIGHT - 1.25);
+    writer.rod([0.0, 0.0, HEIGHT - 0.12], [0.6, 0.0, HEIGHT + 0.06], 0.045, 4);
+    writer.rod([0.57, 0.0, HEIGHT + 0.057], [1.3, 0.0, HEIGHT + 0.09], 0.04, 4);
+    writer.material("black");
     // Counterclockwise seen from above. Its underside is 5 mm above the luminous face.
     let z = HEIGHT + 0.135;
     let plan = [
@@ -33,22 +33,22 @@ pub fn body() -> String {
         [1.33, 0.15, z],
         [1.2, 0.08, z],
     ];
-    sheet.prism(&plan, 0.13);
-    sheet.finish()
+    writer.prism(&plan, 0.13);
+    writer.finish()
 }
 
 /// A lamp with a Lambertian panel of 0.11 m2: 5000 lm.
-pub fn panel() -> String {
+pub fn panel_lamp() -> String {
     let [x0, x1, y0, y1] = FACE;
-    let mut sheet = Sheet::new("e");
-    sheet.put("# A street lamp of 5000 lm: 0.11 m2, one-sided, facing down.\ni lamp-body.mgf");
-    sheet.material("lamp");
-    sheet.face(&[[x0, y0, HEIGHT], [x0, y1, HEIGHT], [x1, y1, HEIGHT], [x1, y0, HEIGHT]]);
-    sheet.finish()
+    let mut writer = MgfWriter::new("e");
+    writer.write_lines("# A street lamp of 5000 lm: 0.11 m2, one-sided, facing down.\ni lamp-body.mgf");
+    writer.material("lamp");
+    writer.face(&[[x0, y0, HEIGHT], [x0, y1, HEIGHT], [x1, y1, HEIGHT], [x1, y0, HEIGHT]]);
+    writer.finish()
 }
 
 /// A lamp whose light is an LM-63 file; C90 (over the road) is the arm's direction.
-pub fn measured() -> String {
+pub fn measured_lamp() -> String {
     "# A street lamp with measured-style photometry: C90 points along the arm.\n\
      i lamp-body.mgf\n\
      c\n\
@@ -58,14 +58,14 @@ pub fn measured() -> String {
 }
 
 /// The ten lamps of a quarter: pairs along the south approach, two at its mouth, one at the corner, one on the island.
-pub fn places(lamp: &str) -> String {
-    let mut sheet = Sheet::new("p");
-    sheet.put("# Ten lamps: pairs along the south approach, two at its mouth, one at the south-east corner, one on the island.");
-    sheet.include(lamp, "-rz 180 -t 4.8 -46 0.12 -a 3 -t 0 -22 0");
-    sheet.include(lamp, "-t -4.8 -35 0.12 -a 3 -t 0 -22 0");
-    sheet.include(lamp, "-rz 163 -t 7.2 -22.8 0.12");
-    sheet.include(lamp, "-rz 17 -t -7.2 -22.8 0.12");
-    sheet.include(lamp, "-rz 180 -t 19.4 0 0.12 -rz -45");
-    sheet.include(lamp, "-t 8.6 0 0.35 -rz -68");
-    sheet.finish()
+pub fn placements(lamp: &str) -> String {
+    let mut writer = MgfWriter::new("p");
+    writer.write_lines("# Ten lamps: pairs along the south approach, two at its mouth, one at the south-east corner, one on the island.");
+    writer.include(lamp, "-rz 180 -t 4.8 -46 0.12 -a 3 -t 0 -22 0");
+    writer.include(lamp, "-t -4.8 -35 0.12 -a 3 -t 0 -22 0");
+    writer.include(lamp, "-rz 163 -t 7.2 -22.8 0.12");
+    writer.include(lamp, "-rz 17 -t -7.2 -22.8 0.12");
+    writer.include(lamp, "-rz 180 -t 19.4 0 0.12 -rz -45");
+    writer.include(lamp, "-t 8.6 0 0.35 -rz -68");
+    writer.finish()
 }

@@ -282,7 +282,7 @@ o
 
 /// Returns the files of the roundabout.
 pub fn files() -> Vec<SceneFile> {
-    let scene = format!("{SCENE}\n{}", drive::blinking());
+    let scene = format!("{SCENE}\n{}", drive::blinking_lights());
     [
         ("roundabout.mgf", scene),
         ("roundabout-ies.mgf", SCENE_IES.to_owned()),
@@ -293,10 +293,10 @@ pub fn files() -> Vec<SceneFile> {
         ("roundabout/quarter.mgf", street::quarter()),
         ("roundabout/island.mgf", street::island()),
         ("roundabout/lamp-body.mgf", lamp::body()),
-        ("roundabout/lamp.mgf", lamp::panel()),
-        ("roundabout/lamp-ies.mgf", lamp::measured()),
-        ("roundabout/lamps.mgf", lamp::places("lamp.mgf")),
-        ("roundabout/lamps-ies.mgf", lamp::places("lamp-ies.mgf")),
+        ("roundabout/lamp.mgf", lamp::panel_lamp()),
+        ("roundabout/lamp-ies.mgf", lamp::measured_lamp()),
+        ("roundabout/lamps.mgf", lamp::placements("lamp.mgf")),
+        ("roundabout/lamps-ies.mgf", lamp::placements("lamp-ies.mgf")),
         ("roundabout/road.ies", ies::road()),
         ("roundabout/tree.mgf", plant::tree()),
         ("roundabout/conifer.mgf", plant::conifer()),

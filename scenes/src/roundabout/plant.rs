@@ -1,6 +1,6 @@
 //! Plants of the roundabout, made of few faces: arrays repeat a branch or a skirt while they turn, shrink and climb.
 
-use crate::sheet::{Point, Sheet, add, polar, scale};
+use crate::mgf_writer::{MgfWriter, Point, add, polar, scale};
 use femc_math::hash::{mix32, unit_f32};
 
 /// Uniform number in [-1, 1] by index, equal on every machine.
@@ -10,29 +10,29 @@ fn jitter(seed: u32, index: u32) -> f64 {
 
 /// A broad-leaved tree, 6 m high: 13 branches at the golden angle, each a rod with 10 leaf clusters. 215 polygons.
 pub fn tree() -> String {
-    let mut sheet = Sheet::new("t");
-    sheet.put("# A broad-leaved tree, 6 m: 13 branches of 10 leaf clusters at the golden angle.");
-    sheet.material("bark");
-    sheet.rod([0.0, 0.0, -0.1], [0.0, 0.0, 2.7], 0.16, 8);
-    sheet.rod([0.0, 0.0, 2.6], [0.0, 0.0, 4.4], 0.09, 8);
-    sheet.push("-t 0 0 2.3 -a 13 -rz 137.5 -s 0.965 -t 0 0 0.27");
-    sheet.rod([0.05, 0.0, 0.0], [2.2, 0.0, 0.95], 0.04, 3);
-    sheet.material("leaf");
+    let mut writer = MgfWriter::new("t");
+    writer.write_lines("# A broad-leaved tree, 6 m: 13 branches of 10 leaf clusters at the golden angle.");
+    writer.material("bark");
+    writer.rod([0.0, 0.0, -0.1], [0.0, 0.0, 2.7], 0.16, 8);
+    writer.rod([0.0, 0.0, 2.6], [0.0, 0.0, 4.4], 0.09, 8);
+    writer.push_transform("-t 0 0 2.3 -a 13 -rz 137.5 -s 0.965 -t 0 0 0.27");
+    writer.rod([0.05, 0.0, 0.0], [2.2, 0.0, 0.95], 0.04, 3);
+    writer.material("leaf");
     for k in 0..10 {
         let j = |n: u32| jitter(7, 16 * k + n);
         let along = 0.5 + 1.9 * f64::from(k) / 9.0;
         let center = [along + 0.15 * j(0), 0.6 * j(1), 0.43 * along + 0.1 + 0.45 * j(2)];
-        sheet.face(&kite(center, 0.5 + 0.1 * j(3), [j(4), j(5), j(6)]));
+        writer.face(&kite(center, 0.5 + 0.1 * j(3), [j(4), j(5), j(6)]));
     }
-    sheet.close();
-    sheet.finish()
+    writer.pop_transform();
+    writer.finish()
 }
 
 /// Returns a planar kite of about `size`, turned at random.
 fn kite(center: Point, size: f64, random: Point) -> [Point; 4] {
     // Two orthogonal directions from a yaw and a pitch.
-    let (sy, cy) = crate::sheet::turn(180.0 * random[0]);
-    let (sp, cp) = crate::sheet::turn(60.0 * random[1]);
+    let (sy, cy) = crate::mgf_writer::sin_cos_degrees(180.0 * random[0]);
+    let (sp, cp) = crate::mgf_writer::sin_cos_degrees(60.0 * random[1]);
     let long = [cy * cp, sy * cp, sp];
     let wide = [-sy, cy, 0.0];
     let at = |a: f64, b: f64| add(center, add(scale(long, size * a), scale(wide, size * b * (1.0 + 0.3 * random[2]))));
@@ -41,12 +41,12 @@ fn kite(center: Point, size: f64, random: Point) -> [Point; 4] {
 
 /// A conifer, 5 m high: six jagged skirts. 104 polygons.
 pub fn conifer() -> String {
-    let mut sheet = Sheet::new("n");
-    sheet.put("# A conifer, 5 m: six jagged skirts, each smaller and higher.");
-    sheet.material("bark");
-    sheet.rod([0.0, 0.0, -0.1], [0.0, 0.0, 2.0], 0.12, 6);
-    sheet.material("needle");
-    sheet.push("-t 0 0 0.5 -a 6 -rz 17 -s 0.82 -t 0 0 0.98");
+    let mut writer = MgfWriter::new("n");
+    writer.write_lines("# A conifer, 5 m: six jagged skirts, each smaller and higher.");
+    writer.material("bark");
+    writer.rod([0.0, 0.0, -0.1], [0.0, 0.0, 2.0], 0.12, 6);
+    writer.material("needle");
+    writer.push_transform("-t 0 0 0.5 -a 6 -rz 17 -s 0.82 -t 0 0 0.98");
     let apex = [0.0, 0.0, 1.45];
     let rim = |k: u32| {
         let k = k % 16;
@@ -54,17 +54,17 @@ pub fn conifer() -> String {
         polar(radius + 0.12 * jitter(3, k), 22.5 * f64::from(k), z + 0.1 * jitter(5, k))
     };
     for k in 0..16 {
-        sheet.face(&[rim(k), rim(k + 1), apex]);
+        writer.face(&[rim(k), rim(k + 1), apex]);
     }
-    sheet.close();
-    sheet.finish()
+    writer.pop_transform();
+    writer.finish()
 }
 
 /// A shrub, 0.9 m wide: a dented icosahedron. 20 polygons.
 pub fn shrub() -> String {
-    let mut sheet = Sheet::new("s");
-    sheet.put("# A shrub: a dented icosahedron.");
-    sheet.material("leaf");
+    let mut writer = MgfWriter::new("s");
+    writer.write_lines("# A shrub: a dented icosahedron.");
+    writer.material("leaf");
     let r = |k: u32| 0.45 * (1.0 + 0.18 * jitter(11, k));
     let ring = |k: u32, upper: bool| {
         let (z, offset) = if upper { (0.22, 36.0) } else { (-0.16, 0.0) };
@@ -73,10 +73,10 @@ pub fn shrub() -> String {
     let (top, bottom) = ([0.03, -0.02, 0.47], [0.0, 0.0, -0.42]);
     for k in 0..5 {
         let n = (k + 1) % 5;
-        sheet.face(&[ring(k, true), ring(n, true), top]);
-        sheet.face(&[ring(n, false), ring(k, false), bottom]);
-        sheet.face(&[ring(k, false), ring(n, false), ring(k, true)]);
-        sheet.face(&[ring(n, false), ring(n, true), ring(k, true)]);
+        writer.face(&[ring(k, true), ring(n, true), top]);
+        writer.face(&[ring(n, false), ring(k, false), bottom]);
+        writer.face(&[ring(k, false), ring(n, false), ring(k, true)]);
+        writer.face(&[ring(n, false), ring(n, true), ring(k, true)]);
     }
-    sheet.finish()
+    writer.finish()
 }

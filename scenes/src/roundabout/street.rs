@@ -4,7 +4,7 @@
 //! mirrored, to the edge of the east approach. Everything outside is offset from it along its normal.
 
 use super::sign;
-use crate::sheet::{Point, Sheet, polar, scale, turn};
+use crate::mgf_writer::{MgfWriter, Point, polar, scale, sin_cos_degrees};
 
 /// Half width of an approach, m.
 const HALF: f64 = 4.0;
@@ -37,7 +37,7 @@ fn fillet(steps: u32) -> Vec<[f64; 4]> {
     let last = 90.0 + mouth();
     (0..=steps)
         .map(|k| {
-            let (s, c) = turn(180.0 + (last - 180.0) * f64::from(k) / f64::from(steps));
+            let (s, c) = sin_cos_degrees(180.0 + (last - 180.0) * f64::from(k) / f64::from(steps));
             [HALF + FILLET + FILLET * c, -reach() + FILLET * s, -c, -s]
         })
         .collect()
@@ -49,7 +49,7 @@ fn kerb_line() -> Vec<[f64; 4]> {
     half.extend(fillet(8));
     let (start, end) = (mouth() - 90.0, -45.0);
     for k in 1..=3 {
-        let (s, c) = turn(start + (end - start) * f64::from(k) / 3.0);
+        let (s, c) = sin_cos_degrees(start + (end - start) * f64::from(k) / 3.0);
         half.push([OUTER * c, OUTER * s, c, s]);
     }
     let mirrored: Vec<[f64; 4]> = half.iter().rev().skip(1).map(|&[x, y, nx, ny]| [-y, -x, -ny, -nx]).collect();
@@ -57,16 +57,16 @@ fn kerb_line() -> Vec<[f64; 4]> {
     half
 }
 
-fn offset(at: [f64; 4], by: f64, z: f64) -> Point {
-    [at[0] + by * at[2], at[1] + by * at[3], z]
+fn offset(at: [f64; 4], distance: f64, z: f64) -> Point {
+    [at[0] + distance * at[2], at[1] + distance * at[3], z]
 }
 
 /// Asphalt: the ring and the approaches, one quarter repeated four times.
 pub fn carriageway() -> String {
-    let mut sheet = Sheet::new("a");
-    sheet.put("# Asphalt, z = 0.");
-    sheet.material("asphalt");
-    sheet.push("-a 4 -rz 90");
+    let mut writer = MgfWriter::new("a");
+    writer.write_lines("# Asphalt, z = 0.");
+    writer.material("asphalt");
+    writer.push_transform("-a 4 -rz 90");
     let mouth = mouth();
     // Angles of a quarter: over the approach's mouth, then along the quarter's kerb to the next mouth.
     let over: Vec<f64> = (0..=12).map(|k| -90.0 + mouth * (f64::from(k) / 6.0 - 1.0)).collect();
@@ -75,7 +75,7 @@ pub fn carriageway() -> String {
     for radii in [[INNER - 0.1, 14.7], [14.7, OUTER]] {
         for a in angles.windows(2) {
             let corner = |r: usize, k: usize| polar(radii[r], a[k], 0.0);
-            sheet.face(&[corner(0, 0), corner(1, 0), corner(1, 1), corner(0, 1)]);
+            writer.face(&[corner(0, 0), corner(1, 0), corner(1, 1), corner(0, 1)]);
         }
     }
     // The mouth: between the ring's circle and the two fillets.
@@ -83,33 +83,33 @@ pub fn carriageway() -> String {
     let mut outline: Vec<Point> = right.iter().map(|p| [p[0], p[1], 0.0]).collect();
     outline.extend(over.iter().rev().skip(1).map(|&a| polar(OUTER, a, 0.0)));
     outline.extend(right.iter().rev().skip(1).map(|p| [-p[0], p[1], 0.0]));
-    sheet.face(&outline);
+    writer.face(&outline);
     for y in [reach(), 31.0, 38.0, 50.0, 65.0, 85.0, EDGE].windows(2) {
         for x in [[-HALF, 0.0], [0.0, HALF]] {
-            sheet.face(&[[x[0], -y[1], 0.0], [x[1], -y[1], 0.0], [x[1], -y[0], 0.0], [x[0], -y[0], 0.0]]);
+            writer.face(&[[x[0], -y[1], 0.0], [x[1], -y[1], 0.0], [x[1], -y[0], 0.0], [x[0], -y[0], 0.0]]);
         }
     }
-    sheet.close();
-    sheet.finish()
+    writer.pop_transform();
+    writer.finish()
 }
 
 /// Kerbs, verges, markings, splitter island, bollards and signs of the south approach and the south-east corner.
 pub fn quarter() -> String {
-    let mut sheet = Sheet::new("q");
-    sheet.put("# The south approach and the south-east corner: everything on and beside the asphalt.");
-    verge(&mut sheet);
-    splitter(&mut sheet);
-    markings(&mut sheet);
-    bollards(&mut sheet);
-    sign::approach(&mut sheet);
-    sheet.finish()
+    let mut writer = MgfWriter::new("q");
+    writer.write_lines("# The south approach and the south-east corner: everything on and beside the asphalt.");
+    verge(&mut writer);
+    splitter(&mut writer);
+    markings(&mut writer);
+    bollards(&mut writer);
+    sign::approach(&mut writer);
+    writer.finish()
 }
 
-fn verge(sheet: &mut Sheet) {
+fn verge(writer: &mut MgfWriter) {
     let line = kerb_line();
-    let strip = |sheet: &mut Sheet, from: (f64, f64), to: (f64, f64)| {
+    let strip = |writer: &mut MgfWriter, from: (f64, f64), to: (f64, f64)| {
         for p in line.windows(2) {
-            sheet.face(&[
+            writer.face(&[
                 offset(p[0], from.0, from.1),
                 offset(p[0], to.0, to.1),
                 offset(p[1], to.0, to.1),
@@ -117,20 +117,20 @@ fn verge(sheet: &mut Sheet) {
             ]);
         }
     };
-    sheet.material("kerbstone");
-    strip(sheet, (0.0, -0.05), (0.0, KERB));
-    strip(sheet, (0.0, KERB), (0.16, KERB));
-    sheet.material("paving");
-    strip(sheet, (0.16, KERB), (2.16, KERB));
-    sheet.material("grass");
+    writer.material("kerbstone");
+    strip(writer, (0.0, -0.05), (0.0, KERB));
+    strip(writer, (0.0, KERB), (0.16, KERB));
+    writer.material("paving");
+    strip(writer, (0.16, KERB), (2.16, KERB));
+    writer.material("grass");
     let mut outline: Vec<Point> = line.iter().map(|&p| offset(p, 2.16, KERB)).collect();
     outline.push([EDGE, -EDGE, KERB]);
     outline.reverse();
-    sheet.face(&outline);
+    writer.face(&outline);
 }
 
 /// Adds the splitter island: two parts with a crossing between them.
-fn splitter(sheet: &mut Sheet) {
+fn splitter(writer: &mut MgfWriter) {
     let parts: [&[[f64; 2]]; 2] = [
         &[[1.35, -20.4], [1.0, -20.0], [-1.0, -20.0], [-1.35, -20.4], [-1.05, -24.0], [1.05, -24.0]],
         &[[0.8, -28.0], [-0.8, -28.0], [-0.35, -37.6], [0.0, -38.2], [0.35, -37.6]],
@@ -146,15 +146,15 @@ fn splitter(sheet: &mut Sheet) {
                 })
                 .collect()
         };
-        sheet.material("kerbstone");
-        sheet.prism(&ring(1.0, KERB), KERB + 0.05);
-        sheet.material("paving");
-        sheet.prism(&ring(0.8, KERB + 0.02), 0.05);
+        writer.material("kerbstone");
+        writer.prism(&ring(1.0, KERB), KERB + 0.05);
+        writer.material("paving");
+        writer.prism(&ring(0.8, KERB + 0.02), 0.05);
     }
 }
 
-fn bar(sheet: &mut Sheet, low: [f64; 2], high: [f64; 2]) {
-    sheet.face(&[
+fn bar(writer: &mut MgfWriter, low: [f64; 2], high: [f64; 2]) {
+    writer.face(&[
         [low[0], low[1], PAINT],
         [high[0], low[1], PAINT],
         [high[0], high[1], PAINT],
@@ -163,54 +163,54 @@ fn bar(sheet: &mut Sheet, low: [f64; 2], high: [f64; 2]) {
 }
 
 /// Adds a flat outline on the asphalt at (x, y).
-fn glyph(sheet: &mut Sheet, outline: &[[f64; 2]], x: f64, y: f64) {
+fn glyph(writer: &mut MgfWriter, outline: &[[f64; 2]], x: f64, y: f64) {
     let corners: Vec<Point> = outline.iter().map(|p| [p[0] + x, p[1] + y, PAINT]).collect();
-    sheet.face(&corners);
+    writer.face(&corners);
 }
 
-fn markings(sheet: &mut Sheet) {
-    sheet.material("paint");
+fn markings(writer: &mut MgfWriter) {
+    writer.material("paint");
     // Zebra crossing through the gap of the splitter island.
     for x in [1.15, 2.15, 3.15] {
-        bar(sheet, [x, -27.5], [x + 0.5, -24.5]);
-        bar(sheet, [-x - 0.5, -27.5], [-x, -24.5]);
+        bar(writer, [x, -27.5], [x + 0.5, -24.5]);
+        bar(writer, [-x - 0.5, -27.5], [-x, -24.5]);
     }
     // Center dashes and edge lines of the approach.
-    sheet.push("-a 7 -t 0 -9 0");
-    bar(sheet, [-0.06, -43.0], [0.06, -40.0]);
-    sheet.close();
+    writer.push_transform("-a 7 -t 0 -9 0");
+    bar(writer, [-0.06, -43.0], [0.06, -40.0]);
+    writer.pop_transform();
     for y in [[-104.0, -80.0], [-79.0, -60.0], [-59.0, -44.0], [-43.0, -32.0]] {
-        bar(sheet, [3.68, y[0]], [3.8, y[1]]);
-        bar(sheet, [-3.8, y[0]], [-3.68, y[1]]);
+        bar(writer, [3.68, y[0]], [3.8, y[1]]);
+        bar(writer, [-3.8, y[0]], [-3.68, y[1]]);
     }
     let arrow = [[-0.07, 0.0], [0.07, 0.0], [0.07, 2.2], [0.3, 2.2], [0.0, 3.4], [-0.3, 2.2], [-0.07, 2.2]];
-    glyph(sheet, &arrow, 2.1, -48.0);
+    glyph(writer, &arrow, 2.1, -48.0);
     // Give-way teeth across the entry, which point at the driver, and the broken line across the exit.
     for k in 0..6 {
         let middle = -84.0 + 3.4 * f64::from(k);
         let tip = 18.95;
-        sheet.face(&[polar(tip, middle, PAINT), polar(18.3, middle + 0.9, PAINT), polar(18.3, middle - 0.9, PAINT)]);
+        writer.face(&[polar(tip, middle, PAINT), polar(18.3, middle + 0.9, PAINT), polar(18.3, middle - 0.9, PAINT)]);
     }
     for k in 0..5 {
         let middle = -97.5 - 4.0 * f64::from(k);
-        arc(sheet, 18.2, 18.4, middle - 1.0, middle + 1.0);
+        arc(writer, 18.2, 18.4, middle - 1.0, middle + 1.0);
     }
     // Edge lines of the ring, and two arrows.
     for k in 0..15 {
         let start = -90.0 + 6.0 * f64::from(k);
-        arc(sheet, 11.75, 11.87, start, start + 6.0);
+        arc(writer, 11.75, 11.87, start, start + 6.0);
     }
     for k in 0..5 {
         let start = -57.0 + 4.8 * f64::from(k);
-        arc(sheet, 17.6, 17.72, start, start + 4.8);
+        arc(writer, 17.6, 17.72, start, start + 4.8);
     }
-    sheet.push("-t 14.6 0 0 -rz -28");
-    glyph(sheet, &arrow, 0.0, 0.0);
-    sheet.close();
+    writer.push_transform("-t 14.6 0 0 -rz -28");
+    glyph(writer, &arrow, 0.0, 0.0);
+    writer.pop_transform();
 }
 
-fn arc(sheet: &mut Sheet, inner: f64, outer: f64, from: f64, to: f64) {
-    sheet.face(&[
+fn arc(writer: &mut MgfWriter, inner: f64, outer: f64, from: f64, to: f64) {
+    writer.face(&[
         polar(inner, from, PAINT),
         polar(outer, from, PAINT),
         polar(outer, to, PAINT),
@@ -218,21 +218,21 @@ fn arc(sheet: &mut Sheet, inner: f64, outer: f64, from: f64, to: f64) {
     ]);
 }
 
-fn bollards(sheet: &mut Sheet) {
+fn bollards(writer: &mut MgfWriter) {
     let ring = |radius: f64, z: f64| -> Vec<Point> { (0..6).map(|k| polar(radius, 60.0 * f64::from(k), z)).collect() };
-    sheet.push("-t 18.6 0 0.12 -rz -57 -a 5 -rz 6");
-    sheet.material("black");
-    sheet.prism(&ring(0.07, 0.9), 0.95);
-    sheet.material("white");
-    sheet.prism(&ring(0.078, 0.82), 0.12);
-    sheet.close();
+    writer.push_transform("-t 18.6 0 0.12 -rz -57 -a 5 -rz 6");
+    writer.material("black");
+    writer.prism(&ring(0.07, 0.9), 0.95);
+    writer.material("white");
+    writer.prism(&ring(0.078, 0.82), 0.12);
+    writer.pop_transform();
 }
 
 /// The central island: cobbled apron, kerb, mound, shrubs.
 pub fn island() -> String {
-    let mut sheet = Sheet::new("i");
-    sheet.put("# The central island: a cobbled apron 3 cm above the asphalt, a kerb, a mound, shrubs.");
-    sheet.push("-a 4 -rz 90");
+    let mut writer = MgfWriter::new("i");
+    writer.write_lines("# The central island: a cobbled apron 3 cm above the asphalt, a kerb, a mound, shrubs.");
+    writer.push_transform("-a 4 -rz 90");
     // (material, radius and height of the inner edge, radius and height of the outer edge)
     let rings = [
         ("kerbstone", [INNER, 0.03], [INNER, -0.05]),
@@ -244,28 +244,28 @@ pub fn island() -> String {
         ("grass", [2.8, 1.25], [5.5, 0.95]),
     ];
     for (material, inner, outer) in rings {
-        sheet.material(material);
+        writer.material(material);
         for k in 0..12 {
             let (a, b) = (-90.0 + 7.5 * f64::from(k), -82.5 + 7.5 * f64::from(k));
             let at = |edge: [f64; 2], angle: f64| polar(edge[0], angle, edge[1]);
-            sheet.face(&[at(inner, a), at(outer, a), at(outer, b), at(inner, b)]);
+            writer.face(&[at(inner, a), at(outer, a), at(outer, b), at(inner, b)]);
         }
     }
     for k in 0..12 {
         let (a, b) = (-90.0 + 7.5 * f64::from(k), -82.5 + 7.5 * f64::from(k));
-        sheet.face(&[[0.0, 0.0, 1.35], polar(2.8, a, 1.25), polar(2.8, b, 1.25)]);
+        writer.face(&[[0.0, 0.0, 1.35], polar(2.8, a, 1.25), polar(2.8, b, 1.25)]);
     }
-    sheet.close();
+    writer.pop_transform();
     for (radius, z, scale_by, count, first) in
         [(6.6, 0.95, 1.0, 14, 5.0), (4.0, 1.3, 1.4, 8, 20.0), (1.6, 1.5, 1.8, 4, 40.0)]
     {
         let [x, y, _] = scale(polar(1.0, first, 0.0), radius);
         let arguments =
             format!("-rz 31 -s {scale_by} -t {x:.3} {y:.3} {z} -a {count} -rz {}", 360.0 / f64::from(count));
-        sheet.include("shrub.mgf", &arguments);
+        writer.include("shrub.mgf", &arguments);
     }
-    sign::chevrons(&mut sheet);
-    sheet.finish()
+    sign::chevrons(&mut writer);
+    writer.finish()
 }
 
 #[cfg(test)]

@@ -27,7 +27,7 @@ const FILES: [&str; 9] = [
 
 /// Position in a file: line and column, counted from 1.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
-pub struct Place {
+pub struct Position {
     pub line: usize,
     pub column: usize,
 }
@@ -35,8 +35,8 @@ pub struct Place {
 /// Range in a file, from its start position to its end position.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
 pub struct Extent {
-    pub start: Place,
-    pub end: Place,
+    pub start: Position,
+    pub end: Position,
 }
 
 #[derive(Debug, Clone, Deserialize)]
@@ -46,7 +46,7 @@ struct Function {
 
 /// Entry of the output of `cargo mutants --list --json`.
 #[derive(Debug, Deserialize)]
-struct Listed {
+struct ListEntry {
     name: String,
     package: String,
     file: String,
@@ -69,7 +69,7 @@ pub struct Mutant {
 }
 
 /// Lists all mutants of the sources at `root`.
-pub fn all(root: &Path) -> anyhow::Result<Vec<Mutant>> {
+pub fn list_mutants(root: &Path) -> anyhow::Result<Vec<Mutant>> {
     let mut command = Command::new("cargo");
     command.args(["mutants", "--list", "--json"]).current_dir(root);
     for file in FILES {
@@ -77,14 +77,14 @@ pub fn all(root: &Path) -> anyhow::Result<Vec<Mutant>> {
     }
     let output = command.output()?;
     ensure!(output.status.success(), "cargo mutants --list: {}", String::from_utf8_lossy(&output.stderr));
-    let mut listed: Vec<Listed> = serde_json::from_slice(&output.stdout).context("the list of cargo mutants")?;
+    let mut listed: Vec<ListEntry> = serde_json::from_slice(&output.stdout).context("the list of cargo mutants")?;
     listed.sort_by(|a, b| (&a.file, a.span, &a.replacement).cmp(&(&b.file, b.span, &b.replacement)));
     let mut times: BTreeMap<String, u32> = BTreeMap::new();
     Ok(listed.into_iter().map(|listed| mutant(listed, &mut times)).collect())
 }
 
-fn mutant(listed: Listed, times: &mut BTreeMap<String, u32>) -> Mutant {
-    let Listed { name, package, file, function, genre, span, replacement } = listed;
+fn mutant(entry: ListEntry, times: &mut BTreeMap<String, u32>) -> Mutant {
+    let ListEntry { name, package, file, function, genre, span, replacement } = entry;
     let change = name.splitn(4, ':').nth(3).unwrap_or(&name).trim().to_owned();
     let function = function.map_or_else(String::new, |function| function.function_name);
     let like = format!("{file}\t{function}\t{change}");

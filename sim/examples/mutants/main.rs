@@ -39,7 +39,7 @@ enum Action {
         count: usize,
     },
     /// Run the mutants of the list that have no verdict yet
-    Run(trial::Asked),
+    Run(trial::RunArgs),
 }
 
 fn main() -> anyhow::Result<()> {
@@ -47,13 +47,13 @@ fn main() -> anyhow::Result<()> {
     let list = root.join("sim/mutants/list");
     match Args::parse().action {
         Action::Draw { seed, count } => {
-            let drawn = list::draw(list::all(&root)?, seed, count);
+            let drawn = list::draw(list::list_mutants(&root)?, seed, count);
             std::fs::create_dir_all(root.join("sim/mutants"))?;
             list::write(&list, seed, &drawn)?;
             println!("{} mutants in {}", drawn.len(), list.display());
             Ok(())
         }
-        Action::Run(asked) => trial::run(&root, &list, &asked),
+        Action::Run(args) => trial::run(&root, &list, &args),
     }
 }
 

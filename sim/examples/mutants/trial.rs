@@ -13,11 +13,11 @@ use clap::Args;
 use serde::Deserialize;
 
 use crate::list::{self, Mutant};
-use crate::weave::{self, Woven};
+use crate::weave::{self, WovenSource};
 
 /// Arguments of the `run` command.
 #[derive(Debug, Args)]
-pub struct Asked {
+pub struct RunArgs {
     /// Use the sources of this commit instead of the checkout
     #[arg(long, value_name = "COMMIT")]
     at: Option<String>,
@@ -47,44 +47,44 @@ const CRATES: [(&str, &str); 5] = [
 
 /// Time limit of a mutant: a multiple of the usual duration, plus a constant, because some mutants slow tests and worlds down. A
 /// mutant that exceeds it counts as hanging.
-const PATIENCE: (u32, Duration) = (4, Duration::from_secs(20));
+const TIME_LIMIT: (u32, Duration) = (4, Duration::from_secs(20));
 
 /// Verdict on a mutant that does not compile.
 const BROKEN: &str = "does not compile";
 
 /// Runs the mutants of the list that have no verdict.
-pub fn run(root: &Path, list: &Path, asked: &Asked) -> anyhow::Result<()> {
+pub fn run(root: &Path, list: &Path, args: &RunArgs) -> anyhow::Result<()> {
     let home = crate::target(root).join("mutants");
-    let tree = check_out(root, &home, asked.at.as_deref())?;
+    let tree = check_out(root, &home, args.at.as_deref())?;
     let keys = list::read(list)?;
     let mut all: BTreeMap<String, Mutant> =
-        list::all(&tree)?.into_iter().map(|mutant| (mutant.key.clone(), mutant)).collect();
+        list::list_mutants(&tree)?.into_iter().map(|mutant| (mutant.key.clone(), mutant)).collect();
     let mutants: Vec<(usize, Mutant)> = (1..).zip(&keys).filter_map(|(n, key)| Some((n, all.remove(key)?))).collect();
     let gone = keys.len() - mutants.len();
-    let path = asked.verdicts.clone().unwrap_or_else(|| home.join("verdicts"));
+    let path = args.verdicts.clone().unwrap_or_else(|| home.join("verdicts"));
     let mut verdicts = read(&path)?;
     let out = mutants.iter().filter(|(_, m)| verdicts.get(&m.key).is_some_and(|verdict| verdict == BROKEN));
     let built = build(&tree, &home, &mutants, out.map(|(number, _)| *number).collect())?;
-    if asked.again {
+    if args.again {
         verdicts.retain(|_, verdict| verdict != "survived");
     }
     for (number, mutant) in &mutants {
-        if !built.within.contains(number) {
+        if !built.mutants.contains(number) {
             verdicts.insert(mutant.key.clone(), BROKEN.into());
         }
     }
     save(&path, &verdicts)?;
-    let trial = Trial::new(&tree, built, asked.seeds)?;
+    let trial = Trial::new(&tree, built, args.seeds)?;
     let mut left: Vec<&(usize, Mutant)> = mutants.iter().filter(|(_, m)| !verdicts.contains_key(&m.key)).collect();
     left.reverse();
     println!("{} mutants, {} to try", mutants.len(), left.len());
     let (left, file) = (Mutex::new(left), Mutex::new(OpenOptions::new().append(true).create(true).open(&path)?));
     std::thread::scope(|scope| {
-        let workers: Vec<_> = (0..asked.jobs.max(1)).map(|_| scope.spawn(|| trial.work(&left, &file))).collect();
+        let workers: Vec<_> = (0..args.jobs.max(1)).map(|_| scope.spawn(|| trial.work(&left, &file))).collect();
         workers.into_iter().try_for_each(|worker| worker.join().unwrap_or_else(|_| bail!("a thread panicked")))
     })?;
     let explained = root.join("sim/mutants/explained");
-    tell(&read(&path)?, &read_explained(&explained)?, &keys, gone);
+    print_summary(&read(&path)?, &read_explained(&explained)?, &keys, gone);
     Ok(())
 }
 
@@ -117,12 +117,12 @@ fn check_out(root: &Path, home: &Path, at: Option<&str>) -> anyhow::Result<PathB
 
 /// Executables of one build.
 #[derive(Debug, Default)]
-struct Built {
+struct BuildOutput {
     /// Test executables by crate.
     tests: BTreeMap<String, Vec<PathBuf>>,
     simulation: PathBuf,
     /// Numbers of the mutants in this build.
-    within: BTreeSet<usize>,
+    mutants: BTreeSet<usize>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -137,11 +137,11 @@ struct Message {
 struct Diagnostic {
     level: String,
     rendered: Option<String>,
-    spans: Vec<Spot>,
+    spans: Vec<DiagnosticSpan>,
 }
 
 #[derive(Debug, Deserialize)]
-struct Spot {
+struct DiagnosticSpan {
     file_name: String,
     byte_start: usize,
     is_primary: bool,
@@ -149,10 +149,15 @@ struct Spot {
 
 /// Weaves the mutants into the sources and builds them. Drops mutants that do not compile and repeats until the build succeeds.
 /// - `out`: mutants that are known not to compile.
-fn build(tree: &Path, home: &Path, mutants: &[(usize, Mutant)], mut out: BTreeSet<usize>) -> anyhow::Result<Built> {
+fn build(
+    tree: &Path,
+    home: &Path,
+    mutants: &[(usize, Mutant)],
+    mut out: BTreeSet<usize>,
+) -> anyhow::Result<BuildOutput> {
     let sources = sources(tree, mutants)?;
     loop {
-        let mut woven: BTreeMap<&str, Woven> = BTreeMap::new();
+        let mut woven: BTreeMap<&str, WovenSource> = BTreeMap::new();
         for (file, source) in &sources {
             let of_file: Vec<(usize, &Mutant)> = mutants
                 .iter()
@@ -176,8 +181,8 @@ fn build(tree: &Path, home: &Path, mutants: &[(usize, Mutant)], mut out: BTreeSe
             is_whole = is_built;
         }
         if is_whole {
-            let within = woven.values().flat_map(|woven| woven.within.iter().copied()).collect();
-            return found(messages, within);
+            let within = woven.values().flat_map(|woven| woven.mutants.iter().copied()).collect();
+            return collect_build(messages, within);
         }
         let before = out.len();
         for error in messages.iter().filter_map(|m| m.message.as_ref()).filter(|error| error.level == "error") {
@@ -210,8 +215,8 @@ fn cargo(tree: &Path, home: &Path, arguments: &[&str]) -> anyhow::Result<(Vec<Me
     Ok((messages, output.status.success()))
 }
 
-fn found(messages: Vec<Message>, within: BTreeSet<usize>) -> anyhow::Result<Built> {
-    let mut built = Built { within, ..Built::default() };
+fn collect_build(messages: Vec<Message>, mutants: BTreeSet<usize>) -> anyhow::Result<BuildOutput> {
+    let mut built = BuildOutput { mutants, ..BuildOutput::default() };
     for message in messages.into_iter().filter(|message| message.reason == "compiler-artifact") {
         let (Some(executable), Some(package)) = (message.executable, message.package_id) else { continue };
         if executable.parent().is_some_and(|folder| folder.ends_with("examples")) {
@@ -231,10 +236,10 @@ fn found(messages: Vec<Message>, within: BTreeSet<usize>) -> anyhow::Result<Buil
 /// Executables and time limits for running mutants.
 struct Trial<'a> {
     tree: &'a Path,
-    built: Built,
+    built: BuildOutput,
     seeds: u64,
     /// Usual duration of the tests of each crate, and of the worlds.
-    usual: BTreeMap<String, Duration>,
+    baseline: BTreeMap<String, Duration>,
 }
 
 /// Key of the worlds' duration in [`Trial::usual`].
@@ -242,23 +247,23 @@ const WORLDS: &str = "simulation";
 
 impl<'a> Trial<'a> {
     /// Measures the usual durations, without any mutant.
-    fn new(tree: &'a Path, mut built: Built, seeds: u64) -> anyhow::Result<Self> {
+    fn new(tree: &'a Path, mut built: BuildOutput, seeds: u64) -> anyhow::Result<Self> {
         // Run small test executables first: the large ones start processes and wait for clocks.
         let size = |path: &PathBuf| fs::metadata(path).map_or(0, |found| found.len());
         built.tests.values_mut().for_each(|tests| tests.sort_by_key(size));
-        let mut trial = Self { tree, built, seeds, usual: BTreeMap::new() };
+        let mut trial = Self { tree, built, seeds, baseline: BTreeMap::new() };
         let most = Duration::from_secs(1800);
         for (name, _) in CRATES {
             let begun = Instant::now();
-            if let Some(killer) = trial.tests(name, 0, most)? {
+            if let Some(killer) = trial.killing_test(name, 0, most)? {
                 bail!("{killer} fails without any mutant");
             }
-            trial.usual.insert(name.to_owned(), begun.elapsed());
+            trial.baseline.insert(name.to_owned(), begun.elapsed());
             println!("{name}: {:.1} s", begun.elapsed().as_secs_f64());
         }
         let begun = Instant::now();
-        ensure!(trial.worlds(0, most)?, "a world goes wrong without any mutant");
-        trial.usual.insert(WORLDS.to_owned(), begun.elapsed());
+        ensure!(trial.worlds_pass(0, most)?, "a world goes wrong without any mutant");
+        trial.baseline.insert(WORLDS.to_owned(), begun.elapsed());
         println!("{seeds} worlds: {:.1} s", begun.elapsed().as_secs_f64());
         Ok(trial)
     }
@@ -278,11 +283,11 @@ impl<'a> Trial<'a> {
     /// Runs one mutant and returns its verdict. Tests or worlds run first, whichever are faster.
     fn verdict(&self, number: usize, mutant: &Mutant) -> anyhow::Result<String> {
         let by_worlds = || -> anyhow::Result<Option<String>> {
-            let lives = self.worlds(number, self.most(WORLDS))?;
+            let lives = self.worlds_pass(number, self.time_limit(WORLDS))?;
             Ok((!lives).then(|| "the simulation".to_owned()))
         };
-        let by_tests = || self.tests(&mutant.package, number, self.most(&mutant.package));
-        let killer = if self.usual.get(WORLDS) < self.usual.get(&mutant.package) {
+        let by_tests = || self.killing_test(&mutant.package, number, self.time_limit(&mutant.package));
+        let killer = if self.baseline.get(WORLDS) < self.baseline.get(&mutant.package) {
             by_worlds()?.map_or_else(by_tests, |killer| Ok(Some(killer)))?
         } else {
             by_tests()?.map_or_else(by_worlds, |killer| Ok(Some(killer)))?
@@ -290,13 +295,13 @@ impl<'a> Trial<'a> {
         Ok(killer.map_or_else(|| "survived".into(), |killer| format!("killed by {killer}")))
     }
 
-    fn most(&self, name: &str) -> Duration {
-        let (times, more) = PATIENCE;
-        self.usual.get(name).copied().unwrap_or_default() * times + more
+    fn time_limit(&self, name: &str) -> Duration {
+        let (times, more) = TIME_LIMIT;
+        self.baseline.get(name).copied().unwrap_or_default() * times + more
     }
 
     /// Returns the test that detects the mutant.
-    fn tests(&self, package: &str, number: usize, most: Duration) -> anyhow::Result<Option<String>> {
+    fn killing_test(&self, package: &str, number: usize, most: Duration) -> anyhow::Result<Option<String>> {
         let Some((_, folder)) = CRATES.iter().find(|(name, _)| *name == package) else { return Ok(None) };
         let begun = Instant::now();
         for test in self.built.tests.get(package).into_iter().flatten() {
@@ -312,7 +317,7 @@ impl<'a> Trial<'a> {
         Ok(None)
     }
 
-    fn worlds(&self, number: usize, most: Duration) -> anyhow::Result<bool> {
+    fn worlds_pass(&self, number: usize, most: Duration) -> anyhow::Result<bool> {
         let mut command = Command::new(&self.built.simulation);
         command.args(["--processes", "1", "--twice-each", "0", "--seeds", &self.seeds.to_string()]);
         passes(&mut command, number, most)
@@ -357,7 +362,7 @@ fn read_explained(path: &Path) -> anyhow::Result<BTreeSet<String>> {
     Ok(text.lines().filter(|line| !line.starts_with([' ', '#']) && !line.is_empty()).map(str::to_owned).collect())
 }
 
-fn tell(verdicts: &Verdicts, explained: &BTreeSet<String>, keys: &[String], gone: usize) {
+fn print_summary(verdicts: &Verdicts, explained: &BTreeSet<String>, keys: &[String], gone: usize) {
     let mut sum: BTreeMap<&str, usize> = BTreeMap::new();
     for key in keys {
         let verdict = verdicts.get(key).map_or("not tried", String::as_str);

@@ -7,7 +7,7 @@ use proc_macro2::Span;
 use syn::spanned::Spanned as _;
 use syn::visit::{self, Visit};
 
-use crate::list::{Extent, Mutant, Place};
+use crate::list::{Extent, Mutant, Position};
 
 /// Code that is added to every woven crate. It tells whether the environment turns the switch of a given number on.
 pub const SWITCH: &str = "\npub(crate) mod mutant_switch {
@@ -21,11 +21,11 @@ pub const SWITCH: &str = "\npub(crate) mod mutant_switch {
 
 /// A woven text, with the byte ranges of its mutants.
 #[derive(Debug, Default)]
-pub struct Woven {
+pub struct WovenSource {
     pub text: String,
     pub origins: Vec<(Range<usize>, usize)>,
     /// Numbers of the mutants in the text.
-    pub within: Vec<usize>,
+    pub mutants: Vec<usize>,
 }
 
 /// A replacement of a part of the source.
@@ -45,17 +45,17 @@ enum Piece {
 
 /// Weaves the mutants of a file into its source. Skips mutants whose position is not found.
 /// - `mutants`: with their numbers, from 1.
-pub fn weave(source: &str, mutants: &[(usize, &Mutant)]) -> syn::Result<Woven> {
+pub fn weave(source: &str, mutants: &[(usize, &Mutant)]) -> syn::Result<WovenSource> {
     let file = syn::parse_file(source)?;
-    let mut found = Found::default();
-    found.visit_file(&file);
-    let edits: Vec<Edit> = mutants.iter().filter_map(|(number, mutant)| found.edit(source, *number, mutant)).collect();
-    let mut woven = Woven { within: edits.iter().map(|edit| edit.number).collect(), ..Woven::default() };
+    let mut sites = MutationSites::default();
+    sites.visit_file(&file);
+    let edits: Vec<Edit> = mutants.iter().filter_map(|(number, mutant)| sites.edit(source, *number, mutant)).collect();
+    let mut woven = WovenSource { mutants: edits.iter().map(|edit| edit.number).collect(), ..WovenSource::default() };
     woven.render(source, 0..source.len(), &edits.iter().collect::<Vec<_>>());
     Ok(woven)
 }
 
-impl Woven {
+impl WovenSource {
     fn render(&mut self, source: &str, at: Range<usize>, edits: &[&Edit]) {
         let mut from = at.start;
         // Outermost edits first. Of two edits at one position, one contains the other.
@@ -91,7 +91,7 @@ impl Woven {
 
 /// Parts of a file that can be mutated, by position.
 #[derive(Debug, Default)]
-struct Found {
+struct MutationSites {
     /// Bodies of functions, except functions that return `impl Trait`: only their body knows the type.
     bodies: Vec<Range<usize>>,
     /// Left operand, right operand and whole expression, by position of the operator.
@@ -105,11 +105,11 @@ struct Found {
     fields: BTreeMap<usize, [Range<usize>; 2]>,
 }
 
-fn bytes(span: Span) -> Range<usize> {
+fn byte_range(span: Span) -> Range<usize> {
     span.byte_range()
 }
 
-impl<'ast> Visit<'ast> for Found {
+impl<'ast> Visit<'ast> for MutationSites {
     fn visit_item_fn(&mut self, item: &'ast syn::ItemFn) {
         self.body(&item.sig, &item.block);
         visit::visit_item_fn(self, item);
@@ -128,23 +128,23 @@ impl<'ast> Visit<'ast> for Found {
     fn visit_expr_binary(&mut self, expr: &'ast syn::ExprBinary) {
         // A condition that contains `let` cannot be put into parentheses.
         if !has_let(&expr.left) && !has_let(&expr.right) {
-            let parts = [expr.left.span(), expr.right.span(), expr.span()].map(bytes);
-            self.binary.insert(bytes(expr.op.span()).start, parts);
+            let parts = [expr.left.span(), expr.right.span(), expr.span()].map(byte_range);
+            self.binary.insert(byte_range(expr.op.span()).start, parts);
         }
         visit::visit_expr_binary(self, expr);
     }
 
     fn visit_expr_unary(&mut self, expr: &'ast syn::ExprUnary) {
-        self.unary.insert(bytes(expr.op.span()).start, [expr.expr.span(), expr.span()].map(bytes));
+        self.unary.insert(byte_range(expr.op.span()).start, [expr.expr.span(), expr.span()].map(byte_range));
         visit::visit_expr_unary(self, expr);
     }
 
     fn visit_arm(&mut self, arm: &'ast syn::Arm) {
         let guard = arm.guard.as_ref().map(|(_, guard)| guard);
         if guard.is_none_or(|guard| !has_let(guard)) {
-            let guard = guard.map(|guard| bytes(guard.span()));
+            let guard = guard.map(|guard| byte_range(guard.span()));
             self.guards.extend(guard.clone());
-            self.arms.insert(bytes(arm.span()).start, (bytes(arm.pat.span()), guard));
+            self.arms.insert(byte_range(arm.span()).start, (byte_range(arm.pat.span()), guard));
         }
         visit::visit_arm(self, arm);
     }
@@ -152,9 +152,9 @@ impl<'ast> Visit<'ast> for Found {
     fn visit_expr_struct(&mut self, expr: &'ast syn::ExprStruct) {
         if expr.rest.is_some() {
             for pair in expr.fields.pairs() {
-                let field = bytes(pair.value().span());
-                let end = pair.punct().map_or(field.end, |comma| bytes(comma.span()).end);
-                self.fields.insert(field.start, [field.start..end, bytes(expr.span())]);
+                let field = byte_range(pair.value().span());
+                let end = pair.punct().map_or(field.end, |comma| byte_range(comma.span()).end);
+                self.fields.insert(field.start, [field.start..end, byte_range(expr.span())]);
             }
         }
         visit::visit_expr_struct(self, expr);
@@ -169,16 +169,16 @@ fn has_let(expr: &syn::Expr) -> bool {
     }
 }
 
-impl Found {
+impl MutationSites {
     fn body(&mut self, signature: &syn::Signature, block: &syn::Block) {
         if !matches!(&signature.output, syn::ReturnType::Type(_, of) if matches!(**of, syn::Type::ImplTrait(_))) {
-            self.bodies.push(bytes(block.span()));
+            self.bodies.push(byte_range(block.span()));
         }
     }
 
     fn edit(&self, source: &str, number: usize, mutant: &Mutant) -> Option<Edit> {
         let Extent { start, end } = mutant.extent;
-        let (start, end) = (byte(source, start)?, byte(source, end)?);
+        let (start, end) = (byte_offset(source, start)?, byte_offset(source, end)?);
         let on = format!("crate::mutant_switch::on({number})");
         let new = |text: String| Piece::New(text);
         let replacement = &mutant.replacement;
@@ -186,7 +186,7 @@ impl Found {
             "FnValue" => {
                 // The extent covers the body with or without its braces.
                 let body = self.bodies.iter().filter(|body| body.start <= start && end <= body.end);
-                let body = body.min_by_key(|body| body.len()).filter(|body| is_all(source, body, start..end))?;
+                let body = body.min_by_key(|body| body.len()).filter(|body| is_whole_body(source, body, start..end))?;
                 let first = body.start + 1;
                 (first..first, vec![new(format!(" if {on} {{ return {replacement}; }} "))])
             }
@@ -252,17 +252,17 @@ impl Found {
 }
 
 /// Checks whether this part of a body is everything between its braces.
-fn is_all(source: &str, body: &Range<usize>, part: Range<usize>) -> bool {
+fn is_whole_body(source: &str, body: &Range<usize>, part: Range<usize>) -> bool {
     let rest = [source.get(body.start + 1..part.start), source.get(part.end..body.end - 1)];
     rest.iter().all(|rest| rest.is_none_or(|rest| rest.trim().is_empty() || rest.trim_start().starts_with("//")))
 }
 
 /// Converts a position to a byte offset. Columns count characters from 1.
-fn byte(source: &str, place: Place) -> Option<usize> {
-    let start = match place.line {
+fn byte_offset(source: &str, position: Position) -> Option<usize> {
+    let start = match position.line {
         1 => 0,
         line => source.match_indices('\n').nth(line - 2)?.0 + 1,
     };
-    let offset: usize = source[start..].chars().take(place.column - 1).map(char::len_utf8).sum();
+    let offset: usize = source[start..].chars().take(position.column - 1).map(char::len_utf8).sum();
     Some(start + offset)
 }

@@ -5,15 +5,15 @@ use std::time::Duration;
 use femc_schedule::{Config, Scheduler, SnapshotError};
 use serde::Serialize;
 
-use super::book::Book;
+use super::audit_queue::AuditQueue;
 use crate::audit::Violation;
+use crate::faulty_medium::FaultyMedium;
 use crate::shared::Shared;
-use crate::shelf::Shelf;
 
 /// Permitted increase from the first to the second half of the measurements, in percent.
 const TOLERANCE: u64 = 5;
 /// Shortest run whose growth is checked.
-const LEAST: Duration = Duration::from_secs(4 * 3600);
+const MIN_TIME: Duration = Duration::from_secs(4 * 3600);
 
 /// One measurement.
 #[derive(Debug, Clone, Serialize)]
@@ -50,20 +50,20 @@ impl Gauge {
         now: Duration,
         real: Duration,
         shared: &Shared,
-        shelf: &Shelf,
-        book: &Book,
+        medium: &FaultyMedium,
+        audit_queue: &AuditQueue,
     ) -> Result<Self, SnapshotError> {
         let state = shared.lock();
         let contents = &state.disk.contents;
         let ledger = state.disk.ledger()?;
         let then = ledger.now();
-        let (artifacts, artifact_bytes) = shelf.volume();
+        let (artifacts, artifact_bytes) = medium.volume();
         Ok(Self {
             hours: now.as_secs_f64() / 3600.0,
             seconds: real.as_secs_f64(),
             resident_bytes: resident_bytes(),
-            ends: state.ends as u64,
-            jobs_ended: book.jobs(),
+            ends: state.connection_ends as u64,
+            jobs_ended: audit_queue.ended_jobs(),
             jobs_kept: Scheduler::new(Config::default(), ledger).0.jobs(then).len() as u64,
             log_bytes: contents.snapshot.iter().chain(&contents.records).map(|bytes| bytes.len() as u64).sum(),
             snapshots: state.disk.snapshots,
@@ -91,12 +91,12 @@ const STEADY: [(&str, Reading, u64); 5] = [
 /// fills up then.
 pub(super) fn growth(gauges: &[Gauge], time: Duration) -> Vec<Violation> {
     let gauges = &gauges[gauges.len().div_ceil(8)..];
-    if time < LEAST || gauges.len() < 4 {
+    if time < MIN_TIME || gauges.len() < 4 {
         return Vec::new();
     }
     let (first, second) = gauges.split_at(gauges.len() / 2);
-    let grown = |&(what, of, slack): &(&'static str, fn(&Gauge) -> u64, u64)| {
-        let mean = |half: &[Gauge]| half.iter().map(of).sum::<u64>() / half.len() as u64;
+    let grown = |&(what, reading, slack): &(&'static str, fn(&Gauge) -> u64, u64)| {
+        let mean = |half: &[Gauge]| half.iter().map(reading).sum::<u64>() / half.len() as u64;
         let (before, after) = (mean(first), mean(second));
         (after > before + before * TOLERANCE / 100 + slack).then_some(Violation::Growth { what, before, after })
     };

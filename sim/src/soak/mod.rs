@@ -3,7 +3,7 @@
 //!
 //! A job is audited some minutes after its end. Then all its data is dropped, except that the log must not mention it any more.
 
-mod book;
+mod audit_queue;
 mod gauge;
 mod people;
 
@@ -14,14 +14,14 @@ use femc_schedule::Config;
 use serde::Serialize;
 
 use crate::audit::Violation;
-use crate::faults::Planned;
+use crate::fault_injector::FaultInjector;
+use crate::faults::FaultPlan;
+use crate::faulty_medium::FaultyMedium;
 use crate::hosts;
 use crate::shared::Shared;
-use crate::shelf::Shelf;
-use crate::stage;
-use crate::weather::Weather;
-use crate::world::{Tells, line_up};
-use book::Book;
+use crate::test_jobs;
+use crate::world::{RunDetail, align_task_ids};
+use audit_queue::AuditQueue;
 pub use gauge::Gauge;
 
 /// Step of the simulated time. Most of the real time is spent on steps in which nothing happens.
@@ -29,9 +29,9 @@ const TICK: Duration = Duration::from_millis(20);
 /// Time from the start of one storm to the next. The second half is quiet, so that jobs end.
 const CYCLE: Duration = Duration::from_secs(60);
 /// Time after which an ended job expires.
-const KEEP: Duration = Duration::from_secs(600);
+const KEEP_ENDED: Duration = Duration::from_secs(600);
 /// Time limit for the last jobs after people stop submitting.
-const LAST: Duration = Duration::from_secs(3600);
+const FINAL_LIMIT: Duration = Duration::from_secs(3600);
 /// Number of measurements.
 const GAUGES: u32 = 24;
 
@@ -43,12 +43,12 @@ pub struct Soak {
     /// Simulated time for which people submit jobs.
     pub time: Duration,
     /// Tells whether all messages are kept, which takes memory.
-    pub tells: Tells,
+    pub detail: RunDetail,
 }
 
 /// Result of a long run.
 #[derive(Debug, Clone, Serialize)]
-pub struct Soaked {
+pub struct SoakReport {
     /// Violations that occurred.
     pub violations: Vec<String>,
     /// Measurements, oldest first.
@@ -69,55 +69,55 @@ pub struct Soaked {
 }
 
 impl Soak {
-    /// Runs until the end or the first violation. Calls `see` with each measurement.
-    pub fn run(&self, mut see: impl FnMut(&Gauge)) -> anyhow::Result<Soaked> {
-        line_up()?;
+    /// Runs until the end or the first violation. Calls `on_gauge` with each measurement.
+    pub fn run(&self, mut on_gauge: impl FnMut(&Gauge)) -> anyhow::Result<SoakReport> {
+        align_task_ids()?;
         let begun = Instant::now();
-        let shared = Shared::new(self.seed, self.tells == Tells::Story);
-        let (shelf, book) = (Shelf::new(&shared), Book::default());
-        let config = Config { keep_ended: Some(KEEP.as_millis() as u64), ..stage::cut() };
-        shared.lock().chronicle.keep_ended = config.keep_ended;
-        let mut sim = hosts::settle(self.seed, [TICK, self.time + LAST], &shared, &shelf, &config);
+        let shared = Shared::new(self.seed, self.detail == RunDetail::Story);
+        let (medium, audit_queue) = (FaultyMedium::new(&shared), AuditQueue::default());
+        let config = Config { keep_ended: Some(KEEP_ENDED.as_millis() as u64), ..test_jobs::chunked_config() };
+        shared.lock().history.keep_ended = config.keep_ended;
+        let mut sim = hosts::build_sim(self.seed, [TICK, self.time + FINAL_LIMIT], &shared, &medium, &config);
         for number in 0..people::PERSONS {
             sim.client(
                 people::name(number),
-                people::person(*self, number, shared.clone(), shelf.clone(), book.clone()),
+                people::person(*self, number, shared.clone(), medium.clone(), audit_queue.clone()),
             );
         }
         sim.client("operator", people::operator(*self, shared.clone()));
-        let (mut weather, mut storms, mut gauges) = (Weather::default(), 0, Vec::new());
+        let (mut injector, mut storms, mut gauges) = (FaultInjector::default(), 0, Vec::new());
         let broken = loop {
             match sim.step() {
                 Ok(true) => break None,
                 Ok(false) => {}
-                Err(error) => break Some(Violation::World(error.to_string())),
+                Err(error) => break Some(Violation::Simulation(error.to_string())),
             }
             let now = sim.elapsed();
-            weather.pass(&mut sim, &shared, &shelf);
+            injector.run_due(&mut sim, &shared, &medium);
             if now >= CYCLE * storms && now < self.time {
-                weather.storm(now, &Planned::storm(self.storm(storms)), &shared);
-                book.settle(&shared, now);
+                injector.schedule(now, &FaultPlan::storm(self.storm(storms)), &shared);
+                audit_queue.audit_due(&shared, now);
                 storms += 1;
             }
             if now >= self.time / GAUGES * gauges.len() as u32 && gauges.len() <= GAUGES as usize {
-                let gauge = Gauge::read(now, begun.elapsed(), &shared, &shelf, &book)?;
-                see(&gauge);
+                let gauge = Gauge::read(now, begun.elapsed(), &shared, &medium, &audit_queue)?;
+                on_gauge(&gauge);
                 gauges.push(gauge);
             }
-            if !shared.lock().wrong.is_empty() {
+            if !shared.lock().violations.is_empty() {
                 break None;
             }
         };
-        book.settle(&shared, Duration::MAX);
+        audit_queue.audit_due(&shared, Duration::MAX);
         let state = shared.lock();
         let grown = gauge::growth(&gauges, self.time);
-        let violations = state.wrong.iter().cloned().chain(broken).chain(grown);
-        Ok(Soaked {
+        let violations = state.violations.iter().cloned().chain(broken).chain(grown);
+        Ok(SoakReport {
             violations: violations.map(|violation| violation.to_string()).collect(),
             gauges,
             counts: state.counts.clone(),
             fired: state.fired.clone(),
-            longest_log: state.disk.longest,
+            longest_log: state.disk.max_records,
             seconds: sim.elapsed().as_secs_f64(),
             trace: state.trace.finalize().to_hex().to_string(),
             story: state.story.clone().unwrap_or_default(),

@@ -4,28 +4,28 @@ use std::collections::BTreeMap;
 
 use std::time::Duration;
 
-use femc_sim::{Planned, Soak, Tells, run};
+use femc_sim::{FaultPlan, RunDetail, Soak, run_world};
 
 /// Runs a few seeds that .ci/run does not run; `cargo run --release -p femc-sim -- --seeds 200` runs more.
 #[test]
 fn some_worlds_lose_nothing_count_nothing_twice_and_come_again() {
-    let outcome = run(1, &Planned::default(), Tells::Outcome).unwrap();
+    let outcome = run_world(1, &FaultPlan::default(), RunDetail::Outcome).unwrap();
     assert_eq!(outcome.violations, [], "a world without faults");
     assert!(outcome.seconds < 60.0, "it is quick: {} s", outcome.seconds);
 
     let mut fired: BTreeMap<&str, u32> = BTreeMap::new();
     // Number of worlds in which each action occurred.
-    let mut deeds: BTreeMap<&str, u32> = BTreeMap::new();
+    let mut actions: BTreeMap<&str, u32> = BTreeMap::new();
     let (mut wrong, mut shared) = (Vec::new(), 0);
     // In the last world one worker is alone and all tasks fail on it.
     for seed in (1000..1008).chain([1010]) {
-        let outcome = run(seed, &Planned::of(seed), Tells::Outcome).unwrap();
+        let outcome = run_world(seed, &FaultPlan::from_seed(seed), RunDetail::Outcome).unwrap();
         outcome.fired.iter().for_each(|(fault, times)| *fired.entry(fault).or_default() += times);
-        outcome.counts.keys().for_each(|deed| *deeds.entry(deed).or_default() += 1);
+        outcome.counts.keys().for_each(|deed| *actions.entry(deed).or_default() += 1);
         shared += outcome.counts.get("shared stages begun").copied().unwrap_or(0);
         wrong.extend(outcome.violations.into_iter().map(|violation| (seed, violation)));
         if seed == 1003 {
-            let again = run(seed, &Planned::of(seed), Tells::Outcome).unwrap();
+            let again = run_world(seed, &FaultPlan::from_seed(seed), RunDetail::Outcome).unwrap();
             assert_eq!(outcome.trace, again.trace, "seed {seed}");
         }
     }
@@ -38,12 +38,12 @@ fn some_worlds_lose_nothing_count_nothing_twice_and_come_again() {
         ("pauses of lone sick workers", 1),
         ("tasks given back by drained workers", 2),
     ];
-    for (deed, least) in queues {
-        let worlds = deeds.get(deed).copied().unwrap_or(0);
-        assert!(worlds >= least, "{deed}: in {worlds} worlds of {least} at least");
+    for (action, least) in queues {
+        let worlds = actions.get(action).copied().unwrap_or(0);
+        assert!(worlds >= least, "{action}: in {worlds} worlds of {least} at least");
     }
 
-    let soak = Soak { seed: 1, time: Duration::from_secs(120), tells: Tells::Outcome };
+    let soak = Soak { seed: 1, time: Duration::from_secs(120), detail: RunDetail::Outcome };
     let [first, again] = [(); 2].map(|()| soak.run(|_| {}).unwrap());
     assert_eq!(first.violations, [""; 0]);
     assert!(first.counts["done"] > 5 && !first.fired.is_empty(), "{:?}", first.counts);

@@ -14,7 +14,7 @@ pub const VARIABLE: &str = "FEMC_REQUIRE";
 
 /// A prerequisite that some machines lack.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Need {
+pub enum Prerequisite {
     /// A PostgreSQL server that speaks TLS; `tests/postgres` starts one.
     Postgres,
     /// An S3 server; `tests/s3` starts one.
@@ -34,12 +34,12 @@ pub enum Need {
 /// An unknown word in [`VARIABLE`].
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{VARIABLE} names `{0}`, which is none of postgres, s3, python, refs, curl, python3, node")]
-pub struct UnknownNeed(String);
+pub struct UnknownPrerequisite(String);
 
-impl Need {
+impl Prerequisite {
     const ALL: [Self; 7] = [Self::Postgres, Self::S3, Self::Python, Self::Refs, Self::Curl, Self::Python3, Self::Node];
 
-    fn word(self) -> &'static str {
+    fn name(self) -> &'static str {
         match self {
             Self::Postgres => "postgres",
             Self::S3 => "s3",
@@ -66,53 +66,53 @@ impl Need {
         found
     }
 
-    /// Checks whether the program of this name runs; see [`Need::or_skip`].
-    pub fn program(self) -> bool {
-        let ran = std::process::Command::new(self.word()).arg("--version").output();
+    /// Checks whether the program of this name runs; see [`Prerequisite::or_skip`].
+    pub fn has_program(self) -> bool {
+        let ran = std::process::Command::new(self.name()).arg("--version").output();
         let found = ran.ok().filter(|ran| ran.status.success());
         self.or_skip(found, &format!("{self} is not installed")).is_some()
     }
 
-    /// Returns the value of a variable that the script `tests/<need>` sets; see [`Need::or_skip`].
-    pub fn variable(self, name: &str) -> Option<String> {
+    /// Returns the value of a variable that the script `tests/<need>` sets; see [`Prerequisite::or_skip`].
+    pub fn variable_or_skip(self, name: &str) -> Option<String> {
         self.or_skip(std::env::var(name).ok(), &format!("{name} is not set (tests/{self} sets it)"))
     }
 }
 
-impl fmt::Display for Need {
+impl fmt::Display for Prerequisite {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.word())
+        f.write_str(self.name())
     }
 }
 
-impl FromStr for Need {
-    type Err = UnknownNeed;
+impl FromStr for Prerequisite {
+    type Err = UnknownPrerequisite;
 
-    fn from_str(word: &str) -> Result<Self, UnknownNeed> {
-        Self::ALL.into_iter().find(|need| need.word() == word).ok_or_else(|| UnknownNeed(word.to_owned()))
+    fn from_str(word: &str) -> Result<Self, UnknownPrerequisite> {
+        Self::ALL.into_iter().find(|need| need.name() == word).ok_or_else(|| UnknownPrerequisite(word.to_owned()))
     }
 }
 
 /// Parses a comma-separated list of needs. The list may be empty.
-fn parse(list: &str) -> Result<Vec<Need>, UnknownNeed> {
+fn parse(list: &str) -> Result<Vec<Prerequisite>, UnknownPrerequisite> {
     list.split(',').map(str::trim).filter(|word| !word.is_empty()).map(str::parse).collect()
 }
 
-/// Returns a folder of `../shared`, beside the checkout; see [`Need::or_skip`].
-pub fn shared(folder: &str) -> Option<PathBuf> {
+/// Returns a folder of `../shared`, beside the checkout; see [`Prerequisite::or_skip`].
+pub fn shared_folder(folder: &str) -> Option<PathBuf> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared").join(folder);
     let absent = format!("{} is not there", path.display());
-    Need::Refs.or_skip(path.is_dir().then_some(path), &absent)
+    Prerequisite::Refs.or_skip(path.is_dir().then_some(path), &absent)
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{Need, parse};
+    use super::{Prerequisite, parse};
 
     #[test]
     fn a_list_is_its_words() {
-        assert_eq!(parse("s3,postgres, refs"), Ok(vec![Need::S3, Need::Postgres, Need::Refs]));
-        assert_eq!(parse("postgres,s3,python,refs,curl,python3,node"), Ok(Need::ALL.to_vec()));
+        assert_eq!(parse("s3,postgres, refs"), Ok(vec![Prerequisite::S3, Prerequisite::Postgres, Prerequisite::Refs]));
+        assert_eq!(parse("postgres,s3,python,refs,curl,python3,node"), Ok(Prerequisite::ALL.to_vec()));
         assert_eq!(parse(""), Ok(vec![]));
     }
 

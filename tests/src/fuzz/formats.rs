@@ -5,29 +5,31 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 
 use bytes::Bytes;
-use femc_field::{FogCell, FogTree, Line};
-use femc_film::tile::OPEN;
+use femc_field::{FogCell, FogLine, FogTree};
+use femc_film::tile::NONE_HELD;
 use femc_film::{
-    BesidePiece, BesideTile, Errors, FeatureLayout, FeatureSums, FeatureTile, Frame, LayerPiece, LayerTile, Levels,
-    LightBuffer, Piece, Rect, Sample, TakenLight, Tile, Tiling,
+    AovPiece, AovTile, ErrorStatistics, FeatureLayout, FeatureSums, FeatureTile, Frame, ImagePiece, LayerPiece,
+    LayerSetLight, LayerTile, LightBuffer, LuminanceLevels, Rect, Sample, Tile, Tiling,
 };
 use femc_geometry::Hit;
 use femc_import::Bundle;
 use femc_math::Rgb;
 use femc_math::glam::Vec3A;
 use femc_model::{
-    Artifact, Assignment, AttemptRecord, Control, Cut, Digest, Drain, Ending, Epoch, Grid, JobId, JobNotes, JobSpec,
-    Manifest, More, Output, Role, Stage, StageKind, TaskKey, TaskResult, Tick, Work, testing::frames,
+    Artifact, Assignment, AttemptRecord, ChunkSize, Control, Digest, Drain, Epoch, Grid, JobId, JobNotes, JobSpec,
+    LeaseEnding, Manifest, NextRound, Output, Role, Stage, StageKind, TaskKey, TaskResult, TaskSpec, Tick,
+    testing::frame_graph,
 };
 use femc_pipeline::paths::histogram::{Histograms, Table};
-use femc_pipeline::paths::{Frames, Statistics};
-use femc_pipeline::radiosity::Options;
+use femc_pipeline::paths::{FrameStatistics, LightStatistics};
+use femc_pipeline::radiosity::SolveOptions;
 use femc_pipeline::{
-    Field, Found, Layer, LayerPlan, Prepared, Preset, Settings, Side, Sights, Source, StatisticsPlan, Stop, Underway,
-    encode_solution, first_pass as first_pass_of, prepare_world, render_with_layers, render_with_statistics,
+    BlockGuides, Field, Layer, LayerPlan, Prepared, Preset, RayHits, SceneSource, Settings, Side, SolverState,
+    StatisticsPlan, StopCondition, encode_solution, prepare_world, render_with_layers, render_with_statistics,
+    solve_first_pass,
 };
 use femc_schedule::{Fact, Ledger, decode_attempts, encode_attempts};
-use femc_stylize::{Brushwork, Example, Planes};
+use femc_stylize::{Brushwork, ChannelImage, Example};
 use femc_worker::{Parcel, decode_sums, testing};
 
 use super::Target;
@@ -39,7 +41,7 @@ pub(super) fn targets() -> Vec<Target> {
     let mut all = scenes();
     all.extend(film());
     all.extend(layers());
-    all.extend(beside());
+    all.extend(aov_targets());
     all.extend(brushwork());
     all.extend(first_pass());
     all.extend(paths());
@@ -48,7 +50,7 @@ pub(super) fn targets() -> Vec<Target> {
 }
 
 fn brushwork() -> Vec<Target> {
-    let style = Planes::new(8, 6, 3, (0..144).map(|at| at as f32 / 144.0).collect()).expect("an image");
+    let style = ChannelImage::new(8, 6, 3, (0..144).map(|at| at as f32 / 144.0).collect()).expect("an image");
     let (example, target) = (Example { style: &style, guides: &style }, style.clone());
     let painted = femc_stylize::stylize(example, &target, None, &Default::default(), None, &()).expect("a picture");
     let (motion, depth) = ([&[0.5f32; 48][..], &[-1.0; 48]], [2.0f32; 48]);
@@ -58,14 +60,15 @@ fn brushwork() -> Vec<Target> {
         let Ok(brushwork) = Brushwork::decode(bytes) else { return false };
         let again = brushwork.encode();
         assert!(Brushwork::decode(&again).is_ok_and(|twice| twice.encode() == again));
-        !matches!(brushwork.before(&style), Some(Err(_)))
+        !matches!(brushwork.reproject(&style), Some(Err(_)))
     };
     let front = seeds[0][..12].to_vec();
     let payloads = seeds.iter().map(|seed| zstd::bulk::decompress(&seed[12..], 1 << 20).expect("compressed")).collect();
-    let dress = move |payload: &[u8]| [&front[..], &zstd::bulk::compress(payload, 1).expect("it compresses")].concat();
+    let add_envelope =
+        move |payload: &[u8]| [&front[..], &zstd::bulk::compress(payload, 1).expect("it compresses")].concat();
     vec![
-        Target::of("brushwork", seeds.to_vec(), accepts.clone()),
-        Target::dressed("brushwork, inside", payloads, dress, accepts),
+        Target::new("brushwork", seeds.to_vec(), accepts.clone()),
+        Target::with_envelope("brushwork, inside", payloads, add_envelope, accepts),
     ]
 }
 
@@ -79,49 +82,63 @@ fn scenes() -> Vec<Target> {
     let encoded = bundle().encode().expect("a bundle");
     let payload = zstd::bulk::decompress(&encoded[20..], 1 << 20).expect("what was compressed");
     let front = encoded[..12].to_vec();
-    let dress = move |payload: &[u8]| {
+    let add_envelope = move |payload: &[u8]| {
         let compressed = zstd::bulk::compress(payload, 1).expect("it compresses");
         [&front[..], &(payload.len() as u64).to_le_bytes(), &compressed].concat()
     };
     let accepts = |bytes: &[u8]| {
         let decoded = Bundle::decode(bytes, LIMIT);
         // An accepted bundle must stay inside its folder, and must encode again.
-        decoded.is_ok_and(|bundle| bundle.0.keys().all(|name| stays_below(name)) && bundle.encode().is_ok())
+        decoded.is_ok_and(|bundle| bundle.0.keys().all(|name| is_inside_folder(name)) && bundle.encode().is_ok())
     };
     let manifest = Manifest::decode(&parcel.manifest).expect("a manifest");
     let (of_pieces, of_manifests) = (manifest.clone(), parcel.pieces.clone());
     vec![
-        Target::of("bundle", vec![encoded], accepts),
-        Target::dressed("bundle, inside", vec![payload], dress, accepts),
-        Target::of("manifest", vec![parcel.manifest.to_vec()], move |bytes| {
+        Target::new("bundle", vec![encoded], accepts),
+        Target::with_envelope("bundle, inside", vec![payload], add_envelope, accepts),
+        Target::new("manifest", vec![parcel.manifest.to_vec()], move |bytes| {
             let Ok(manifest) = Manifest::decode(bytes) else { return false };
-            assert!(manifest.files.keys().all(|name| stays_below(name)));
+            assert!(manifest.files.keys().all(|name| is_inside_folder(name)));
             assert_eq!(manifest.encode().as_deref(), Ok(bytes), "one encoding for one content");
             testing::is_scene(&manifest, &of_manifests)
         }),
-        Target::of("piece of a scene", parcel.pieces.iter().map(|piece| piece.to_vec()).collect(), move |bytes| {
+        Target::new("piece of a scene", parcel.pieces.iter().map(|piece| piece.to_vec()).collect(), move |bytes| {
             let mut pieces: Vec<Bytes> = parcel.pieces.clone();
             pieces[0] = Bytes::copy_from_slice(bytes);
             testing::is_scene(&of_pieces, &pieces)
         }),
-        Target::of("kept result", vec![b"FEMCDONE\x06\0\0\0".to_vec()], testing::is_kept_result),
-        Target::dressed("kept result, inside", vec![kept_body()], kept, testing::is_kept_result),
+        Target::new("kept result", vec![b"FEMCDONE\x06\0\0\0".to_vec()], testing::is_stored_result),
+        Target::with_envelope(
+            "kept result, inside",
+            vec![result_body()],
+            with_result_header,
+            testing::is_stored_result,
+        ),
     ]
 }
 
 /// Adds the header of a kept result to a body.
-fn kept(body: &[u8]) -> Vec<u8> {
-    [b"FEMCDONE\x06\0\0\0", &Digest::of(body).as_bytes()[..], body].concat()
+fn with_result_header(body: &[u8]) -> Vec<u8> {
+    [b"FEMCDONE\x06\0\0\0", &Digest::compute(body).as_bytes()[..], body].concat()
 }
 
 /// Returns the kept result of a tile of three bytes.
-fn kept_body() -> Vec<u8> {
-    let tile = Artifact::of(b"abc");
+fn result_body() -> Vec<u8> {
+    let tile = Artifact::from_bytes(b"abc");
     let outputs = vec![Output { role: Role::Tile, artifact: tile }];
     let result = TaskResult { outputs, units: 256, seconds: 0.5, ..TaskResult::default() };
-    let (inputs, taken, more) = (vec![], [4, 8].into_iter().collect(), More::Last);
-    let work = Work { item: 3, steps: 0..4, inputs, hints: Vec::new(), taken, more, elapsed: 0, busy_seconds: 0.0 };
-    let assignment = Assignment { task: task(), epoch: Epoch(7), lease: 4500, copy_of: None, work };
+    let (inputs, taken, more) = (vec![], [4, 8].into_iter().collect(), NextRound::Impossible);
+    let work = TaskSpec {
+        item: 3,
+        steps: 0..4,
+        inputs,
+        hints: Vec::new(),
+        steps_taken: taken,
+        next_round: more,
+        elapsed: 0,
+        busy_seconds: 0.0,
+    };
+    let assignment = Assignment { task: task(), epoch: Epoch(7), lease: 4500, copy_of: None, spec: work };
     let head = postcard::to_stdvec(&(assignment, spec(), result, vec![3u64])).expect("a head");
     [&(head.len() as u64).to_le_bytes()[..], &head, b"abc"].concat()
 }
@@ -133,12 +150,12 @@ fn task() -> TaskKey {
 fn spec() -> JobSpec {
     JobSpec {
         name: "fog".into(),
-        bundle: Digest::of(b"scene"),
+        bundle: Digest::compute(b"scene"),
         entry: "fog.mgf".into(),
         settings: "{}".into(),
         frames: vec![1, 2, 5],
         grid: Grid { film: [64, 64], tile: 16 },
-        graph: frames(Grid { film: [64, 64], tile: 16 }.sizes(), &[4, 8], 4),
+        graph: frame_graph(Grid { film: [64, 64], tile: 16 }.sizes(), &[4, 8], 4),
         contents: vec![],
         priority: 50,
         owner: "ann".into(),
@@ -151,7 +168,7 @@ fn spec() -> JobSpec {
 ///
 /// # Panics
 /// If the path leads elsewhere.
-fn stays_below(name: &str) -> bool {
+fn is_inside_folder(name: &str) -> bool {
     let is_odd = |part: &str| matches!(part, "" | "." | "..");
     assert!(!name.split('/').any(is_odd) && !name.contains(['\\', '\0']), "{name:?} leaves the folder");
     true
@@ -169,62 +186,63 @@ fn film() -> Vec<Target> {
         tiles.push(tile.encode());
         frame.insert(tile).expect("its place");
     }
-    let piece = Piece::of(&frame, 0..2).expect("a piece").encode();
-    let errors = Errors::of(&frame, 0..2).expect("errors").encode();
+    let piece = ImagePiece::from_frame(&frame, 0..2).expect("a piece").encode();
+    let errors = ErrorStatistics::from_frame(&frame, 0..2).expect("errors").encode();
     let mut sums = b"FEMCSUMS\x01\0\0\0\x02\0\0\0".to_vec();
     for tile in &tiles {
         sums.extend((tile.len() as u64).to_le_bytes());
         sums.extend(tile);
     }
     let thumbnail = frame.tile(0).expect("it is there").thumbnail().encode_thumbnail();
-    let levels = Levels::default().encode();
+    let levels = LuminanceLevels::default().encode();
     let is_tile = |bytes: &[u8]| {
         let Ok(tile) = Tile::decode(bytes) else { return false };
         assert!(Tile::decode(&tile.encode()).is_ok_and(|again| again == tile));
         true
     };
-    let is_piece = |bytes: &[u8]| Piece::decode(bytes).is_ok();
+    let is_piece = |bytes: &[u8]| ImagePiece::decode(bytes).is_ok();
     let are_errors = |bytes: &[u8]| {
-        let Ok(errors) = Errors::decode(bytes) else { return false };
-        assert!(Errors::decode(&errors.encode()).is_ok_and(|again| again == errors));
+        let Ok(errors) = ErrorStatistics::decode(bytes) else { return false };
+        assert!(ErrorStatistics::decode(&errors.encode()).is_ok_and(|again| again == errors));
         true
     };
     vec![
-        Target::of("tile", tiles.clone(), is_tile),
-        Target::dressed("tile, inside", tiles, sealed, is_tile),
-        Target::of("piece", vec![piece.clone()], is_piece),
-        Target::dressed("piece, inside", vec![piece], sealed, is_piece),
-        Target::of("errors", vec![errors.clone()], are_errors),
-        Target::dressed("errors, inside", vec![errors], sealed, are_errors),
-        Target::of("thumbnail", vec![thumbnail], |bytes| Tile::decode_thumbnail(bytes).is_ok()),
-        Target::of("levels", vec![levels], |bytes| Levels::decode(bytes).is_ok()),
-        Target::of("sums", vec![sums], |bytes| decode_sums(bytes).is_ok()),
+        Target::new("tile", tiles.clone(), is_tile),
+        Target::with_envelope("tile, inside", tiles, with_checksum, is_tile),
+        Target::new("piece", vec![piece.clone()], is_piece),
+        Target::with_envelope("piece, inside", vec![piece], with_checksum, is_piece),
+        Target::new("errors", vec![errors.clone()], are_errors),
+        Target::with_envelope("errors, inside", vec![errors], with_checksum, are_errors),
+        Target::new("thumbnail", vec![thumbnail], |bytes| Tile::decode_thumbnail(bytes).is_ok()),
+        Target::new("levels", vec![levels], |bytes| LuminanceLevels::decode(bytes).is_ok()),
+        Target::new("sums", vec![sums], |bytes| decode_sums(bytes).is_ok()),
     ]
 }
 
 /// Targets for layers of a tile of a foggy floor: sums, resolved layers, and layer expressions.
 fn layers() -> Vec<Target> {
-    let asked: Vec<Layer> = [Preset::Guides, Preset::Direct, Preset::Fog]
+    let requested_layers: Vec<Layer> = [Preset::Guides, Preset::Direct, Preset::Fog]
         .into_iter()
         .flat_map(|preset| preset.layers([]).expect("layers without lamps"))
         .chain([Layer::new("floor", "C<RD'floor'>[^D]*(<L.['lamp''lamp/lamp']>|O)?")])
         .collect();
-    let settings = Settings { stop: Stop::Spp(3), layers: asked.clone(), ..Settings::default() };
-    let prepared = prepare_world(&Source::new(crate::scene(FLOOR)), &settings, 1, None).expect("a frame");
-    let (plan, rect) = (LayerPlan::of(&prepared, &settings).expect("a plan"), Rect { x: 4, y: 0, width: 4, height: 4 });
+    let settings = Settings { stop: StopCondition::Spp(3), layers: requested_layers.clone(), ..Settings::default() };
+    let prepared = prepare_world(&SceneSource::new(crate::parse_scene(FLOOR)), &settings, 1, None).expect("a frame");
+    let (plan, rect) =
+        (LayerPlan::new(&prepared, &settings).expect("a plan"), Rect { x: 4, y: 0, width: 4, height: 4 });
     let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
     let tile = render_with_layers(&prepared, &settings, &plan, None, rect, 0..3, &cancel, &progress).expect("a tile").1;
     let tiling = Tiling::new(8, 4, 4).expect("a tiling");
     let mut piece = LayerPiece::new(tiling, 1);
-    piece.put(&tile, OPEN).expect("its place");
+    piece.put(&tile, NONE_HELD).expect("its place");
     let (tile, piece) = (tile.encode(), piece.encode());
     let is_tile = move |bytes: &[u8]| {
         let Ok(tile) = LayerTile::decode(bytes) else { return false };
         // An accepted tile must encode to itself, merge with itself, and resolve.
         assert!(LayerTile::decode(&tile.encode()).is_ok_and(|again| again == tile));
-        let twice = LayerTile::united(vec![tile.clone(), tile.clone()], 0, OPEN);
+        let twice = LayerTile::from_parts(vec![tile.clone(), tile.clone()], 0, NONE_HELD);
         assert!(twice.is_ok_and(|twice| twice == tile));
-        let _ = LayerPiece::new(tiling, 1).put(&tile, OPEN);
+        let _ = LayerPiece::new(tiling, 1).put(&tile, NONE_HELD);
         true
     };
     let is_piece = |bytes: &[u8]| {
@@ -234,37 +252,37 @@ fn layers() -> Vec<Target> {
         true
     };
     let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
-    let written = asked.iter().map(|layer| format!("{}={}", layer.name, layer.expression).into_bytes());
+    let written = requested_layers.iter().map(|layer| format!("{}={}", layer.name, layer.expression).into_bytes());
     let written_settings = serde_json::to_vec(&settings).expect("they are written");
     let mut all = vec![
-        Target::of("layer", written.collect(), move |bytes| text(bytes).parse::<Layer>().is_ok()),
-        Target::of("layers of settings", vec![written_settings], |bytes| {
+        Target::new("layer", written.collect(), move |bytes| text(bytes).parse::<Layer>().is_ok()),
+        Target::new("layers of settings", vec![written_settings], |bytes| {
             let settings = serde_json::from_slice::<Settings>(bytes);
             settings.is_ok_and(|settings| settings.layers.iter().all(|layer| layer.parse().is_ok()))
         }),
     ];
-    all.extend(planes(["layer tile", "layer tile, header", "layer tile, inside"], tile, is_tile));
-    all.extend(planes(["layer piece", "layer piece, header", "layer piece, inside"], piece, is_piece));
+    all.extend(compressed_targets(["layer tile", "layer tile, header", "layer tile, inside"], tile, is_tile));
+    all.extend(compressed_targets(["layer piece", "layer piece, header", "layer piece, inside"], piece, is_piece));
     all
 }
 
 /// Targets for bytes that end with a compressed frame: mutated as they are, with the checksum repaired, and with mutated contents
 /// of the frame.
-fn planes(
+fn compressed_targets(
     [bytes, header, inside]: [&'static str; 3],
     encoded: Vec<u8>,
     decode: impl Fn(&[u8]) -> bool + Copy + 'static,
 ) -> Vec<Target> {
     let frame = encoded.windows(4).position(|at| at == ZSTD).expect("a frame");
     let (front, planes) = (encoded[..frame].to_vec(), zstd::bulk::decompress(&encoded[frame..], 1 << 26));
-    let dress = move |planes: &[u8]| {
+    let add_envelope = move |planes: &[u8]| {
         let compressed = zstd::bulk::compress(planes, 1).expect("it compresses");
-        sealed(&[&front[..], &compressed].concat())
+        with_checksum(&[&front[..], &compressed].concat())
     };
     vec![
-        Target::of(bytes, vec![encoded.clone()], decode),
-        Target::dressed(header, vec![encoded], sealed, decode),
-        Target::dressed(inside, vec![planes.expect("what was compressed")], dress, decode),
+        Target::new(bytes, vec![encoded.clone()], decode),
+        Target::with_envelope(header, vec![encoded], with_checksum, decode),
+        Target::with_envelope(inside, vec![planes.expect("what was compressed")], add_envelope, decode),
     ]
 }
 
@@ -272,50 +290,51 @@ fn planes(
 const ZSTD: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
 
 /// Targets for layers and features of a tile, alone and merged.
-fn beside() -> Vec<Target> {
+fn aov_targets() -> Vec<Target> {
     let (tiling, rect) = (Tiling::new(4, 3, 8).expect("a tiling"), Rect { x: 0, y: 0, width: 4, height: 3 });
     let (mut light, mut features) = (LightBuffer::default(), FeatureSums::new(FeatureLayout { values: 2, ids: 2 }));
     light.add(1, Rgb::new(1.0, 2.0, 0.5));
-    let light = TakenLight { layers: 1, sums: vec![light.take().expect("light"); 12] };
+    let light = LayerSetLight { layers: 1, sums: vec![light.take().expect("light"); 12] };
     for pixel in 0..12 {
         features.begin_pixel();
         features.add(None);
         features.add(Some((&[1.5, -f64::from(pixel)], &[pixel, 0x3f80_0000])));
         features.add(Some((&[0.5, 3.0], &[7, 0x3f00_0000])));
     }
-    let tile = BesideTile {
+    let tile = AovTile {
         light: Some(LayerTile::new(rect, 0..4, 1, vec![[0, 1]; 12], vec![light]).expect("layers")),
         features: Some(FeatureTile::new(rect, 0..4, features).expect("features")),
     };
-    let mut piece = BesidePiece::new(tiling, 0);
-    piece.put(&tile, OPEN).expect("the first tile");
+    let mut piece = AovPiece::new(tiling, 0);
+    piece.put(&tile, NONE_HELD).expect("the first tile");
     let features = tile.features.as_ref().map(FeatureTile::encode).expect("they are there");
     // Skip the header of features: magic, version, checksum, eight words, and one for each kind of ids.
     let (front, planes) = features.split_at(28 + 10 * 4);
     let (front, planes) = (front.to_vec(), zstd::bulk::decompress(planes, 1 << 16).expect("what was compressed"));
-    let dress =
-        move |planes: &[u8]| sealed(&[&front[..], &zstd::bulk::compress(planes, 1).expect("it compresses")].concat());
+    let add_envelope = move |planes: &[u8]| {
+        with_checksum(&[&front[..], &zstd::bulk::compress(planes, 1).expect("it compresses")].concat())
+    };
     let is_tile = |bytes: &[u8]| {
-        let Ok(tile) = BesideTile::decode(bytes) else { return false };
-        assert!(BesideTile::decode(&tile.encode()).is_ok_and(|again| again == tile));
+        let Ok(tile) = AovTile::decode(bytes) else { return false };
+        assert!(AovTile::decode(&tile.encode()).is_ok_and(|again| again == tile));
         true
     };
     let are_features = |bytes: &[u8]| {
         let Ok(tile) = FeatureTile::decode(bytes) else { return false };
         assert!(FeatureTile::decode(&tile.encode()).is_ok_and(|again| again == tile));
         // An accepted tile must merge with itself and resolve.
-        let BesideTile { features, .. } =
-            BesideTile::united(vec![BesideTile { light: None, features: Some(tile) }], 0, OPEN).expect("one part");
+        let AovTile { features, .. } =
+            AovTile::from_parts(vec![AovTile { light: None, features: Some(tile) }], 0, NONE_HELD).expect("one part");
         features.is_some()
     };
-    let is_piece = |bytes: &[u8]| BesidePiece::decode(bytes).is_ok();
+    let is_piece = |bytes: &[u8]| AovPiece::decode(bytes).is_ok();
     vec![
-        Target::dressed("features, inside", vec![features], sealed, are_features),
-        Target::dressed("features, sums", vec![planes], dress, are_features),
-        Target::of("beside", vec![tile.encode()], is_tile),
-        Target::dressed("beside, inside", vec![tile.encode()], sealed, is_tile),
-        Target::of("piece beside", vec![piece.encode()], is_piece),
-        Target::dressed("piece beside, inside", vec![piece.encode()], sealed, is_piece),
+        Target::with_envelope("features, inside", vec![features], with_checksum, are_features),
+        Target::with_envelope("features, sums", vec![planes], add_envelope, are_features),
+        Target::new("beside", vec![tile.encode()], is_tile),
+        Target::with_envelope("beside, inside", vec![tile.encode()], with_checksum, is_tile),
+        Target::new("piece beside", vec![piece.encode()], is_piece),
+        Target::with_envelope("piece beside, inside", vec![piece.encode()], with_checksum, is_piece),
     ]
 }
 
@@ -325,36 +344,38 @@ fn first_pass() -> Vec<Target> {
         medium air =\n  sigma_s .5\nmbox air 0 0 0 1 1 1\nm lamp =\n  ed 100\nv l =\n  p .5 .5 .9\nsph l .05\n\
         m wall =\n  sides 1\n  rd .5\nv a =\n  p 0 0 0\nv b =\n  p 1 0 0\nv c =\n  p 1 1 0\nv d =\n  p 0 1 0\nf a b c d\n\
         v e =\n  p .2 .9 .8\nf a b e\nv f =\n  p .6 .5 .3\nsph f .2\n";
-    let source = Source::new(crate::scene(text));
+    let source = SceneSource::new(crate::parse_scene(text));
     let prepared = prepare_world(&source, &Settings::default(), 1, None).expect("a frame");
     let mut solution =
-        first_pass_of(&prepared, femc_pipeline::Method::Femc, &AtomicBool::new(false)).expect("a solution");
+        solve_first_pass(&prepared, femc_pipeline::Method::Femc, &AtomicBool::new(false)).expect("a solution");
     // A small part of the fog is enough.
     let leaf = |k: usize| FogCell::Leaf(*solution.field.fog.leaves().nth(k).expect("a box of fog"));
     let [min, max] = solution.field.fog.bounds();
-    let cells = [FogCell::Cut { axis: 1, at: 0.5 * (min.y + max.y) }, leaf(0), leaf(1)];
+    let cells = [FogCell::Split { axis: 1, at: 0.5 * (min.y + max.y) }, leaf(0), leaf(1)];
     solution.field.fog = FogTree::new([min, max], &cells).expect("boxes of fog");
     let encoded = encode_solution(&solution);
     let tables = zstd::bulk::decompress(&encoded[FIELD_FRONT..], 1 << 26).expect("what was compressed");
     let front = encoded[..FIELD_FRONT - 8].to_vec();
-    let dress = move |tables: &[u8]| {
+    let add_envelope = move |tables: &[u8]| {
         let compressed = zstd::bulk::compress(tables, 1).expect("it compresses");
-        sealed(&[&front[..], &(tables.len() as u64).to_le_bytes(), &compressed].concat())
+        with_checksum(&[&front[..], &(tables.len() as u64).to_le_bytes(), &compressed].concat())
     };
     let is_field = |bytes: &[u8]| {
         let Ok((field, statistics)) = Field::decode(bytes) else { return false };
         // An accepted field must answer for light at all of its surfaces, and must encode again.
-        let mut line = Line::default();
+        let mut line = FogLine::default();
         for (instance, sides) in (0..).zip(&field.sides) {
             for primitive in 0..sides.len() as u32 {
                 let hit = Hit { t: 1.0, instance, primitive, u: 0.3, v: 0.6 };
-                let [front, _] = [Side::Front, Side::Back].map(|side| field.irradiance(&hit, side, hit_at(), Vec3A::Z));
-                let _ = (front, field.fog.mean_radiance(hit_at()));
-                field.fog.line(hit_at(), Vec3A::Z, 0.0, f32::INFINITY, &mut line);
+                let [front, _] =
+                    [Side::Front, Side::Back].map(|side| field.irradiance(&hit, side, test_point(), Vec3A::Z));
+                let _ = (front, field.fog.mean_radiance(test_point()));
+                field.fog.radiance_along(test_point(), Vec3A::Z, 0.0, f32::INFINITY, &mut line);
                 if let Some(point) = line.sample(0.4) {
                     assert!(point.pdf == line.pdf(point.t));
                 }
-                if let Some(directions) = field.guided(&hit, Side::Front, hit_at()).and_then(|guided| guided.directions)
+                if let Some(directions) =
+                    field.guide_at(&hit, Side::Front, test_point()).and_then(|guided| guided.directions)
                 {
                     let dir = directions.sample(0.3, [0.4, 0.5]);
                     let _ = directions.pdf(dir);
@@ -365,9 +386,9 @@ fn first_pass() -> Vec<Target> {
         true
     };
     let mut all = vec![
-        Target::of("field", vec![encoded.clone()], is_field),
-        Target::dressed("field, header", vec![encoded], sealed, is_field),
-        Target::dressed("field, tables", vec![tables], dress, is_field),
+        Target::new("field", vec![encoded.clone()], is_field),
+        Target::with_envelope("field, header", vec![encoded], with_checksum, is_field),
+        Target::with_envelope("field, tables", vec![tables], add_envelope, is_field),
     ];
     all.extend(first_pass_steps(prepared));
     all
@@ -376,46 +397,50 @@ fn first_pass() -> Vec<Target> {
 /// Targets for data between the steps of a first pass in blocks. A memory limit of 0 keeps the elements few. There is one ray of
 /// each part.
 fn first_pass_steps(prepared: Prepared) -> Vec<Target> {
-    let (options, cancel) = (Options { error: 1.0, memory: 0, guides: true }, AtomicBool::new(false));
-    let begun = Underway::begin(&prepared, &options, &cancel).expect("elements");
-    let links = begun.encode_links();
-    let aimed = begun.aim(&prepared, &options, Vec::new());
-    let sights = aimed.cast(&prepared, 0, 1);
-    let settled = aimed.settle(&prepared, &options, vec![sights.clone()], &cancel).expect("nobody cancels");
-    let settled = settled.expect("its own rays");
-    let elements = settled.underway().encode_elements();
-    let found = settled.guides(&prepared, 0, 1).encode();
+    let (options, cancel) = (SolveOptions { error: 1.0, memory: 0, guides: true }, AtomicBool::new(false));
+    let state = SolverState::new(&prepared, &options, &cancel).expect("elements");
+    let links = state.encode_links();
+    let casting = state.plan_rays(&prepared, &options, Vec::new());
+    let hits = casting.cast(&prepared, 0, 1);
+    let corrected = casting.apply_hits(&prepared, &options, vec![hits.clone()], &cancel).expect("nobody cancels");
+    let corrected = corrected.expect("its own rays");
+    let elements = corrected.state().encode_elements();
+    let guides = corrected.guides(&prepared, 0, 1).encode();
     let (of_links, of_elements, prepared) = (links.clone(), elements.clone(), Arc::new(prepared));
-    let (of, twice) = (prepared.clone(), settled.underway().clone());
-    let underway = move |elements: &[u8], links: &[u8]| {
-        let Ok(read) = Underway::decode(&prepared, elements, links) else { return false };
+    let (of, twice) = (prepared.clone(), corrected.state().clone());
+    let is_state = move |elements: &[u8], links: &[u8]| {
+        let Ok(read) = SolverState::decode(&prepared, elements, links) else { return false };
         // An accepted state must be able to continue, and must encode again.
-        let again = Underway::decode(&prepared, &read.encode_elements(), &read.encode_links());
+        let again = SolverState::decode(&prepared, &read.encode_elements(), &read.encode_links());
         assert!(again.is_ok_and(|again| again.solution(&prepared, Vec::new()).report.links == read.report().links));
         true
     };
-    let with_links = underway.clone();
+    let with_links = is_state.clone();
     let columns = |bytes: &[u8]| zstd::bulk::decompress(bytes, 1 << 26).expect("what was compressed");
-    let dress = |columns: &[u8]| zstd::bulk::compress(columns, 1).expect("it compresses");
+    let add_envelope = |columns: &[u8]| zstd::bulk::compress(columns, 1).expect("it compresses");
     let are_rays = move |bytes: &[u8]| {
-        let Ok(sights) = Sights::decode(bytes) else { return false };
-        assert!(Sights::decode(&sights.encode()).is_ok());
-        twice.clone().settled(vec![sights]).is_ok()
+        let Ok(sights) = RayHits::decode(bytes) else { return false };
+        assert!(RayHits::decode(&sights.encode()).is_ok());
+        twice.clone().with_hits(vec![sights]).is_ok()
     };
-    let end = settled.underway().clone();
+    let end = corrected.state().clone();
     let are_guides = move |bytes: &[u8]| {
-        let Ok(found) = Found::decode(bytes) else { return false };
-        assert!(Found::decode(&found.encode()).is_ok());
+        let Ok(found) = BlockGuides::decode(bytes) else { return false };
+        assert!(BlockGuides::decode(&found.encode()).is_ok());
         let _ = end.solution(&of, vec![found]);
         true
     };
-    let (rays, is_rays) = (sights.encode(), are_rays.clone());
+    let (rays, is_rays) = (hits.encode(), are_rays.clone());
     vec![
-        Target::dressed("elements", vec![columns(&elements)], dress, move |bytes| underway(bytes, &of_links)),
-        Target::dressed("links", vec![columns(&links)], dress, move |bytes| with_links(&of_elements, bytes)),
-        Target::of("rays", vec![rays.clone()], is_rays),
-        Target::dressed("rays, inside", vec![columns(&rays)], dress, are_rays),
-        Target::dressed("guides", vec![columns(&found)], dress, are_guides),
+        Target::with_envelope("elements", vec![columns(&elements)], add_envelope, move |bytes| {
+            is_state(bytes, &of_links)
+        }),
+        Target::with_envelope("links", vec![columns(&links)], add_envelope, move |bytes| {
+            with_links(&of_elements, bytes)
+        }),
+        Target::new("rays", vec![rays.clone()], is_rays),
+        Target::with_envelope("rays, inside", vec![columns(&rays)], add_envelope, are_rays),
+        Target::with_envelope("guides", vec![columns(&guides)], add_envelope, are_guides),
     ]
 }
 
@@ -428,67 +453,68 @@ const FLOOR: &str = "camera main =\n  origin .5 .5 2\n  target .5 .5 0\n  up 0 1
 /// Targets for light statistics of a tile of a foggy floor under a lamp: of recorded samples, of all samples, and of two frames.
 fn paths() -> Vec<Target> {
     let some = statistics(1, false);
-    let mut all = paths_of(["paths", "paths, header", "paths, tables"], &some);
-    all.extend(paths_of(["full paths", "full paths, header", "full paths, tables"], &statistics(1, true)));
-    let frames = Frames::of([some, statistics(2, false)]).expect("a union").encode();
+    let mut all = statistics_targets(["paths", "paths, header", "paths, tables"], &some);
+    all.extend(statistics_targets(["full paths", "full paths, header", "full paths, tables"], &statistics(1, true)));
+    let frames = FrameStatistics::from_statistics([some, statistics(2, false)]).expect("a union").encode();
     let are_frames = |bytes: &[u8]| {
-        let Ok(read) = Frames::decode(bytes) else { return false };
+        let Ok(read) = FrameStatistics::decode(bytes) else { return false };
         // Accepted statistics must merge, and must encode to themselves.
         let mut twice = read.clone();
-        assert!(twice.unite(read.clone().into_frames()).is_ok() && twice == read);
-        assert!(Frames::decode(&read.encode()).is_ok_and(|again| again == read));
+        assert!(twice.merge(read.clone().into_frames()).is_ok() && twice == read);
+        assert!(FrameStatistics::decode(&read.encode()).is_ok_and(|again| again == read));
         true
     };
-    all.push(Target::of("paths of frames", vec![frames.clone()], are_frames));
-    let dress = |bytes: &[u8]| {
+    all.push(Target::new("paths of frames", vec![frames.clone()], are_frames));
+    let add_envelope = |bytes: &[u8]| {
         // Repair the checksum of the first frame.
         let mut bytes = bytes.to_vec();
         if let Some((front, rest)) = bytes.split_at_mut_checked(FRAMES_FRONT)
             && let Ok(length) = usize::try_from(u64::from_le_bytes(*front.last_chunk().expect("it has a length")))
             && let Some((own, _)) = rest.split_at_mut_checked(length)
         {
-            let whole = sealed(own);
+            let whole = with_checksum(own);
             own.copy_from_slice(&whole);
         }
         bytes
     };
-    all.push(Target::dressed("paths of frames, inside", vec![frames], dress, are_frames));
+    all.push(Target::with_envelope("paths of frames, inside", vec![frames], add_envelope, are_frames));
     all
 }
 
-fn statistics(frame: u32, full_statistics: bool) -> Statistics {
-    let settings = Settings { stop: Stop::Spp(3), full_statistics, ..Settings::default() };
-    let prepared = prepare_world(&Source::new(crate::scene(FLOOR)), &settings, frame, None).expect("a frame");
-    let (plan, rect) = (StatisticsPlan::of(&prepared, &settings, 4), Rect { x: 4, y: 0, width: 4, height: 4 });
+fn statistics(frame: u32, full_statistics: bool) -> LightStatistics {
+    let settings = Settings { stop: StopCondition::Spp(3), full_statistics, ..Settings::default() };
+    let prepared =
+        prepare_world(&SceneSource::new(crate::parse_scene(FLOOR)), &settings, frame, None).expect("a frame");
+    let (plan, rect) = (StatisticsPlan::new(&prepared, &settings, 4), Rect { x: 4, y: 0, width: 4, height: 4 });
     let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
     let rendered = render_with_statistics(&prepared, &settings, &plan, rect, 0..3, &cancel, &progress);
     rendered.expect("a tile").1
 }
 
-fn paths_of([bytes, header, inside]: [&'static str; 3], statistics: &Statistics) -> Vec<Target> {
+fn statistics_targets([bytes, header, inside]: [&'static str; 3], statistics: &LightStatistics) -> Vec<Target> {
     let encoded = statistics.encode();
     let tables = zstd::bulk::decompress(&encoded[PATHS_FRONT..], 1 << 26).expect("what was compressed");
     let front = encoded[..PATHS_FRONT - 8].to_vec();
-    let dress = move |tables: &[u8]| {
+    let add_envelope = move |tables: &[u8]| {
         let compressed = zstd::bulk::compress(tables, 1).expect("it compresses");
-        sealed(&[&front[..], &(tables.len() as u64).to_le_bytes(), &compressed].concat())
+        with_checksum(&[&front[..], &(tables.len() as u64).to_le_bytes(), &compressed].concat())
     };
     let are_paths = |bytes: &[u8]| {
-        let Ok(read) = Statistics::decode(bytes) else { return false };
+        let Ok(read) = LightStatistics::decode(bytes) else { return false };
         // Accepted statistics must support counting, merge with themselves, and encode again.
         for table in Table::ALL {
-            assert_eq!(Histograms::of(&read, table).table, table);
-            assert_eq!(Histograms::of_all(&read, table).is_some(), read.scope.is_full);
+            assert_eq!(Histograms::from_statistics(&read, table).table, table);
+            assert_eq!(Histograms::attributes_of_all_samples(&read, table).is_some(), read.scope.has_full_histograms);
         }
         let mut twice = read.clone();
-        assert!(twice.unite(read.clone()).is_ok() && twice == read);
-        assert!(Statistics::decode(&read.clone().counted(1, |_, _| 2).encode()).is_ok());
+        assert!(twice.merge(read.clone()).is_ok() && twice == read);
+        assert!(LightStatistics::decode(&read.clone().into_image_samples(1, |_, _| 2).encode()).is_ok());
         true
     };
     vec![
-        Target::of(bytes, vec![encoded.clone()], are_paths),
-        Target::dressed(header, vec![encoded], sealed, are_paths),
-        Target::dressed(inside, vec![tables], dress, are_paths),
+        Target::new(bytes, vec![encoded.clone()], are_paths),
+        Target::with_envelope(header, vec![encoded], with_checksum, are_paths),
+        Target::with_envelope(inside, vec![tables], add_envelope, are_paths),
     ]
 }
 
@@ -501,12 +527,12 @@ const PATHS_FRONT: usize = 28 + 4 + 8 + 7 * 4 + 6 * 8 + 8 + 7 * 4 + 8;
 /// Bytes of an encoded field before its tables.
 const FIELD_FRONT: usize = 28 + 8 * 8 + 4 + 9 * 4 + 8;
 
-fn hit_at() -> Vec3A {
+fn test_point() -> Vec3A {
     Vec3A::new(0.4, 0.3, 0.2)
 }
 
 /// Repairs the checksum of encoded bytes.
-fn sealed(bytes: &[u8]) -> Vec<u8> {
+fn with_checksum(bytes: &[u8]) -> Vec<u8> {
     let mut bytes = bytes.to_vec();
     if let Some((front, body)) = bytes.split_at_mut_checked(28) {
         front[12..28].copy_from_slice(&blake3::hash(body).as_bytes()[..16]);
@@ -516,18 +542,18 @@ fn sealed(bytes: &[u8]) -> Vec<u8> {
 
 fn log() -> Vec<Target> {
     let facts = [
-        Fact::Opened { incarnation: 7 },
+        Fact::CoordinatorStarted { incarnation: 7 },
         Fact::Submitted {
             job: JobId(1),
             key: Some("key".into()),
             spec: Box::new(spec()),
-            cut: Cut::Whole,
+            chunk_size: ChunkSize::Whole,
             date: Some(7),
             announces: true,
         },
         Fact::Controlled { job: JobId(1), control: Control::Priority(70) },
         Fact::Drained { instance: 5, drain: Drain::Begin },
-        Fact::Forgotten { job: JobId(3) },
+        Fact::JobRemoved { job: JobId(3) },
     ];
     let mut ledger = Ledger::default();
     facts.iter().for_each(|fact| drop(ledger.apply(fact, Tick(3))));
@@ -539,7 +565,7 @@ fn log() -> Vec<Target> {
         instance: 5,
         granted: Tick(3),
         ended: Tick(90),
-        ending: Ending::Done,
+        ending: LeaseEnding::Done,
         samples: 256,
         relative_error: Some(0.02),
         usage: None,
@@ -547,14 +573,14 @@ fn log() -> Vec<Target> {
     let note = encode_attempts(&[attempt.clone(), attempt]).expect("a note");
     let snapshot = ledger.encode().expect("a snapshot");
     vec![
-        Target::of("record of the log", records, |bytes| {
+        Target::new("record of the log", records, |bytes| {
             let Ok((now, fact)) = Fact::decode(bytes) else { return false };
             assert!(fact.encode(now).is_ok());
             true
         }),
-        Target::of("snapshot", vec![snapshot], |bytes| {
+        Target::new("snapshot", vec![snapshot], |bytes| {
             Ledger::decode(bytes).is_ok_and(|ledger| ledger.encode().is_ok())
         }),
-        Target::of("note of attempts", vec![note], |bytes| decode_attempts(bytes).is_ok()),
+        Target::new("note of attempts", vec![note], |bytes| decode_attempts(bytes).is_ok()),
     ]
 }

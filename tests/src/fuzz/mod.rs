@@ -28,21 +28,21 @@ pub struct Target {
 
 impl Target {
     /// Creates a target that mutates valid bytes.
-    fn of(name: &str, seeds: Vec<Vec<u8>>, decode: impl Fn(&[u8]) -> bool + 'static) -> Self {
-        Self::dressed(name, seeds, <[u8]>::to_vec, decode)
+    fn new(name: &str, seeds: Vec<Vec<u8>>, decode: impl Fn(&[u8]) -> bool + 'static) -> Self {
+        Self::with_envelope(name, seeds, <[u8]>::to_vec, decode)
     }
 
     /// Creates a target that mutates valid bytes and then adds a valid envelope, such as compression or checksums.
-    fn dressed(
+    fn with_envelope(
         name: &str,
         seeds: Vec<Vec<u8>>,
-        dress: impl Fn(&[u8]) -> Vec<u8> + 'static,
+        add_envelope: impl Fn(&[u8]) -> Vec<u8> + 'static,
         decode: impl Fn(&[u8]) -> bool + 'static,
     ) -> Self {
         let make = move |rng: &mut Rng| {
             let seed = rng.pick(&seeds).clone();
             let other = rng.pick(&seeds);
-            dress(&mutate::some(rng, seed, other))
+            add_envelope(&mutate::mutate(rng, seed, other))
         };
         Self { name: name.into(), make: Box::new(make), decode: Box::new(decode) }
     }
@@ -83,7 +83,7 @@ pub fn execute(target: &Target, seed: u64, tally: &mut Tally) {
 }
 
 /// Returns the peak memory of this process in bytes, if the system reports it.
-pub fn peak() -> Option<u64> {
+pub fn peak_memory() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;
     line.split_whitespace().nth(1)?.parse::<u64>().ok().map(|kibibytes| kibibytes << 10)
@@ -95,7 +95,7 @@ mod tests {
 
     #[test]
     fn a_panic_is_a_finding_with_its_seed() {
-        let target = Target::of("fragile", vec![vec![0; 8]], |bytes| {
+        let target = Target::new("fragile", vec![vec![0; 8]], |bytes| {
             assert!(bytes.len() < 9, "too long");
             true
         });

@@ -17,7 +17,7 @@ pub(super) struct Schema {
 impl Schema {
     /// Parses a descriptor set.
     /// - panics: if it is invalid; this is for tests only.
-    pub(super) fn of(descriptors: &[u8]) -> Self {
+    pub(super) fn from_descriptors(descriptors: &[u8]) -> Self {
         let set = FileDescriptorSet::decode(descriptors).expect("a descriptor set");
         let mut messages = BTreeMap::new();
         for file in set.file {

@@ -11,7 +11,7 @@ use super::{Target, mutate};
 const DEPTH: usize = 6;
 
 pub(super) fn targets() -> Vec<Target> {
-    let schema = Rc::new(Schema::of(DESCRIPTORS));
+    let schema = Rc::new(Schema::from_descriptors(DESCRIPTORS));
     let target = |decoder: &femc_proto::testing::Decoder| {
         let (schema, name) = (schema.clone(), format!(".femc.v1.{}", decoder.message));
         Target {
@@ -22,7 +22,7 @@ pub(super) fn targets() -> Vec<Target> {
                     return bytes;
                 }
                 let other = schema.bytes(rng, &name, DEPTH);
-                mutate::some(rng, bytes, &other)
+                mutate::mutate(rng, bytes, &other)
             }),
             decode: Box::new(decoder.decode),
         }

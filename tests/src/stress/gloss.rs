@@ -1,25 +1,26 @@
 //! White furnaces of rough mirrors: a floor of reflectance 1 under a white sky loses light only by the model's own shadowing. The
 //! loss is computed here with quadrature over the microfacets.
 
-use super::Line;
-use super::measure::{Case, Effort, all};
-use super::room::{at_luminance, walls};
-use crate::text::{camera, level, material};
+use super::ResultLine;
+use super::measure::{Case, Effort, measure_all};
+use super::room::{uniform_material, walls};
+use crate::text::{camera, horizontal_square, material};
 use std::f64::consts::TAU;
 
-pub fn run(effort: &Effort, tell: &mut dyn FnMut(Line)) {
+pub fn run(effort: &Effort, report: &mut dyn FnMut(ResultLine)) {
     let mut cases = Vec::new();
     for degrees in [0.0f64, 45.0, 85.0] {
         for alpha in [0.0, 1e-4, 1e-3, 1e-2, 0.1, 0.3, 1.0] {
             let (sin, cos) = degrees.to_radians().sin_cos();
             let view = camera(&format!("{} 0 {}", -0.9 * sin, 0.9 * cos), "0 0 0", 0.01);
-            let floor = material("floor", &["sides 2", &format!("rs 1 {alpha}")]) + &level("floor", [0.0; 3], 0.9);
-            let text = view + &walls(1.0, &at_luminance(1.0, 0.0)) + &floor;
+            let floor =
+                material("floor", &["sides 2", &format!("rs 1 {alpha}")]) + &horizontal_square("floor", [0.0; 3], 0.9);
+            let text = view + &walls(1.0, &uniform_material(1.0, 0.0)) + &floor;
             let name = format!("roughness {alpha:e} seen at {degrees} degrees");
-            cases.push(Case::new(name, text, albedo(cos, alpha)).slack(1e-4));
+            cases.push(Case::new(name, text, albedo(cos, alpha)).with_slack(1e-4));
         }
     }
-    all("gloss", &cases, effort, tell);
+    measure_all("gloss", &cases, effort, report);
 }
 
 /// Returns the fraction of light from direction `cos` that a GGX mirror reflects: the mean, over microfacet normals of density D

@@ -1,13 +1,13 @@
 //! Lamps with known form factors (algorithm brief, T4), from 1e-4 to 1e3 m and from 1e-10 to 1e10 cd/m2.
 
-use super::Line;
-use super::measure::{Case, Effort, all};
-use crate::text::{camera, level, material, quad};
+use super::ResultLine;
+use super::measure::{Case, Effort, measure_all};
+use crate::text::{camera, horizontal_square, material, quad};
 use std::f64::consts::PI;
 
 const RHO: f64 = 0.6;
 
-pub fn run(effort: &Effort, tell: &mut dyn FnMut(Line)) {
+pub fn run(effort: &Effort, report: &mut dyn FnMut(ResultLine)) {
     let mut cases = Vec::new();
     for size in [1e-4, 1e-2, 1.0, 1e3] {
         for radiance in [1e-10, 1.0, 1e10] {
@@ -15,21 +15,21 @@ pub fn run(effort: &Effort, tell: &mut dyn FnMut(Line)) {
         }
     }
     cases.extend([0.0, 0.5, 0.9].map(cap));
-    all("lamps", &cases, effort, tell);
+    measure_all("lamps", &cases, effort, report);
 }
 
 /// Returns a floor seen vertically from 1 cm above, and a lamp: `text` uses a material `lamp` of 1e-10 to 1e10 cd/m2.
 fn floor_under(radiance: f64, text: &str) -> String {
     // The camera sees less than a micrometer, where light from a lamp 1 m away is constant.
     let view = camera("0 -1e-4 .01", "0 0 0", 0.01);
-    let floor = material("floor", &["sides 2", &format!("rd {RHO}")]) + &level("floor", [0.0; 3], 0.5);
+    let floor = material("floor", &["sides 2", &format!("rd {RHO}")]) + &horizontal_square("floor", [0.0; 3], 0.5);
     view + &floor + &material("lamp", &["sides 2", &format!("ed {}", PI * radiance)]) + text
 }
 
 fn case(shape: &str, size: f64, radiance: f64, text: &str, form_factor: f64) -> Case {
     let name = format!("{shape} of {size:e} m and {radiance:e} cd/m2");
     let slack = 1e-4;
-    Case::new(name, floor_under(radiance, text), RHO * radiance * form_factor).slack(slack)
+    Case::new(name, floor_under(radiance, text), RHO * radiance * form_factor).with_slack(slack)
 }
 
 /// Sphere above the horizon: (R/d)^2.
@@ -70,5 +70,5 @@ fn cap(h: f64) -> Case {
     let lamp = material("lamp", &["sides 2", &format!("ed {PI}")]);
     let r = (1.0 - h * h).sqrt();
     let text = format!("{view}{sphere}{lamp}v l =\n p 0 0 {h}\n n 0 0 -1\nm lamp\nring l 0 {r}\n");
-    Case::new(format!("disc in a sphere, at {h} m"), text, RHO * 0.5 * (1.0 - h)).depth(2).slack(1e-5)
+    Case::new(format!("disc in a sphere, at {h} m"), text, RHO * 0.5 * (1.0 - h)).with_max_depth(2).with_slack(1e-5)
 }

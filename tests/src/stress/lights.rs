@@ -1,22 +1,22 @@
 //! Very many lamps (algorithm brief, T15), compared with their brute-force sum.
 
-use super::Line;
-use super::measure::{Case, Effort, all};
+use super::ResultLine;
+use super::measure::{Case, Effort, measure_all};
 use crate::rng::Rng;
-use crate::text::{camera, level, material};
+use crate::text::{camera, horizontal_square, material};
 use std::f64::consts::PI;
 use std::fmt::Write;
 
 const RHO: f64 = 0.5;
 
-pub fn run(effort: &Effort, tell: &mut dyn FnMut(Line)) {
+pub fn run(effort: &Effort, report: &mut dyn FnMut(ResultLine)) {
     let cases = vec![random(100), random(10_000), random(100_000), lattice(100), lattice(316).long()];
-    all("lights", &cases, effort, tell);
+    measure_all("lights", &cases, effort, report);
 }
 
 fn scene(lamps: &str) -> String {
     let view = camera("0 -1e-4 .01", "0 0 0", 0.01);
-    let floor = material("floor", &["sides 2", &format!("rd {RHO}")]) + &level("floor", [0.0; 3], 30.0);
+    let floor = material("floor", &["sides 2", &format!("rd {RHO}")]) + &horizontal_square("floor", [0.0; 3], 30.0);
     view + &floor + lamps
 }
 
@@ -42,7 +42,7 @@ fn random(count: u32) -> Case {
         sum += 10f64.powi(k) * share(at, r);
         let _ = write!(text, "v o =\n p {} {} {}\nm lamp{k}\nsph o {r}\n", at[0], at[1], at[2]);
     }
-    Case::new(format!("{count} lamps at random"), scene(&text), RHO * sum).slack(1e-4)
+    Case::new(format!("{count} lamps at random"), scene(&text), RHO * sum).with_slack(1e-4)
 }
 
 /// n x n x 10 balls from nested arrays.
@@ -61,5 +61,5 @@ fn lattice(n: u32) -> Case {
             sum += (0..n).map(|x| share([at(-9.913, x), at(-9.871, y), 1.037 + f64::from(z)], 1e-4)).sum::<f64>();
         }
     }
-    Case::new(format!("{} lamps in a lattice", 10 * n * n), scene(&text), RHO * 1e4 * sum).slack(1e-4)
+    Case::new(format!("{} lamps in a lattice", 10 * n * n), scene(&text), RHO * 1e4 * sum).with_slack(1e-4)
 }

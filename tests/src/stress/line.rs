@@ -11,7 +11,7 @@ pub enum Verdict {
 
 /// Measured and true value of one case.
 #[derive(Clone, Debug)]
-pub struct Line {
+pub struct ResultLine {
     /// Group and case.
     pub name: String,
     /// Measured value; a count where `error` is 0.
@@ -30,7 +30,7 @@ pub struct Line {
     pub verdict: Verdict,
 }
 
-impl Line {
+impl ResultLine {
     /// Creates a line for a count of faults among `samples`, which must be 0.
     pub fn faults(name: impl Into<String>, faults: u64, samples: u64, seconds: f64, what: &str) -> Self {
         let verdict = if faults == 0 { Verdict::Holds } else { Verdict::Fails(format!("{faults} {what}")) };

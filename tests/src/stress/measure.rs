@@ -1,11 +1,11 @@
 //! Measures mean luminances of scenes to a given standard error, and compares them with the truth.
 
-use super::line::{Line, Verdict};
-use crate::scene_of;
+use super::line::{ResultLine, Verdict};
+use crate::parse_scene_files;
 use femc_film::Filter;
 use femc_math::color::luminance;
 use femc_montecarlo::{PathSettings, Tracer};
-use femc_pipeline::{Places, Settings, Source, prepare};
+use femc_pipeline::{FilterAdapter, SceneSource, Settings, prepare_frame};
 use femc_prepared::Prepared;
 use rayon::prelude::*;
 use std::time::Instant;
@@ -13,7 +13,7 @@ use std::time::Instant;
 /// Independent renderings per mean. Their number determines the degrees of freedom of its standard error.
 const RENDERINGS: u64 = 64;
 /// Permitted distance of a mean from the truth, in standard errors.
-const FAR: f64 = 3.0;
+const MAX_SIGMAS: f64 = 3.0;
 /// Number of measurements before a mean that is too far from the truth fails.
 const TRIES: u64 = 3;
 
@@ -59,7 +59,7 @@ pub struct Case {
 
 /// A measured mean luminance.
 #[derive(Clone, Copy, Debug)]
-pub struct Measured {
+pub struct MeasuredMean {
     /// Mean of all samples, cd/m2.
     pub mean: f64,
     /// Standard error of the mean, from the spread of independent renderings.
@@ -78,17 +78,17 @@ impl Case {
     }
 
     /// Sets the target standard error.
-    pub fn to(self, sigma: f64) -> Self {
+    pub fn with_sigma(self, sigma: f64) -> Self {
         Self { sigma, ..self }
     }
 
     /// Limits paths to `max_depth` segments.
-    pub fn depth(self, max_depth: u32) -> Self {
+    pub fn with_max_depth(self, max_depth: u32) -> Self {
         Self { max_depth, ..self }
     }
 
     /// Sets the permitted error of the scene itself.
-    pub fn slack(self, slack: f64) -> Self {
+    pub fn with_slack(self, slack: f64) -> Self {
         Self { slack, ..self }
     }
 
@@ -98,7 +98,7 @@ impl Case {
     }
 
     /// Adds another file.
-    pub fn file(mut self, name: &str, text: impl Into<String>) -> Self {
+    pub fn with_file(mut self, name: &str, text: impl Into<String>) -> Self {
         self.files.push((name.to_owned(), text.into()));
         self
     }
@@ -109,8 +109,8 @@ impl Case {
     /// If the text is not a scene.
     pub fn prepare(&self) -> Prepared {
         let files: Vec<_> = self.files.iter().map(|(name, text)| (name.as_str(), text.as_str())).collect();
-        let source = Source::new(scene_of(&files));
-        prepare(&source, &Settings::default(), 1, None).unwrap_or_else(|error| panic!("{}: {error}", self.name))
+        let source = SceneSource::new(parse_scene_files(&files));
+        prepare_frame(&source, &Settings::default(), 1, None).unwrap_or_else(|error| panic!("{}: {error}", self.name))
     }
 
     /// Returns the first of the case's seeds. Cases do not share random numbers, so that their errors are independent.
@@ -120,18 +120,19 @@ impl Case {
     }
 
     /// Measures the case.
-    pub fn line(&self, group: &str, effort: &Effort) -> Line {
+    pub fn measure(&self, group: &str, effort: &Effort) -> ResultLine {
         let begun = Instant::now();
         let prepared = self.prepare();
         let wanted = self.sigma * effort.coarser * self.truth.abs();
-        let is_near = |it: &Measured| (it.mean - self.truth).abs() <= FAR * it.error + self.slack * self.truth.abs();
-        let mut now = to_error(&prepared, self.max_depth, wanted, self.seed());
+        let is_near =
+            |it: &MeasuredMean| (it.mean - self.truth).abs() <= MAX_SIGMAS * it.error + self.slack * self.truth.abs();
+        let mut now = measure_to_error(&prepared, self.max_depth, wanted, self.seed());
         let mut bad = now.bad;
         for again in 1..TRIES {
             if is_near(&now) || bad > 0 {
                 break;
             }
-            now = to_error(&prepared, self.max_depth, 0.5 * wanted, self.seed() + (again << 32));
+            now = measure_to_error(&prepared, self.max_depth, 0.5 * wanted, self.seed() + (again << 32));
             bad += now.bad;
         }
         let verdict = if bad > 0 {
@@ -146,7 +147,7 @@ impl Case {
         } else {
             Verdict::Holds
         };
-        Line {
+        ResultLine {
             name: format!("{group}: {}", self.name),
             value: now.mean,
             error: now.error,
@@ -160,30 +161,30 @@ impl Case {
 }
 
 /// Measures a list of cases.
-pub fn all(group: &str, cases: &[Case], effort: &Effort, tell: &mut dyn FnMut(Line)) {
+pub fn measure_all(group: &str, cases: &[Case], effort: &Effort, report: &mut dyn FnMut(ResultLine)) {
     for case in cases.iter().filter(|case| !(case.is_long && effort.is_quick())) {
-        tell(case.line(group, effort));
+        report(case.measure(group, effort));
     }
 }
 
 /// Largest number of samples per pixel and rendering.
-const MOST: u32 = 1 << 22;
+const MAX_SPP: u32 = 1 << 22;
 
 /// Measures a mean to a given standard error. Pilot runs with their own seeds determine the number of samples, so that it does not
 /// depend on the samples that count. A result that is noisier than its pilot is measured again.
-fn to_error(prepared: &Prepared, max_depth: u32, wanted: f64, seed: u64) -> Measured {
+fn measure_to_error(prepared: &Prepared, max_depth: u32, wanted: f64, seed: u64) -> MeasuredMean {
     let mut spp = 1u32;
     for run in 0.. {
         let pilot = renderings(prepared, max_depth, spp, seed + ((2 * run) << 16));
         let factor = 1.3 * (pilot.error / wanted).powi(2);
         // A pilot with few samples may miss rare bright paths. It may raise the number of samples by a factor of at most 64.
         let is_enough = factor <= 64.0;
-        let next = (f64::from(spp) * factor.clamp(1.0, 64.0)).ceil().min(f64::from(MOST)) as u32;
+        let next = (f64::from(spp) * factor.clamp(1.0, 64.0)).ceil().min(f64::from(MAX_SPP)) as u32;
         // Multiples of a power of two distribute their points more evenly.
-        spp = next.next_multiple_of((next.next_power_of_two() / 16).max(1)).min(MOST);
-        if is_enough || spp == MOST {
+        spp = next.next_multiple_of((next.next_power_of_two() / 16).max(1)).min(MAX_SPP);
+        if is_enough || spp == MAX_SPP {
             let measured = renderings(prepared, max_depth, spp, seed + ((2 * run + 1) << 16));
-            if measured.error <= wanted || spp == MOST {
+            if measured.error <= wanted || spp == MAX_SPP {
                 return measured;
             }
         }
@@ -192,14 +193,14 @@ fn to_error(prepared: &Prepared, max_depth: u32, wanted: f64, seed: u64) -> Meas
 }
 
 /// Computes the mean of [`RENDERINGS`] renderings of `spp` samples per pixel.
-fn renderings(prepared: &Prepared, max_depth: u32, spp: u32, seed: u64) -> Measured {
+fn renderings(prepared: &Prepared, max_depth: u32, spp: u32, seed: u64) -> MeasuredMean {
     let [width, height] = prepared.camera.film;
     let rendering = |seed: u64| {
         let mut tracer = Tracer::new(prepared, PathSettings { seed, max_depth, only: None });
         let (mut sum, mut bad) = (0.0, 0);
         for pixel in 0..width * height {
             for index in 0..spp {
-                let color = tracer.sample(pixel, index, Places(Filter::Box)).color;
+                let color = tracer.sample(pixel, index, FilterAdapter(Filter::Box)).color;
                 if color.is_finite() && color.min_element() >= 0.0 {
                     sum += f64::from(luminance(color));
                 } else {
@@ -214,5 +215,5 @@ fn renderings(prepared: &Prepared, max_depth: u32, spp: u32, seed: u64) -> Measu
     let mean = means.iter().map(|it| it.0).sum::<f64>() / n;
     let variance = means.iter().map(|it| (it.0 - mean).powi(2)).sum::<f64>() / (n - 1.0);
     let samples = RENDERINGS * u64::from(width * height) * u64::from(spp);
-    Measured { mean, error: (variance / n).sqrt(), samples, bad: means.iter().map(|it| it.1).sum() }
+    MeasuredMean { mean, error: (variance / n).sqrt(), samples, bad: means.iter().map(|it| it.1).sum() }
 }

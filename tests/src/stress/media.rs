@@ -1,16 +1,16 @@
 //! Closed rooms of uniform radiance with a medium: the mean is that radiance if the medium emits as much as it absorbs.
 
-use super::Line;
+use super::ResultLine;
 use super::furnace::sigma;
-use super::measure::{Case, Effort, all};
+use super::measure::{Case, Effort, measure_all};
 use super::room::furnace;
 use std::f64::consts::PI;
 
-pub fn run(effort: &Effort, tell: &mut dyn FnMut(Line)) {
+pub fn run(effort: &Effort, report: &mut dyn FnMut(ResultLine)) {
     let mut cases = thicknesses();
     cases.extend(glows());
     cases.extend(phases());
-    all("media", &cases, effort, tell);
+    measure_all("media", &cases, effort, report);
 }
 
 /// Returns a medium of extinction `sigma_t`, 1/m, and this albedo. Its glow is that of a room of luminance 1.
@@ -30,14 +30,14 @@ fn thicknesses() -> Vec<Case> {
             }
             let text = furnace(1.0, 1.0, 0.5) + &gas(0.5 * thickness, albedo, "") + "mglobal gas\n";
             let case = Case::new(format!("optical thickness {thickness:e}, albedo {albedo}"), text, 1.0);
-            let case = case.to(sigma(albedo));
+            let case = case.with_sigma(sigma(albedo));
             // Paths have a thousand events and more. A standard error of 1e-3 would take ten minutes each.
-            cases.push(if albedo > 0.9 && thickness > 1.0 { case.to(5e-3).long() } else { case });
+            cases.push(if albedo > 0.9 && thickness > 1.0 { case.with_sigma(5e-3).long() } else { case });
         }
     }
     for (name, density) in [("thins with height", "height -.5 .3"), ("thins within a millimeter", "height 0 1e-3")] {
         let text = furnace(1.0, 1.0, 0.5) + &gas(5.0, 0.5, &format!(" density {density}\n")) + "mglobal gas\n";
-        cases.push(Case::new(format!("gas that {name}"), text, 1.0).to(1e-3));
+        cases.push(Case::new(format!("gas that {name}"), text, 1.0).with_sigma(1e-3));
     }
     let boxes = "mbox gas -.5 -.5 -.5 .5 .5 .5\nmbox gas 0 0 0 2 2 2\nmbox gas .3 .2 .1 .3000001 .9 .9\n";
     cases.push(Case::new(
@@ -54,7 +54,7 @@ fn glows() -> Vec<Case> {
         let black = "m wall =\n sides 2\nm wall\nv o =\n p 0 0 0\nsph o 1\n";
         let view = crate::text::camera("0 0 0", "1 0 0", 60.0);
         let text = view + black + &gas(thickness, 0.0, "") + "mglobal gas\n";
-        Case::new(format!("glow of optical thickness {thickness:e}"), text, -(-thickness).exp_m1()).to(1e-4)
+        Case::new(format!("glow of optical thickness {thickness:e}"), text, -(-thickness).exp_m1()).with_sigma(1e-4)
     };
     [1e-6, 1e-4, 1e-2, 1.0, 1e2, 1e4].map(glow).into()
 }

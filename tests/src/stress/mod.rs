@@ -8,6 +8,7 @@
 //! Student's distribution with 63 degrees of freedom, the probability of this is (0.4 %)^3 = 6e-8 per line: under 2e-5 for a table
 //! of 300 lines.
 
+mod equivalence;
 mod faces;
 mod furnace;
 mod gloss;
@@ -19,14 +20,13 @@ mod media;
 mod peaks;
 mod quadrature;
 mod room;
-mod same;
 mod slab;
 mod sources;
 mod spheres;
-mod tight;
+mod watertight;
 
-pub use line::{Line, Verdict};
-pub use measure::{Case, Effort, Measured};
+pub use line::{ResultLine, Verdict};
+pub use measure::{Case, Effort, MeasuredMean};
 
 /// A group of cases.
 #[derive(Clone, Copy)]
@@ -35,7 +35,7 @@ pub struct Group {
     pub name: &'static str,
     /// Subject of the group.
     pub about: &'static str,
-    run: fn(&Effort, &mut dyn FnMut(Line)),
+    run: fn(&Effort, &mut dyn FnMut(ResultLine)),
 }
 
 /// All groups, in the order of the table.
@@ -69,14 +69,14 @@ pub const GROUPS: &[Group] = &[
     Group {
         name: "same",
         about: "the same image when scaled, moved, permuted, or rendered by other numbers of threads (T16, T17)",
-        run: same::run,
+        run: equivalence::run,
     },
-    Group { name: "tight", about: "grazing rays through edges and vertices of closed meshes", run: tight::run },
+    Group { name: "tight", about: "grazing rays through edges and vertices of closed meshes", run: watertight::run },
 ];
 
 impl Group {
     /// Measures the group's cases and reports each line as soon as it is known.
-    pub fn run(&self, effort: &Effort, mut tell: impl FnMut(Line)) {
-        (self.run)(effort, &mut tell);
+    pub fn run(&self, effort: &Effort, mut report: impl FnMut(ResultLine)) {
+        (self.run)(effort, &mut report);
     }
 }

@@ -4,8 +4,8 @@
 //! comes from the ball: its fraction is the integral of the phase function over the ball's angle there. It crosses an equal
 //! thickness of fog.
 
-use super::Line;
-use super::measure::{Case, Effort, all};
+use super::ResultLine;
+use super::measure::{Case, Effort, measure_all};
 use super::quadrature::integral;
 use crate::text::{camera, material};
 use std::f64::consts::PI;
@@ -15,7 +15,7 @@ const DEPTH: f64 = 1.0;
 const ALBEDO: f64 = 0.9;
 const FAR: f64 = 2.0;
 
-pub fn run(effort: &Effort, tell: &mut dyn FnMut(Line)) {
+pub fn run(effort: &Effort, report: &mut dyn FnMut(ResultLine)) {
     let mut cases = Vec::new();
     for peak in [0.1, 1e-2, 1e-3, 1e-4, 1e-5] {
         let parameter = 1.0 - peak;
@@ -24,10 +24,10 @@ pub fn run(effort: &Effort, tell: &mut dyn FnMut(Line)) {
         let wide = (2.0 * peak).sqrt();
         cases.push(lamp(&format!("schlick {parameter}"), wide.min(0.4), |angle| schlick(parameter, angle)));
     }
-    all("peaks", &cases, effort, tell);
+    measure_all("peaks", &cases, effort, report);
 }
 
-fn lamp(phase: &str, angle: f64, within: impl Fn(f64) -> f64) -> Case {
+fn lamp(phase: &str, angle: f64, fraction_within: impl Fn(f64) -> f64) -> Case {
     let radius = FAR * angle;
     // The field of view is a hundredth of the ball's angle.
     let view = camera("0 0 0", "1 0 0", 0.01 * angle.to_degrees()).replace("up .1 .2 .9", "up 0 0 1");
@@ -39,11 +39,11 @@ fn lamp(phase: &str, angle: f64, within: impl Fn(f64) -> f64) -> Case {
         "{view}{fog}mbox fog 0 -9 -9 {DEPTH} 9 9\n{lamp}v o =\n p {} 0 0\nm lamp\nsph o {radius}\n",
         FAR + radius
     );
-    let share = integral(0.0, DEPTH, 64, |s| within((radius / (FAR + radius - s)).asin()));
+    let share = integral(0.0, DEPTH, 64, |s| fraction_within((radius / (FAR + radius - s)).asin()));
     let truth = (-DEPTH).exp() * (1.0 + ALBEDO * share);
     Case::new(format!("a lamp of {angle:.1e} rad through fog of phase {phase}"), text, truth)
-        .depth(2)
-        .slack(1e-4 + 0.3 * angle * angle)
+        .with_max_depth(2)
+        .with_slack(1e-4 + 0.3 * angle * angle)
 }
 
 /// Returns the fraction within an angle of the forward direction.

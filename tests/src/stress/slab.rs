@@ -5,28 +5,28 @@
 //! (reciprocity). A camera below that looks vertically up sees the transmitted fraction. A patch of a millimeter receives the mean
 //! over all directions. Its luminance over its reflectance is the fraction of the incident diffuse light.
 
-use super::Line;
-use super::measure::{Case, Effort, all};
+use super::ResultLine;
+use super::measure::{Case, Effort, measure_all};
 use super::quadrature::{gauss, integral};
-use crate::text::{block, camera, level, material};
+use crate::text::{block, camera, horizontal_square, material};
 use std::f64::consts::PI;
 
 /// Reflectance of patches.
 const RHO: f64 = 0.5;
-const WIDE: f64 = 1e4;
+const HALF_WIDTH: f64 = 1e4;
 
-pub fn run(effort: &Effort, tell: &mut dyn FnMut(Line)) {
+pub fn run(effort: &Effort, report: &mut dyn FnMut(ResultLine)) {
     let mut cases = half_spaces();
     cases.extend(milne());
     cases.extend(slabs());
     cases.extend(unscattered());
     cases.extend(forward());
     cases.push(giovanelli());
-    all("slabs", &cases, effort, tell);
+    measure_all("slabs", &cases, effort, report);
 }
 
 #[derive(Clone, Copy, PartialEq)]
-enum From {
+enum SlabSide {
     Above,
     Below,
 }
@@ -34,33 +34,36 @@ enum From {
 /// Returns a medium of extinction 1 (`more`: its phase function) from z = -`thickness` to 0, under a ceiling.
 fn slab(thickness: f64, albedo: f64, more: &str, view: &str) -> String {
     let fog = format!("medium fog =\n sigma_s {albedo}\n sigma_a {}\n{more}", 1.0 - albedo);
-    let ceiling = material("ceiling", &["sides 2", &format!("ed {PI}")]) + &level("ceiling", [0.0, 0.0, 1.0], WIDE);
-    format!("{view}{fog}mbox fog -{WIDE} -{WIDE} -{thickness} {WIDE} {WIDE} 0\n{ceiling}")
+    let ceiling = material("ceiling", &["sides 2", &format!("ed {PI}")])
+        + &horizontal_square("ceiling", [0.0, 0.0, 1.0], HALF_WIDTH);
+    format!("{view}{fog}mbox fog -{HALF_WIDTH} -{HALF_WIDTH} -{thickness} {HALF_WIDTH} {HALF_WIDTH} 0\n{ceiling}")
 }
 
 /// Returns a camera that looks at the slab at the angle of cosine `mu`.
-fn toward(from: From, thickness: f64, mu: f64) -> String {
+fn toward(from: SlabSide, thickness: f64, mu: f64) -> String {
     let sin = (1.0 - mu * mu).sqrt();
     match from {
-        From::Above => camera("0 0 .5", &format!("{sin} 0 {}", 0.5 - mu), 0.01),
-        From::Below => camera(&format!("0 0 {}", -thickness - 0.5), &format!("{sin} 0 {}", mu - thickness - 0.5), 0.01),
+        SlabSide::Above => camera("0 0 .5", &format!("{sin} 0 {}", 0.5 - mu), 0.01),
+        SlabSide::Below => {
+            camera(&format!("0 0 {}", -thickness - 0.5), &format!("{sin} 0 {}", mu - thickness - 0.5), 0.01)
+        }
     }
     .replace("up .1 .2 .9", "up 0 1 0")
 }
 
 /// Returns a patch that faces the slab, and a camera that looks at it from the slab's side.
-fn patch(from: From, thickness: f64) -> String {
-    let (z, eye) = match from {
-        From::Above => (0.5, 0.49),
-        From::Below => (-thickness - 0.5, -thickness - 0.49),
+fn patch(from: SlabSide, thickness: f64) -> String {
+    let (z, camera_z) = match from {
+        SlabSide::Above => (0.5, 0.49),
+        SlabSide::Below => (-thickness - 0.5, -thickness - 0.49),
     };
-    let view = camera(&format!("0 -1e-4 {eye}"), &format!("0 0 {z}"), 0.01);
+    let view = camera(&format!("0 -1e-4 {camera_z}"), &format!("0 0 {z}"), 0.01);
     // The other side is black, because the ceiling would illuminate it.
     let corner = |x: f64, y: f64| format!("{x} {y} {z}");
     let h = 5e-4;
     let face = [corner(-h, -h), corner(-h, h), corner(h, h), corner(h, -h)];
     let mut face = face.each_ref().map(String::as_str);
-    if from == From::Below {
+    if from == SlabSide::Below {
         face.reverse();
     }
     view + &material("patch", &["sides 1", &format!("rd {RHO}")]) + &crate::text::quad("patch", face)
@@ -68,13 +71,13 @@ fn patch(from: From, thickness: f64) -> String {
 
 /// Chandrasekhar's H function for isotropic scattering (\[chandrasekhar1960\]), from iterating 1/H = sqrt(1-w) + w/2 int H(m) m /
 /// (mu + m) dm.
-struct H {
+struct HFunction {
     albedo: f64,
     nodes: Vec<(f64, f64)>,
     values: Vec<f64>,
 }
 
-impl H {
+impl HFunction {
     fn new(albedo: f64) -> Self {
         // The nodes are in the square root of mu, because H is steep near mu = 0.
         let nodes: Vec<_> = gauss(64, 0.0, 1.0).into_iter().map(|(x, w)| (x * x, 2.0 * x * w)).collect();
@@ -111,43 +114,49 @@ impl H {
 fn half_spaces() -> Vec<Case> {
     let mut cases = Vec::new();
     for (albedo, depth) in [(0.5, 60.0), (0.8, 90.0), (0.9, 120.0), (0.95, 160.0), (0.99, 350.0)] {
-        let h = H::new(albedo);
+        let h = HFunction::new(albedo);
         for mu in [1.0, 0.5, 0.1] {
-            let text = slab(depth, albedo, "", &toward(From::Above, depth, mu));
-            cases.push(Case::new(format!("half space of albedo {albedo}, cosine {mu}"), text, h.plane(mu)).slack(1e-4));
+            let text = slab(depth, albedo, "", &toward(SlabSide::Above, depth, mu));
+            cases.push(
+                Case::new(format!("half space of albedo {albedo}, cosine {mu}"), text, h.plane(mu)).with_slack(1e-4),
+            );
         }
-        let text = slab(depth, albedo, "", &patch(From::Above, depth));
-        cases.push(Case::new(format!("half space of albedo {albedo}, diffuse"), text, RHO * h.spherical()).slack(1e-4));
+        let text = slab(depth, albedo, "", &patch(SlabSide::Above, depth));
+        cases.push(
+            Case::new(format!("half space of albedo {albedo}, diffuse"), text, RHO * h.spherical()).with_slack(1e-4),
+        );
         cases.push(by_lamp(albedo, depth, &h));
     }
     cases
 }
 
 /// f_r = w/(4 pi) H(mu) H(mu0) / (mu + mu0), with a small distant lamp at mu0 = 0.6, seen from mu = 1.
-fn by_lamp(albedo: f64, depth: f64, h: &H) -> Case {
+fn by_lamp(albedo: f64, depth: f64, h: &HFunction) -> Case {
     let (far, radius, mu0) = (1e5, 100.0, 0.6);
     let at = [0.8 * far, 0.0, mu0 * far];
     let lamp = material("lamp", &["sides 1", "ed 3141592.65358979"]);
     let lamp = lamp + &format!("v o =\n p {} {} {}\nm lamp\nsph o {radius}\n", at[0], at[1], at[2]);
     let fog = format!("medium fog =\n sigma_s {albedo}\n sigma_a {}\n", 1.0 - albedo);
-    let view = toward(From::Above, depth, 1.0);
-    let text = format!("{view}{fog}mbox fog -{WIDE} -{WIDE} -{depth} {WIDE} {WIDE} 0\n{lamp}");
+    let view = toward(SlabSide::Above, depth, 1.0);
+    let text = format!("{view}{fog}mbox fog -{HALF_WIDTH} -{HALF_WIDTH} -{depth} {HALF_WIDTH} {HALF_WIDTH} 0\n{lamp}");
     let reflectance = albedo / (4.0 * PI) * h.at(1.0) * h.at(mu0) / (1.0 + mu0);
     let irradiance = PI * 1e6 * (radius / far).powi(2) * mu0;
     // The lamp has an angular diameter of 0.1 degrees.
-    Case::new(format!("half space of albedo {albedo} under a lamp"), text, reflectance * irradiance).slack(1e-4)
+    Case::new(format!("half space of albedo {albedo} under a lamp"), text, reflectance * irradiance).with_slack(1e-4)
 }
 
 /// T11, with a slab of albedo 1 and thickness 10. Within some free paths of its dark side light only flows through, and the
 /// emerging radiance is (sqrt 3 / 4 pi) H(mu) F. The flux F is pi times the transmitted fraction, 4/3 / (10 + 2 * 0.7104461).
 fn milne() -> Vec<Case> {
     let thickness = 10.0;
-    let h = H::new(1.0);
+    let h = HFunction::new(1.0);
     let flux = PI * 4.0 / 3.0 / (thickness + 2.0 * 0.710_446_1);
     let case = |mu: f64| {
-        let text = slab(thickness, 1.0, "", &toward(From::Below, thickness, mu));
+        let text = slab(thickness, 1.0, "", &toward(SlabSide::Below, thickness, mu));
         let truth = 3f64.sqrt() / (4.0 * PI) * h.at(mu) * flux;
-        Case::new(format!("light that emerges from deep below, cosine {mu}"), text, truth).slack(2e-4).to(3e-3)
+        Case::new(format!("light that emerges from deep below, cosine {mu}"), text, truth)
+            .with_slack(2e-4)
+            .with_sigma(3e-3)
     };
     vec![case(1.0), case(0.5), case(0.1)]
 }
@@ -171,16 +180,18 @@ fn slabs() -> Vec<Case> {
     let mut cases = Vec::new();
     for (thickness, albedo, diffuse, normal) in &ISOTROPIC {
         let (thickness, albedo) = (*thickness, *albedo);
-        for (from, k, what) in [(From::Above, 0, "reflected"), (From::Below, 1, "transmitted")] {
+        for (from, k, what) in [(SlabSide::Above, 0, "reflected"), (SlabSide::Below, 1, "transmitted")] {
             let name = format!("slab of {thickness}, albedo {albedo}, {what}");
             // The brief rounds its numbers to 1e-5, the last ones to 1e-4.
             let slack = |truth: f64| 1e-4 + if thickness > 5.0 { 6e-5 } else { 1e-5 } / truth;
-            let sigma = if thickness > 2.0 && from == From::Below { 3e-3 } else { 1e-3 };
+            let sigma = if thickness > 2.0 && from == SlabSide::Below { 3e-3 } else { 1e-3 };
             let text = slab(thickness, albedo, "", &toward(from, thickness, 1.0));
-            cases.push(Case::new(format!("{name} of a beam"), text, normal[k]).slack(slack(normal[k])).to(sigma));
+            cases.push(
+                Case::new(format!("{name} of a beam"), text, normal[k]).with_slack(slack(normal[k])).with_sigma(sigma),
+            );
             let text = slab(thickness, albedo, "", &patch(from, thickness));
             let case = Case::new(format!("{name} of diffuse light"), text, RHO * diffuse[k]);
-            cases.push(case.slack(slack(diffuse[k])).to(sigma));
+            cases.push(case.with_slack(slack(diffuse[k])).with_sigma(sigma));
         }
     }
     cases
@@ -191,21 +202,23 @@ fn unscattered() -> Vec<Case> {
     let mut cases = Vec::new();
     for thickness in [1e-4, 0.1, 1.0, 5.0] {
         let e3 = integral(0.0, 1.0, 400, |mu| if mu > 0.0 { mu * (-thickness / mu).exp() } else { 0.0 });
-        let beam = slab(thickness, 0.0, "", &toward(From::Below, thickness, 1.0));
+        let beam = slab(thickness, 0.0, "", &toward(SlabSide::Below, thickness, 1.0));
         cases.push(Case::new(format!("absorber of {thickness}, a beam"), beam, (-thickness).exp()));
-        let diffuse = slab(thickness, 0.0, "", &patch(From::Below, thickness));
-        cases.push(Case::new(format!("absorber of {thickness}, diffuse light"), diffuse, RHO * 2.0 * e3).slack(1e-4));
+        let diffuse = slab(thickness, 0.0, "", &patch(SlabSide::Below, thickness));
+        cases.push(
+            Case::new(format!("absorber of {thickness}, diffuse light"), diffuse, RHO * 2.0 * e3).with_slack(1e-4),
+        );
     }
     cases
 }
 
 /// T13: Henyey-Greenstein with g = 0.75, thickness 2, albedo 0.9: van de Hulst's table, as cited by \[wang1995\].
 fn forward() -> Vec<Case> {
-    let case = |from: From, what: &str, truth: f64| {
+    let case = |from: SlabSide, what: &str, truth: f64| {
         let text = slab(2.0, 0.9, " phase hg .75\n", &toward(from, 2.0, 1.0));
-        Case::new(format!("slab of 2, albedo 0.9, g 0.75, {what}"), text, truth).slack(1e-4)
+        Case::new(format!("slab of 2, albedo 0.9, g 0.75, {what}"), text, truth).with_slack(1e-4)
     };
-    vec![case(From::Above, "reflected", 0.09739), case(From::Below, "transmitted", 0.66096)]
+    vec![case(SlabSide::Above, "reflected", 0.09739), case(SlabSide::Below, "transmitted", 0.66096)]
 }
 
 /// T13: a half space of albedo 0.9 behind an interface of index 1.5: Giovanelli's 0.2600 (1955) for a vertical beam, as cited by
@@ -213,16 +226,17 @@ fn forward() -> Vec<Case> {
 fn giovanelli() -> Case {
     let depth = 120.0;
     let skin = material("skin", &["sides 1", "ir 1.5 0", "ts 1 0", "inside fog"]);
-    let solid = skin + &block("skin", [-WIDE, -WIDE, -depth], [WIDE, WIDE, 0.0]);
+    let solid = skin + &block("skin", [-HALF_WIDTH, -HALF_WIDTH, -depth], [HALF_WIDTH, HALF_WIDTH, 0.0]);
     let fog = "medium fog =\n sigma_s .9\n sigma_a .1\n";
-    let ceiling = material("ceiling", &["sides 2", &format!("ed {PI}")]) + &level("ceiling", [0.0, 0.0, 1.0], WIDE);
-    let text = format!("{}{fog}{solid}{ceiling}", toward(From::Above, depth, 1.0));
-    Case::new("half space of albedo 0.9 behind an index of 1.5", text, 0.2600).slack(5e-4)
+    let ceiling = material("ceiling", &["sides 2", &format!("ed {PI}")])
+        + &horizontal_square("ceiling", [0.0, 0.0, 1.0], HALF_WIDTH);
+    let text = format!("{}{fog}{solid}{ceiling}", toward(SlabSide::Above, depth, 1.0));
+    Case::new("half space of albedo 0.9 behind an index of 1.5", text, 0.2600).with_slack(5e-4)
 }
 
 #[cfg(test)]
 mod tests {
-    use super::H;
+    use super::HFunction;
 
     #[test]
     fn the_h_function_and_its_moments_are_those_of_the_brief() {
@@ -234,12 +248,12 @@ mod tests {
             (0.99, 2.472793, 0.752721, 0.794564),
         ];
         for (albedo, at_one, plane, spherical) in known {
-            let h = H::new(albedo);
+            let h = HFunction::new(albedo);
             for (value, known) in [(h.at(1.0), at_one), (h.plane(1.0), plane), (h.spherical(), spherical)] {
                 assert!((value - known).abs() < 2e-6, "{albedo}: {value}, not {known}");
             }
         }
-        let h = H::new(1.0);
+        let h = HFunction::new(1.0);
         for (mu, known) in [(0.0, 0.137832), (0.5, 0.277426), (1.0, 0.400790)] {
             let emergent = 3f64.sqrt() / (4.0 * std::f64::consts::PI) * h.at(mu);
             assert!((emergent - known).abs() < 2e-6, "{mu}: {emergent}, not {known}");

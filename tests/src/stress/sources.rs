@@ -1,7 +1,7 @@
 //! Point sources in unbounded media (algorithm brief, T8 and T9): radiance of a ray.
 
-use super::Line;
-use super::measure::{Case, Effort, all};
+use super::ResultLine;
+use super::measure::{Case, Effort, measure_all};
 use super::quadrature::integral;
 use crate::text::{block, camera, material};
 use std::f64::consts::PI;
@@ -10,17 +10,17 @@ use std::f64::consts::PI;
 const POINT: &str =
     "IESNA:LM-63-2002\n[TEST] isotropic\nTILT=NONE\n1 1000 1 3 1 1 2 0 0 0\n1 1 1\n0 90 180\n0\n1 1 1\n";
 
-pub fn run(effort: &Effort, tell: &mut dyn FnMut(Line)) {
+pub fn run(effort: &Effort, report: &mut dyn FnMut(ResultLine)) {
     let mut cases = airlight();
     for albedo in [0.5, 0.9] {
         let fluence = Fluence::new(albedo);
         for (name, r0, cos) in [("beside", 1.0, 0.0), ("toward", 3.0, -0.95), ("away", 1.0, 1.0), ("far", 2.0, 0.0)] {
-            let case = scattered(name, &fluence, r0, cos).to(3e-3);
+            let case = scattered(name, &fluence, r0, cos).with_sigma(3e-3);
             cases.push(if r0 > 1.0 || albedo > 0.5 { case.long() } else { case });
         }
     }
     cases.push(absorber());
-    all("sources", &cases, effort, tell);
+    measure_all("sources", &cases, effort, report);
 }
 
 /// A ray from `start` to `end` along x, with the source at distance `h` from x = 0. Single scattering: sigma_s exp(-sigma_t (x -
@@ -47,7 +47,7 @@ fn airlight() -> Vec<Case> {
             (truth / by_quadrature - 1.0).abs() < 2e-6,
             "{name}: quadrature gives {by_quadrature}, expected {truth}"
         );
-        Case::new(name, text, truth).file("point.ies", POINT).depth(2).slack(2e-5)
+        Case::new(name, text, truth).with_file("point.ies", POINT).with_max_depth(2).with_slack(2e-5)
     };
     known.map(case).into()
 }
@@ -62,10 +62,10 @@ fn single(sigma_s: f64, sigma_t: f64, h: f64, start: f64, end: f64) -> f64 {
 /// No scattering: a diffuse patch that faces the source receives exp(-sigma_a r) / r^2.
 fn absorber() -> Case {
     let view = camera("0 0 .01", "0 1e-4 0", 0.01);
-    let floor = material("floor", &["sides 2", "rd .5"]) + &crate::text::level("floor", [0.0; 3], 1.0);
+    let floor = material("floor", &["sides 2", "rd .5"]) + &crate::text::horizontal_square("floor", [0.0; 3], 1.0);
     let text = view + &floor + "medium gas =\n sigma_a .8\nmglobal gas\nies point.ies -t 0 0 2\n";
     let truth = 0.5 / PI * (-0.8f64 * 2.01).exp() / 4.0;
-    Case::new("source in an absorber", text, truth).file("point.ies", POINT).slack(1e-4)
+    Case::new("source in an absorber", text, truth).with_file("point.ies", POINT).with_slack(1e-4)
 }
 
 /// Radiance of a ray through an isotropic scatterer of extinction 1, from all orders of scattering: w / (4 pi) times the integral
@@ -80,8 +80,8 @@ fn scattered(name: &str, fluence: &Fluence, r0: f64, cos: f64) -> Case {
     let fog = format!("medium fog =\n sigma_s {albedo}\n sigma_a {}\nmglobal fog\n", 1.0 - albedo);
     let text = view + &fog + "ies point.ies\n";
     Case::new(format!("all orders of a source, albedo {albedo}, a ray {name}"), text, truth)
-        .file("point.ies", POINT)
-        .slack(1e-4)
+        .with_file("point.ies", POINT)
+        .with_slack(1e-4)
 }
 
 /// Fluence around a point source of 1 cd in an isotropic scatterer of extinction 1, cd/m2 sr:

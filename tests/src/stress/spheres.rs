@@ -1,12 +1,12 @@
 //! Spheres seen from inside: integrating spheres (algorithm brief, T6), and spheres of gas (T7).
 
-use super::Line;
-use super::measure::{Case, Effort, all};
+use super::ResultLine;
+use super::measure::{Case, Effort, measure_all};
 use super::quadrature::gauss;
 use crate::text::{camera, material};
 use std::f64::consts::{PI, TAU};
 
-pub fn run(effort: &Effort, tell: &mut dyn FnMut(Line)) {
+pub fn run(effort: &Effort, report: &mut dyn FnMut(ResultLine)) {
     let mut cases = Vec::new();
     for x in [1e-3, 0.1, 1.0, 5.0] {
         cases.extend(gas(x));
@@ -15,7 +15,7 @@ pub fn run(effort: &Effort, tell: &mut dyn FnMut(Line)) {
         cases.push(with_port(rho));
     }
     cases.extend([0.5, 0.99].map(with_lamp));
-    all("spheres", &cases, effort, tell);
+    measure_all("spheres", &cases, effort, report);
 }
 
 /// Absorbing gas of thickness x = kappa R, and a wall of luminance 1 and reflectance 1/2. The wall receives the fraction F = (1 -
@@ -27,7 +27,9 @@ fn gas(x: f64) -> Vec<Case> {
     let text = camera("0 0 0", "1 0 0", 60.0) + &wall + &format!("medium gas =\n sigma_a {x}\nmglobal gas\n");
     let seen = (-x).exp();
     vec![
-        Case::new(format!("gas of {x:e}, reflected once"), text.clone(), seen * (1.0 + 0.5 * share)).depth(2).to(1e-4),
+        Case::new(format!("gas of {x:e}, reflected once"), text.clone(), seen * (1.0 + 0.5 * share))
+            .with_max_depth(2)
+            .with_sigma(1e-4),
         Case::new(format!("gas of {x:e}"), text, seen / (1.0 - 0.5 * share)),
     ]
 }
@@ -63,7 +65,7 @@ fn with_lamp(rho: f64) -> Case {
         }
     }
     let truth = rho / PI * sum / f64::from(n * n);
-    Case::new(format!("integrating sphere of reflectance {rho}"), text, truth).slack(1e-5)
+    Case::new(format!("integrating sphere of reflectance {rho}"), text, truth).with_slack(1e-5)
 }
 
 /// Scene for this truth.

@@ -3,10 +3,10 @@
 use femc_film::{BadKind, Frame};
 use femc_math::Rgb;
 use femc_math::color::LUMINANCE_WEIGHTS;
-use femc_pipeline::{Settings, Source, Stop, plan, prepare, render_tile};
+use femc_pipeline::{SceneSource, Settings, StopCondition, plan_job, prepare_frame, render_tile};
 use femc_prepared::Prepared;
 use femc_scattering::Bsdf;
-use femc_tests::scene;
+use femc_tests::parse_scene;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 
@@ -18,11 +18,11 @@ const FURNACE: &str = "camera main =\n origin 0 0 0\n target 1 0 0\n fov 60\n fi
 
 /// Renders with `plant` applied to the prepared frame.
 fn render(plant: impl FnOnce(&mut Prepared)) -> Frame {
-    let scene = scene(FURNACE);
-    let settings = Settings { stop: Stop::Spp(64), seed: 3, ..Settings::default() };
-    let plan = plan(&scene, &settings, Some(&[1])).unwrap_or_else(|error| panic!("{error}"));
+    let scene = parse_scene(FURNACE);
+    let settings = Settings { stop: StopCondition::Spp(64), seed: 3, ..Settings::default() };
+    let plan = plan_job(&scene, &settings, Some(&[1])).unwrap_or_else(|error| panic!("{error}"));
     let mut prepared =
-        prepare(&Source::new(scene.clone()), &settings, 1, None).unwrap_or_else(|error| panic!("{error}"));
+        prepare_frame(&SceneSource::new(scene.clone()), &settings, 1, None).unwrap_or_else(|error| panic!("{error}"));
     plant(&mut prepared);
     let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
     let mut film = Frame::new(plan.tiling);

@@ -4,7 +4,7 @@
 //! runs [`brief`] and tests/all runs [`long`]. To run them here:
 //! `cargo test --release -p femc-tests --test suite cases -- --include-ignored --nocapture`.
 
-use femc_require::shared;
+use femc_require::shared_folder;
 use femc_tests::agreement::Estimate;
 use std::path::Path;
 use std::sync::Arc;
@@ -13,15 +13,16 @@ use std::sync::Arc;
 const LEVEL: f64 = 1e-5;
 
 fn estimate(file: &Path, spp: u32) -> Estimate {
-    let loaded = femc_import::load_path(file).unwrap_or_else(|error| panic!("{}: {error}", file.display()));
-    let estimate = Estimate::of(&Arc::new(loaded.scene), None, spp);
+    let loaded = femc_import::load_scene_file(file).unwrap_or_else(|error| panic!("{}: {error}", file.display()));
+    let estimate = Estimate::from_scene(&Arc::new(loaded.scene), None, spp);
     println!("{}: {estimate:?}", file.display());
     estimate
 }
 
-/// Compares both scenes of each pair at `spp` samples. Checks that a ratio wrong by the factor `seen` would be detected.
-fn pairs_agree(spp: u32, seen: f64) {
-    let Some(folder) = shared("pairs") else { return };
+/// Compares both scenes of each pair at `spp` samples. Checks that a ratio wrong by the factor `detectable_factor` would be
+/// detected.
+fn pairs_agree(spp: u32, detectable_factor: f64) {
+    let Some(folder) = shared_folder("pairs") else { return };
     let pairs = [
         ("two-matched-solids", 1.0),
         ("cloud-in-haze", 1.0),
@@ -31,19 +32,22 @@ fn pairs_agree(spp: u32, seen: f64) {
     ];
     for (name, ratio) in pairs {
         let [a, b] = ["a", "b"].map(|side| estimate(&folder.join(format!("{name}.{side}.mgf")), spp));
-        assert!(a.mean > 0.0 && a.level(b.times(ratio)) >= LEVEL, "{name}: {a:?} is not {ratio} times {b:?}");
-        assert!(a.level(b.times(seen * ratio)) < LEVEL, "{name}: nobody would see {seen}");
+        assert!(a.mean > 0.0 && a.p_value(b.scaled(ratio)) >= LEVEL, "{name}: {a:?} is not {ratio} times {b:?}");
+        assert!(a.p_value(b.scaled(detectable_factor * ratio)) < LEVEL, "{name}: nobody would see {detectable_factor}");
     }
 }
 
-/// Checks a furnace whose paths have thousands of events. Checks that an error of the radiance by the factor `seen` would be
-/// detected.
-fn furnace(name: &str, spp: u32, seen: f64) {
-    let Some(folder) = shared("cases") else { return };
+/// Checks a furnace whose paths have thousands of events. Checks that an error of the radiance by the factor `detectable_factor`
+/// would be detected.
+fn furnace(name: &str, spp: u32, detectable_factor: f64) {
+    let Some(folder) = shared_folder("cases") else { return };
     let hundred = Estimate { mean: 100.0, error: 0.0 };
     let found = estimate(&folder.join(name), spp);
-    assert!(found.level(hundred) >= LEVEL, "{name}: {found:?}");
-    assert!(found.level(hundred.times(seen)) < LEVEL, "{name}: nobody would see {seen}: {found:?}");
+    assert!(found.p_value(hundred) >= LEVEL, "{name}: {found:?}");
+    assert!(
+        found.p_value(hundred.scaled(detectable_factor)) < LEVEL,
+        "{name}: nobody would see {detectable_factor}: {found:?}"
+    );
 }
 
 /// Tests of .ci/run: fewer samples, so they detect only larger errors.

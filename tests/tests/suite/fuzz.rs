@@ -2,13 +2,13 @@
 
 use std::collections::BTreeSet;
 
-use femc_tests::fuzz::{Tally, execute, peak, targets};
+use femc_tests::fuzz::{Tally, execute, peak_memory, targets};
 use prost::Message as _;
 
 #[test]
 fn no_bytes_make_a_decoder_panic_or_fill_the_memory() {
     let targets = targets();
-    let before = peak();
+    let before = peak_memory();
     for target in &targets {
         let mut tally = Tally::default();
         (0..400).for_each(|seed| execute(target, seed, &mut tally));
@@ -17,19 +17,19 @@ fn no_bytes_make_a_decoder_panic_or_fill_the_memory() {
             tally.accepted < tally.executions || target.name.ends_with("Request") || target.name.ends_with("Reply")
         );
     }
-    if let (Some(before), Some(after)) = (before, peak()) {
+    if let (Some(before), Some(after)) = (before, peak_memory()) {
         assert!(after < before + (512 << 20), "grew from {before} to {after} bytes");
     }
 }
 
 /// Seeds that once made a decoder panic.
-const FOUND: [(&str, u64); 1] = [("elements", 222_945)];
+const KNOWN_PANICS: [(&str, u64); 1] = [("elements", 222_945)];
 
 #[test]
 fn what_fuzzing_has_found_stays_found() {
     for target in targets() {
         let mut tally = Tally::default();
-        let seeds = FOUND.iter().filter(|(name, _)| *name == target.name);
+        let seeds = KNOWN_PANICS.iter().filter(|(name, _)| *name == target.name);
         seeds.for_each(|&(_, seed)| execute(&target, seed, &mut tally));
         assert!(tally.panics.is_empty(), "{:#?}", tally.panics);
     }

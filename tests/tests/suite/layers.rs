@@ -1,11 +1,13 @@
 //! Compares layers of small rooms with path classes of another path tracer ([`femc_tests::brute`]).
 
-use femc_film::tile::OPEN;
+use femc_film::tile::NONE_HELD;
 use femc_film::{FrameImage, Image, LayerImage, LayerPiece, Rect, Tiling};
 use femc_math::color::LUMINANCE_WEIGHTS;
-use femc_pipeline::{Layer, LayerPlan, Method, Preset, Settings, Source, Stop, prepare, render_with_layers};
-use femc_tests::brute::{Brute, Scatterer};
-use femc_tests::reference::{Comparison, Reference, rooms};
+use femc_pipeline::{
+    Layer, LayerPlan, Method, Preset, SceneSource, Settings, StopCondition, prepare_frame, render_with_layers,
+};
+use femc_tests::brute::{BruteForceTracer, Scatterer};
+use femc_tests::reference::{Comparison, Reference, rooms_folder};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 
@@ -17,7 +19,7 @@ const BLOCK: usize = 16;
 const BRUTE_SPP: u32 = 2048;
 const SPP: u32 = 128;
 
-/// Returns the compared layers, in the order of [`classes`].
+/// Returns the compared layers, in the order of [`render_classes`].
 fn layers() -> Vec<Layer> {
     let mut layers = Preset::Guides.layers([]).unwrap();
     layers.extend(Preset::Fog.layers([]).unwrap());
@@ -60,17 +62,20 @@ fn mean(image: &FrameImage) -> f32 {
     (0..count).map(|at| image.color.luminance(at)).sum::<f32>() / count as f32
 }
 
-fn rendered(name: &str, method: Method) -> Vec<FrameImage> {
-    let scene = femc_import::load_path(&rooms().join(format!("{name}.mgf"))).unwrap_or_else(|e| panic!("{e}")).scene;
-    let settings = Settings { stop: Stop::Spp(SPP), seed: 12, method, layers: layers(), ..Settings::default() };
-    let prepared = prepare(&Source::new(Arc::new(scene)), &settings, 1, None).unwrap();
+fn render_layers(name: &str, method: Method) -> Vec<FrameImage> {
+    let scene = femc_import::load_scene_file(&rooms_folder().join(format!("{name}.mgf")))
+        .unwrap_or_else(|e| panic!("{e}"))
+        .scene;
+    let settings =
+        Settings { stop: StopCondition::Spp(SPP), seed: 12, method, layers: layers(), ..Settings::default() };
+    let prepared = prepare_frame(&SceneSource::new(Arc::new(scene)), &settings, 1, None).unwrap();
     let film @ [width, height] = prepared.camera.film;
     let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
-    let plan = LayerPlan::of(&prepared, &settings).unwrap();
+    let plan = LayerPlan::new(&prepared, &settings).unwrap();
     let rect = Rect { x: 0, y: 0, width, height };
     let (_, tile, _) = render_with_layers(&prepared, &settings, &plan, None, rect, 0..SPP, &cancel, &progress).unwrap();
     let mut piece = LayerPiece::new(Tiling::new(width, height, 64).unwrap(), 0);
-    piece.put(&tile, OPEN).unwrap();
+    piece.put(&tile, NONE_HELD).unwrap();
     let mut images = LayerImage::black(settings.layers.iter().map(|layer| layer.name.clone()), width, height);
     LayerImage::put(&mut images, &piece).unwrap();
     images.into_iter().map(|layer| image(layer, film)).collect()
@@ -78,9 +83,11 @@ fn rendered(name: &str, method: Method) -> Vec<FrameImage> {
 
 /// Renders the references of a room, one per class.
 fn references(name: &str) -> Vec<Reference> {
-    let scene = femc_import::load_path(&rooms().join(format!("{name}.mgf"))).unwrap_or_else(|e| panic!("{e}")).scene;
-    let brute = Brute::new(&scene);
-    let [a, b] = [5, 6].map(|seed| brute.classes(seed, BRUTE_SPP, classes));
+    let scene = femc_import::load_scene_file(&rooms_folder().join(format!("{name}.mgf")))
+        .unwrap_or_else(|e| panic!("{e}"))
+        .scene;
+    let brute = BruteForceTracer::new(&scene);
+    let [a, b] = [5, 6].map(|seed| brute.render_classes(seed, BRUTE_SPP, classes));
     a.into_iter().zip(b).map(|(a, b)| Reference::new([a, b])).collect()
 }
 
@@ -88,7 +95,7 @@ fn references(name: &str) -> Vec<Reference> {
 fn check(name: &str, dark: &[&str]) {
     let (names, references) = (layers(), references(name));
     for method in [Method::Pt, Method::Femc] {
-        let images = rendered(name, method);
+        let images = render_layers(name, method);
         for (number, (layer, image)) in names.iter().zip(&images).enumerate() {
             let compared: Comparison = references[number].compare(image, BLOCK);
             println!("{name} {method:?} {}: {compared:?}", layer.name);

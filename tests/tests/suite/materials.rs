@@ -4,11 +4,11 @@ use femc_film::Frame;
 use femc_math::Rgb;
 use femc_math::color::LUMINANCE_WEIGHTS;
 use femc_math::glam::Vec3A;
-use femc_pipeline::radiosity::{Options, Untrusted, solve};
-use femc_pipeline::{Method, Prepared, Settings, Source, Stop, plan, prepare, render_tile};
+use femc_pipeline::radiosity::{SolveOptions, VerifyError, solve};
+use femc_pipeline::{Method, Prepared, SceneSource, Settings, StopCondition, plan_job, prepare_frame, render_tile};
 use femc_prepared::KernelMaterial;
+use femc_tests::parse_scene;
 use femc_tests::rng::Rng;
-use femc_tests::scene;
 use std::fmt::Write as _;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64};
@@ -59,7 +59,7 @@ fn material(rng: &mut Rng, name: &str, opaque: bool) -> String {
 
 /// Computes the directional albedo from `n^3` stratified samples, without the factor of the squared index of refraction.
 fn albedo(kernel: &KernelMaterial, texel: Option<Rgb>, wo: Vec3A, n: u32) -> Rgb {
-    let bsdf = texel.map_or(kernel.bsdf, |texel| kernel.textured(texel));
+    let bsdf = texel.map_or(kernel.bsdf, |texel| kernel.textured_bsdf(texel));
     let mut rng = Rng::new(52);
     let mut at = |k: u32| ((f64::from(k) + unit(&mut rng)) / f64::from(n)).min(1.0 - 1e-7) as f32;
     let mut sum = Rgb::ZERO;
@@ -78,8 +78,8 @@ fn ten_thousand_materials_return_no_more_than_they_receive() {
     let (mut rng, mut limited, mut worst) = (Rng::new(50), 0, 0.0f32);
     for _ in 0..20 {
         let text: String = (0..500).map(|k| material(&mut rng, &format!("m{k}"), false) + "v a =\nsph a 1\n").collect();
-        for description in &scene(&text).materials {
-            limited += u32::from((0..3).any(|channel| description.asked_of_channel(channel) > 1.001));
+        for description in &parse_scene(&text).materials {
+            limited += u32::from((0..3).any(|channel| description.channel_demand(channel) > 1.001));
             let kernel = KernelMaterial::new(description);
             let wo = Vec3A::new(0.0, unit(&mut rng) as f32 * 0.999, 0.0);
             let z = (1.0 - wo.y * wo.y).sqrt() * if unit(&mut rng) < 0.5 { -1.0 } else { 1.0 };
@@ -108,9 +108,9 @@ fn room(material: &str) -> String {
 }
 
 /// Renders a frame with the samples of `settings`.
-fn picture(prepared: &Prepared, settings: &Settings) -> Frame {
-    let Stop::Spp(spp) = settings.stop else { panic!("a fixed number of samples") };
-    let plan = plan(&prepared.scene, settings, Some(&[1])).unwrap_or_else(|error| panic!("{error}"));
+fn render_frame(prepared: &Prepared, settings: &Settings) -> Frame {
+    let StopCondition::Spp(spp) = settings.stop else { panic!("a fixed number of samples") };
+    let plan = plan_job(&prepared.scene, settings, Some(&[1])).unwrap_or_else(|error| panic!("{error}"));
     let (cancel, progress, mut film) = (AtomicBool::new(false), AtomicU64::new(0), Frame::new(plan.tiling));
     for rect in plan.tiling.rects() {
         let done = render_tile(prepared, settings, rect, 0..spp, &cancel, &progress);
@@ -124,10 +124,10 @@ fn random_material_rooms_gain_no_light_and_have_no_bad_samples() {
     let mut rng = Rng::new(51);
     for k in 0..60 {
         let text = room(&material(&mut rng, "wall", true));
-        let source = Source::new(scene(&text));
-        let settings = Settings { stop: Stop::Spp(16), method: Method::Pt, ..Settings::default() };
-        let prepared = prepare(&source, &settings, 1, None).unwrap_or_else(|error| panic!("{error}"));
-        let film = picture(&prepared, &settings);
+        let source = SceneSource::new(parse_scene(&text));
+        let settings = Settings { stop: StopCondition::Spp(16), method: Method::Pt, ..Settings::default() };
+        let prepared = prepare_frame(&source, &settings, 1, None).unwrap_or_else(|error| panic!("{error}"));
+        let film = render_frame(&prepared, &settings);
         assert_eq!(film.bad().total(), 0, "{k}: {text}");
         let pixels = film.resolve().color.pixels;
         // The lamp bounds every pixel. The test compares the median with it: where a channel's albedo is near 1 in a lobe that is
@@ -136,11 +136,11 @@ fn random_material_rooms_gain_no_light_and_have_no_bad_samples() {
         luminances.sort_by(f32::total_cmp);
         let median = luminances[luminances.len() / 2];
         assert!(median <= 1000.0 / std::f32::consts::PI, "{k}: {median}: {text}");
-        let solved = solve(&prepared, &Options::default(), &AtomicBool::new(false)).expect("nobody cancels");
+        let solved = solve(&prepared, &SolveOptions::default(), &AtomicBool::new(false)).expect("nobody cancels");
         // Few rays hit mirrors, so a valid solution may keep slightly too much light. A material that gains energy multiplies it.
         let verdict = solved.verify(&prepared);
-        let is_sound = matches!(verdict, Ok(()) | Err(Untrusted::Restless { .. }))
-            || matches!(verdict, Err(Untrusted::Gains { ratio }) if ratio < 1.5);
+        let is_sound = matches!(verdict, Ok(()) | Err(VerifyError::NotConverged { .. }))
+            || matches!(verdict, Err(VerifyError::EnergyGain { ratio }) if ratio < 1.5);
         assert!(is_sound && solved.report.residual.is_finite(), "{k}: {verdict:?}: {:?}: {text}", solved.report);
     }
 }
@@ -154,9 +154,10 @@ fn walls_emitting_on_both_sides_light_room_as_inward_ones_do() {
                  ed 3.14159265358979\nv a =\n p -1 -1 -1\nv b =\n p 1 -1 -1\nv c =\n p 1 1 -1\nv d =\n p -1 1 -1\nm wall\n\
                  prism a b c d -2\n"
             );
-            let settings = Settings { stop: Stop::Spp(16), method: Method::Fem, ..Settings::default() };
-            let prepared = prepare(&Source::new(scene(&text)), &settings, 1, None).unwrap_or_else(|e| panic!("{e}"));
-            let image = picture(&prepared, &settings).resolve().color;
+            let settings = Settings { stop: StopCondition::Spp(16), method: Method::Fem, ..Settings::default() };
+            let prepared = prepare_frame(&SceneSource::new(parse_scene(&text)), &settings, 1, None)
+                .unwrap_or_else(|e| panic!("{e}"));
+            let image = render_frame(&prepared, &settings).resolve().color;
             let n = image.pixels.len();
             (0..n).map(|at| f64::from(image.luminance(at))).sum::<f64>() / n as f64
         };
@@ -168,13 +169,14 @@ fn walls_emitting_on_both_sides_light_room_as_inward_ones_do() {
 
 #[test]
 fn scenes_of_the_1990s_have_no_bad_sample() {
-    let Some(folder) = femc_require::shared("scenes-real") else { return };
+    let Some(folder) = femc_require::shared_folder("scenes-real") else { return };
     for name in ["corridor", "cube", "examp1", "floor_gloss", "office2/office2", "soda"] {
-        let loaded = femc_import::load_path(&folder.join(format!("{name}.mgf"))).unwrap_or_else(|e| panic!("{e}"));
+        let loaded =
+            femc_import::load_scene_file(&folder.join(format!("{name}.mgf"))).unwrap_or_else(|e| panic!("{e}"));
         let settings =
-            Settings { stop: Stop::Spp(64), method: Method::Pt, size: Some([32, 24]), ..Settings::default() };
-        let prepared = prepare(&Source::new(Arc::new(loaded.scene)), &settings, 1, None);
-        let film = picture(&prepared.unwrap_or_else(|error| panic!("{name}: {error}")), &settings);
+            Settings { stop: StopCondition::Spp(64), method: Method::Pt, size: Some([32, 24]), ..Settings::default() };
+        let prepared = prepare_frame(&SceneSource::new(Arc::new(loaded.scene)), &settings, 1, None);
+        let film = render_frame(&prepared.unwrap_or_else(|error| panic!("{name}: {error}")), &settings);
         assert_eq!(film.bad().total(), 0, "{name}");
     }
 }
@@ -186,14 +188,14 @@ fn lamp_texture_above_1_raises_light_and_solution_is_trusted() {
         uv 1 1\nv h =\n p .5 -.5 2.9\n uv 1 0\nm lamp\nf e f g h\n\
         camera main =\n origin 1.5 -1.5 1\n target 0 0 1\n fov 60\n film 8 8\n";
     for (value, kept) in [(1.0, 1.0), (4.0, 4.0)] {
-        let mut textured = femc_scene::Scene::clone(&scene(text));
+        let mut textured = femc_scene::Scene::clone(&parse_scene(text));
         textured.images.push(femc_scene::Image { path: String::new(), width: 1, height: 1, pixels: vec![[value; 3]] });
         let lamp = textured.materials.iter_mut().find(|material| material.name == "lamp").expect("the lamp");
         lamp.map_ed = Some(femc_scene::ImageId(0));
-        let prepared = prepare(&Source::new(Arc::new(textured)), &Settings::default(), 1, None);
+        let prepared = prepare_frame(&SceneSource::new(Arc::new(textured)), &Settings::default(), 1, None);
         let prepared = prepared.unwrap_or_else(|error| panic!("{error}"));
-        let solved = solve(&prepared, &Options::default(), &AtomicBool::new(false)).expect("nobody cancels");
-        let light = femc_pipeline::radiosity::Look::new(&prepared, &solved).summary();
+        let solved = solve(&prepared, &SolveOptions::default(), &AtomicBool::new(false)).expect("nobody cancels");
+        let light = femc_pipeline::radiosity::SolutionView::new(&prepared, &solved).totals();
         let ratio = light.absorbed / light.emitted;
         assert!((ratio / kept - 1.0).abs() < 0.1, "texture {value}: {ratio} times the emittance is kept");
         assert_eq!(solved.verify(&prepared), Ok(()));

@@ -14,7 +14,7 @@ type Module = Vec<String>;
 
 /// References of a file to other modules.
 #[derive(Default)]
-struct Source {
+struct FileReferences {
     children: BTreeSet<String>,
     /// Names that `use` imports, with their paths.
     imports: BTreeMap<String, Vec<String>>,
@@ -26,7 +26,7 @@ struct Source {
 
 /// Modules of a crate, each with its file.
 #[derive(Default)]
-struct Crate(BTreeMap<Module, Source>);
+struct Crate(BTreeMap<Module, FileReferences>);
 
 fn is_for_tests(attributes: &[Attribute]) -> bool {
     attributes.iter().any(|attribute| match &attribute.meta {
@@ -36,8 +36,8 @@ fn is_for_tests(attributes: &[Attribute]) -> bool {
     })
 }
 
-impl Source {
-    fn of(text: &str, name: &str) -> Self {
+impl FileReferences {
+    fn parse(text: &str, name: &str) -> Self {
         let file = syn::parse_file(text).unwrap_or_else(|error| panic!("{name}: {error}"));
         let mut source = Self::default();
         source.visit_file(&file);
@@ -72,7 +72,7 @@ impl Source {
     }
 }
 
-impl<'ast> Visit<'ast> for Source {
+impl<'ast> Visit<'ast> for FileReferences {
     fn visit_item(&mut self, item: &'ast Item) {
         let attributes = match item {
             Item::Mod(it) => &it.attrs,
@@ -108,7 +108,7 @@ impl Crate {
     fn read(folder: &Path) -> Self {
         fn add(all: &mut Crate, file: &Path, folder: &Path, module: Module) {
             let text = std::fs::read_to_string(file).unwrap_or_else(|error| panic!("{}: {error}", file.display()));
-            let source = Source::of(&text, &file.display().to_string());
+            let source = FileReferences::parse(&text, &file.display().to_string());
             assert_eq!(source.inline, 0, "{}: a module within a file is none of its own", file.display());
             for child in &source.children {
                 let path = [folder.join(format!("{child}.rs")), folder.join(child).join("mod.rs")];
@@ -124,7 +124,7 @@ impl Crate {
 
     /// Returns the module that defines the item of `path` within `module`; `None`: another crate defines it, or the path is only a
     /// module.
-    fn definer(&self, module: &Module, path: &[String], depth: usize) -> Option<Module> {
+    fn defining_module(&self, module: &Module, path: &[String], depth: usize) -> Option<Module> {
         assert!(depth < 16, "{module:?} {path:?}: names that stand for each other");
         let (first, rest) = path.split_first()?;
         let (mut at, rest) = match first.as_str() {
@@ -137,7 +137,7 @@ impl Crate {
             name if self.0[module].children.contains(name) => (module.clone(), path),
             name => {
                 let import = self.0[module].imports.get(name)?;
-                return self.definer(module, &[import, rest].concat(), depth + 1);
+                return self.defining_module(module, &[import, rest].concat(), depth + 1);
             }
         };
         let mut rest = rest;
@@ -148,15 +148,15 @@ impl Crate {
         // A path to a module alone only names its items.
         let name = rest.first()?;
         match self.0[&at].imports.get(name) {
-            Some(import) => self.definer(&at, &[import, &rest[1..]].concat(), depth + 1),
+            Some(import) => self.defining_module(&at, &[import, &rest[1..]].concat(), depth + 1),
             None => Some(at),
         }
     }
 
     /// Returns each module with the modules that it uses.
     fn edges(&self) -> BTreeMap<Module, BTreeSet<Module>> {
-        let uses = |(module, source): (&Module, &Source)| {
-            let found = source.paths.iter().filter_map(|path| self.definer(module, path, 0));
+        let uses = |(module, source): (&Module, &FileReferences)| {
+            let found = source.paths.iter().filter_map(|path| self.defining_module(module, path, 0));
             (module.clone(), found.filter(|used| used != module).collect())
         };
         self.0.iter().map(uses).collect()
@@ -164,7 +164,7 @@ impl Crate {
 }
 
 /// Finds cycles: the sets of modules that reach each other.
-fn circles<M: Clone + Ord>(edges: &BTreeMap<M, BTreeSet<M>>) -> BTreeSet<BTreeSet<M>> {
+fn find_cycles<M: Clone + Ord>(edges: &BTreeMap<M, BTreeSet<M>>) -> BTreeSet<BTreeSet<M>> {
     let reached = |from: &M| {
         let (mut reached, mut todo) = (BTreeSet::new(), vec![from]);
         while let Some(at) = todo.pop() {
@@ -179,7 +179,7 @@ fn circles<M: Clone + Ord>(edges: &BTreeMap<M, BTreeSet<M>>) -> BTreeSet<BTreeSe
 }
 
 /// Returns the dependencies between top-level modules, each with all of its submodules.
-fn tops(edges: &BTreeMap<Module, BTreeSet<Module>>) -> BTreeMap<String, BTreeSet<String>> {
+fn top_level_edges(edges: &BTreeMap<Module, BTreeSet<Module>>) -> BTreeMap<String, BTreeSet<String>> {
     let mut tops: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
     let top = |module: &Module| module.first().cloned().unwrap_or_else(|| "main".to_owned());
     for (module, used) in edges {
@@ -195,16 +195,16 @@ fn the_command_line_has_no_circle_of_imports() {
     let all = Crate::read(&root().join("cli/src"));
     let edges = all.edges();
     assert!(edges.len() > 80 && edges.values().map(BTreeSet::len).sum::<usize>() > 300, "the whole crate is read");
-    assert_eq!(circles(&edges), BTreeSet::new(), "files that use each other");
-    assert_eq!(circles(&tops(&edges)), BTreeSet::new(), "modules at the root that use each other");
+    assert_eq!(find_cycles(&edges), BTreeSet::new(), "files that use each other");
+    assert_eq!(find_cycles(&top_level_edges(&edges)), BTreeSet::new(), "modules at the root that use each other");
 }
 
 #[test]
 fn cycles_are_found_through_names_and_re_exports_not_in_tests() {
     let module = |path: &str| path.split("::").filter(|part| !part.is_empty()).map(str::to_owned).collect::<Module>();
     let invented = |texts: &[(&str, &str)]| {
-        let sources = texts.iter().map(|(path, text)| (module(path), Source::of(text, path)));
-        circles(&Crate(sources.collect()).edges())
+        let sources = texts.iter().map(|(path, text)| (module(path), FileReferences::parse(text, path)));
+        find_cycles(&Crate(sources.collect()).edges())
     };
     let list = "mod a; mod b; pub use b::Thing;";
     let list =

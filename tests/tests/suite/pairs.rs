@@ -1,7 +1,7 @@
 //! Pairs of scenes that describe the same light in two ways and use different code. Their means are equal, or have a known ratio.
 
 use femc_tests::agreement::Estimate;
-use femc_tests::text::{block, camera, level, material, quad};
+use femc_tests::text::{block, camera, horizontal_square, material, quad};
 
 /// Samples per pixel of each of 48 renderings.
 const SPP: u32 = 48;
@@ -17,18 +17,18 @@ fn ies(edge: f64) -> String {
 }
 
 /// Checks that the mean of `a` is `ratio` times that of `b`, and that an error of one percent would be detected.
-fn pair(a: &str, b: &str, ratio: f64) {
+fn assert_ratio(a: &str, b: &str, ratio: f64) {
     let (sized, point) = (ies(0.1), ies(0.0));
     let estimate =
-        |text: &str| Estimate::of_files(&[("test.mgf", text), ("sized.ies", &sized), ("point.ies", &point)], SPP);
-    let (a, b) = (estimate(a), estimate(b).times(ratio));
+        |text: &str| Estimate::from_files(&[("test.mgf", text), ("sized.ies", &sized), ("point.ies", &point)], SPP);
+    let (a, b) = (estimate(a), estimate(b).scaled(ratio));
     println!("{a:?} {b:?}");
-    assert!(a.mean > 0.0 && a.level(b) >= LEVEL, "{a:?} is not {b:?}");
-    assert!(a.level(b.times(1.05)) < LEVEL, "nobody would see five percent: {a:?} {b:?}");
+    assert!(a.mean > 0.0 && a.p_value(b) >= LEVEL, "{a:?} is not {b:?}");
+    assert!(a.p_value(b.scaled(1.05)) < LEVEL, "nobody would see five percent: {a:?} {b:?}");
 }
 
 fn lamp() -> String {
-    material("lamp", &["sides 2", "ed 100"]) + &level("lamp", [0.0, 0.0, 3.0], 2.5)
+    material("lamp", &["sides 2", "ed 100"]) + &horizontal_square("lamp", [0.0, 0.0, 3.0], 2.5)
 }
 
 fn skin(inside: &str) -> String {
@@ -44,14 +44,14 @@ fn fog_in_two_solids_in_line_equals_fog_in_two_boxes() {
     let solids = skin("inside fog") + &block("skin", [-2.0, -1.0, -1.0], [-1.0, 1.0, 1.0]);
     let solids = solids + &block("skin", [1.0, -1.0, -1.0], [2.0, 1.0, 1.0]);
     let boxes = "mbox fog -2 -1 -1 -1 1 1\nmbox fog 1 -1 -1 2 1 1\n";
-    pair(&format!("{room}{solids}"), &format!("{room}{boxes}"), 1.0);
+    assert_ratio(&format!("{room}{solids}"), &format!("{room}{boxes}"), 1.0);
 }
 
 #[test]
 fn a_cloud_in_haze_does_not_depend_on_whether_it_has_a_skin() {
     let room = camera("-6 0 0", "0 0 0", 4.0) + &lamp() + FOG + HAZE + "mglobal haze\n";
     let solid = skin("inside fog") + &block("skin", [-1.0; 3], [1.0; 3]);
-    pair(&format!("{room}{solid}"), &format!("{room}mbox fog -1 -1 -1 1 1 1\n"), 1.0);
+    assert_ratio(&format!("{room}{solid}"), &format!("{room}mbox fog -1 -1 -1 1 1 1\n"), 1.0);
 }
 
 #[test]
@@ -60,51 +60,52 @@ fn skins_inside_skins_are_boxes_inside_boxes() {
     let outer = skin("inside haze") + &block("skin", [-2.0; 3], [2.0; 3]);
     let solids = outer + &skin("inside fog").replace("skin", "core") + &block("core", [-1.0; 3], [1.0; 3]);
     let boxes = "mbox haze -2 -2 -2 2 2 2\nmbox fog -1 -1 -1 1 1 1\n";
-    pair(&format!("{room}{solids}"), &format!("{room}{boxes}"), 1.0);
+    assert_ratio(&format!("{room}{solids}"), &format!("{room}{boxes}"), 1.0);
 }
 
 #[test]
 fn camera_inside_cloud_sees_same_with_and_without_skin() {
     let room = camera(".1 .2 -.3", "2 0 1", 40.0) + &lamp() + FOG;
     let solid = skin("inside fog") + &block("skin", [-1.0; 3], [1.0; 3]);
-    pair(&format!("{room}{solid}"), &format!("{room}mbox fog -1 -1 -1 1 1 1\n"), 1.0);
+    assert_ratio(&format!("{room}{solid}"), &format!("{room}mbox fog -1 -1 -1 1 1 1\n"), 1.0);
 }
 
 /// Returns a floor with `between` between it and the light.
 fn floor_below(between: &str, light: &str) -> String {
-    let floor = material("floor", &["sides 2", "rd .5"]) + &level("floor", [0.0; 3], 9.0);
+    let floor = material("floor", &["sides 2", "rd .5"]) + &horizontal_square("floor", [0.0; 3], 9.0);
     camera("0 0 1", "0 0 0", 10.0) + &floor + between + light
 }
 
 fn panel() -> String {
-    material("lamp", &["sides 2", "ed 100"]) + &level("lamp", [0.0, 0.0, 3.0], 0.5)
+    material("lamp", &["sides 2", "ed 100"]) + &horizontal_square("lamp", [0.0, 0.0, 3.0], 0.5)
 }
 
 #[test]
 fn a_clear_film_without_a_medium_is_nothing() {
-    let film = skin("") + &level("skin", [0.0, 0.0, 2.0], 9.0);
-    pair(&floor_below(&film, &panel()), &floor_below("", &panel()), 1.0);
-    pair(&floor_below(&film, "ies point.ies -t 0 0 3\n"), &floor_below("", "ies point.ies -t 0 0 3\n"), 1.0);
+    let film = skin("") + &horizontal_square("skin", [0.0, 0.0, 2.0], 9.0);
+    assert_ratio(&floor_below(&film, &panel()), &floor_below("", &panel()), 1.0);
+    assert_ratio(&floor_below(&film, "ies point.ies -t 0 0 3\n"), &floor_below("", "ies point.ies -t 0 0 3\n"), 1.0);
 }
 
 #[test]
 fn a_tinted_film_takes_its_share_of_every_light() {
-    let film = material("film", &["sides 1", "ir 1 0", "ts .6 0"]) + &level("film", [0.0, 0.0, 2.0], 9.0);
+    let film = material("film", &["sides 1", "ir 1 0", "ts .6 0"]) + &horizontal_square("film", [0.0, 0.0, 2.0], 9.0);
     for light in [panel(), "ies point.ies -t 0 0 3\n".into(), "ies sized.ies -t 0 0 3\n".into()] {
-        pair(&floor_below(&film, &light), &floor_below("", &light), 0.6);
+        assert_ratio(&floor_below(&film, &light), &floor_below("", &light), 0.6);
     }
 }
 
 #[test]
 fn light_comes_through_panes_that_do_not_bend_it() {
     // The upper pane has no reflection, so that no light is reflected back and forth between the panes.
-    let pane =
-        |name: &str, rs: &str, z: f64| material(name, &["sides 2", "ts .9 0", rs]) + &level(name, [0.0, 0.0, z], 9.0);
+    let pane = |name: &str, rs: &str, z: f64| {
+        material(name, &["sides 2", "ts .9 0", rs]) + &horizontal_square(name, [0.0, 0.0, z], 9.0)
+    };
     let one = pane("pane", "", 2.0);
     let two = pane("pane", "", 2.0) + &pane("upper", "", 2.5);
     for light in [panel(), "ies point.ies -t 0 0 3\n".into(), "ies sized.ies -t 0 0 3\n".into()] {
-        pair(&floor_below(&one, &light), &floor_below("", &light), 0.9);
-        pair(&floor_below(&two, &light), &floor_below("", &light), 0.81);
+        assert_ratio(&floor_below(&one, &light), &floor_below("", &light), 0.9);
+        assert_ratio(&floor_below(&two, &light), &floor_below("", &light), 0.81);
     }
 }
 
@@ -114,18 +115,18 @@ fn fog_behind_a_pane_is_lit_through_it() {
         let light = "ies point.ies -t 0 0 3\n";
         format!("{}{FOG}mbox fog -1 -1 -1 1 1 1\n{pane}{light}", camera("-6 0 0", "0 0 0", 6.0))
     };
-    let pane = material("pane", &["sides 2", "ts .7 0"]) + &level("pane", [0.0, 0.0, 2.0], 30.0);
-    pair(&scene(&pane), &scene(""), 0.7);
+    let pane = material("pane", &["sides 2", "ts .7 0"]) + &horizontal_square("pane", [0.0, 0.0, 2.0], 30.0);
+    assert_ratio(&scene(&pane), &scene(""), 0.7);
 }
 
 #[test]
 fn a_lamp_behind_a_pane_is_seen_in_a_mirror_and_by_the_camera() {
-    let mirror = material("mirror", &["sides 2", "rs .8 0"]) + &level("mirror", [0.0; 3], 9.0);
-    let pane = material("pane", &["sides 2", "ts .9 0"]) + &level("pane", [0.0, 0.0, 2.0], 9.0);
+    let mirror = material("mirror", &["sides 2", "rs .8 0"]) + &horizontal_square("mirror", [0.0; 3], 9.0);
+    let pane = material("pane", &["sides 2", "ts .9 0"]) + &horizontal_square("pane", [0.0, 0.0, 2.0], 9.0);
     let scene = |pane: &str| camera("0 0 1", ".1 0 0", 10.0) + &mirror + pane + &lamp();
-    pair(&scene(&pane), &scene(""), 0.9);
+    assert_ratio(&scene(&pane), &scene(""), 0.9);
     let above = |pane: &str| camera("0 0 1", ".1 0 4", 10.0) + pane + &lamp();
-    pair(&above(&pane), &above(""), 0.9);
+    assert_ratio(&above(&pane), &above(""), 0.9);
 }
 
 /// Returns two versions of a scene: one with slight motion while the shutter is open, one without shutter time.
@@ -150,7 +151,7 @@ fn a_light_that_moves_hardly_is_as_bright_as_one_that_stands() {
     for what in ["ies sized.ies\n", "ies point.ies\n", sphere, ring, &quad] {
         for scale in [0.3, 5.0] {
             let [open, shut] = moving(scale, what);
-            pair(&open, &shut, 1.0);
+            assert_ratio(&open, &shut, 1.0);
         }
     }
 }
@@ -159,7 +160,7 @@ fn a_light_that_moves_hardly_is_as_bright_as_one_that_stands() {
 fn luminaire_with_opening_acts_from_afar_as_point() {
     for scale in ["1", "2"] {
         let light = |file: &str| format!("ies {file}.ies -s {scale} -t 0 0 30000\n");
-        pair(&floor_below("", &light("sized")), &floor_below("", &light("point")), 1.0);
+        assert_ratio(&floor_below("", &light("sized")), &floor_below("", &light("point")), 1.0);
     }
 }
 
@@ -169,7 +170,7 @@ fn thin_air_scatters_in_proportion_to_its_density() {
     let air = |sigma: f64| {
         format!("{}medium air =\n sigma_s {sigma}\nmbox air -1 -1 -1 1 1 1\n{}", camera("-6 0 0", "0 0 0", 6.0), lamp())
     };
-    pair(&air(1e-6), &air(1e-3), 1e-3 / (1.0 - 1e-3));
+    assert_ratio(&air(1e-6), &air(1e-3), 1e-3 / (1.0 - 1e-3));
 }
 
 /// A segment in fog and a surface choose one of several lamps by its power, whatever its description. The camera looks at the floor
@@ -178,7 +179,8 @@ fn thin_air_scatters_in_proportion_to_its_density() {
 fn measured_lamps_of_one_intensity_are_small_balls_in_fog() {
     let room =
         camera("-6 0 1", "-4.5 0 0", 30.0) + "medium mist =\n sigma_s .1\n sigma_a .02\n phase hg .5\nmglobal mist\n";
-    let floor = material("floor", &["sides 2", "rd .5", "rs .2 .3"]) + &level("floor", [0.0, 0.0, 0.0], 5.0);
+    let floor =
+        material("floor", &["sides 2", "rd .5", "rs .2 .3"]) + &horizontal_square("floor", [0.0, 0.0, 0.0], 5.0);
     let places = [[0.0, 1.0, 2.0], [1.0, -1.5, 1.5], [-1.0, 0.5, 0.7]];
     let measured: String = places.iter().map(|[x, y, z]| format!("ies point.ies -t {x} {y} {z}\n")).collect();
     // A ball's intensity is pi r^2 times its luminance, and its emittance is pi times its luminance: 1000 cd need 1000 / 0.02^2
@@ -186,5 +188,5 @@ fn measured_lamps_of_one_intensity_are_small_balls_in_fog() {
     let balls =
         places.iter().enumerate().map(|(k, [x, y, z])| format!("v b{k} =\n p {x} {y} {z}\nm ball\nsph b{k} .02\n"));
     let balls = material("ball", &["sides 1", "ed 2.5e6"]) + &balls.collect::<String>();
-    pair(&(room.clone() + &floor + &measured), &(room + &floor + &balls), 1.0);
+    assert_ratio(&(room.clone() + &floor + &measured), &(room + &floor + &balls), 1.0);
 }

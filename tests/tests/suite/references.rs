@@ -4,10 +4,10 @@
 //! those of [`brief`] run in .ci/run, those of [`long`] in tests/all. To run all here:
 //! `cargo test --release -p femc-tests --test suite references -- --include-ignored --nocapture`.
 
-use femc_pipeline::{Settings, Stop};
-use femc_require::shared;
+use femc_pipeline::{Settings, StopCondition};
+use femc_require::shared_folder;
 use femc_tests::reference::{Comparison, Reference};
-use femc_tests::render;
+use femc_tests::render_frame;
 use std::sync::Arc;
 
 /// Side length of a block in pixels.
@@ -16,32 +16,32 @@ const BLOCK: usize = 16;
 /// Renders `name` at `spp` and checks it: mean within `tolerance`, error (minus the reference's own noise) at most `limit`, no
 /// block's mean off by more than 4.5 standard errors.
 fn check(name: &str, spp: u32, tolerance: f64, limit: f64) {
-    if let Some(c) = bounds(name, spp, tolerance, limit) {
-        blocks_agree(&c);
+    if let Some(c) = check_bounds(name, spp, tolerance, limit) {
+        assert_blocks_agree(&c);
     }
 }
 
 /// Like [`check`], but without the blocks: with few samples of a scene with rare bright paths, the variance of a block is too
 /// uncertain.
-fn bounds(name: &str, spp: u32, tolerance: f64, limit: f64) -> Option<Comparison> {
-    let c = measure(name, spp)?;
+fn check_bounds(name: &str, spp: u32, tolerance: f64, limit: f64) -> Option<Comparison> {
+    let c = measure_scene(name, spp)?;
     let net = c.relmse - c.reference_noise;
     assert!((c.mean_ratio - 1.0).abs() <= tolerance, "mean ratio {}", c.mean_ratio);
     assert!(net <= limit, "relmse less the reference's own noise {net} > {limit}");
     Some(c)
 }
 
-fn blocks_agree(c: &Comparison) {
+fn assert_blocks_agree(c: &Comparison) {
     assert!(c.worst_z <= 4.5, "block {:?} is {} standard errors off", c.worst_block, c.worst_z);
 }
 
 /// Renders `name` at `spp` and compares; `None` if the references are missing.
-fn measure(name: &str, spp: u32) -> Option<Comparison> {
-    let folder = shared("refs")?;
-    let loaded = femc_import::load_path(&folder.join(format!("{name}.mgf"))).unwrap_or_else(|e| panic!("{e}"));
+fn measure_scene(name: &str, spp: u32) -> Option<Comparison> {
+    let folder = shared_folder("refs")?;
+    let loaded = femc_import::load_scene_file(&folder.join(format!("{name}.mgf"))).unwrap_or_else(|e| panic!("{e}"));
     let start = std::time::Instant::now();
-    let settings = Settings { stop: Stop::Spp(spp), ..Settings::default() };
-    let image = render(&Arc::new(loaded.scene), &settings, 1);
+    let settings = Settings { stop: StopCondition::Spp(spp), ..Settings::default() };
+    let image = render_frame(&Arc::new(loaded.scene), &settings, 1);
     let seconds = start.elapsed().as_secs_f64();
     let c = Reference::read(&folder, name).compare(&image, BLOCK);
     let net = c.relmse - c.reference_noise;
@@ -69,7 +69,7 @@ fn cornell_fog_at_few_samples_has_reference_s_mean_and_blocks() {
 
 /// Tests of .ci/run: a quarter of the samples of [`long`], so four times the error.
 mod brief {
-    use super::{bounds, check};
+    use super::{check, check_bounds};
 
     #[test]
     #[ignore = ".ci/run: seconds a core"]
@@ -80,7 +80,7 @@ mod brief {
     #[test]
     #[ignore = ".ci/run: seconds a core"]
     fn cornell_glossy_is_within_its_bounds() {
-        bounds("cornell-glossy", 64, 0.005, 8e-3);
+        check_bounds("cornell-glossy", 64, 0.005, 8e-3);
     }
 
     #[test]
@@ -100,7 +100,7 @@ mod brief {
 
 /// Tests of tests/all.
 mod long {
-    use super::{blocks_agree, check, measure};
+    use super::{assert_blocks_agree, check, measure_scene};
 
     #[test]
     #[ignore = "tests/all: half a minute"]
@@ -135,9 +135,9 @@ mod long {
     #[test]
     #[ignore = "tests/all: minutes"]
     fn roundabout_at_many_samples_has_reference_s_mean_and_blocks() {
-        if let Some(c) = measure("roundabout", 512) {
+        if let Some(c) = measure_scene("roundabout", 512) {
             assert!((c.mean_ratio - 1.0).abs() <= 0.01, "mean ratio {}", c.mean_ratio);
-            blocks_agree(&c);
+            assert_blocks_agree(&c);
         }
     }
 }

@@ -3,11 +3,11 @@
 //! tests/all uses up to four times as many.
 
 use femc_montecarlo::Technique;
-use femc_pipeline::{Settings, Stop};
+use femc_pipeline::{Settings, StopCondition};
 use femc_stats::testing::sidak;
 use femc_tests::agreement::Estimate;
-use femc_tests::text::{block, camera, level, material, quad};
-use femc_tests::{render, scene, scene_of};
+use femc_tests::text::{block, camera, horizontal_square, material, quad};
+use femc_tests::{parse_scene, parse_scene_files, render_frame};
 
 /// Probability of a false alarm over all comparisons of one scene.
 const LEVEL: f64 = 1e-4;
@@ -15,10 +15,10 @@ const LEVEL: f64 = 1e-4;
 const FOG: &str = "medium fog =\n sigma_s .5\n sigma_a .1\n phase hg .4\n";
 
 /// Checks that every pair of {all, light, scatter} agrees.
-fn agree(name: &str, text: &str, spp: u32) {
-    let scene = scene_of(&[("test.mgf", text)]);
+fn assert_techniques_agree(name: &str, text: &str, spp: u32) {
+    let scene = parse_scene_files(&[("test.mgf", text)]);
     let techniques = [None, Some(Technique::Light), Some(Technique::Scatter)];
-    let estimates = techniques.map(|only| Estimate::of(&scene, only, spp));
+    let estimates = techniques.map(|only| Estimate::from_scene(&scene, only, spp));
     println!("{name}: {estimates:?}");
     // Near a source in fog, sampling only points on the source has infinite variance. Estimates that are too noisy are ignored.
     let known: Vec<usize> = (0..3).filter(|&i| estimates[i].error < 0.05 * estimates[i].mean).collect();
@@ -26,25 +26,25 @@ fn agree(name: &str, text: &str, spp: u32) {
     for (n, &i) in known.iter().enumerate() {
         for &j in &known[n + 1..] {
             let (a, b) = (estimates[i], estimates[j]);
-            let is_same = a.level(b) >= sidak(LEVEL, 3);
+            let is_same = a.p_value(b) >= sidak(LEVEL, 3);
             assert!(is_same, "{name}: {:?} {a:?} is not {:?} {b:?}", techniques[i], techniques[j]);
         }
     }
 }
 
 fn panel(half: f64) -> String {
-    material("lamp", &["sides 2", "ed 100"]) + &level("lamp", [0.3, 0.0, 3.0], half)
+    material("lamp", &["sides 2", "ed 100"]) + &horizontal_square("lamp", [0.3, 0.0, 3.0], half)
 }
 
 fn floor(lines: &[&str]) -> String {
-    material("floor", lines) + &level("floor", [0.0; 3], 4.0)
+    material("floor", lines) + &horizontal_square("floor", [0.0; 3], 4.0)
 }
 
 fn above() -> String {
     camera("-2 -.5 1.5", "0 0 .3", 25.0)
 }
 
-fn surfaces(finer: u32) {
+fn surfaces(spp_factor: u32) {
     let kinds: [(&str, &[&str]); 7] = [
         ("diffuse", &["sides 2", "rd .6"]),
         ("rough", &["sides 2", "rs .7 .3"]),
@@ -55,13 +55,13 @@ fn surfaces(finer: u32) {
         ("frosted", &["sides 2", "ts .6 .3", "rd .2"]),
     ];
     for (name, lines) in kinds {
-        let below = material("ground", &["sides 2", "rd .5"]) + &level("ground", [0.0, 0.0, -0.6], 4.0);
-        agree(name, &(above() + &panel(1.5) + &floor(lines) + &below), 8 * finer);
+        let below = material("ground", &["sides 2", "rd .5"]) + &horizontal_square("ground", [0.0, 0.0, -0.6], 4.0);
+        assert_techniques_agree(name, &(above() + &panel(1.5) + &floor(lines) + &below), 8 * spp_factor);
     }
 }
 
-fn panes(finer: u32) {
-    let pane = |lines: &[&str], z: f64| material("pane", lines) + &level("pane", [0.0, 0.0, z], 6.0);
+fn panes(spp_factor: u32) {
+    let pane = |lines: &[&str], z: f64| material("pane", lines) + &horizontal_square("pane", [0.0, 0.0, z], 6.0);
     let panes: [(&str, &[&str]); 4] = [
         ("pane", &["sides 2", "ts .8 0", "rs .15 0"]),
         ("stained pane", &["sides 2", "rd .2", "td .1", "ts .6 0"]),
@@ -72,12 +72,12 @@ fn panes(finer: u32) {
         for fog in ["", "mbox fog -3 -3 .2 3 3 2.6\n"] {
             let two = pane(lines, 2.0) + &pane(lines, 1.2);
             let text = above() + FOG + fog + &panel(1.5) + &floor(&["sides 2", "rd .6"]) + &two;
-            agree(&format!("{name} {fog}"), &text, 8 * finer);
+            assert_techniques_agree(&format!("{name} {fog}"), &text, 8 * spp_factor);
         }
     }
 }
 
-fn fogs(finer: u32) {
+fn fogs(spp_factor: u32) {
     let boxed = "mbox fog -2 -2 .1 2 2 2.5\n";
     let skin = material("skin", &["sides 1", "ir 1 0", "ts 1 0", "inside fog"]);
     let solid = skin.clone() + &block("skin", [-1.0, -1.0, 0.2], [1.0, 1.0, 1.6]);
@@ -97,11 +97,11 @@ fn fogs(finer: u32) {
     ];
     for (name, fog) in fogs {
         let text = above() + FOG + &fog + &panel(1.5) + &floor(&["sides 2", "rd .4"]);
-        agree(name, &text, 8 * finer);
+        assert_techniques_agree(name, &text, 8 * spp_factor);
     }
 }
 
-fn sources(finer: u32) {
+fn sources(spp_factor: u32) {
     let at = |shape: &str| {
         format!(
             "m lamp =\n c\n sides 2\n ed 100\nv s =\n p .3 0 .5\n n .1 .3 -1\nv t =\n p .9 .4 .7\nm lamp\n{shape}\n"
@@ -112,12 +112,12 @@ fn sources(finer: u32) {
         for fog in ["", "mglobal fog\n"] {
             let still =
                 above() + FOG + fog + &floor(&["sides 2", "rd .5"]) + &at(shape).replace("p .3 0 .5", "p .3 0 1.2");
-            agree(&format!("{shape} {fog}"), &still, 4 * finer);
+            assert_techniques_agree(&format!("{shape} {fog}"), &still, 4 * spp_factor);
             let moves = "time 0 1 10\npath p = linear\n key 0 -t 0 -.4 0 -rz 20\n key 1 -t .3 4 .6 -rz 70 -s 1.2\n";
             let text = above().replace("film 8 8\n", "film 8 8\n shutter 0 .9\n") + FOG + fog;
             let text =
                 format!("{moves}{text}{}xf -s 2\nxf -path p\n{}xf\nxf\n", floor(&["sides 2", "rd .5"]), at(shape));
-            agree(&format!("moving {shape} {fog}"), &text, 4 * finer);
+            assert_techniques_agree(&format!("moving {shape} {fog}"), &text, 4 * spp_factor);
         }
     }
 }
@@ -148,7 +148,7 @@ fn lamps(count: u32) -> String {
     (0..count).fold(kinds, |text, i| text + &lamp(i))
 }
 
-fn many_lamps(finer: u32) {
+fn many_lamps(spp_factor: u32) {
     let fog = |more: &str| format!("medium mist =\n sigma_s .3\n sigma_a .05\n{more}");
     let fogs = [
         ("clear", String::new()),
@@ -162,13 +162,13 @@ fn many_lamps(finer: u32) {
     for count in [2, 40, 150] {
         for (name, fog) in &fogs {
             let text = above() + fog + &lamps(count) + &floor(&["sides 2", "rd .3", "rs .3 .2"]);
-            agree(&format!("{count} lamps, {name}"), &text, 16 * finer);
+            assert_techniques_agree(&format!("{count} lamps, {name}"), &text, 16 * spp_factor);
         }
     }
 }
 
 /// Lamps smaller than a pixel, visible to the camera.
-fn small_lamps(finer: u32) {
+fn small_lamps(spp_factor: u32) {
     let lamp = |shape: &str| {
         format!(
             "m lamp =\n c\n sides 2\n ed 1e5\nv s =\n p .3 0 1.2\n n .9 .3 .1\nv t =\n p .31 .01 1.22\nm lamp\n{shape}\n"
@@ -189,16 +189,16 @@ fn small_lamps(finer: u32) {
             ("out of focus", blurred.clone() + &lamp),
             ("in fog", view.clone() + thin + &lamp),
         ] {
-            agree(&format!("{shape} {how}"), &text, 16 * finer);
+            assert_techniques_agree(&format!("{shape} {how}"), &text, 16 * spp_factor);
         }
     }
     let moves = "time 0 1 10\npath p = linear\n key 0 -t 0 -.1 0\n key 1 -t 0 .2 .1\n";
     let text = view.replace(" film 8 8\n", " film 8 8\n shutter 0 .9\n");
-    agree("moving", &format!("{moves}{text}xf -path p\n{}xf\n", lamp("sph s .03")), 16 * finer);
+    assert_techniques_agree("moving", &format!("{moves}{text}xf -path p\n{}xf\n", lamp("sph s .03")), 16 * spp_factor);
 }
 
 /// Flat lamps whose outlines cross pixels: small, larger than pixels, edge on, partly hidden, and partly outside the film.
-fn flat_lamps(finer: u32) {
+fn flat_lamps(spp_factor: u32) {
     let corners = |points: &[[f64; 3]]| -> String {
         let vertex = |(at, [x, y, z]): (usize, &[f64; 3])| format!("v p{at} =\n p {x} {y} {z}\n");
         let names: String = (0..points.len()).map(|at| format!(" p{at}")).collect();
@@ -224,7 +224,7 @@ fn flat_lamps(finer: u32) {
             ("in fog", format!("{view}{thin}{lamp}")),
             ("by a lens", lens.clone() + &lamp),
         ] {
-            agree(&format!("{name} {how}"), &text, 16 * finer);
+            assert_techniques_agree(&format!("{name} {how}"), &text, 16 * spp_factor);
         }
     }
 }
@@ -234,8 +234,8 @@ fn flat_lamps(finer: u32) {
 fn a_lamp_s_share_of_a_pixel_hardly_varies() {
     let view = camera("-4 -.5 1.5", "0 0 1", 25.0);
     let lamp = "m lamp =\n c\n sides 2\n ed 1e4\nv a =\n p 0 -.5 1.2\nv b =\n p .4 -.5 1.1\nv c =\n p .4 .5 1.1\nv d =\n p 0 .5 1.2\nm lamp\nf a b c d\n";
-    let settings = Settings { stop: Stop::Spp(16), ..Settings::default() };
-    let image = render(&scene(&(view + lamp)), &settings, 1);
+    let settings = Settings { stop: StopCondition::Spp(16), ..Settings::default() };
+    let image = render_frame(&parse_scene(&(view + lamp)), &settings, 1);
     let (mut of_share, mut pixels) = (0.0, 0);
     for at in 0..64 {
         let share = f64::from(image.color.luminance(at)) / (1e4 / std::f64::consts::PI);

@@ -5,19 +5,19 @@ use femc_film::Filter;
 use femc_math::color::luminance;
 use femc_math::glam::Vec3A;
 use femc_montecarlo::{PathSettings, PixelFilter, Tracer};
-use femc_pipeline::radiosity::{self, Options};
-use femc_pipeline::{Field, Settings, Source, prepare};
+use femc_pipeline::radiosity::{self, SolveOptions};
+use femc_pipeline::{Field, SceneSource, Settings, prepare_frame};
 use femc_prepared::Prepared;
 use femc_scene::Scene;
-use femc_tests::scene;
+use femc_tests::parse_scene;
 use rayon::prelude::*;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 #[derive(Clone, Copy)]
-struct Places(Filter);
+struct FilterAdapter(Filter);
 
-impl PixelFilter for Places {
+impl PixelFilter for FilterAdapter {
     fn sample(self, u: [f32; 2]) -> [f32; 2] {
         self.0.sample(u)
     }
@@ -31,19 +31,19 @@ const EDGE: u32 = 48;
 /// Side length of a block in pixels.
 const BLOCK: u32 = 8;
 
-fn prepared(name: &str) -> Prepared {
+fn prepare_scene_file(name: &str) -> Prepared {
     let path = format!("{}/../scenes/{name}.mgf", env!("CARGO_MANIFEST_DIR"));
-    let loaded = femc_import::load_path(path.as_ref()).unwrap_or_else(|e| panic!("{e}"));
-    prepared_of(Arc::new(loaded.scene))
+    let loaded = femc_import::load_scene_file(path.as_ref()).unwrap_or_else(|e| panic!("{e}"));
+    prepare_scene(Arc::new(loaded.scene))
 }
 
-fn prepared_of(scene: Arc<Scene>) -> Prepared {
+fn prepare_scene(scene: Arc<Scene>) -> Prepared {
     let settings = Settings { size: Some([EDGE; 2]), ..Settings::default() };
-    prepare(&Source::new(scene), &settings, 1, None).unwrap_or_else(|e| panic!("{e}"))
+    prepare_frame(&SceneSource::new(scene), &settings, 1, None).unwrap_or_else(|e| panic!("{e}"))
 }
 
-fn guide(prepared: &Prepared) -> Field {
-    let options = Options { error: 1.0, guides: true, ..Options::default() };
+fn solve_guides(prepared: &Prepared) -> Field {
+    let options = SolveOptions { error: 1.0, guides: true, ..SolveOptions::default() };
     radiosity::solve(prepared, &options, &AtomicBool::new(false)).unwrap_or_else(|e| panic!("{e:?}")).field
 }
 
@@ -54,13 +54,13 @@ fn blocks(prepared: &Prepared, guide: Option<&Field>, seed: u64, spp: u32) -> Ve
     let block = |index: u32| {
         let mut tracer = Tracer::new(prepared, path);
         if let Some(field) = guide {
-            tracer = tracer.guided_by(field);
+            tracer = tracer.with_guide(field);
         }
         let (mut mean, mut variance) = (0.0, 0.0);
         for k in 0..BLOCK * BLOCK {
             let pixel = (index / across * BLOCK + k / BLOCK) * EDGE + index % across * BLOCK + k % BLOCK;
-            let drawn =
-                (0..spp).map(|sample| f64::from(luminance(tracer.sample(pixel, sample, Places(Filter::Box)).color)));
+            let drawn = (0..spp)
+                .map(|sample| f64::from(luminance(tracer.sample(pixel, sample, FilterAdapter(Filter::Box)).color)));
             let (sum, squares) = drawn.fold((0.0, 0.0), |(sum, squares), x| (sum + x, squares + x * x));
             let (n, share) = (f64::from(spp), f64::from(BLOCK * BLOCK));
             mean += sum / n / share;
@@ -81,7 +81,7 @@ fn differences(a: &[[f64; 2]], b: &[[f64; 2]]) -> [f64; 2] {
 /// Checks that the blocks agree. If samples were independent, the root mean square of 36 blocks would exceed 1.35 once in 500
 /// times, and the greatest difference 4.5 once in 4,000. Samples of a pixel are stratified, so differences are smaller. A density
 /// that is 30 % wrong gives 4.35 and 10.0.
-fn claim_same(name: &str, a: &[[f64; 2]], b: &[[f64; 2]]) {
+fn assert_same_means(name: &str, a: &[[f64; 2]], b: &[[f64; 2]]) {
     let [rms, most] = differences(a, b);
     println!("{name}: differences {rms:.2} standard errors rms, {most:.2} at most");
     assert!(rms < 1.35 && most < 4.5, "{name}: {rms} {most}");
@@ -90,18 +90,18 @@ fn claim_same(name: &str, a: &[[f64; 2]], b: &[[f64; 2]]) {
 #[test]
 fn what_guides_paths_changes_no_mean() {
     for name in ["cornell", "glossy", "cornell-fog"] {
-        let prepared = prepared(name);
-        let field = guide(&prepared);
-        assert!(field.guides.of().iter().any(|guide| guide.count > 0), "{name}: nothing is guided");
-        claim_same(name, &blocks(&prepared, None, 1, 128), &blocks(&prepared, Some(&field), 2, 128));
+        let prepared = prepare_scene_file(name);
+        let field = solve_guides(&prepared);
+        assert!(field.guides.by_leaf().iter().any(|guide| guide.count > 0), "{name}: nothing is guided");
+        assert_same_means(name, &blocks(&prepared, None, 1, 128), &blocks(&prepared, Some(&field), 2, 128));
     }
 }
 
 /// A wrong guide only costs time.
 #[test]
 fn a_guide_that_is_wrong_changes_no_mean() {
-    let prepared = prepared("cornell");
-    let field = guide(&prepared);
+    let prepared = prepare_scene_file("cornell");
+    let field = solve_guides(&prepared);
     let paths = blocks(&prepared, None, 1, 128);
     type Change = fn(usize, &mut femc_field::Lobe);
     let wrong: [(&str, Change); 3] = [
@@ -116,17 +116,17 @@ fn a_guide_that_is_wrong_changes_no_mean() {
     for (name, change) in wrong {
         let mut lobes = field.guides.lobes().to_vec();
         lobes.iter_mut().enumerate().for_each(|(k, lobe)| change(k, lobe));
-        let guides = femc_field::Guides::new(field.guides.of().to_vec(), lobes, &field.cells, &field.leaves);
+        let guides = femc_field::Guides::new(field.guides.by_leaf().to_vec(), lobes, &field.cells, &field.leaves);
         let changed = Field { guides, ..field.clone() };
-        claim_same(name, &paths, &blocks(&prepared, Some(&changed), 2, 128));
+        assert_same_means(name, &paths, &blocks(&prepared, Some(&changed), 2, 128));
     }
 }
 
 /// Wrong light in the field ends paths too early or too late, which only costs time.
 #[test]
 fn light_that_is_wrong_changes_no_mean() {
-    let prepared = prepared("cornell");
-    let field = guide(&prepared);
+    let prepared = prepare_scene_file("cornell");
+    let field = solve_guides(&prepared);
     let paths = blocks(&prepared, None, 1, 128);
     type Scale = fn(usize) -> f32;
     let wrong: [(&str, Scale); 4] = [
@@ -144,9 +144,9 @@ fn light_that_is_wrong_changes_no_mean() {
                 Leaf::Curved(light) => light.0.iter_mut().for_each(|value| *value *= scale(k)),
             }
         }
-        let (of, lobes) = (field.guides.of().to_vec(), field.guides.lobes().to_vec());
+        let (of, lobes) = (field.guides.by_leaf().to_vec(), field.guides.lobes().to_vec());
         let changed = Field { guides: femc_field::Guides::new(of, lobes, &field.cells, &leaves), ..field.clone() };
-        claim_same(name, &paths, &blocks(&prepared, Some(&changed), 2, 128));
+        assert_same_means(name, &paths, &blocks(&prepared, Some(&changed), 2, 128));
     }
 }
 
@@ -157,8 +157,8 @@ fn paths_that_are_guided_have_less_variance() {
     let text = std::fs::read_to_string(path).expect("a scene");
     let turned = text.replace("xf -t 0 0.1 3.98", "xf -rx 180 -t 0 0.1 3.2");
     assert_ne!(turned, text);
-    let prepared = prepared_of(scene(&turned));
-    let field = guide(&prepared);
+    let prepared = prepare_scene(parse_scene(&turned));
+    let field = solve_guides(&prepared);
     let variance = |blocks: Vec<[f64; 2]>| {
         blocks.iter().map(|[mean, variance]| variance / (mean * mean + 1e-2)).sum::<f64>() / blocks.len() as f64
     };

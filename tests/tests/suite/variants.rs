@@ -2,8 +2,8 @@
 
 use femc_film::{Frame, FrameImage, pixel_digest};
 use femc_math::glam::DVec3;
-use femc_pipeline::{Prepared, Settings, Source, Stop, plan, prepare, render_tile};
-use femc_tests::scene;
+use femc_pipeline::{Prepared, SceneSource, Settings, StopCondition, plan_job, prepare_frame, render_tile};
+use femc_tests::parse_scene;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 
@@ -13,22 +13,22 @@ const ROOM: &str = "camera main =\n origin 0.2 0 0\n target 1 0 0\n fov 60\n fil
     v a =\n p -1 -1 -1\nv b =\n p 1 -1 -1\nv c =\n p 1 1 -1\nv d =\n p -1 1 -1\nm wall\nprism a b c d -2\n\
     v s =\n p .6 .1 .1\nm lamp\nsph s .1\n";
 
-fn source() -> Source {
-    Source::new(scene(&ROOM.replace("medium_everywhere", "mbox fog -1 -1 -1 1 1 1")))
+fn source() -> SceneSource {
+    SceneSource::new(parse_scene(&ROOM.replace("medium_everywhere", "mbox fog -1 -1 -1 1 1 1")))
 }
 
 fn settings(overrides: &[(&str, f64)]) -> Settings {
     let overrides = overrides.iter().map(|(selector, value)| ((*selector).to_owned(), *value)).collect();
-    Settings { stop: Stop::Spp(4), overrides, ..Settings::default() }
+    Settings { stop: StopCondition::Spp(4), overrides, ..Settings::default() }
 }
 
-fn variant(base: &Source, settings: &Settings, previous: Option<&Prepared>) -> Prepared {
+fn variant(base: &SceneSource, settings: &Settings, previous: Option<&Prepared>) -> Prepared {
     let source = base.variant(&settings.overrides).unwrap_or_else(|error| panic!("{error}"));
-    prepare(&source, settings, 1, previous).unwrap_or_else(|error| panic!("{error}"))
+    prepare_frame(&source, settings, 1, previous).unwrap_or_else(|error| panic!("{error}"))
 }
 
 fn render(prepared: &Prepared, settings: &Settings) -> FrameImage {
-    let plan = plan(&prepared.scene, settings, Some(&[1])).unwrap_or_else(|error| panic!("{error}"));
+    let plan = plan_job(&prepared.scene, settings, Some(&[1])).unwrap_or_else(|error| panic!("{error}"));
     let mut film = Frame::new(plan.tiling);
     for rect in plan.tiling.rects() {
         let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
@@ -71,9 +71,9 @@ fn frames_static_in_shutter_share_world_and_pixels_stay_same() {
         "time 0 4 10\npath drive = spline\n key 0\n key 1 -t .2 0 0\n key 3 -t .2 0 0\n key 4 -t .2 .3 0 -ry 20\n\
          v s =\n p .4 .1 .1\nm lamp\nxf -path drive\nsph s .1\nxf\n",
     );
-    let (source, settings) = (Source::new(scene(&text)), settings(&[]));
+    let (source, settings) = (SceneSource::new(parse_scene(&text)), settings(&[]));
     let frame = |number: u32, previous: Option<&Prepared>| {
-        prepare(&source, &settings, number, previous).unwrap_or_else(|error| panic!("{error}"))
+        prepare_frame(&source, &settings, number, previous).unwrap_or_else(|error| panic!("{error}"))
     };
     for (first, second, is_shared) in [(12, 25, true), (25, 12, true), (5, 6, false), (12, 5, false), (25, 31, false)] {
         let first = frame(first, None);
@@ -87,8 +87,10 @@ fn frames_static_in_shutter_share_world_and_pixels_stay_same() {
 
 #[test]
 fn nothing_is_shared_between_different_scenes() {
-    let (base, other) =
-        (source(), Source::new(scene(&ROOM.replace("medium_everywhere", "").replace("sph s .1", "sph s .2"))));
+    let (base, other) = (
+        source(),
+        SceneSource::new(parse_scene(&ROOM.replace("medium_everywhere", "").replace("sph s .1", "sph s .2"))),
+    );
     let (first, settings) = (variant(&base, &settings(&[]), None), settings(&[]));
     let [alone, after] = [None, Some(&first)].map(|previous| render(&variant(&other, &settings, previous), &settings));
     assert_eq!(pixel_digest(&alone.color), pixel_digest(&after.color));
@@ -98,7 +100,7 @@ fn nothing_is_shared_between_different_scenes() {
 fn cameras_share_scene_center_while_precision_suffices() {
     let at = |place: [f64; 3]| {
         let corner = |x: f64, y: f64| format!("p {} {} {}", place[0] + x, place[1] + y, place[2]);
-        Source::new(scene(&format!(
+        SceneSource::new(parse_scene(&format!(
             "camera main =\n origin 0 0 5\n target 1 0 0\n fov 60\n film 16 16\nm wall =\n sides 2\n rd .5\n\
              v a =\n {}\nv b =\n {}\nv c =\n {}\nm wall\nf a b c\n\
              v d =\n p 0 0 0\nv e =\n p 1 0 0\nv g =\n p 0 1 0\no far\nxf -t {} {} {}\nf d e g\nxf\no\n",

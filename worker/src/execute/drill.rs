@@ -10,13 +10,13 @@ use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use femc_film::FilmError;
-use femc_model::{Artifact, Decision, Digest, Failure, JobSpec, More, Phase, Scope, Template};
+use femc_model::{Artifact, Decision, Digest, Failure, JobSpec, NextRound, Phase, Scope, StageTemplate};
 use serde::Deserialize;
 
-use super::union::Lost;
-use super::{Product, Tools, unfit};
+use super::inputs::LostInputs;
+use super::{Product, Tools, settings_failure};
 use crate::clock::Stopwatch;
-use crate::table::Task;
+use crate::task_table::Task;
 
 /// Settings of a drill job.
 #[derive(Debug, Clone, Copy, Deserialize)]
@@ -41,10 +41,10 @@ impl Drill {
     /// Largest allowed value of the minimum duration, milliseconds.
     const LONGEST: u64 = 60_000;
 
-    fn of(spec: &JobSpec) -> Result<Self, Failure> {
-        let Settings { drill } = serde_json::from_str(&spec.settings).map_err(unfit)?;
+    fn from_spec(spec: &JobSpec) -> Result<Self, Failure> {
+        let Settings { drill } = serde_json::from_str(&spec.settings).map_err(settings_failure)?;
         if drill.numbers == 0 || drill.numbers > Self::MOST || drill.milliseconds > Self::LONGEST {
-            return Err(unfit(format!(
+            return Err(settings_failure(format!(
                 "a drill must have 1 to {} numbers and take at most {} ms",
                 Self::MOST,
                 Self::LONGEST
@@ -55,41 +55,41 @@ impl Drill {
 
     /// Returns the key of the shared content: a digest of all that the numbers depend on.
     fn key(&self, spec: &JobSpec) -> Digest {
-        let stages = spec.graph.of(Scope::Content).map(|(_, template)| template.clone()).collect();
+        let stages = spec.graph.stages_of(Scope::Content).map(|(_, template)| template.clone()).collect();
         let mut bytes = femc_model::Graph { stages }.encode();
         bytes.extend([self.seed, u64::from(self.numbers)].into_iter().flat_map(u64::to_le_bytes));
-        Digest::of(&bytes)
+        Digest::compute(&bytes)
     }
 }
 
 /// Returns the key of the content that drill jobs with these settings and stages share; `None` if the job is not a drill.
 pub fn drill_key(spec: &JobSpec) -> Option<Digest> {
-    Drill::of(spec).ok().map(|drill| drill.key(spec))
+    Drill::from_spec(spec).ok().map(|drill| drill.key(spec))
 }
 
-pub(super) fn drill(task: &Task, stage: &Template, tools: &Tools) -> Result<Product, Failure> {
-    let (spec, work) = (&task.spec, &task.assignment.work);
-    let drill = Drill::of(spec)?;
-    if stage.scope == Scope::Content && spec.content(0) != Some(drill.key(spec)) {
-        return Err(unfit("the content of the job does not match its key"));
+pub(super) fn drill(task: &Task, stage: &StageTemplate, tools: &Tools) -> Result<Product, Failure> {
+    let (spec, work) = (&task.spec, &task.assignment.spec);
+    let drill = Drill::from_spec(spec)?;
+    if stage.scope == Scope::Content && spec.content_key(0) != Some(drill.key(spec)) {
+        return Err(settings_failure("the content of the job does not match its key"));
     }
-    task.enter(Phase::Preparing);
+    task.set_phase(Phase::Preparing);
     let watch = Stopwatch::start();
-    let mut lost = Lost::default();
+    let mut lost = LostInputs::default();
     let inputs: Vec<_> = work.artifacts().collect();
     let here = lost.fetch(task, &inputs, tools)?;
-    task.enter(Phase::Working);
+    task.set_phase(Phase::Working);
     let mut sums = vec![0u64; drill.numbers as usize];
     for ((artifact, bytes), input) in here.iter().zip(&work.inputs) {
         lost.check(*artifact, add(&mut sums, bytes, odd(input.item)));
     }
-    lost.verdict()?;
+    lost.finish()?;
     if here.is_empty() {
         (0..).zip(&mut sums).for_each(|(place, sum)| *sum = mixed(drill.seed ^ mixed(place)));
     }
     let own = mixed(u64::from(work.item) << 32 | u64::from(task.assignment.task.stage.frame));
     sums.iter_mut().for_each(|sum| *sum = mixed(sum.wrapping_add(own)));
-    let is_warm = !stage.hints.is_empty() && looks_at_all(task, tools);
+    let is_warm = !stage.hints.is_empty() && has_all_hints(task, tools);
     while !is_warm && watch.elapsed() < Duration::from_millis(drill.milliseconds) {
         if task.cancel.load(Ordering::Relaxed) {
             return Err(Failure::Cancelled);
@@ -98,19 +98,19 @@ pub(super) fn drill(task: &Task, stage: &Template, tools: &Tools) -> Result<Prod
     }
     let bytes: Vec<u8> = sums.iter().flat_map(|sum| sum.to_le_bytes()).collect();
     let mut product = Product::default();
-    for &role in &stage.makes {
+    for &role in &stage.outputs {
         product.put(stage, role, || bytes.clone());
     }
-    let decision = if work.more == More::Rounds { Decision::Continue } else { Decision::Done };
+    let decision = if work.next_round == NextRound::Possible { Decision::Continue } else { Decision::Done };
     product.result.decision = stage.closes.map(|_| decision);
     product.result.seconds = watch.seconds();
     Ok(product)
 }
 
 /// Checks that all hints from the previous frame are available. A task without them still works.
-fn looks_at_all(task: &Task, tools: &Tools) -> bool {
-    let hints: Vec<Artifact> = task.assignment.work.hinted().collect();
-    !hints.is_empty() && tools.fetch.all(&task.client, &hints).iter().all(Result::is_ok)
+fn has_all_hints(task: &Task, tools: &Tools) -> bool {
+    let hints: Vec<Artifact> = task.assignment.spec.hint_artifacts().collect();
+    !hints.is_empty() && tools.fetch.fetch_all(&task.client, &hints).iter().all(Result::is_ok)
 }
 
 fn add(sums: &mut [u64], bytes: &[u8], times: u64) -> Result<(), FilmError> {

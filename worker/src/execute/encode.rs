@@ -21,19 +21,19 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use bytes::Bytes;
 use femc_film::animation::AnimationFormat;
 use femc_film::picture::{NEARLY_SQUARE, sheet_width};
-use femc_film::{FilmError, Frame, Levels, Picture, SampleRange, Tile, ToneCurve, contact_sheet, exr};
+use femc_film::{FilmError, Frame, LuminanceLevels, Picture, SampleRange, Tile, ToneCurve, contact_sheet, exr};
 use femc_model::{
-    Artifact, Failure, Graph, JobSpec, Need, Phase, Reach, Role, Round, Scope, Sizes, StageKind, Template,
+    Artifact, Failure, Graph, JobSpec, Need, Phase, Reach, Role, Round, Scope, StageKind, StageTemplate, TaskSizes,
 };
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::union::{Lost, artifacts, each, expected, tiles, tiling};
-use super::{Product, Tools, unfit};
+use super::inputs::{LostInputs, artifacts, expected_samples, for_each_input, tile_span, tiling};
+use super::{Product, Tools, settings_failure};
 use crate::clip::{self, ClipError, FFMPEG};
 use crate::clock::Stopwatch;
 use crate::plan::PAINTING;
-use crate::table::Task;
+use crate::task_table::Task;
 
 /// Number of tiles whose levels a task counts, and of levels that a task adds up.
 const FAN: u32 = 256;
@@ -42,7 +42,7 @@ const BATCH: usize = 16;
 
 /// Requested outputs of a job besides its images.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-pub struct Wish {
+pub struct ExtraOutputs {
     /// Whether to write each frame as a still under the clip's exposure.
     pub stills: bool,
     /// File name of a contact sheet.
@@ -82,7 +82,7 @@ pub struct Video {
 impl Video {
     /// Checks whether the format needs ffmpeg.
     pub fn needs_ffmpeg(&self) -> bool {
-        AnimationFormat::of(self.name.as_ref()).is_err()
+        AnimationFormat::from_path(self.name.as_ref()).is_err()
     }
 
     /// Checks that the file name is safe to pass to an encoder and that the rate is in range.
@@ -97,10 +97,10 @@ impl Video {
 
 /// Checks that the name is safe as a file name in a folder that another user chooses, and not hidden.
 fn is_file(name: &str) -> bool {
-    JobSpec::names_files(name) && !name.starts_with('.')
+    JobSpec::is_valid_name(name) && !name.starts_with('.')
 }
 
-impl Wish {
+impl ExtraOutputs {
     /// Checks that the sheet is a PNG, that the clip and the painting are valid, and that sheet and clip are two files.
     pub fn is_sound(&self) -> bool {
         let video = self.video.as_ref();
@@ -115,31 +115,33 @@ impl Wish {
     }
 
     /// Returns the outputs requested in a job's graph; nothing if they are invalid.
-    pub fn of(graph: &Graph) -> Self {
-        let shows = |template: &&Template| matches!(template.kind, StageKind::Encode | StageKind::Paint);
+    pub fn from_graph(graph: &Graph) -> Self {
+        let shows = |template: &&StageTemplate| matches!(template.kind, StageKind::Encode | StageKind::Paint);
         let encode = graph.stages.iter().find(shows);
-        let wish = encode.and_then(|template| serde_json::from_str(&template.options).ok());
-        wish.filter(Self::is_sound).unwrap_or_default()
+        let outputs = encode.and_then(|template| serde_json::from_str(&template.options).ok());
+        outputs.filter(Self::is_sound).unwrap_or_default()
     }
 
-    /// Adds the stages for the requested outputs to the graph of a job with `frames` frames. The frames' images do not change.
+    /// Adds the stages for the requested outputs to the graph of a job with `frame_graph` frames. The frames' images do not change.
     pub fn add_to(&self, graph: &mut Graph, frames: u32) {
-        let makes =
-            |graph: &Graph, role| graph.of(Scope::Frame).rfind(|(_, it)| it.makes.contains(&role)).map(|(n, _)| n);
+        let makes = |graph: &Graph, role| {
+            graph.stages_of(Scope::Frame).rfind(|(_, it)| it.outputs.contains(&role)).map(|(n, _)| n)
+        };
         let (Some(render), Some(image)) = (makes(graph, Role::Tile), makes(graph, Role::Image)) else { return };
         if self.is_empty() {
             return;
         }
         let tiles = graph.stages[usize::from(render)].tasks();
-        graph.stages[usize::from(render)].makes.push(Role::Thumbnail);
+        graph.stages[usize::from(render)].outputs.push(Role::Thumbnail);
         // A worker that cannot read the job's graph can run none of its stages.
-        let asked = graph.stages[usize::from(render)].tags.clone();
-        let mut push = |mut template: Template| {
-            template.tags.extend_from_slice(&asked);
+        let required_tags = graph.stages[usize::from(render)].tags.clone();
+        let mut push = |mut template: StageTemplate| {
+            template.tags.extend_from_slice(&required_tags);
             graph.stages.push(template);
             graph.stages.len() as u16 - 1
         };
-        let reduce = |scope, tasks| Template::new(StageKind::Reduce, scope, Sizes::even(tasks, 1), &[Role::Levels]);
+        let reduce =
+            |scope, tasks| StageTemplate::new(StageKind::Reduce, scope, TaskSizes::even(tasks, 1), &[Role::Levels]);
         let need = |stage, role, reach, round, gaps| Need { stage, role, reach, round, gaps };
         let thumbnails = need(render, Role::Thumbnail, Reach::Fan(FAN), Round::Every, false);
         let groups = tiles.div_ceil(FAN);
@@ -157,12 +159,17 @@ impl Wish {
         // Serializing plain data cannot fail.
         let options = serde_json::to_string(self).unwrap_or_default();
         let encode = |tasks, role| {
-            Template::new(StageKind::Encode, Scope::Job, Sizes::even(tasks, 1), &[role]).options(options.clone())
+            StageTemplate::new(StageKind::Encode, Scope::Job, TaskSizes::even(tasks, 1), &[role])
+                .options(options.clone())
         };
         if self.painting.is_some() {
             let layers = need(image, Role::LayerImage, Reach::Fan(1), Round::Same, true);
-            let paint =
-                Template::new(StageKind::Paint, Scope::Job, Sizes::even(frames, 1), &[Role::Painted, Role::Brushwork]);
+            let paint = StageTemplate::new(
+                StageKind::Paint,
+                Scope::Job,
+                TaskSizes::even(frames, 1),
+                &[Role::Painted, Role::Brushwork],
+            );
             let paint = paint.options(options.clone()).needs(layers).reads(levels, Role::Levels, Reach::All);
             push(paint.reads(levels + 1, Role::Brushwork, Reach::Previous).tags(&[PAINTING]));
         }
@@ -183,14 +190,16 @@ impl Wish {
 }
 
 /// Computes the levels of thumbnails, or the sum of levels.
-pub(super) fn levels(task: &Task, stage: &Template, tools: &Tools) -> Result<Product, Failure> {
-    task.enter(Phase::Working);
+pub(super) fn levels(task: &Task, stage: &StageTemplate, tools: &Tools) -> Result<Product, Failure> {
+    task.set_phase(Phase::Working);
     let watch = Stopwatch::start();
     let sum = if stage.needs.iter().any(|need| need.role == Role::Thumbnail) {
-        Levels::of(&thumbnails(task, stage, tools)?)
+        LuminanceLevels::from_thumbnails(&thumbnails(task, stage, tools)?)
     } else {
-        let mut sum = Levels::default();
-        each(task, Role::Levels, tools, |bytes| Levels::decode(bytes).map(|levels| sum.merge(&levels)))?;
+        let mut sum = LuminanceLevels::default();
+        for_each_input(task, Role::Levels, tools, |bytes| {
+            LuminanceLevels::decode(bytes).map(|levels| sum.merge(&levels))
+        })?;
         sum
     };
     tracing::debug!(blocks = sum.blocks(), seconds = watch.seconds(), "counted");
@@ -198,14 +207,15 @@ pub(super) fn levels(task: &Task, stage: &Template, tools: &Tools) -> Result<Pro
 }
 
 /// Combines the thumbnails of a group of tiles. Checks that each tile holds exactly the samples that it was given.
-fn thumbnails(task: &Task, stage: &Template, tools: &Tools) -> Result<Frame, Failure> {
-    let span = tiles(task, stage, Role::Thumbnail)?;
-    let small = tiling(task)?.of_thumbnails();
-    let small = small.ok_or_else(|| unfit("the tile width of the job is not a multiple of the block size"))?;
+fn thumbnails(task: &Task, stage: &StageTemplate, tools: &Tools) -> Result<Frame, Failure> {
+    let span = tile_span(task, stage, Role::Thumbnail)?;
+    let small = tiling(task)?.thumbnail_tiling();
+    let small =
+        small.ok_or_else(|| settings_failure("the tile width of the job is not a multiple of the block size"))?;
     let mut frame = Frame::new(small);
-    each(task, Role::Thumbnail, tools, |bytes| frame.insert(Tile::decode_thumbnail(bytes)?).map(drop))?;
+    for_each_input(task, Role::Thumbnail, tools, |bytes| frame.insert(Tile::decode_thumbnail(bytes)?).map(drop))?;
     let mut places = (span.start as usize..span.end as usize).enumerate();
-    match places.find(|&(place, index)| SampleRange::joined(frame.ranges(index)) != Some(expected(task, place))) {
+    match places.find(|&(place, index)| SampleRange::join(frame.ranges(index)) != Some(expected_samples(task, place))) {
         None => Ok(frame),
         Some((_, index)) => {
             let message = format!("thumbnail {index} has wrong samples: {:?}", frame.ranges(index));
@@ -214,18 +224,18 @@ fn thumbnails(task: &Task, stage: &Template, tools: &Tools) -> Result<Frame, Fai
     }
 }
 
-pub(super) fn encode(task: &Task, stage: &Template, tools: &Tools) -> Result<Product, Failure> {
+pub(super) fn encode(task: &Task, stage: &StageTemplate, tools: &Tools) -> Result<Product, Failure> {
     let watch = Stopwatch::start();
-    task.enter(Phase::Working);
-    match stage.makes.first() {
+    task.set_phase(Phase::Working);
+    match stage.outputs.first() {
         Some(&role @ (Role::Picture | Role::Still)) => Ok(product(stage, role, still(task, tools)?, &watch)),
         Some(Role::Sheet) => Ok(product(stage, Role::Sheet, sheet(task, tools)?, &watch)),
         Some(Role::Clip) => Ok(product(stage, Role::Clip, clip(task, stage, tools)?, &watch)),
-        _ => Err(unfit("invalid job graph: an encode stage has no output that it can make")),
+        _ => Err(settings_failure("invalid job graph: an encode stage has no output that it can make")),
     }
 }
 
-fn product(stage: &Template, role: Role, bytes: Vec<u8>, watch: &Stopwatch) -> Product {
+fn product(stage: &StageTemplate, role: Role, bytes: Vec<u8>, watch: &Stopwatch) -> Product {
     let mut product = Product::default();
     product.put(stage, role, || bytes);
     product.result.seconds = watch.seconds();
@@ -234,11 +244,13 @@ fn product(stage: &Template, role: Role, bytes: Vec<u8>, watch: &Stopwatch) -> P
 
 /// Encodes a frame as PNG under the exposure common to all frames. A missing frame gives a card.
 fn still(task: &Task, tools: &Tools) -> Result<Vec<u8>, Failure> {
-    let mut curve = ToneCurve::of_levels(&Levels::default());
-    each(task, Role::Levels, tools, |bytes| Levels::decode(bytes).map(|levels| curve = ToneCurve::of_levels(&levels)))?;
+    let mut curve = ToneCurve::from_levels(&LuminanceLevels::default());
+    for_each_input(task, Role::Levels, tools, |bytes| {
+        LuminanceLevels::decode(bytes).map(|levels| curve = ToneCurve::from_levels(&levels))
+    })?;
     let [width, height] = task.spec.grid.film;
     let mut picture = None;
-    each(task, Role::Image, tools, |bytes| {
+    for_each_input(task, Role::Image, tools, |bytes| {
         let image = exr::decode(std::io::Cursor::new(bytes))?.image;
         if [image.width, image.height] != [width, height] {
             return Err(FilmError::Corrupt("the image and the job's film differ in size"));
@@ -246,8 +258,8 @@ fn still(task: &Task, tools: &Tools) -> Result<Vec<u8>, Failure> {
         picture = Some(curve.picture(&image));
         Ok(())
     })?;
-    let picture = picture.unwrap_or_else(|| Picture::missing(width, height));
-    tools.install(task, || picture.to_png()).map_err(|error| broken(&error))
+    let picture = picture.unwrap_or_else(|| Picture::placeholder(width, height));
+    tools.install(task, || picture.to_png()).map_err(|error| internal_failure(&error))
 }
 
 /// Returns the number of frames, and their pictures in order.
@@ -258,7 +270,7 @@ fn pictures<'a>(
     let inputs = [artifacts(task, Role::Picture), artifacts(task, Role::Still)].concat();
     let (count, frames) = (inputs.len(), task.spec.frames.len());
     if count != frames {
-        return Err(unfit(format!("found {count} pictures for {frames} frames")));
+        return Err(settings_failure(format!("found {count} pictures for {frames} frames")));
     }
     let batches: Vec<Vec<Artifact>> = inputs.chunks(BATCH).map(<[Artifact]>::to_vec).collect();
     Ok((count as u32, batches.into_iter().flat_map(|batch| decoded(task, &batch, tools))))
@@ -266,9 +278,9 @@ fn pictures<'a>(
 
 /// Downloads and decodes a batch of pictures; returns a failure for each one that is not available.
 fn decoded(task: &Task, batch: &[Artifact], tools: &Tools) -> Vec<Result<Picture, Failure>> {
-    let mut lost = Lost::default();
+    let mut lost = LostInputs::default();
     let fetched = lost.fetch(task, batch, tools);
-    let here = match fetched.and_then(|here| lost.verdict().map(|()| here)) {
+    let here = match fetched.and_then(|here| lost.finish().map(|()| here)) {
         Ok(here) => here,
         Err(failure) => return vec![Err(failure)],
     };
@@ -284,14 +296,16 @@ fn sheet(task: &Task, tools: &Tools) -> Result<Vec<u8>, Failure> {
     let (count, pictures) = pictures(task, tools)?;
     let width = sheet_width(count);
     let small = pictures.map(|picture| Ok(picture?.shrunk_to(width))).collect::<Result<Vec<_>, Failure>>()?;
-    tools.install(task, || contact_sheet(&small, NEARLY_SQUARE).to_png()).map_err(|error| broken(&error))
+    tools.install(task, || contact_sheet(&small, NEARLY_SQUARE).to_png()).map_err(|error| internal_failure(&error))
 }
 
 /// Encodes all frames as a clip.
-fn clip(task: &Task, stage: &Template, tools: &Tools) -> Result<Vec<u8>, Failure> {
-    let wish: Wish = serde_json::from_str(&stage.options).map_err(unfit)?;
-    let video =
-        wish.video.filter(Video::is_sound).ok_or_else(|| unfit("the stage's options describe no valid clip"))?;
+fn clip(task: &Task, stage: &StageTemplate, tools: &Tools) -> Result<Vec<u8>, Failure> {
+    let outputs: ExtraOutputs = serde_json::from_str(&stage.options).map_err(settings_failure)?;
+    let video = outputs
+        .video
+        .filter(Video::is_sound)
+        .ok_or_else(|| settings_failure("the stage's options describe no valid clip"))?;
     let (count, pictures) = pictures(task, tools)?;
     let folder = Folder::new().map_err(|error| Failure::Resources { message: error.to_string() })?;
     let path = folder.0.join(&video.name);
@@ -300,10 +314,10 @@ fn clip(task: &Task, stage: &Template, tools: &Tools) -> Result<Vec<u8>, Failure
         |error| match error {
             ClipError::Picture(failure) => failure,
             ClipError::Cancelled => Failure::Cancelled,
-            ClipError::Film(_) | ClipError::Ffmpeg(_) => broken(&error),
+            ClipError::Film(_) | ClipError::Ffmpeg(_) => internal_failure(&error),
         },
     )?;
-    fs::read(&path).map_err(|error| broken(&format!("cannot read the encoded clip: {error}")))
+    fs::read(&path).map_err(|error| internal_failure(&format!("cannot read the encoded clip: {error}")))
 }
 
 /// A temporary folder for an encoder's file; removed on drop.
@@ -326,7 +340,7 @@ impl Drop for Folder {
 }
 
 /// Returns a failure that is not caused by the inputs.
-fn broken(error: &dyn std::fmt::Display) -> Failure {
+fn internal_failure(error: &dyn std::fmt::Display) -> Failure {
     Failure::Panicked { message: error.to_string() }
 }
 
@@ -334,13 +348,13 @@ fn broken(error: &dyn std::fmt::Display) -> Failure {
 mod tests {
     use super::*;
 
-    fn wish(stills: bool, sheet: Option<&str>, video: Option<&str>) -> Wish {
+    fn extra_outputs(stills: bool, sheet: Option<&str>, video: Option<&str>) -> ExtraOutputs {
         let video = video.map(|name| Video { name: name.into(), rate: 7.4 });
-        Wish { stills, sheet: sheet.map(Into::into), video, painting: None }
+        ExtraOutputs { stills, sheet: sheet.map(Into::into), video, painting: None }
     }
 
     fn of_job(graph: &Graph) -> Vec<(StageKind, u32, Role)> {
-        graph.of(Scope::Job).map(|(_, it)| (it.kind, it.tasks(), it.makes[0])).collect()
+        graph.stages_of(Scope::Job).map(|(_, it)| (it.kind, it.tasks(), it.outputs[0])).collect()
     }
 
     #[test]
@@ -349,11 +363,11 @@ mod tests {
         for rounds in [&[4][..], &[4, 8, 16]] {
             for (fan, clip) in [(0, "clip.mp4"), (2, "clip.png")] {
                 for frames in [1, 256, 257, 65_536] {
-                    let plain = femc_model::testing::frames(Sizes::even(4, 64), rounds, fan);
+                    let plain = femc_model::testing::frame_graph(TaskSizes::even(4, 64), rounds, fan);
                     let mut graph = plain.clone();
-                    let wish = wish(frames == 1, Some("sheet.png"), Some(clip));
-                    wish.add_to(&mut graph, frames);
-                    assert_eq!((graph.check(), Wish::of(&graph)), (Ok(()), wish));
+                    let outputs = extra_outputs(frames == 1, Some("sheet.png"), Some(clip));
+                    outputs.add_to(&mut graph, frames);
+                    assert_eq!((graph.check(), ExtraOutputs::from_graph(&graph)), (Ok(()), outputs));
                     let tree = match frames {
                         1 | 256 => vec![(Reduce, 1, Levels)],
                         257 => vec![(Reduce, 2, Levels), (Reduce, 1, Levels)],
@@ -374,22 +388,25 @@ mod tests {
     fn clip_task_of_largest_film_stays_within_assignment_inputs() {
         let rounds: Vec<u32> = (0..Graph::MAX_ROUNDS).map(|round| 4 + round).collect();
         let tiles = Graph::MAX_TASKS;
-        let mut graph = femc_model::testing::frames(Sizes::even(tiles, 64), &rounds, 256);
-        wish(true, Some("sheet.png"), Some("clip.png")).add_to(&mut graph, Graph::MAX_TASKS);
+        let mut graph = femc_model::testing::frame_graph(TaskSizes::even(tiles, 64), &rounds, 256);
+        extra_outputs(true, Some("sheet.png"), Some("clip.png")).add_to(&mut graph, Graph::MAX_TASKS);
         assert_eq!(graph.check(), Ok(()));
-        assert!(graph.most_inputs(u64::from(Graph::MAX_TASKS)) <= Graph::MAX_INPUTS);
-        let groups: Vec<u32> =
-            graph.of(Scope::Frame).filter(|(_, it)| it.makes == [Role::Levels]).map(|(_, it)| it.tasks()).collect();
+        assert!(graph.max_inputs(u64::from(Graph::MAX_TASKS)) <= Graph::MAX_INPUTS);
+        let groups: Vec<u32> = graph
+            .stages_of(Scope::Frame)
+            .filter(|(_, it)| it.outputs == [Role::Levels])
+            .map(|(_, it)| it.tasks())
+            .collect();
         assert_eq!(groups, [tiles / FAN, 1], "groups of tiles, then the frame");
     }
 
     #[test]
     fn graph_without_wish_is_unchanged_and_stills_make_no_clip() {
-        let plain = femc_model::testing::frames(Sizes::even(4, 64), &[4], 0);
+        let plain = femc_model::testing::frame_graph(TaskSizes::even(4, 64), &[4], 0);
         let mut graph = plain.clone();
-        Wish::default().add_to(&mut graph, 3);
-        assert_eq!((&graph, Wish::of(&graph)), (&plain, Wish::default()));
-        wish(true, None, None).add_to(&mut graph, 3);
+        ExtraOutputs::default().add_to(&mut graph, 3);
+        assert_eq!((&graph, ExtraOutputs::from_graph(&graph)), (&plain, ExtraOutputs::default()));
+        extra_outputs(true, None, None).add_to(&mut graph, 3);
         assert_eq!(of_job(&graph)[1..], [(StageKind::Encode, 3, Role::Still)]);
         assert_eq!(graph.stages[1], plain.stages[1], "what makes images is as it was");
     }
@@ -398,11 +415,14 @@ mod tests {
     fn painted_job_chains_its_frames_beside_other_outputs() {
         let painting = Some(Painting { style: "oil".into(), boil: 0.25 });
         for stills in [false, true] {
-            let mut graph = femc_model::testing::frames(Sizes::even(4, 64), &[4], 0);
-            graph.stages[1].makes.push(Role::LayerImage);
-            let wish = Wish { stills, painting: painting.clone(), ..Wish::default() };
-            wish.add_to(&mut graph, 300);
-            assert_eq!((graph.check(), graph.check_frames(300), Wish::of(&graph)), (Ok(()), Ok(()), wish));
+            let mut graph = femc_model::testing::frame_graph(TaskSizes::even(4, 64), &[4], 0);
+            graph.stages[1].outputs.push(Role::LayerImage);
+            let outputs = ExtraOutputs { stills, painting: painting.clone(), ..ExtraOutputs::default() };
+            outputs.add_to(&mut graph, 300);
+            assert_eq!(
+                (graph.check(), graph.check_frames(300), ExtraOutputs::from_graph(&graph)),
+                (Ok(()), Ok(()), outputs)
+            );
             let stages = of_job(&graph);
             assert_eq!(stages[2], (StageKind::Paint, 300, Role::Painted));
             assert_eq!(stages.len(), 3 + usize::from(stills));
@@ -411,19 +431,19 @@ mod tests {
         }
         for (style, boil) in [("aquatint", 0.5), ("oil", 1.5), ("oil", f32::NAN)] {
             let painting = Some(Painting { style: style.into(), boil });
-            assert!(!Wish { painting, ..Wish::default() }.is_sound(), "{style} {boil}");
+            assert!(!ExtraOutputs { painting, ..ExtraOutputs::default() }.is_sound(), "{style} {boil}");
         }
     }
 
     #[test]
     fn a_sheet_is_a_png_beside_the_clip() {
-        assert!(wish(false, Some("a.png"), Some("b.png")).is_sound() && Wish::default().is_sound());
+        assert!(extra_outputs(false, Some("a.png"), Some("b.png")).is_sound() && ExtraOutputs::default().is_sound());
         for (sheet, clip) in [("a.jpg", "b.png"), (".png", "b.png"), ("a/b.png", "b.png"), ("a.png", "a.png")] {
-            assert!(!wish(false, Some(sheet), Some(clip)).is_sound(), "{sheet}, {clip}");
+            assert!(!extra_outputs(false, Some(sheet), Some(clip)).is_sound(), "{sheet}, {clip}");
         }
-        let mut graph = femc_model::testing::frames(Sizes::even(4, 64), &[4], 0);
-        wish(true, Some("../a.png"), None).add_to(&mut graph, 3);
-        assert_eq!(Wish::of(&graph), Wish::default(), "somebody else's graph leads nowhere");
+        let mut graph = femc_model::testing::frame_graph(TaskSizes::even(4, 64), &[4], 0);
+        extra_outputs(true, Some("../a.png"), None).add_to(&mut graph, 3);
+        assert_eq!(ExtraOutputs::from_graph(&graph), ExtraOutputs::default(), "somebody else's graph leads nowhere");
     }
 
     #[test]

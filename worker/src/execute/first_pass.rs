@@ -3,66 +3,66 @@
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-use femc_model::{Digest, Failure, Phase, Role, Template};
+use femc_model::{Digest, Failure, Phase, Role, StageTemplate};
 use femc_pipeline::{FirstPassReport, RenderError};
 
-use super::{Product, Tools, first_pass_steps, unfit};
+use super::{Product, Tools, first_pass_steps, settings_failure};
 use crate::clock::Stopwatch;
-use crate::table::Task;
+use crate::task_table::Task;
 
-pub(crate) fn first_pass(task: &Task, stage: &Template, tools: &Tools) -> Result<Product, Failure> {
+pub(crate) fn first_pass(task: &Task, stage: &StageTemplate, tools: &Tools) -> Result<Product, Failure> {
     let spec = &task.spec;
-    task.enter(Phase::Preparing);
+    task.set_phase(Phase::Preparing);
     let watch = Stopwatch::start();
     // Any frame with this content will do: its frames do not differ in anything that the solution depends on.
-    let frame = *spec.frames.first().ok_or_else(|| unfit("a first pass requires at least one frame"))?;
-    let read = tools.cache.scene(spec, &task.client, &tools.fetch)?;
-    if !read.settings.method.has_first_pass() {
-        return Err(unfit("the job's graph has a first pass, but its method has none"));
+    let frame = *spec.frames.first().ok_or_else(|| settings_failure("a first pass requires at least one frame"))?;
+    let loaded = tools.cache.scene(spec, &task.client, &tools.fetch)?;
+    if !loaded.settings.method.has_first_pass() {
+        return Err(settings_failure("the job's graph has a first pass, but its method has none"));
     }
-    let frame_key = read.frame_key(frame)?;
-    let method = read.settings.method;
+    let frame_key = loaded.frame_key(frame)?;
+    let method = loaded.settings.method;
     let key = femc_pipeline::first_pass_key(&frame_key, method, first_pass_steps::blocks(&spec.graph));
-    if spec.content(0) != Some(Digest::from_bytes(key)) {
-        return Err(unfit("the content of the job does not match its key"));
+    if spec.content_key(0) != Some(Digest::from_bytes(key)) {
+        return Err(settings_failure("the content of the job does not match its key"));
     }
     let prepared = tools.cache.world(spec, frame, &task.client, &tools.fetch)?;
-    task.account.prepared(watch.elapsed());
+    task.account.set_preparation(watch.elapsed());
     tracing::debug!(frame, seconds = watch.seconds(), "the world is ready");
-    task.enter(Phase::Working);
+    task.set_phase(Phase::Working);
     if stage.needs.is_empty() {
-        let needs = femc_pipeline::radiosity::least_bytes(&prepared);
-        let surfaces = femc_pipeline::surfaces(&prepared.scene);
+        let needs = femc_pipeline::radiosity::min_solve_bytes(&prepared);
+        let surfaces = femc_pipeline::count_surfaces(&prepared.scene);
         let what = format!("the first pass of {surfaces} surfaces (--method pt needs none)");
-        tools.memory.holds(needs, &what)?;
+        tools.memory.check_room(needs, &what)?;
     }
     let solving = Stopwatch::start();
-    if !stage.needs.is_empty() || !stage.makes.contains(&Role::Field) {
+    if !stage.needs.is_empty() || !stage.outputs.contains(&Role::Field) {
         let mut product = first_pass_steps::step(task, stage, tools, (method, &prepared), &solving)?;
         task.units.store(1, Ordering::Relaxed);
         product.result.seconds = watch.seconds();
         return Ok(product);
     }
     let solved = tools.install(task, || {
-        let solution = femc_pipeline::first_pass(&prepared, method, &task.cancel)?;
+        let solution = femc_pipeline::solve_first_pass(&prepared, method, &task.cancel)?;
         let bytes = femc_pipeline::encode_solution(&solution);
         log(&solution.report, bytes.len(), &solving);
         Ok((bytes, Arc::new(solution.field)))
     });
-    let (bytes, field) = solved.map_err(failed)?;
+    let (bytes, field) = solved.map_err(render_failure)?;
     task.units.store(1, Ordering::Relaxed);
     // The worker that solved the first pass need not download it.
-    tools.cache.keep_field(Digest::of(&bytes), field);
+    tools.cache.insert_field(Digest::compute(&bytes), field);
     let mut product = Product::default();
     product.put(stage, Role::Field, || bytes);
     product.result.seconds = watch.seconds();
     Ok(product)
 }
 
-pub(super) fn failed(error: RenderError) -> Failure {
+pub(super) fn render_failure(error: RenderError) -> Failure {
     match error {
         RenderError::Cancelled => Failure::Cancelled,
-        error @ (RenderError::Film(_) | RenderError::Untrusted(_)) => unfit(error),
+        error @ (RenderError::Film(_) | RenderError::Untrusted(_)) => settings_failure(error),
     }
 }
 

@@ -3,49 +3,49 @@
 
 use std::collections::BTreeMap;
 
-use femc_film::tile::OPEN;
-use femc_film::{BesidePiece, BesideTile, FeatureImage, FilmError, FrameImage, LayerImage, Provenance, exr};
-use femc_model::{Failure, Phase, Role, Template};
+use femc_film::tile::NONE_HELD;
+use femc_film::{AovPiece, AovTile, FeatureImage, FilmError, FrameImage, LayerImage, Provenance, exr};
+use femc_model::{Failure, Phase, Role, StageTemplate};
 use femc_pipeline::{Settings, cryptomatte, feature_channels, feature_layout, feature_mattes};
 use femc_scene::Scene;
 
-use super::image::damaged_picture;
-use super::union::{Lost, expected, groups, stops, tiles, tiling};
-use super::{Product, Tools, unfit};
+use super::image::encode_failure;
+use super::inputs::{LostInputs, expected_samples, previous_stops, read_groups, tile_span, tiling};
+use super::{Product, Tools, settings_failure};
 use crate::clock::Stopwatch;
-use crate::table::Task;
+use crate::task_table::Task;
 
 /// Unites and resolves the layers of a group of tiles.
-pub(super) fn reduce(task: &Task, stage: &Template, tools: &Tools) -> Result<Product, Failure> {
-    task.enter(Phase::Working);
+pub(super) fn reduce(task: &Task, stage: &StageTemplate, tools: &Tools) -> Result<Product, Failure> {
+    task.set_phase(Phase::Working);
     let watch = Stopwatch::start();
-    let (tiling, stops) = (tiling(task)?, stops(task, tools)?);
-    let begin = stops.as_ref().map_or(0, |stops| stops.pace.begin);
-    let span = tiles(task, stage, Role::Layers)?;
+    let (tiling, stops) = (tiling(task)?, previous_stops(task, tools)?);
+    let begin = stops.as_ref().map_or(0, |stops| stops.progress.first_sample);
+    let span = tile_span(task, stage, Role::Layers)?;
     // Parts of each tile.
     let mut inputs: BTreeMap<u32, Vec<_>> = span.clone().map(|tile| (tile, Vec::new())).collect();
-    for input in task.assignment.work.of_role(Role::Layers) {
+    for input in task.assignment.spec.inputs_of_role(Role::Layers) {
         inputs.entry(input.item).or_default().push(input.output.artifact);
     }
-    let (mut lost, mut piece) = (Lost::default(), BesidePiece::new(tiling, span.start as usize));
+    let (mut lost, mut piece) = (LostInputs::default(), AovPiece::new(tiling, span.start as usize));
     for (place, (tile, artifacts)) in inputs.iter().enumerate() {
         if task.is_cancelled() {
             return Err(Failure::Cancelled);
         }
-        let ends = stops.as_ref().and_then(|stops| stops.ends.get(*tile as usize)).copied().unwrap_or(OPEN);
+        let ends = stops.as_ref().and_then(|stops| stops.ends.get(*tile as usize)).copied().unwrap_or(NONE_HELD);
         let mut parts = Vec::with_capacity(artifacts.len());
         let here = lost.fetch(task, artifacts, tools)?;
         tools.install(task, || {
             for (artifact, bytes) in &here {
-                lost.check(*artifact, BesideTile::decode(bytes).map(|part| parts.push(part)));
+                lost.check(*artifact, AovTile::decode(bytes).map(|part| parts.push(part)));
             }
         });
         if parts.len() < artifacts.len() {
             continue;
         }
         // A tile with missing parts or with wrong samples is rendered again.
-        let given = expected(task, place).end;
-        let united = BesideTile::united(parts, begin, ends).map_err(|error| error.to_string()).and_then(|all| {
+        let given = expected_samples(task, place).end;
+        let united = AovTile::from_parts(parts, begin, ends).map_err(|error| error.to_string()).and_then(|all| {
             let samples = all.samples();
             if samples.is_some_and(|samples| (samples.start, samples.end) == (begin, given)) {
                 piece.put(&all, ends).map_err(|error| error.to_string())
@@ -60,7 +60,7 @@ pub(super) fn reduce(task: &Task, stage: &Template, tools: &Tools) -> Result<Pro
             artifacts.iter().for_each(|artifact| lost.check(*artifact, Err(&message)));
         }
     }
-    lost.verdict()?;
+    lost.finish()?;
     let mut product = Product::default();
     product.put(stage, Role::LayerPixels, || tools.install(task, || piece.encode()));
     tracing::debug!(tiles = span.len(), seconds = watch.seconds(), "combined the layers");
@@ -69,7 +69,7 @@ pub(super) fn reduce(task: &Task, stage: &Template, tools: &Tools) -> Result<Pro
 }
 
 /// Encodes all layers of a frame as a file.
-pub(super) fn of_frame(
+pub(super) fn encode_frame_layers(
     task: &Task,
     tools: &Tools,
     settings: &Settings,
@@ -82,8 +82,8 @@ pub(super) fn of_frame(
     let names = settings.layers.iter().map(|layer| layer.name.clone());
     let mut light = LayerImage::black(names, tiling.width, tiling.height);
     let mut features = FeatureImage::new(feature_layout(&settings.features), tiling.width, tiling.height);
-    let account = |piece: &BesidePiece| (piece.tiling(), piece.tiles(), piece.samples().to_vec());
-    groups(task, Role::LayerPixels, tools, BesidePiece::decode, account, |piece| {
+    let account = |piece: &AovPiece| (piece.tiling(), piece.tiles(), piece.samples().to_vec());
+    read_groups(task, Role::LayerPixels, tools, AovPiece::decode, account, |piece| {
         if (piece.light.is_some(), piece.features.is_some()) != has {
             return Err(FilmError::Corrupt("the layers or features do not match the job's settings"));
         }
@@ -95,7 +95,7 @@ pub(super) fn of_frame(
     let features: Vec<(String, Vec<f32>)> = names.into_iter().zip(features.channels).collect();
     let file = tools.install(task, || exr::encode_layers(image, &light, &features, &texts, provenance));
     tracing::debug!(layers = light.len(), features = features.len(), seconds = watch.seconds(), "assembled the layers");
-    file.map_err(|error| damaged_picture(&error))
+    file.map_err(|error| encode_failure(&error))
 }
 
 /// Returns the Cryptomatte attributes of the file: how ids are computed, and the names of the objects in the frame.
@@ -109,9 +109,9 @@ fn mattes(settings: &Settings, scene: &Scene, image: &FeatureImage) -> Result<Ve
             ("name", matte.to_owned()),
             ("hash", "MurmurHash3_32".to_owned()),
             ("conversion", "uint32_to_float32".to_owned()),
-            ("manifest", serde_json::to_string(&manifest).map_err(unfit)?),
+            ("manifest", serde_json::to_string(&manifest).map_err(settings_failure)?),
         ];
-        texts.extend(all.map(|(what, text)| (cryptomatte::attribute(matte, what), text)));
+        texts.extend(all.map(|(what, text)| (cryptomatte::metadata_key(matte, what), text)));
     }
     Ok(texts)
 }

@@ -6,15 +6,15 @@ mod encode;
 mod first_pass;
 mod first_pass_steps;
 mod image;
+mod inputs;
 mod layers;
 mod paint;
 mod reduce;
 mod render;
 mod statistics;
-mod union;
 
 pub use drill::drill_key;
-pub use encode::{Painting, Video, Wish};
+pub use encode::{ExtraOutputs, Painting, Video};
 
 use std::any::Any;
 use std::fmt::Display;
@@ -22,17 +22,17 @@ use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
 
 use bytes::Bytes;
-use femc_fault::{Point, dies_of, panics_if_sick, pass};
-use femc_model::{Artifact, Failure, Output, Role, Stage, StageKind, TaskResult, Template};
+use femc_fault::{Point, abort_if_deadly, panic_if_sick, pass_point};
+use femc_model::{Artifact, Failure, Output, Role, Stage, StageKind, StageTemplate, TaskResult};
 use rayon::ThreadPool;
 use tracing::Span;
 
-use crate::fetch::Fetch;
-use crate::memory::Memory;
-use crate::meter::Doing;
-use crate::nice::Nice;
-use crate::table::Task;
-use crate::threads::LeftBehind;
+use crate::fetch::Fetcher;
+use crate::memory::MemoryGuard;
+use crate::meter::Activity;
+use crate::niceness::Niceness;
+use crate::task_table::Task;
+use crate::threads::AbandonedThreads;
 use crate::{Cache, Journal};
 
 /// Resources that tasks need.
@@ -40,26 +40,26 @@ use crate::{Cache, Journal};
 pub(crate) struct Tools {
     pub(crate) pool: Arc<ThreadPool>,
     pub(crate) cache: Cache,
-    pub(crate) fetch: Fetch,
-    pub(crate) memory: Memory,
-    pub(crate) nice: Nice,
+    pub(crate) fetch: Fetcher,
+    pub(crate) memory: MemoryGuard,
+    pub(crate) nice: Niceness,
     pub(crate) journal: Journal,
-    pub(crate) left_behind: LeftBehind,
+    pub(crate) abandoned_threads: AbandonedThreads,
 }
 
 impl Tools {
     /// Returns a copy that charges its downloads to `task`.
-    fn of(&self, task: &Arc<Task>) -> Self {
-        Self { fetch: self.fetch.of(task), ..self.clone() }
+    fn for_task(&self, task: &Arc<Task>) -> Self {
+        Self { fetch: self.fetch.for_task(task), ..self.clone() }
     }
 
-    /// Runs `work` for `task` on the pool. The task is not charged for processor time until a thread of the pool is free for it.
+    /// Runs `spec` for `task` on the pool. The task is not charged for processor time until a thread of the pool is free for it.
     pub(crate) fn install<T: Send>(&self, task: &Task, work: impl FnOnce() -> T + Send) -> T {
         let span = Span::current();
-        task.account.doing(Doing::Waits);
+        task.account.set_activity(Activity::Waiting);
         self.pool.install(|| {
-            task.account.doing(Doing::Computes);
-            span.in_scope(|| task.log.hear(work))
+            task.account.set_activity(Activity::Computing);
+            span.in_scope(|| task.log.record_during(work))
         })
     }
 }
@@ -73,10 +73,10 @@ pub(crate) struct Product {
 
 impl Product {
     /// Adds an output if the stage makes one of this role.
-    fn put<T: Into<Bytes>>(&mut self, stage: &Template, role: Role, make: impl FnOnce() -> T) {
-        if stage.makes.contains(&role) {
+    fn put<T: Into<Bytes>>(&mut self, stage: &StageTemplate, role: Role, make: impl FnOnce() -> T) {
+        if stage.outputs.contains(&role) {
             let bytes = make().into();
-            self.result.outputs.push(Output { role, artifact: Artifact::of(&bytes) });
+            self.result.outputs.push(Output { role, artifact: Artifact::from_bytes(&bytes) });
             self.artifacts.push(bytes);
         }
     }
@@ -85,12 +85,12 @@ impl Product {
 /// Executes the task. A panic counts as a failure.
 pub(crate) fn execute(task: &Arc<Task>, tools: &Tools) -> Result<Product, Failure> {
     task.begin();
-    let tools = &tools.of(task);
+    let tools = &tools.for_task(task);
     let (key, epoch) = task.key();
     let _span = tracing::info_span!("task", job = key.job.0, task = %key, epoch = epoch.0).entered();
-    pass(Point::WorkerBeforeTask);
-    dies_of(&key);
-    task.log.hear(|| {
+    pass_point(Point::WorkerBeforeTask);
+    abort_if_deadly(&key);
+    task.log.record_during(|| {
         let outcome = attempt(task, tools);
         match &outcome {
             Ok(_) | Err(Failure::Cancelled) => {}
@@ -103,7 +103,7 @@ pub(crate) fn execute(task: &Arc<Task>, tools: &Tools) -> Result<Product, Failur
 fn attempt(task: &Task, tools: &Tools) -> Result<Product, Failure> {
     let stage = stage(task)?;
     let work = || {
-        panics_if_sick();
+        panic_if_sick();
         match stage.kind {
             StageKind::Render => render::render(task, stage, tools),
             StageKind::Reduce => reduce::reduce(task, stage, tools),
@@ -115,34 +115,34 @@ fn attempt(task: &Task, tools: &Tools) -> Result<Product, Failure> {
             StageKind::FirstPass | StageKind::FirstPassBlock => first_pass::first_pass(task, stage, tools),
         }
     };
-    let measured = tools.memory.begin(stage.kind, &tools.cache)?;
+    let measured = tools.memory.admit(stage.kind, &tools.cache)?;
     let outcome = std::panic::catch_unwind(AssertUnwindSafe(work))
-        .unwrap_or_else(|panic| Err(Failure::Panicked { message: message(&*panic) }));
-    measured.end();
+        .unwrap_or_else(|panic| Err(Failure::Panicked { message: panic_message(&*panic) }));
+    measured.finish();
     outcome
 }
 
 /// Returns the task's stage.
-fn stage(task: &Task) -> Result<&Template, Failure> {
+fn stage(task: &Task) -> Result<&StageTemplate, Failure> {
     let (graph, Stage { number, kind, round, .. }) = (&task.spec.graph, task.assignment.task.stage);
     let stage = graph.stage(number).filter(|stage| stage.kind == kind && round < graph.rounds(number));
-    let stage = stage.filter(|stage| task.assignment.work.item < stage.tasks());
-    stage.ok_or_else(|| unfit(format!("the job's graph has no task {}", task.key().0)))
+    let stage = stage.filter(|stage| task.assignment.spec.item < stage.tasks());
+    stage.ok_or_else(|| settings_failure(format!("the job's graph has no task {}", task.key().0)))
 }
 
 /// Returns the failure of a job whose settings, film and graph do not match.
-fn unfit(message: impl Display) -> Failure {
+fn settings_failure(message: impl Display) -> Failure {
     Failure::Settings { message: message.to_string() }
 }
 
-fn message(panic: &(dyn Any + Send)) -> String {
+fn panic_message(panic: &(dyn Any + Send)) -> String {
     let text = panic.downcast_ref::<&str>().map(ToString::to_string);
     text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_else(|| "without a message".into())
 }
 
 #[cfg(test)]
 mod tests {
-    use femc_model::{Grid, JobSpec, Reach, Scope, Sizes};
+    use femc_model::{Grid, JobSpec, Reach, Scope, TaskSizes};
     use tokio::runtime::Handle;
 
     use super::*;
@@ -152,20 +152,20 @@ mod tests {
         Tools {
             pool: pool.clone(),
             cache: Cache::default(),
-            fetch: Fetch::blocking(Handle::current(), pool),
-            memory: Memory::default(),
-            nice: Nice::tried(None).unwrap(),
+            fetch: Fetcher::blocking(Handle::current(), pool),
+            memory: MemoryGuard::default(),
+            nice: Niceness::try_new(None).unwrap(),
             journal: Journal::default(),
-            left_behind: LeftBehind::default(),
+            abandoned_threads: AbandonedThreads::default(),
         }
     }
 
     /// Runs a reduce task that reads four tiles with this reach, after `change` is applied to the task.
-    async fn reduced(reach: Reach, change: impl FnOnce(&mut Task)) -> Result<Product, Failure> {
+    async fn run_reduce(reach: Reach, change: impl FnOnce(&mut Task)) -> Result<Product, Failure> {
         let mut task = Arc::into_inner(crate::outbox::tests::task(0, b"").await).unwrap();
         let grid = Grid { film: [64, 16], tile: 16 };
-        let render = Template::new(StageKind::Render, Scope::Frame, grid.sizes(), &[Role::Tile]).steps(&[4]);
-        let reduce = Template::new(StageKind::Reduce, Scope::Frame, Sizes::even(2, 1), &[Role::Pixels]);
+        let render = StageTemplate::new(StageKind::Render, Scope::Frame, grid.sizes(), &[Role::Tile]).steps(&[4]);
+        let reduce = StageTemplate::new(StageKind::Reduce, Scope::Frame, TaskSizes::even(2, 1), &[Role::Pixels]);
         let graph = femc_model::Graph { stages: vec![render, reduce.reads(0, Role::Tile, reach)] };
         task.spec = Arc::new(JobSpec { grid, graph, ..(*task.spec).clone() });
         (task.assignment.task.stage.number, task.assignment.task.stage.kind) = (1, StageKind::Reduce);
@@ -177,17 +177,17 @@ mod tests {
     #[tokio::test]
     async fn task_outside_its_graph_or_reducing_nothing_fails_job() {
         let unfit = [
-            reduced(Reach::Fan(2), |task| task.assignment.task.stage.number = 2).await,
-            reduced(Reach::Fan(2), |task| task.assignment.task.stage.kind = StageKind::Image).await,
-            reduced(Reach::Fan(2), |task| task.assignment.task.stage.round = 1).await,
-            reduced(Reach::Fan(2), |task| task.assignment.work.item = 2).await,
-            reduced(Reach::Fan(4), |task| task.assignment.work.item = 1).await,
-            reduced(Reach::Same, |_| ()).await,
+            run_reduce(Reach::Fan(2), |task| task.assignment.task.stage.number = 2).await,
+            run_reduce(Reach::Fan(2), |task| task.assignment.task.stage.kind = StageKind::Image).await,
+            run_reduce(Reach::Fan(2), |task| task.assignment.task.stage.round = 1).await,
+            run_reduce(Reach::Fan(2), |task| task.assignment.spec.item = 2).await,
+            run_reduce(Reach::Fan(4), |task| task.assignment.spec.item = 1).await,
+            run_reduce(Reach::Same, |_| ()).await,
         ];
         for outcome in unfit {
             assert!(matches!(outcome, Err(Failure::Settings { .. })), "{outcome:?}");
         }
-        let empty = reduced(Reach::Fan(2), |_| ()).await.unwrap_err().to_string();
+        let empty = run_reduce(Reach::Fan(2), |_| ()).await.unwrap_err().to_string();
         assert!(empty.contains("tile 0 has samples []"), "{empty}");
     }
 }

@@ -3,40 +3,40 @@
 use std::sync::atomic::Ordering;
 
 use femc_film::Rect;
-use femc_model::{Failure, Phase, Role, Template, TileRect, Work};
-use femc_pipeline::{FeaturePlan, RenderError, StatisticsPlan, render_beside, render_tile, render_with_statistics};
+use femc_model::{Failure, Phase, Role, StageTemplate, TaskSpec, TileRect};
+use femc_pipeline::{FeaturePlan, RenderError, StatisticsPlan, render_tile, render_with_aovs, render_with_statistics};
 
-use super::{Product, Tools, unfit};
+use super::{Product, Tools, settings_failure};
 use crate::clock::Stopwatch;
-use crate::table::Task;
+use crate::task_table::Task;
 
-pub(crate) fn render(task: &Task, stage: &Template, tools: &Tools) -> Result<Product, Failure> {
-    let (key, Work { item, steps: samples, .. }) = (task.assignment.task, &task.assignment.work);
-    task.enter(Phase::Preparing);
+pub(crate) fn render(task: &Task, stage: &StageTemplate, tools: &Tools) -> Result<Product, Failure> {
+    let (key, TaskSpec { item, steps: samples, .. }) = (task.assignment.task, &task.assignment.spec);
+    task.set_phase(Phase::Preparing);
     let preparing = Stopwatch::start();
     let light = task.light();
-    let (read, prepared) = tools.cache.frame(&task.spec, key.stage.frame, light, &task.client, &tools.fetch)?;
-    task.account.prepared(preparing.elapsed());
+    let (loaded, prepared) = tools.cache.frame(&task.spec, key.stage.frame, light, &task.client, &tools.fetch)?;
+    task.account.set_preparation(preparing.elapsed());
     tracing::debug!(frame = key.stage.frame, seconds = preparing.seconds(), "the frame is ready");
     let grid = task.spec.grid;
     let rect = grid.rect(*item).filter(|_| prepared.camera.film == grid.film);
     let Some(TileRect { x, y, width, height }) = rect else {
-        return Err(unfit("the job's film does not match its settings"));
+        return Err(settings_failure("the job's film does not match its settings"));
     };
     let rect = Rect { x, y, width, height };
-    task.enter(Phase::Working);
+    task.set_phase(Phase::Working);
     let watch = Stopwatch::start();
-    let (settings, range) = (&read.settings, samples.clone());
+    let (settings, range) = (&loaded.settings, samples.clone());
     let (cancel, units) = (&task.cancel, &task.units);
     let rendered = tools.install(task, || {
-        let makes = |role| stage.makes.contains(&role);
-        let statistics = makes(Role::Paths).then(|| StatisticsPlan::of(&prepared, settings, grid.tile));
+        let makes = |role| stage.outputs.contains(&role);
+        let statistics = makes(Role::Paths).then(|| StatisticsPlan::new(&prepared, settings, grid.tile));
         let outcome = match (makes(Role::Layers), &statistics) {
             (true, of) => {
-                let light = tools.cache.layers(&read, key.stage.frame, &prepared)?;
-                let features = FeaturePlan::of(&prepared, settings).map_err(unfit)?;
+                let light = tools.cache.layers(&loaded, key.stage.frame, &prepared)?;
+                let features = FeaturePlan::from_settings(&prepared, settings).map_err(settings_failure)?;
                 let plans = (light.as_deref(), features.as_ref());
-                render_beside(&prepared, settings, plans, of.as_ref(), rect, range, cancel, units)
+                render_with_aovs(&prepared, settings, plans, of.as_ref(), rect, range, cancel, units)
                     .map(|(rendered, beside, of)| (rendered, of, Some(beside)))
             }
             (false, Some(of)) => render_with_statistics(&prepared, settings, of, rect, range, cancel, units)
@@ -51,12 +51,12 @@ pub(crate) fn render(task: &Task, stage: &Template, tools: &Tools) -> Result<Pro
             task.account.rays.store(rays + shadow_rays, Ordering::Relaxed);
             tracing::debug!(?rect, ?samples, rays, shadow_rays, bad, seconds = watch.seconds(), "rendered");
             let thumbnail =
-                stage.makes.contains(&Role::Thumbnail).then(|| rendered.tile.thumbnail().encode_thumbnail());
+                stage.outputs.contains(&Role::Thumbnail).then(|| rendered.tile.thumbnail().encode_thumbnail());
             (bad, rendered.tile.encode(), thumbnail, statistics, layers)
         });
         made.map_err(|error| match error {
             RenderError::Cancelled => Failure::Cancelled,
-            error @ (RenderError::Film(_) | RenderError::Untrusted(_)) => unfit(error),
+            error @ (RenderError::Film(_) | RenderError::Untrusted(_)) => settings_failure(error),
         })
     });
     let (bad_samples, bytes, thumbnail, statistics, layers) = rendered?;

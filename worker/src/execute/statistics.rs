@@ -1,19 +1,19 @@
 //! Light statistics: combines the statistics that tiles have collected about the paths of their samples, and selects the samples
 //! that count in the frame.
 
-use femc_model::{Failure, Phase, Role, Template};
-use femc_pipeline::paths::{PortionKey, Statistics};
+use femc_model::{Failure, Phase, Role, StageTemplate};
+use femc_pipeline::paths::{LightStatistics, PortionKey};
 
-use super::union::{each, expected, stops, tiling};
-use super::{Product, Tools, unfit};
+use super::inputs::{expected_samples, for_each_input, previous_stops, tiling};
+use super::{Product, Tools, settings_failure};
 use crate::clock::Stopwatch;
-use crate::table::Task;
+use crate::task_table::Task;
 
 /// Combines the path statistics of a group of tiles.
-pub(super) fn reduce(task: &Task, stage: &Template, tools: &Tools) -> Result<Product, Failure> {
-    task.enter(Phase::Working);
+pub(super) fn reduce(task: &Task, stage: &StageTemplate, tools: &Tools) -> Result<Product, Failure> {
+    task.set_phase(Phase::Working);
     let watch = Stopwatch::start();
-    let all = united(task, tools)?;
+    let all = combine_statistics(task, tools)?;
     let mut product = Product::default();
     product.put(stage, Role::Paths, || tools.install(task, || all.encode()));
     product.result.seconds = watch.seconds();
@@ -21,12 +21,12 @@ pub(super) fn reduce(task: &Task, stage: &Template, tools: &Tools) -> Result<Pro
 }
 
 /// Combines all path statistics that the task reads.
-fn united(task: &Task, tools: &Tools) -> Result<Statistics, Failure> {
-    let mut all: Option<Statistics> = None;
-    each(task, Role::Paths, tools, |bytes| {
-        let part = Statistics::decode(bytes).map_err(|error| error.to_string())?;
+fn combine_statistics(task: &Task, tools: &Tools) -> Result<LightStatistics, Failure> {
+    let mut all: Option<LightStatistics> = None;
+    for_each_input(task, Role::Paths, tools, |bytes| {
+        let part = LightStatistics::decode(bytes).map_err(|error| error.to_string())?;
         match &mut all {
-            Some(all) => all.absorb(part).map_err(|error| error.to_string()),
+            Some(all) => all.merge_untrimmed(part).map_err(|error| error.to_string()),
             None => {
                 all = Some(part);
                 Ok(())
@@ -34,26 +34,26 @@ fn united(task: &Task, tools: &Tools) -> Result<Statistics, Failure> {
         }
     })?;
     let mut all =
-        all.ok_or_else(|| unfit("invalid job graph: a stage that combines light statistics has no inputs"))?;
-    all.settle();
+        all.ok_or_else(|| settings_failure("invalid job graph: a stage that combines light statistics has no inputs"))?;
+    all.trim();
     Ok(all)
 }
 
 /// Encodes the statistics of the samples that count in the frame. The bytes do not depend on which worker rendered what, or in
 /// which parts.
-pub(super) fn of_frame(task: &Task, tools: &Tools) -> Result<Vec<u8>, Failure> {
+pub(super) fn encode_frame_statistics(task: &Task, tools: &Tools) -> Result<Vec<u8>, Failure> {
     let watch = Stopwatch::start();
-    let all = united(task, tools)?;
-    let stops = stops(task, tools)?;
-    let begin = stops.as_ref().map_or(0, |stops| stops.pace.begin);
+    let all = combine_statistics(task, tools)?;
+    let stops = previous_stops(task, tools)?;
+    let begin = stops.as_ref().map_or(0, |stops| stops.progress.first_sample);
     let end = |tile: u32, half: u8| {
         let stop = stops.as_ref().and_then(|stops| stops.ends.get(tile as usize));
         stop.map_or(u32::MAX, |ends| ends[usize::from(half)])
     };
-    let counted = tools.install(task, || all.counted(begin, end));
+    let counted = tools.install(task, || all.into_image_samples(begin, end));
     // Each tile must hold exactly the samples that it was given and that count.
     let wanted = (0..tiling(task)?.count() as u32).flat_map(|tile| {
-        let given = expected(task, tile as usize).end;
+        let given = expected_samples(task, tile as usize).end;
         [0, 1].map(|half| PortionKey { tile, half, begin, end: given.min(end(tile, half)) })
     });
     if !wanted.eq(counted.portions.keys().copied()) {

@@ -10,24 +10,24 @@ use femc_model::*;
 use femc_proto::Client;
 use femc_queue::Memory;
 use femc_store::Store;
-use femc_worker::{Availability, Shift, Worker};
+use femc_worker::{Availability, Worker, WorkingHours};
 use tokio::time::Instant;
 
 #[tokio::test(start_paused = true)]
 async fn off_duty_worker_finishes_task_and_begins_none_until_on_duty() {
     let (net, connections) = Net::new();
     let config = Config { time: common::time(), ..Config::default() };
-    let farm = Coordinator::on(connections, config, Store::memory(), Memory::default()).await.unwrap();
-    let client = Client::connect_by(&net.open(), "http://farm:7878").await.unwrap();
+    let farm = Coordinator::start_on_stream(connections, config, Store::in_memory(), Memory::default()).await.unwrap();
+    let client = Client::connect_with(&net.open(), "http://farm:7878").await.unwrap();
     // Eight tiles of a second each. The worker is off duty from the third second to the tenth.
     let (spec, bundle) = job_of(4, 8);
     client.put(bundle.into()).await.unwrap();
     let id = client.submit(None, spec).await.unwrap();
     let begun = Instant::now();
-    let shift = Shift::by(move || {
+    let working_hours = WorkingHours::from_fn(move || {
         if (3..10).contains(&begun.elapsed().as_secs()) { Availability::Off } else { Availability::Available }
     });
-    let config = femc_worker::Config { shift, ..simulated("w", net.open(), Duration::from_millis(1000)) };
+    let config = femc_worker::Config { working_hours, ..simulated("w", net.open(), Duration::from_millis(1000)) };
     tokio::spawn(Worker::run(config, pending()));
     let at = async |seconds: u64| {
         tokio::time::sleep_until(begun + Duration::from_millis(seconds * 1000 + 800)).await;
@@ -40,7 +40,7 @@ async fn off_duty_worker_finishes_task_and_begins_none_until_on_duty() {
     assert!(after.completed > before.completed, "what it was at is done");
     let later = at(9).await;
     assert_eq!((later.completed, later.failed), (after.completed, 0));
-    assert_eq!(client.status(id).await.unwrap().waits, [Wait::WorkersDraining { workers: 1 }]);
+    assert_eq!(client.status(id).await.unwrap().waits, [WaitReason::WorkersDraining { workers: 1 }]);
     let again = at(12).await;
     assert!(again.completed > later.completed && again.intake == Intake::Open, "{again:?}");
     let mut watch = client.watch(id).await.unwrap();
@@ -56,13 +56,13 @@ async fn off_duty_worker_finishes_task_and_begins_none_until_on_duty() {
 async fn a_worker_that_starts_outside_its_hours_does_nothing() {
     let (net, connections) = Net::new();
     let config = Config { time: common::time(), ..Config::default() };
-    let farm = Coordinator::on(connections, config, Store::memory(), Memory::default()).await.unwrap();
-    let client = Client::connect_by(&net.open(), "http://farm:7878").await.unwrap();
+    let farm = Coordinator::start_on_stream(connections, config, Store::in_memory(), Memory::default()).await.unwrap();
+    let client = Client::connect_with(&net.open(), "http://farm:7878").await.unwrap();
     let (spec, bundle) = job(4);
     client.put(bundle.into()).await.unwrap();
     let id = client.submit(None, spec).await.unwrap();
-    let shift = Shift::by(|| Availability::Off);
-    let config = femc_worker::Config { shift, ..simulated("w", net.open(), Duration::from_millis(100)) };
+    let working_hours = WorkingHours::from_fn(|| Availability::Off);
+    let config = femc_worker::Config { working_hours, ..simulated("w", net.open(), Duration::from_millis(100)) };
     tokio::spawn(Worker::run(config, pending()));
     tokio::time::sleep(Duration::from_secs(20)).await;
     let status = client.status(id).await.unwrap();

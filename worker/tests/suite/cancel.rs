@@ -15,7 +15,7 @@ use std::time::{Duration, Instant};
 use femc_coordinator::{Config, Coordinator};
 use femc_import::Bundle;
 use femc_model::*;
-use femc_pipeline::{Method, Settings, Source, Stop};
+use femc_pipeline::{Method, SceneSource, Settings, StopCondition};
 use femc_proto::Client;
 use femc_worker::{Metrics, Worker};
 
@@ -23,7 +23,7 @@ use femc_worker::{Metrics, Worker};
 const PATIENCE: Duration = Duration::from_secs(60);
 
 /// Returns the number of abandoned threads, which still run a cancelled task.
-fn left_behind(metrics: &Metrics) -> u64 {
+fn abandoned_threads(metrics: &Metrics) -> u64 {
     let page = metrics.report().page;
     let line = page.lines().find_map(|line| line.strip_prefix("femc_worker_threads_left_behind "));
     line.expect("the number of threads").parse().unwrap()
@@ -32,7 +32,7 @@ fn left_behind(metrics: &Metrics) -> u64 {
 /// Waits until no cancelled task runs any longer.
 async fn all_ended(metrics: &Metrics) {
     let begun = Instant::now();
-    while left_behind(metrics) > 0 {
+    while abandoned_threads(metrics) > 0 {
         assert!(begun.elapsed() < PATIENCE, "the cancelled task runs on");
         tokio::time::sleep(Duration::from_millis(20)).await;
     }
@@ -95,14 +95,14 @@ fn large(triangles: u32) -> Bundle {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn cancelled_worker_is_free_before_large_scene_is_prepared() {
-    let settings = Settings { stop: Stop::Spp(1), ..Settings::default() };
+    let settings = Settings { stop: StopCondition::Spp(1), ..Settings::default() };
     // Find a scene that takes more than three seconds to read and prepare on this machine with this build.
     let mut triangles = 20_000;
     let (bundle, alone) = loop {
         let bundle = large(triangles);
         let begun = Instant::now();
-        let scene = Arc::new(femc_import::load(&bundle, "haze.mgf").unwrap().scene);
-        femc_pipeline::prepare(&Source::new(scene.clone()), &settings, 1, None).unwrap();
+        let scene = Arc::new(femc_import::load_scene(&bundle, "haze.mgf").unwrap().scene);
+        femc_pipeline::prepare_frame(&SceneSource::new(scene.clone()), &settings, 1, None).unwrap();
         if begun.elapsed() > Duration::from_secs(3) {
             break (bundle.encode().unwrap(), begun.elapsed());
         }
@@ -115,7 +115,7 @@ async fn cancelled_worker_is_free_before_large_scene_is_prepared() {
     let worker = tokio::spawn(Worker::run(config, pending()));
     let spec = JobSpec {
         name: "large".into(),
-        bundle: Digest::of(&bundle),
+        bundle: Digest::compute(&bundle),
         settings: serde_json::to_string(&settings).unwrap(),
         priority: 60,
         ..common::job(1).0
@@ -132,7 +132,7 @@ async fn cancelled_worker_is_free_before_large_scene_is_prepared() {
     println!(
         "preparing ({triangles} triangles, {alone:?} alone): free, and another job done, {free:?} after the cancellation"
     );
-    assert_eq!(left_behind(&metrics), 1, "the scene is still being prepared when the other job is done");
+    assert_eq!(abandoned_threads(&metrics), 1, "the scene is still being prepared when the other job is done");
     worker.abort();
     farm.stop().await.unwrap();
 }
@@ -150,24 +150,24 @@ fn balls(count: u32) -> Bundle {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_first_pass_ends_when_it_is_cancelled() {
-    let settings = Settings { stop: Stop::Spp(1), method: Method::Fem, ..Settings::default() };
+    let settings = Settings { stop: StopCondition::Spp(1), method: Method::Fem, ..Settings::default() };
     // Find a first pass that takes more than three minutes on this machine with this build: one with a 64th of its balls takes more
     // than three seconds.
     let mut count = 8;
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
     let small_alone = loop {
         let bundle = balls(count);
-        let source = Source::new(Arc::new(femc_import::load(&bundle, "haze.mgf").unwrap().scene));
+        let source = SceneSource::new(Arc::new(femc_import::load_scene(&bundle, "haze.mgf").unwrap().scene));
         let world = femc_pipeline::prepare_world(&source, &settings, 1, None).unwrap();
         let begun = Instant::now();
-        pool.install(|| femc_pipeline::first_pass(&world, settings.method, &AtomicBool::new(false))).unwrap();
+        pool.install(|| femc_pipeline::solve_first_pass(&world, settings.method, &AtomicBool::new(false))).unwrap();
         if begun.elapsed() > Duration::from_secs(3) {
             break begun.elapsed();
         }
         count *= 2;
     };
     let bundle = balls(64 * count);
-    let source = Source::new(Arc::new(femc_import::load(&bundle, "haze.mgf").unwrap().scene));
+    let source = SceneSource::new(Arc::new(femc_import::load_scene(&bundle, "haze.mgf").unwrap().scene));
     let bundle = bundle.encode().unwrap();
     let farm = Coordinator::start(Config::default()).await.unwrap();
     let client = Client::connect(&farm.url()).await.unwrap();
@@ -179,7 +179,7 @@ async fn a_first_pass_ends_when_it_is_cancelled() {
         femc_pipeline::first_pass_key(&femc_pipeline::frame_key(&source, &settings, 1).unwrap(), settings.method, 1);
     let spec = JobSpec {
         name: "balls".into(),
-        bundle: Digest::of(&bundle),
+        bundle: Digest::compute(&bundle),
         settings: serde_json::to_string(&settings).unwrap(),
         graph: common::graph(small.grid, &settings),
         contents: vec![(1, Digest::from_bytes(key))],
@@ -190,7 +190,7 @@ async fn a_first_pass_ends_when_it_is_cancelled() {
     let heavy = client.submit(None, spec).await.unwrap();
     tokio::time::sleep(Duration::from_millis(1000)).await;
     let status = client.status(heavy).await.unwrap();
-    let is_waited_for = |wait: &Wait| matches!(wait, Wait::SharedStage { stage: StageKind::FirstPass, .. });
+    let is_waited_for = |wait: &WaitReason| matches!(wait, WaitReason::SharedStage { stage: StageKind::FirstPass, .. });
     assert!(status.waits.iter().any(is_waited_for), "it is being solved: {status:?}");
     let free = free_after_cancel(&client, heavy).await;
     println!(

@@ -13,7 +13,7 @@ use femc_coordinator::{Artifacts, Config, Coordinator, Handle, Log};
 use femc_film::{Image, Tiling, exr, pixel_digest};
 use femc_import::Bundle;
 use femc_model::*;
-use femc_pipeline::{Method, Settings, Source, Stop};
+use femc_pipeline::{Method, SceneSource, Settings, StopCondition};
 use femc_proto::Client;
 use femc_store::Store;
 use femc_worker::Worker;
@@ -53,7 +53,7 @@ m bright
 sph e 0.2
 ";
 
-fn settings(stop: Stop) -> Settings {
+fn settings(stop: StopCondition) -> Settings {
     Settings { stop, max_depth: 4, ..Settings::default() }
 }
 
@@ -63,7 +63,7 @@ fn job(scene: &str, settings: &Settings) -> (JobSpec, Vec<u8>) {
     let grid = Grid { film: [48, 32], tile: 16 };
     let spec = JobSpec {
         name: "haze".into(),
-        bundle: Digest::of(&bundle),
+        bundle: Digest::compute(&bundle),
         entry: "haze.mgf".into(),
         settings: serde_json::to_string(settings).unwrap(),
         frames: vec![1, 2, 3],
@@ -106,8 +106,8 @@ async fn until(client: &Client, job: JobId, wanted: impl Fn(&JobStatus) -> bool)
 fn grouped(settings: &Settings, fan: u32) -> (JobSpec, Vec<u8>) {
     let (spec, bundle) = job(SCENE, settings);
     let tiling = Tiling::new(spec.grid.film[0], spec.grid.film[1], spec.grid.tile).unwrap();
-    let stages = femc_pipeline::stages(&tiling, &settings.rounds(), NonZeroU32::new(fan).unwrap(), settings.method);
-    (JobSpec { graph: femc_worker::graph(&stages), ..spec }, bundle)
+    let stages = femc_pipeline::job_stages(&tiling, &settings.rounds(), NonZeroU32::new(fan).unwrap(), settings.method);
+    (JobSpec { graph: femc_worker::job_graph(&stages), ..spec }, bundle)
 }
 
 async fn image(client: &Client, frame: &FrameRecord) -> Vec<u8> {
@@ -125,7 +125,7 @@ async fn pixels(client: &Client, job: JobId) -> Vec<String> {
 }
 
 /// Returns the frames as one worker with one thread renders them.
-async fn reference(stop: Stop) -> Vec<String> {
+async fn reference(stop: StopCondition) -> Vec<String> {
     let farm = Coordinator::start(Config::default()).await.unwrap();
     let client = Client::connect(&farm.url()).await.unwrap();
     let id = submit(&client, job(SCENE, &settings(stop))).await;
@@ -142,10 +142,10 @@ async fn reference(stop: Stop) -> Vec<String> {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn three_workers_of_which_one_vanishes_render_the_pixels_of_one() {
-    let expected = reference(Stop::Spp(32)).await;
+    let expected = reference(StopCondition::Spp(32)).await;
     let farm = Coordinator::start(Config::default()).await.unwrap();
     let client = Client::connect(&farm.url()).await.unwrap();
-    let id = submit(&client, job(SCENE, &settings(Stop::Spp(32)))).await;
+    let id = submit(&client, job(SCENE, &settings(StopCondition::Spp(32)))).await;
     let lost = worker(&farm, 2);
     let others = [worker(&farm, 1), worker(&farm, 2)];
     until(&client, id, |status| status.samples_done > 0).await;
@@ -176,13 +176,13 @@ fn exr_layers(bytes: &[u8]) -> String {
     let attributes = exr::decode(std::io::Cursor::new(bytes)).unwrap().attributes;
     let attributes: BTreeMap<_, _> = attributes.into_iter().filter(|(name, _)| !name.contains("seconds")).collect();
     let channels = format!("{:?}", image.layer_data[0].channel_data);
-    format!("{} {attributes:?}", Digest::of(channels.as_bytes()))
+    format!("{} {attributes:?}", Digest::compute(channels.as_bytes()))
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn frame_of_groups_equals_frame_of_tiles_over_several_rounds() {
     // This error is never reached, so all rounds run.
-    for stop in [Stop::Spp(8), Stop::Error(0.05)] {
+    for stop in [StopCondition::Spp(8), StopCondition::Error(0.05)] {
         let mut all = Vec::new();
         for fan in [256, 1, 4] {
             let farm = Coordinator::start(Config::default()).await.unwrap();
@@ -195,7 +195,7 @@ async fn frame_of_groups_equals_frame_of_tiles_over_several_rounds() {
             workers.iter().for_each(JoinHandle::abort);
             farm.stop().await.unwrap();
         }
-        let is_bounded = matches!(stop, Stop::Spp(_));
+        let is_bounded = matches!(stop, StopCondition::Spp(_));
         assert!(is_bounded || all[0].iter().any(|(_, frame)| frame.spp > settings(stop).rounds()[0]), "several rounds");
         assert_eq!(all[0].len(), 3);
         assert_eq!((&all[1], &all[2]), (&all[0], &all[0]));
@@ -204,7 +204,7 @@ async fn frame_of_groups_equals_frame_of_tiles_over_several_rounds() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_coordinator_that_comes_back_goes_on_where_it_was() {
-    let expected = reference(Stop::Spp(32)).await;
+    let expected = reference(StopCondition::Spp(32)).await;
     let folder = tempfile::tempdir().unwrap();
     let config = Config {
         log: Log::Sqlite(folder.path().join("log.sqlite")),
@@ -213,7 +213,7 @@ async fn a_coordinator_that_comes_back_goes_on_where_it_was() {
     };
     let farm = Coordinator::start(config.clone()).await.unwrap();
     let client = Client::connect(&farm.url()).await.unwrap();
-    let id = submit(&client, job(SCENE, &settings(Stop::Spp(32)))).await;
+    let id = submit(&client, job(SCENE, &settings(StopCondition::Spp(32)))).await;
     let first = worker(&farm, 1);
     let tiles = |status: &JobStatus| status.frames_done * 6 + status.active.iter().map(|f| f.tiles_done).sum::<u32>();
     let before = until(&client, id, |status| tiles(status) >= 3).await;
@@ -222,7 +222,7 @@ async fn a_coordinator_that_comes_back_goes_on_where_it_was() {
 
     let farm = Coordinator::start(config).await.unwrap();
     let client = Client::connect(&farm.url()).await.unwrap();
-    assert_eq!(submit(&client, job(SCENE, &settings(Stop::Spp(32)))).await, id, "the same job");
+    assert_eq!(submit(&client, job(SCENE, &settings(StopCondition::Spp(32)))).await, id, "the same job");
     let after = client.status(id).await.unwrap();
     assert!(tiles(&after) >= tiles(&before), "what was done is done: {after:?}");
     let second = worker(&farm, 2);
@@ -236,7 +236,7 @@ async fn a_coordinator_that_comes_back_goes_on_where_it_was() {
 async fn a_frame_goes_on_round_by_round_until_its_error_is_reached() {
     let farm = Coordinator::start(Config::default()).await.unwrap();
     let client = Client::connect(&farm.url()).await.unwrap();
-    let id = submit(&client, job(SCENE, &settings(Stop::Error(0.03)))).await;
+    let id = submit(&client, job(SCENE, &settings(StopCondition::Error(0.03)))).await;
     let workers = [worker(&farm, 1), worker(&farm, 1)];
     let status = until(&client, id, |_| false).await;
     assert_eq!(status.state, JobState::Done, "{status:?}");
@@ -280,12 +280,12 @@ fn tiles(bytes: &[u8]) -> Vec<Vec<([f32; 3], u32)>> {
 /// Returns the samples per pixel of each tile of the first frame, from the records of its attempts.
 async fn drawn(client: &Client, job: JobId) -> Vec<u32> {
     let (shape, attempts) = client.attempts(job).await.unwrap();
-    let (number, template) = shape.spec.graph.main().unwrap();
+    let (number, template) = shape.spec.graph.main_stage().unwrap();
     let mut counts = vec![0; 6];
-    for record in attempts.iter().filter(|record| record.ending == Ending::Done) {
+    for record in attempts.iter().filter(|record| record.ending == LeaseEnding::Done) {
         let TaskKey { stage, index, .. } = record.task;
         if (stage.frame, stage.number) == (1, number) {
-            let tile = Grains::of(template, stage.round, None, shape.cut).task(index);
+            let tile = Chunks::new(template, stage.round, None, shape.cut).task(index);
             counts[tile as usize] += (record.samples / 256) as u32;
         }
     }
@@ -293,27 +293,27 @@ async fn drawn(client: &Client, job: JobId) -> Vec<u32> {
 }
 
 /// Returns the job of the two halves in three rounds, in groups of `fan` tiles.
-fn halves(stop: Stop, fan: u32) -> (JobSpec, Vec<u8>) {
+fn halves(stop: StopCondition, fan: u32) -> (JobSpec, Vec<u8>) {
     let settings = settings(stop);
     let (spec, bundle) = job(&format!("{SCENE}{HALVES}"), &settings);
-    let rounds = if let Stop::Spp(spp) = stop { vec![spp] } else { vec![16, 32, 64] };
-    let stages = femc_pipeline::stages(
+    let rounds = if let StopCondition::Spp(spp) = stop { vec![spp] } else { vec![16, 32, 64] };
+    let stages = femc_pipeline::job_stages(
         &Tiling::new(48, 32, 16).unwrap(),
         &rounds,
         NonZeroU32::new(fan).unwrap(),
         settings.method,
     );
-    (JobSpec { graph: femc_worker::graph(&stages), frames: vec![1, 3], ..spec }, bundle)
+    (JobSpec { graph: femc_worker::job_graph(&stages), frames: vec![1, 3], ..spec }, bundle)
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn calm_tiles_get_fewer_samples_and_any_split_gives_same_frame() {
-    let stop = Stop::Error(0.012);
+    let stop = StopCondition::Error(0.012);
     let mut all = Vec::new();
     // One worker; three workers, of which one vanishes at the end of a round; sample chunks of few samples, in groups of two tiles.
     for (workers, fan, grain) in [(1, 256, 1_u64 << 15), (3, 256, 1 << 15), (3, 2, 1 << 9)] {
         let mut config = Config::default();
-        config.scheduler.grain = grain.try_into().unwrap();
+        config.scheduler.chunk_size = grain.try_into().unwrap();
         let farm = Coordinator::start(config).await.unwrap();
         let client = Client::connect(&farm.url()).await.unwrap();
         let id = submit(&client, halves(stop, fan)).await;
@@ -338,7 +338,7 @@ async fn calm_tiles_get_fewer_samples_and_any_split_gives_same_frame() {
             assert_eq!(u64::from(frame.spp), counts.iter().map(|&count| u64::from(count)).sum::<u64>() / 6);
             // Each tile equals the tile of a frame in which all tiles have that many samples.
             for spp in [16, 64] {
-                let even = submit(&client, halves(Stop::Spp(spp), fan)).await;
+                let even = submit(&client, halves(StopCondition::Spp(spp), fan)).await;
                 until(&client, even, |_| false).await;
                 let even = tiles(&image(&client, &client.frames(even).await.unwrap()[0]).await);
                 let same = (0..6).filter(|&tile| counts[tile] == spp && !is_held(tile));
@@ -353,11 +353,11 @@ async fn calm_tiles_get_fewer_samples_and_any_split_gives_same_frame() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn tiles_that_the_store_has_lost_are_rendered_again() {
-    let expected = reference(Stop::Spp(32)).await;
-    let store = Store::memory();
-    let farm = Coordinator::with(Config::default(), store.clone(), femc_queue::Memory::default()).await.unwrap();
+    let expected = reference(StopCondition::Spp(32)).await;
+    let store = Store::in_memory();
+    let farm = Coordinator::start_with(Config::default(), store.clone(), femc_queue::Memory::default()).await.unwrap();
     let client = Client::connect(&farm.url()).await.unwrap();
-    let (spec, bundle) = job(SCENE, &settings(Stop::Spp(32)));
+    let (spec, bundle) = job(SCENE, &settings(StopCondition::Spp(32)));
     let keep = spec.bundle;
     let id = submit(&client, (spec, bundle)).await;
     let first = worker(&farm, 1);
@@ -382,12 +382,12 @@ async fn a_broken_scene_fails_its_job_and_the_next_job_is_done() {
     let farm = Coordinator::start(Config::default()).await.unwrap();
     let client = Client::connect(&farm.url()).await.unwrap();
     let workers = [worker(&farm, 1)];
-    let broken = submit(&client, job("f nobody knows\n", &settings(Stop::Spp(4)))).await;
+    let broken = submit(&client, job("f nobody knows\n", &settings(StopCondition::Spp(4)))).await;
     let status = until(&client, broken, |_| false).await;
     assert_eq!(status.state, JobState::Failed);
     let Some(Failure::Scene { message }) = status.failure else { panic!("{status:?}") };
     assert!(message.contains("haze.mgf:1"), "{message}");
-    let sound = submit(&client, job(SCENE, &settings(Stop::Spp(4)))).await;
+    let sound = submit(&client, job(SCENE, &settings(StopCondition::Spp(4)))).await;
     assert_eq!(until(&client, sound, |_| false).await.state, JobState::Done);
     workers.iter().for_each(JoinHandle::abort);
     farm.stop().await.unwrap();
@@ -397,13 +397,13 @@ async fn a_broken_scene_fails_its_job_and_the_next_job_is_done() {
 async fn cancelled_job_frees_worker_and_stopped_worker_returns_tasks() {
     let farm = Coordinator::start(Config::default()).await.unwrap();
     let client = Client::connect(&farm.url()).await.unwrap();
-    let endless = submit(&client, job(SCENE, &settings(Stop::Spp(1 << 24)))).await;
+    let endless = submit(&client, job(SCENE, &settings(StopCondition::Spp(1 << 24)))).await;
     let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
     let config = femc_worker::Config { threads: 1, ..femc_worker::Config::new(farm.url()) };
     let first = tokio::spawn(Worker::run(config, async { drop(stopped.await) }));
     until(&client, endless, |status| status.samples_done > 0).await;
     client.control(endless, Control::Cancel).await.unwrap();
-    let sound = submit(&client, job(SCENE, &settings(Stop::Spp(4)))).await;
+    let sound = submit(&client, job(SCENE, &settings(StopCondition::Spp(4)))).await;
     assert_eq!(until(&client, sound, |_| false).await.state, JobState::Done);
     client.control(endless, Control::Retry).await.unwrap();
     until(&client, endless, |status| status.samples_done > 0).await;
@@ -423,7 +423,7 @@ async fn worker_waits_for_coordinator_and_impatient_one_gives_up() {
     let url = format!("http://{address}");
     let impatient = femc_worker::Config {
         threads: 1,
-        patience: Some(Duration::from_millis(1)),
+        reconnect_limit: Some(Duration::from_millis(1)),
         ..femc_worker::Config::new(url.clone())
     };
     let error = Worker::run(impatient, pending()).await.unwrap_err();
@@ -432,7 +432,7 @@ async fn worker_waits_for_coordinator_and_impatient_one_gives_up() {
     let patient = tokio::spawn(Worker::run(patient, pending()));
     let farm = Coordinator::start(Config { listen: address, ..Config::default() }).await.unwrap();
     let client = Client::connect(&farm.url()).await.unwrap();
-    let id = submit(&client, job(SCENE, &settings(Stop::Spp(4)))).await;
+    let id = submit(&client, job(SCENE, &settings(StopCondition::Spp(4)))).await;
     assert_eq!(until(&client, id, |_| false).await.state, JobState::Done);
     patient.abort();
     farm.stop().await.unwrap();
@@ -440,12 +440,12 @@ async fn worker_waits_for_coordinator_and_impatient_one_gives_up() {
 
 /// Returns the job without fog and with a first pass. The floor, and therefore the world, differs in each frame.
 fn with_first_pass() -> (JobSpec, Vec<u8>) {
-    let settings = Settings { stop: Stop::Spp(64), method: Method::Fem, ..Settings::default() };
+    let settings = Settings { stop: StopCondition::Spp(64), method: Method::Fem, ..Settings::default() };
     let scene = SCENE.replace("vary medium.haze.sigma_s = 0 0.05 1 0.4", "vary material.gray.rd = 0 0.1 1 0.8");
     let scene = scene.replace("mbox haze -1 -1 -1 1 1 1\n", "").replace("sigma_s 0.05", "sigma_s 0");
     let (spec, bundle) = job(&scene, &settings);
     let files = Bundle::decode(&bundle, 1 << 20).unwrap();
-    let source = Source::new(Arc::new(femc_import::load(&files, &spec.entry).unwrap().scene));
+    let source = SceneSource::new(Arc::new(femc_import::load_scene(&files, &spec.entry).unwrap().scene));
     let content = |&frame: &u32| {
         let frame_key = femc_pipeline::frame_key(&source, &settings, frame).unwrap();
         (frame, Digest::from_bytes(femc_pipeline::first_pass_key(&frame_key, settings.method, 1)))
@@ -496,8 +496,8 @@ async fn first_pass_with_foreign_key_or_missing_one_fails_job() {
     let client = Client::connect(&farm.url()).await.unwrap();
     let one = worker(&farm, 1);
     let (spec, bundle) = with_first_pass();
-    let foreign = JobSpec { contents: vec![(3, Digest::of(b"another world"))], ..spec.clone() };
-    let graph = common::graph(spec.grid, &settings(Stop::Spp(64)));
+    let foreign = JobSpec { contents: vec![(3, Digest::compute(b"another world"))], ..spec.clone() };
+    let graph = common::graph(spec.grid, &settings(StopCondition::Spp(64)));
     let without = JobSpec { graph, contents: vec![], ..spec };
     for (spec, said) in [(foreign, "does not match its key"), (without, "it must have a first-pass stage")] {
         let id = submit(&client, (spec, bundle.clone())).await;

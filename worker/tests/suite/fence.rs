@@ -4,7 +4,7 @@ use std::future::pending;
 use std::time::Duration;
 
 use crate::common;
-use crate::common::{Net, Way, job, simulated};
+use crate::common::{LinkState, Net, job, simulated};
 use femc_coordinator::{Config, Coordinator};
 use femc_model::*;
 use femc_proto::{Call, Client, Server, Session};
@@ -26,14 +26,14 @@ async fn session(calls: &mut mpsc::Receiver<Call>) -> Session {
     }
 }
 
-fn left(assignment: &Assignment, left: u64) -> Vec<LeaseLeft> {
-    vec![LeaseLeft { task: assignment.task, epoch: assignment.epoch, left }]
+fn left(assignment: &Assignment, left: u64) -> Vec<LeaseStatus> {
+    vec![LeaseStatus { task: assignment.task, epoch: assignment.epoch, remaining: left }]
 }
 
 #[tokio::test(start_paused = true)]
 async fn worker_of_silent_coordinator_reports_only_with_renewed_lease() {
     let (spec, bundle) = job(4);
-    let store = Store::memory();
+    let store = Store::in_memory();
     store.put(bundle.into()).await.unwrap();
     let ((net, connections), (send, mut calls)) = (Net::new(), mpsc::channel(16));
     tokio::spawn(Server::new(send, store).serve(connections, pending()));
@@ -45,9 +45,18 @@ async fn worker_of_silent_coordinator_reports_only_with_renewed_lease() {
     let stage = Stage { frame: 1, round: 0, number: 0, kind: StageKind::Render };
     let task = TaskKey { job: JobId(7), stage, index: 0 };
     let epoch = Epoch::new(3, 1);
-    let (inputs, taken, more) = (vec![], Taken::default(), More::Last);
-    let work = Work { item: 0, steps: 0..4, inputs, hints: Vec::new(), taken, more, elapsed: 0, busy_seconds: 0.0 };
-    let assignment = Assignment { task, epoch, lease: LEASE, copy_of: None, work };
+    let (inputs, taken, more) = (vec![], StepsTaken::default(), NextRound::Impossible);
+    let work = TaskSpec {
+        item: 0,
+        steps: 0..4,
+        inputs,
+        hints: Vec::new(),
+        steps_taken: taken,
+        next_round: more,
+        elapsed: 0,
+        busy_seconds: 0.0,
+    };
+    let assignment = Assignment { task, epoch, lease: LEASE, copy_of: None, spec: work };
     let welcome = ToWorker::Welcome { worker: WorkerId(1), heartbeat: HEARTBEAT, lease: LEASE };
     first.out.send(welcome.clone()).await.unwrap();
     first.out.send(ToWorker::Job { job: JobId(7), spec: Box::new(spec.clone()) }).await.unwrap();
@@ -118,12 +127,12 @@ async fn worker_of_silent_coordinator_reports_only_with_renewed_lease() {
 async fn partitioned_worker_costs_nothing_and_rejoins_afterwards() {
     let (net, connections) = Net::new();
     let config = Config { time: common::time(), ..Config::default() };
-    let store = Store::memory();
-    let farm = Coordinator::on(connections, config, store, Memory::default()).await.unwrap();
-    let client = Client::connect_by(&net.open(), "http://farm:7878").await.unwrap();
+    let store = Store::in_memory();
+    let farm = Coordinator::start_on_stream(connections, config, store, Memory::default()).await.unwrap();
+    let client = Client::connect_with(&net.open(), "http://farm:7878").await.unwrap();
     let (spec, bundle) = job(4);
     client.put(bundle.into()).await.unwrap();
-    let (way, is_open) = watch::channel(Way::Open);
+    let (state, is_open) = watch::channel(LinkState::Open);
     let cut_off = simulated("cut off", net.dial(is_open), Duration::from_millis(3000));
     tokio::spawn(Worker::run(cut_off, pending()));
     while client.workers().await.unwrap().is_empty() {
@@ -134,7 +143,7 @@ async fn partitioned_worker_costs_nothing_and_rejoins_afterwards() {
     while watch.next().await.unwrap().unwrap().samples_done == 0 {}
     assert_eq!(client.workers().await.unwrap()[0].tasks.len(), 2, "it holds all that there is");
 
-    way.send(Way::Frozen).unwrap();
+    state.send(LinkState::Frozen).unwrap();
     tokio::spawn(Worker::run(simulated("other", net.open(), Duration::from_millis(3000)), pending()));
     let mut last = None;
     while let Some(status) = watch.next().await.unwrap() {
@@ -148,7 +157,7 @@ async fn partitioned_worker_costs_nothing_and_rejoins_afterwards() {
     assert_eq!(completed("other", &client.workers().await.unwrap()), 3, "two tiles and the image");
 
     // The isolated worker has finished both tiles meanwhile, but they are no longer needed.
-    way.send(Way::Open).unwrap();
+    state.send(LinkState::Open).unwrap();
     let again = async {
         loop {
             tokio::time::sleep(Duration::from_millis(100)).await;

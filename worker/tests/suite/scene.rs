@@ -8,10 +8,10 @@ use std::future::pending;
 use femc_coordinator::{Config, Coordinator, Handle};
 use femc_import::Bundle;
 use femc_model::*;
-use femc_pipeline::{Settings, Stop};
+use femc_pipeline::{Settings, StopCondition};
 use femc_proto::Client;
 use femc_store::Store;
-use femc_worker::{Cache, Parcel, Pieces, Worker};
+use femc_worker::{Cache, Parcel, PieceCache, Worker};
 use tokio::task::JoinHandle;
 
 const SCENE: &str = "
@@ -42,7 +42,7 @@ fn scene() -> Parcel {
 }
 
 fn spec(scene: &Parcel, spp: u32) -> JobSpec {
-    let settings = Settings { stop: Stop::Spp(spp), max_depth: 2, ..Settings::default() };
+    let settings = Settings { stop: StopCondition::Spp(spp), max_depth: 2, ..Settings::default() };
     let grid = Grid { film: [16, 16], tile: 16 };
     JobSpec {
         name: "main".into(),
@@ -60,8 +60,8 @@ fn spec(scene: &Parcel, spp: u32) -> JobSpec {
     }
 }
 
-fn worker(farm: &Handle, pieces: &Pieces) -> JoinHandle<()> {
-    let cache = Cache::with(pieces.clone());
+fn worker(farm: &Handle, pieces: &PieceCache) -> JoinHandle<()> {
+    let cache = Cache::with_pieces(pieces.clone());
     let config = femc_worker::Config { threads: 1, cache, ..femc_worker::Config::new(farm.url()) };
     tokio::spawn(async { Worker::run(config, pending()).await.unwrap() })
 }
@@ -78,8 +78,8 @@ async fn done(client: &Client, job: JobId) -> JobStatus {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_second_job_of_a_scene_downloads_nothing() {
     let folder = tempfile::tempdir().unwrap();
-    let open = || Pieces::folder(folder.path(), 1 << 20).unwrap();
-    for (name, pieces, again) in [("memory", Pieces::memory(1 << 20), None), ("folder", open(), Some(open))] {
+    let open = || PieceCache::in_folder(folder.path(), 1 << 20).unwrap();
+    for (name, pieces, again) in [("memory", PieceCache::in_memory(1 << 20), None), ("folder", open(), Some(open))] {
         let farm = Coordinator::start(Config::default()).await.unwrap();
         let client = Client::connect(&farm.url()).await.unwrap();
         let scene = scene();
@@ -107,15 +107,15 @@ async fn a_second_job_of_a_scene_downloads_nothing() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn scene_with_lost_piece_fails_job_by_name_and_can_be_resent() {
-    let store = Store::memory();
-    let farm = Coordinator::with(Config::default(), store.clone(), femc_queue::Memory::default()).await.unwrap();
+    let store = Store::in_memory();
+    let farm = Coordinator::start_with(Config::default(), store.clone(), femc_queue::Memory::default()).await.unwrap();
     let client = Client::connect(&farm.url()).await.unwrap();
     let scene = scene();
     client.put_all(&scene.artifacts()).await.unwrap();
-    let lost = Digest::of(&scene.pieces[0]);
+    let lost = Digest::compute(&scene.pieces[0]);
     let job = client.submit(None, spec(&scene, 1)).await.unwrap();
     store.remove(&lost).await.unwrap();
-    let worker = worker(&farm, &Pieces::memory(0));
+    let worker = worker(&farm, &PieceCache::in_memory(0));
     let status = done(&client, job).await;
     assert_eq!(status.state, JobState::Failed);
     let Some(Failure::LostInputs { digests, message }) = status.failure else { panic!("{status:?}") };

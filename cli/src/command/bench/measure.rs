@@ -3,7 +3,7 @@
 
 use crate::clock::Clock;
 use crate::exit::{Failure, failed, interrupted, usage};
-use crate::request::Asked;
+use crate::request::ResolvedRequest;
 use femc_pipeline::{Prepared, RenderError, Settings};
 use femc_reports::bench::Run;
 use femc_reports::bench::method::Method;
@@ -16,25 +16,25 @@ use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::time::Duration;
 
 /// A scene that is rendered many times.
-pub struct Bed {
+pub struct BenchScene {
     /// Scene and settings, as the record names them.
     pub setup: SceneSetup,
-    asked: Asked,
+    resolved: ResolvedRequest,
     reference: Reference,
 }
 
-/// A [`Bed`] with its scene compiled.
-pub struct Ready<'a> {
-    bed: &'a Bed,
+/// A [`BenchScene`] with its scene compiled.
+pub struct PreparedScene<'a> {
+    scene: &'a BenchScene,
     prepared: Prepared,
     /// The scene with the light of a first pass, for each method that has one.
-    lit: Vec<(femc_pipeline::Method, Lit)>,
+    first_passes: Vec<(femc_pipeline::Method, FirstPassFrame)>,
     pool: &'a ThreadPool,
     cancel: &'a AtomicBool,
 }
 
 /// A frame with the light of its first pass, and the time that the pass took.
-struct Lit {
+struct FirstPassFrame {
     prepared: Prepared,
     seconds: Duration,
     cpu: Duration,
@@ -43,32 +43,32 @@ struct Lit {
 /// Edge of the tile that is rendered before the first timing, in pixels.
 const WARM_UP: u32 = 64;
 
-impl Bed {
+impl BenchScene {
     /// Creates a bed.
     /// - errors: the reference has another size than the film.
-    pub fn new(asked: Asked, reference: Reference, named: &str) -> Result<Self, Failure> {
-        let film = asked.film();
+    pub fn new(resolved: ResolvedRequest, reference: Reference, reference_name: &str) -> Result<Self, Failure> {
+        let film = resolved.film();
         let size = [reference.image.width, reference.image.height];
         if film != size {
             let [width, height] = size;
             return Err(usage(format!(
-                "{}: the film has {}x{} pixels, the reference {named} {width}x{height}; give --size {width}x{height}",
-                asked.path.display(),
+                "{}: the film has {}x{} pixels, the reference {reference_name} {width}x{height}; give --size {width}x{height}",
+                resolved.path.display(),
                 film[0],
                 film[1]
             )));
         }
         let setup = SceneSetup {
-            name: asked.name(),
-            file: asked.path.display().to_string(),
-            digest: asked.scene().digest().to_string(),
-            frame: asked.plan.frames.first().copied().unwrap_or(1),
+            name: resolved.name(),
+            file: resolved.path.display().to_string(),
+            digest: resolved.scene().digest().to_string(),
+            frame: resolved.plan.frames.first().copied().unwrap_or(1),
             film,
-            settings: constant(&asked.settings)?,
-            reference: named.to_owned(),
+            settings: common_settings(&resolved.settings)?,
+            reference: reference_name.to_owned(),
             reference_digest: femc_film::pixel_digest(&reference.image).to_hex().to_string(),
         };
-        Ok(Self { setup, asked, reference })
+        Ok(Self { setup, resolved, reference })
     }
 
     /// Returns the reference.
@@ -77,8 +77,8 @@ impl Bed {
     }
 
     /// Compiles the scene and renders a small tile to warm up.
-    pub fn ready<'a>(&'a self, pool: &'a ThreadPool, cancel: &'a AtomicBool) -> Result<Ready<'a>, Failure> {
-        let Asked { source, settings, .. } = &self.asked;
+    pub fn prepare<'a>(&'a self, pool: &'a ThreadPool, cancel: &'a AtomicBool) -> Result<PreparedScene<'a>, Failure> {
+        let ResolvedRequest { source, settings, .. } = &self.resolved;
         let prepared = pool.install(|| femc_pipeline::prepare_world(source, settings, self.setup.frame, None));
         let prepared = prepared.map_err(failed)?;
         let [width, height] = self.setup.film;
@@ -87,20 +87,20 @@ impl Bed {
         let rect = femc_film::Rect { x, y, width: across, height: down };
         let progress = AtomicU64::new(0);
         pool.install(|| femc_pipeline::render_tile(&prepared, settings, rect, 0..1, cancel, &progress))
-            .map_err(ended)?;
-        Ok(Ready { bed: self, prepared, lit: Vec::new(), pool, cancel })
+            .map_err(map_render_error)?;
+        Ok(PreparedScene { scene: self, prepared, first_passes: Vec::new(), pool, cancel })
     }
 }
 
-impl Ready<'_> {
-    /// Returns the index in `lit` of a method's first pass. The pass is solved once, as in `femc render`; all frames share its
-    /// light and its seconds.
-    fn light(&mut self, method: femc_pipeline::Method) -> Result<usize, Failure> {
-        if let Some(at) = self.lit.iter().position(|(of, _)| *of == method) {
+impl PreparedScene<'_> {
+    /// Returns the index in `first_passes` of a method's first pass. The pass is solved once, as in `femc render`; all frames share
+    /// its light and its seconds.
+    fn first_pass_index(&mut self, method: femc_pipeline::Method) -> Result<usize, Failure> {
+        if let Some(at) = self.first_passes.iter().position(|(of, _)| *of == method) {
             return Ok(at);
         }
-        let Bed { setup, asked, .. } = self.bed;
-        let (source, settings, known) = (&asked.source, &asked.settings, Some(&self.prepared));
+        let BenchScene { setup, resolved, .. } = self.scene;
+        let (source, settings, known) = (&resolved.source, &resolved.settings, Some(&self.prepared));
         let worlds = || {
             let prepared = femc_pipeline::prepare_world(source, settings, setup.frame, known)?;
             Ok((prepared, femc_pipeline::first_pass_world(source, settings, setup.frame, known)?))
@@ -109,23 +109,28 @@ impl Ready<'_> {
         let (mut prepared, world) = worlds.map_err(failed)?;
         let (clock, cpu) = (Clock, femc_worker::process_time());
         let begun = clock.now();
-        let solution = self.pool.install(|| femc_pipeline::first_pass(&world, method, self.cancel)).map_err(ended)?;
+        let solution = self
+            .pool
+            .install(|| femc_pipeline::solve_first_pass(&world, method, self.cancel))
+            .map_err(map_render_error)?;
         let (seconds, cpu) = (clock.since(begun), femc_worker::process_time().saturating_sub(cpu));
-        let field = femc_pipeline::brightened(Arc::new(solution.field), prepared.brightness);
-        femc_pipeline::light(&mut prepared, field).map_err(failed)?;
-        self.lit.push((method, Lit { prepared, seconds, cpu }));
-        Ok(self.lit.len() - 1)
+        let field = femc_pipeline::scale_field(Arc::new(solution.field), prepared.brightness);
+        femc_pipeline::attach_first_pass(&mut prepared, field).map_err(failed)?;
+        self.first_passes.push((method, FirstPassFrame { prepared, seconds, cpu }));
+        Ok(self.first_passes.len() - 1)
     }
 
     /// Renders one frame and compares it with the reference. The time of a method with a first pass includes the first pass.
     pub fn run(&mut self, method: &Method, budget: f64, seed: u64) -> Result<Run, Failure> {
-        let Bed { setup, asked, reference } = self.bed;
-        let settings = Settings { stop: method.stop(budget), method: method.light, seed, ..asked.settings.clone() };
-        let plan = femc_pipeline::plan(asked.scene(), &settings, Some(&[setup.frame])).map_err(failed)?;
-        let lit = if method.light.has_first_pass() { Some(self.light(method.light)?) } else { None };
-        let lit = lit.map(|at| &self.lit[at].1);
-        let prepared = lit.map_or(&self.prepared, |lit| &lit.prepared);
-        let [first, first_cpu] = lit.map_or([Duration::ZERO; 2], |lit| [lit.seconds, lit.cpu]);
+        let BenchScene { setup, resolved, reference } = self.scene;
+        let settings =
+            Settings { stop: method.stop(budget), method: method.transport, seed, ..resolved.settings.clone() };
+        let plan = femc_pipeline::plan_job(resolved.scene(), &settings, Some(&[setup.frame])).map_err(failed)?;
+        let first_pass =
+            if method.transport.has_first_pass() { Some(self.first_pass_index(method.transport)?) } else { None };
+        let first_pass = first_pass.map(|at| &self.first_passes[at].1);
+        let prepared = first_pass.map_or(&self.prepared, |lit| &lit.prepared);
+        let [first, first_cpu] = first_pass.map_or([Duration::ZERO; 2], |lit| [lit.seconds, lit.cpu]);
         let (clock, progress) = (Clock, AtomicU64::new(0));
         let (begun, cpu) = (clock.now(), femc_worker::process_time());
         let rendered = self.pool.install(|| {
@@ -134,9 +139,9 @@ impl Ready<'_> {
             femc_pipeline::render_frame(prepared, &settings, tiling, rounds, seconds, self.cancel, &progress)
         });
         let (seconds, cpu) = (clock.since(begun), femc_worker::process_time().saturating_sub(cpu));
-        let rendered = rendered.map_err(ended)?;
+        let rendered = rendered.map_err(map_render_error)?;
         let image = rendered.frame.resolve().color;
-        let found = femc_film::compare(&image, &reference.image).map_err(failed)?;
+        let found = femc_film::compare_images(&image, &reference.image).map_err(failed)?;
         let [width, height] = setup.film.map(f64::from);
         Ok(Run {
             scene: setup.name.clone(),
@@ -159,7 +164,7 @@ impl Ready<'_> {
 }
 
 /// Returns the settings that are the same in all runs.
-fn constant(settings: &Settings) -> Result<serde_json::Value, Failure> {
+fn common_settings(settings: &Settings) -> Result<serde_json::Value, Failure> {
     let text = serde_json::to_string(settings).map_err(failed)?;
     // Parse the text, so that the numbers are bit by bit those that are later read from a file.
     let mut value: serde_json::Value = serde_json::from_str(&text).map_err(failed)?;
@@ -169,7 +174,7 @@ fn constant(settings: &Settings) -> Result<serde_json::Value, Failure> {
     Ok(value)
 }
 
-fn ended(error: RenderError) -> Failure {
+fn map_render_error(error: RenderError) -> Failure {
     match error {
         RenderError::Cancelled => interrupted("interrupted; with -o, rerun the command to resume"),
         error => failed(error),

@@ -8,18 +8,18 @@ use crate::clock::Clock;
 use crate::command::client;
 use crate::command::interrupt::Interrupt;
 use crate::exit::{Exit, Failure, failed, usage};
-use crate::output::{Progress, Say, human, json};
-use crate::request::{Asked, FramesChosen};
+use crate::output::{Printer, Progress, human, json};
+use crate::request::{FramesChosen, ResolvedRequest};
 use crate::threads;
 use crate::values::{Frames, Override, Size};
 use clap::Args;
 use femc_film::file::write_atomic;
 use femc_reports::bench::method::{Budget, Method};
-use femc_reports::bench::reference::Named;
+use femc_reports::bench::reference::ReferenceSpec;
 use femc_reports::bench::setup::Setup;
 use femc_reports::bench::summary::{Ladder, Summary};
 use femc_reports::bench::{Record, Run};
-use measure::Bed;
+use measure::BenchScene;
 use rayon::ThreadPool;
 use serde::Serialize;
 use std::path::PathBuf;
@@ -43,9 +43,9 @@ pub struct BenchArgs {
     scenes: Vec<PathBuf>,
     /// References, one for each scene: a file, or two independent halves of one size, A.exr,B.exr
     #[arg(long, value_name = "REF.exr", required = true, num_args = 1..)]
-    reference: Vec<Named>,
+    reference: Vec<ReferenceSpec>,
     /// Methods, separated by commas
-    #[arg(long, value_name = "NAME,..", value_delimiter = ',', default_value = "pt,adaptive", value_parser = Method::named)]
+    #[arg(long, value_name = "NAME,..", value_delimiter = ',', default_value = "pt,adaptive", value_parser = Method::from_name)]
     methods: Vec<&'static Method>,
     /// Budgets of methods that draw a number of samples per pixel
     #[arg(long, value_name = "N,..", value_delimiter = ',', default_value = "1,4,16,64", value_parser = spp)]
@@ -110,57 +110,57 @@ struct Document<'a> {
 }
 
 /// Runs `femc bench`: measures what is missing, and prints the summary.
-pub fn run(args: &BenchArgs, say: Say) -> Result<Exit, Failure> {
+pub fn run(args: &BenchArgs, printer: Printer) -> Result<Exit, Failure> {
     let BenchArgs { scenes, reference, out, .. } = args;
     if scenes.len() != reference.len() {
         return Err(usage(format!(
             "--reference: {} for {}; give one for each scene, in the same order",
-            human::count(reference.len() as u64, "reference"),
-            human::count(scenes.len() as u64, "scene"),
+            human::counted_noun(reference.len() as u64, "reference"),
+            human::counted_noun(scenes.len() as u64, "scene"),
         )));
     }
     let pool = threads::pool(args.settings.threads)?;
     let ladders = args.ladders();
     let seeds: Vec<u64> = (0..args.seeds).map(|place| args.seed.wrapping_add(place)).collect();
-    let mut beds: Vec<Bed> = Vec::new();
-    for (scene, named) in scenes.iter().zip(reference) {
-        let asked = Asked::open(scene, args.settings.typed(), say)?;
-        if asked.frames_chosen == FramesChosen::Typed && asked.plan.frames.len() != 1 {
+    let mut bench_scenes: Vec<BenchScene> = Vec::new();
+    for (scene, spec) in scenes.iter().zip(reference) {
+        let resolved = ResolvedRequest::open(scene, args.settings.to_settings_args(), printer)?;
+        if resolved.frames_chosen == FramesChosen::Typed && resolved.plan.frames.len() != 1 {
             return Err(usage("--frames: a reference shows one frame; give --frames K"));
         }
-        let bed = Bed::new(asked, named.read()?, &named.to_string())?;
-        if beds.iter().any(|other| other.setup.name == bed.setup.name) {
-            let name = &bed.setup.name;
+        let bench_scene = BenchScene::new(resolved, spec.read()?, &spec.to_string())?;
+        if bench_scenes.iter().any(|other| other.setup.name == bench_scene.setup.name) {
+            let name = &bench_scene.setup.name;
             return Err(usage(format!(
                 "two scenes are named {name}, so their results have the same name; rename a file"
             )));
         }
-        if bed.reference().noise.is_none() {
-            let name = &bed.setup.name;
-            say.note(format!(
+        if bench_scene.reference().noise.is_none() {
+            let name = &bench_scene.setup.name;
+            printer.note(format!(
                 "note: {name}: the noise of the reference is unknown (no halves _A and _B) and counts as error"
             ));
         }
-        beds.push(bed);
+        bench_scenes.push(bench_scene);
     }
-    let setups = beds.iter().map(|bed| bed.setup.clone()).collect();
+    let setups = bench_scenes.iter().map(|bed| bed.setup.clone()).collect();
     let mut record =
-        Record::open(out.as_deref(), Setup::here(pool.current_num_threads(), femc_worker::engine()), setups)?;
-    let mut bench = Bench { args, ladders: &ladders, seeds: &seeds, pool: &pool, say };
-    bench.measure(&mut record, &beds)?;
-    let noises: Vec<_> = beds.iter().map(|bed| (bed.setup.name.as_str(), bed.reference().noise)).collect();
-    let summary = Summary::of(&record, &noises, &ladders, &seeds);
+        Record::open(out.as_deref(), Setup::current(pool.current_num_threads(), femc_worker::engine()), setups)?;
+    let mut bench = Bench { args, ladders: &ladders, seeds: &seeds, pool: &pool, printer };
+    bench.measure(&mut record, &bench_scenes)?;
+    let noises: Vec<_> = bench_scenes.iter().map(|bed| (bed.setup.name.as_str(), bed.reference().noise)).collect();
+    let summary = Summary::new(&record, &noises, &ladders, &seeds);
     let document = Document { record: &record, summary: &summary };
     if let Some(out) = out {
-        write_atomic(out, &encoded(&document)?).map_err(failed)?;
+        write_atomic(out, &encode_json(&document)?).map_err(failed)?;
     }
     if let Some(page) = &args.report {
         write_atomic(page, femc_reports::pages::bench::page(&record, &summary)?.as_bytes()).map_err(failed)?;
     }
     if args.format.json {
-        json::print(say, &document)?;
+        json::print(printer, &document)?;
     } else {
-        show::print(&record.setup, &summary, say);
+        show::print(&record.setup, &summary, printer);
     }
     Ok(Exit::Done)
 }
@@ -171,12 +171,12 @@ struct Bench<'a> {
     ladders: &'a [Ladder],
     seeds: &'a [u64],
     pool: &'a ThreadPool,
-    say: Say,
+    printer: Printer,
 }
 
 impl Bench<'_> {
     /// Measures the runs that `record` lacks, scene by scene.
-    fn measure(&mut self, record: &mut Record, beds: &[Bed]) -> Result<(), Failure> {
+    fn measure(&mut self, record: &mut Record, bench_scenes: &[BenchScene]) -> Result<(), Failure> {
         let cancel = Arc::new(AtomicBool::new(false));
         let runtime = client::runtime()?;
         let mut interrupt = runtime.block_on(async { Interrupt::listen() })?;
@@ -185,23 +185,28 @@ impl Bench<'_> {
             interrupt.wait().await;
             cancelled.store(true, Ordering::Relaxed);
         });
-        let order = order(self.ladders, self.seeds);
-        let (all, mut done) = (order.len() * beds.len(), 0);
-        let mut progress = Progress::new(self.say, Clock);
-        for bed in beds {
-            let name = &bed.setup.name;
-            let mut ready = None;
+        let order = run_order(self.ladders, self.seeds);
+        let (all, mut done) = (order.len() * bench_scenes.len(), 0);
+        let mut progress = Progress::new(self.printer, Clock);
+        for bench_scene in bench_scenes {
+            let name = &bench_scene.setup.name;
+            let mut prepared = None;
             for &(method, budget, seed) in &order {
                 if record.run(name, method, budget, seed).is_none() {
                     let text = || {
-                        format!("{}/{all}: {name}, {}, {}, seed {seed}", done + 1, method.name, method.shown(budget))
+                        format!(
+                            "{}/{all}: {name}, {}, {}, seed {seed}",
+                            done + 1,
+                            method.name,
+                            method.format_budget(budget)
+                        )
                     };
-                    progress.at(done as f64 / all as f64, text);
-                    let ready = match &mut ready {
+                    progress.update(done as f64 / all as f64, text);
+                    let prepared = match &mut prepared {
                         Some(ready) => ready,
-                        None => ready.insert(bed.ready(self.pool, &cancel)?),
+                        None => prepared.insert(bench_scene.prepare(self.pool, &cancel)?),
                     };
-                    self.keep(record, ready.run(method, budget, seed)?)?;
+                    self.save_run(record, prepared.run(method, budget, seed)?)?;
                 }
                 done += 1;
             }
@@ -210,15 +215,15 @@ impl Bench<'_> {
         Ok(())
     }
 
-    fn keep(&self, record: &mut Record, run: Run) -> Result<(), Failure> {
+    fn save_run(&self, record: &mut Record, run: Run) -> Result<(), Failure> {
         record.runs.push(run);
         let Some(out) = &self.args.out else { return Ok(()) };
-        write_atomic(out, &encoded(record)?).map_err(failed)
+        write_atomic(out, &encode_json(record)?).map_err(failed)
     }
 }
 
 /// Returns all runs of a scene, seed by seed, with all methods side by side. A machine that slows down then slows all methods.
-fn order(ladders: &[Ladder], seeds: &[u64]) -> Vec<(&'static Method, f64, u64)> {
+fn run_order(ladders: &[Ladder], seeds: &[u64]) -> Vec<(&'static Method, f64, u64)> {
     let longest = ladders.iter().map(|(_, budgets)| budgets.len()).max().unwrap_or(0);
     let at = |seed: u64, place: usize| {
         ladders.iter().filter_map(move |(method, budgets)| Some((*method, *budgets.get(place)?, seed)))
@@ -226,7 +231,7 @@ fn order(ladders: &[Ladder], seeds: &[u64]) -> Vec<(&'static Method, f64, u64)> 
     seeds.iter().flat_map(|&seed| (0..longest).flat_map(move |place| at(seed, place))).collect()
 }
 
-fn encoded<T: Serialize>(document: &T) -> Result<Vec<u8>, Failure> {
+fn encode_json<T: Serialize>(document: &T) -> Result<Vec<u8>, Failure> {
     let mut text = serde_json::to_vec_pretty(document).map_err(failed)?;
     text.push(b'\n');
     Ok(text)
@@ -256,7 +261,7 @@ impl BenchArgs {
 }
 
 impl BenchSettings {
-    fn typed(&self) -> SettingsArgs {
+    fn to_settings_args(&self) -> SettingsArgs {
         SettingsArgs {
             camera: self.camera.clone(),
             size: self.size,
@@ -294,7 +299,7 @@ mod tests {
     #[test]
     fn methods_alternate_within_each_seed_for_any_budget_counts() {
         let ladders: Vec<Ladder> = vec![(&METHODS[0], vec![1.0, 4.0, 16.0]), (&METHODS[1], vec![0.5])];
-        let shown: Vec<String> = order(&ladders, &[7, 8])
+        let shown: Vec<String> = run_order(&ladders, &[7, 8])
             .iter()
             .map(|(method, budget, seed)| format!("{seed} {} {budget}", method.name))
             .collect();

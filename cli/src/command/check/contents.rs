@@ -1,9 +1,9 @@
 //! Contents of a scene: its bounds, its lamps and their luminous flux.
 
-use crate::output::{Say, human};
-use crate::request::{flux, shown};
+use crate::output::{Printer, human};
+use crate::request::{luminous_flux, with_root_prefix};
 use femc_import::ScenePath;
-use femc_scene::{LampKind, Scene, survey};
+use femc_scene::{LampKind, Scene, survey_scene};
 use serde::Serialize;
 
 /// Largest number of lamp lines in the table.
@@ -15,7 +15,7 @@ pub struct Contents {
     bounds: Option<Bounds>,
     /// Luminous flux of all lamps, lm.
     lumens: f64,
-    lamps: Vec<Lamps>,
+    lamps: Vec<LampGroup>,
 }
 
 /// The bounding box, m.
@@ -27,7 +27,7 @@ struct Bounds {
 
 /// A group of equal lamps.
 #[derive(Serialize)]
-struct Lamps {
+struct LampGroup {
     kind: &'static str,
     name: String,
     count: u64,
@@ -42,8 +42,8 @@ struct Lamps {
 
 impl Contents {
     /// Measures a scene at the start of its clip.
-    pub fn of(scene: &Scene, root: &ScenePath) -> Self {
-        let survey = survey(scene, &flux);
+    pub fn from_scene(scene: &Scene, root: &ScenePath) -> Self {
+        let survey = survey_scene(scene, &luminous_flux);
         let lamps = survey.lamps.into_iter().map(|lamp| {
             let (kind, name) = match lamp.kind {
                 LampKind::Surface { material } => ("material", material),
@@ -51,44 +51,44 @@ impl Contents {
                 LampKind::Medium { medium } => ("medium", medium),
             };
             let file = scene.files.get(lamp.location.file as usize).map_or("", String::as_str);
-            Lamps {
+            LampGroup {
                 kind,
                 name,
                 count: lamp.count,
                 lumens: lamp.lumens,
                 area: lamp.area,
-                file: shown(root, file),
+                file: with_root_prefix(root, file),
                 line: lamp.location.line,
             }
         });
-        let lamps: Vec<Lamps> = lamps.collect();
+        let lamps: Vec<LampGroup> = lamps.collect();
         let bounds = survey.bounds.map(|[min, max]| Bounds { min: min.to_array(), max: max.to_array() });
         Self { bounds, lumens: lamps.iter().map(|lamp| lamp.count as f64 * lamp.lumens).sum(), lamps }
     }
 
     /// Prints the contents for people.
-    pub fn print(&self, say: Say) {
+    pub fn print(&self, printer: Printer) {
         if let Some(Bounds { min, max }) = self.bounds {
             let size = [0, 1, 2].map(|i| meters(max[i] - min[i])).join(" x ");
             let point = |p: [f64; 3]| p.map(meters).join(" ");
-            say.result(format!("bounds: {size} m, from {} to {}", point(min), point(max)));
+            printer.result(format!("bounds: {size} m, from {} to {}", point(min), point(max)));
         }
         if self.lamps.is_empty() {
-            say.result("lamps: none");
+            printer.result("lamps: none");
             return;
         }
         let count: u64 = self.lamps.iter().map(|lamp| lamp.count).sum();
-        say.result(format!("lamps: {count}, {} lm in all", lumens(self.lumens)));
-        let row = |lamp: &Lamps| {
+        printer.result(format!("lamps: {count}, {} lm in all", lumens(self.lumens)));
+        let row = |lamp: &LampGroup| {
             let name = if lamp.name.is_empty() { "(unnamed)" } else { &lamp.name };
             let area = lamp.area.map_or(String::new(), |area| format!("{area:.4}"));
             let place = format!("{}:{}", lamp.file, lamp.line);
             vec![lamp.count.to_string(), lumens(lamp.lumens), area, format!("{} {name}", lamp.kind), place]
         };
         let rows: Vec<Vec<String>> = self.lamps.iter().take(LAMPS).map(row).collect();
-        say.result(human::table(&["count", "lm each", "m2 each", "lamp", "first at"], &rows));
+        printer.result(human::table(&["count", "lm each", "m2 each", "lamp", "first at"], &rows));
         if let more @ 1.. = self.lamps.len().saturating_sub(LAMPS) {
-            say.result(format!("and {} (--json lists all)", human::count(more as u64, "more kind")));
+            printer.result(format!("and {} (--json lists all)", human::counted_noun(more as u64, "more kind")));
         }
     }
 }

@@ -6,9 +6,9 @@ mod refusals;
 
 use crate::args::FormatArgs;
 use crate::exit::{Exit, Failure};
-use crate::output::faults::{self as output, Detail, Kind, Line};
-use crate::output::{Say, human, json};
-use crate::request::locate;
+use crate::output::faults::{self as output, Detail, FaultGroup, FaultLine};
+use crate::output::{Printer, human, json};
+use crate::request::locate_scene;
 use clap::Args;
 use contents::Contents;
 use femc_import::ImportErrors;
@@ -39,19 +39,19 @@ pub struct CheckArgs {
 }
 
 #[derive(Serialize)]
-struct Report {
+struct CheckReport {
     scene: String,
     errors: usize,
     warnings: usize,
     notes: usize,
-    kinds: Vec<Kind>,
-    faults: Vec<Line>,
+    kinds: Vec<FaultGroup>,
+    faults: Vec<FaultLine>,
     #[serde(flatten)]
     contents: Contents,
 }
 
-impl Report {
-    fn new(args: &CheckArgs, faults: Vec<Line>, contents: Contents) -> Self {
+impl CheckReport {
+    fn new(args: &CheckArgs, faults: Vec<FaultLine>, contents: Contents) -> Self {
         let count = |severity| faults.iter().filter(|line| line.severity == severity).count();
         Self {
             scene: args.scene.display().to_string(),
@@ -66,53 +66,54 @@ impl Report {
 }
 
 /// Runs `femc check`.
-pub fn run(args: &CheckArgs, say: Say) -> Result<Exit, Failure> {
-    let root = locate(&args.scene, args.root.as_deref())?;
-    let (report, imported) = match root.load_or_list() {
+pub fn run(args: &CheckArgs, printer: Printer) -> Result<Exit, Failure> {
+    let root = locate_scene(&args.scene, args.root.as_deref())?;
+    let (report, imported) = match root.load_or_all_errors() {
         Ok(loaded) => {
-            let mut lines = faults::lines(&root, &loaded);
-            lines.extend(refusals::refusals(&root, &loaded.scene));
-            (Report::new(args, lines, Contents::of(&loaded.scene, &root)), Imported::Whole)
+            let mut lines = faults::fault_lines(&root, &loaded);
+            lines.extend(refusals::plan_refusals(&root, &loaded.scene));
+            (CheckReport::new(args, lines, Contents::from_scene(&loaded.scene, &root)), ImportOutcome::Complete)
         }
         Err(ImportErrors { errors, complete }) => {
-            let lines = errors.iter().map(|error| faults::unreadable(&root, error)).collect();
-            let imported = if complete { Imported::Not } else { Imported::Partly };
-            (Report::new(args, lines, Contents::default()), imported)
+            let lines = errors.iter().map(|error| faults::import_error_line(&root, error)).collect();
+            let imported = if complete { ImportOutcome::Failed } else { ImportOutcome::Aborted };
+            (CheckReport::new(args, lines, Contents::default()), imported)
         }
     };
     if args.format.json {
-        json::print(say, &report)?;
+        json::print(printer, &report)?;
     } else {
-        print(say, &report, args.all, imported);
+        print(printer, &report, args.all, imported);
     }
     Ok(if report.errors > 0 { Exit::Failed } else { Exit::Done })
 }
 
 /// Part of a scene that was imported.
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum Imported {
+enum ImportOutcome {
     /// The whole scene.
-    Whole,
+    Complete,
     /// Nothing: the scene has errors. All of its files were read, so the list of errors is complete.
-    Not,
+    Failed,
     /// Nothing, and the list of errors is incomplete: reading stopped before the end of the scene.
-    Partly,
+    Aborted,
 }
 
-fn print(say: Say, report: &Report, all: bool, imported: Imported) {
-    output::print(say, &report.faults, if all { Detail::All } else { Detail::Kinds });
-    if say.quiet() {
+fn print(printer: Printer, report: &CheckReport, all: bool, imported: ImportOutcome) {
+    output::print(printer, &report.faults, if all { Detail::All } else { Detail::Kinds });
+    if printer.quiet() {
         return;
     }
-    if imported != Imported::Whole {
-        let least = if imported == Imported::Partly { "at least " } else { "" };
-        let errors = human::count(report.errors as u64, "error");
-        say.result(format!("{}: {least}{errors}; warnings are listed only for scenes without errors", report.scene));
+    if imported != ImportOutcome::Complete {
+        let least = if imported == ImportOutcome::Aborted { "at least " } else { "" };
+        let errors = human::counted_noun(report.errors as u64, "error");
+        printer
+            .result(format!("{}: {least}{errors}; warnings are listed only for scenes without errors", report.scene));
         return;
     }
-    report.contents.print(say);
-    let count = |n: usize, noun| human::count(n as u64, noun);
-    say.result(format!(
+    report.contents.print(printer);
+    let count = |n: usize, noun| human::counted_noun(n as u64, noun);
+    printer.result(format!(
         "{}: {}, {}, {}",
         report.scene,
         count(report.errors, "error"),

@@ -2,13 +2,13 @@
 
 use super::image::read;
 use crate::exit::{Exit, Failure, failed, usage};
-use crate::output::{Say, human, json};
+use crate::output::{Printer, human, json};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 #[derive(Serialize)]
-struct Report {
+struct ClipReport {
     a: String,
     b: String,
     frames: Vec<FrameReport>,
@@ -35,9 +35,9 @@ struct Metrics {
 }
 
 /// Compares the frames.
-pub fn run(a: &Path, b: &Path, as_json: bool, say: Say) -> Result<Exit, Failure> {
+pub fn run(a: &Path, b: &Path, as_json: bool, printer: Printer) -> Result<Exit, Failure> {
     let (of_a, of_b) = (frames(a)?, frames(b)?);
-    let mut report = Report {
+    let mut report = ClipReport {
         a: a.display().to_string(),
         b: b.display().to_string(),
         frames: Vec::new(),
@@ -48,7 +48,7 @@ pub fn run(a: &Path, b: &Path, as_json: bool, say: Say) -> Result<Exit, Failure>
         let Some(other) = of_b.get(frame) else { continue };
         let (image, reference) = (read(file)?, read(other)?);
         let names = format!("{} and {}", file.display(), other.display());
-        let compared = femc_film::compare(&image, &reference);
+        let compared = femc_film::compare_images(&image, &reference);
         let c = compared.map_err(|e| failed(format!("cannot compare {names}: {e}")))?;
         let metrics = Metrics { mse: c.mse, relmse: c.relmse, ssim: c.ssim, flip: c.flip, mean_ratio: c.mean_ratio };
         let same_pixels = femc_film::pixel_digest(&image) == femc_film::pixel_digest(&reference);
@@ -60,9 +60,9 @@ pub fn run(a: &Path, b: &Path, as_json: bool, say: Say) -> Result<Exit, Failure>
     report.unpaired = of_a.len() + of_b.len() - 2 * report.frames.len();
     report.mean = mean(&report.frames);
     if as_json {
-        json::print(say, &report)?;
+        json::print(printer, &report)?;
     } else {
-        print(&report, say);
+        print(&report, printer);
     }
     Ok(Exit::Done)
 }
@@ -94,7 +94,7 @@ fn mean(frames: &[FrameReport]) -> Metrics {
     }
 }
 
-fn print(report: &Report, say: Say) {
+fn print(report: &ClipReport, printer: Printer) {
     let row = |name: String, m: &Metrics, same: bool| {
         let ratio = if same { "equal".to_owned() } else { format!("{:.6}", m.mean_ratio) };
         vec![
@@ -109,11 +109,11 @@ fn print(report: &Report, say: Say) {
     let mut rows: Vec<Vec<String>> =
         report.frames.iter().map(|f| row(f.frame.to_string(), &f.metrics, f.same_pixels)).collect();
     rows.push(row("mean".to_owned(), &report.mean, false));
-    say.result(human::table(&["frame", "mse", "relmse", "ssim", "flip", "mean_ratio"], &rows));
+    printer.result(human::table(&["frame", "mse", "relmse", "ssim", "flip", "mean_ratio"], &rows));
     if report.unpaired > 0 {
-        say.note(format!(
+        printer.note(format!(
             "{} without a counterpart in the other folder",
-            human::count(report.unpaired as u64, "frame")
+            human::counted_noun(report.unpaired as u64, "frame")
         ));
     }
 }

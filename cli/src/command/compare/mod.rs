@@ -5,9 +5,9 @@ mod image;
 
 use crate::args::FormatArgs;
 use crate::exit::{Exit, Failure, failed};
-use crate::output::{Say, human, json};
+use crate::output::{Printer, human, json};
 use clap::Args;
-use femc_film::metrics::{Comparison, Excluded, WorstPixel};
+use femc_film::metrics::{Comparison, ExcludedPixels, WorstPixel};
 use image::read;
 use serde::Serialize;
 use std::path::PathBuf;
@@ -33,7 +33,7 @@ pub struct CompareArgs {
 }
 
 #[derive(Serialize)]
-struct Report {
+struct CompareReport {
     image: String,
     reference: String,
     width: u32,
@@ -46,21 +46,21 @@ struct Report {
     flip: f64,
     mean_ratio: f64,
     worst_pixel: WorstPixel,
-    excluded: Excluded,
+    excluded: ExcludedPixels,
     same_pixels: bool,
 }
 
 /// Runs `femc compare`.
-pub fn run(args: &CompareArgs, say: Say) -> Result<Exit, Failure> {
+pub fn run(args: &CompareArgs, printer: Printer) -> Result<Exit, Failure> {
     if args.image.is_dir() && args.reference.is_dir() {
-        return clips::run(&args.image, &args.reference, args.format.json, say);
+        return clips::run(&args.image, &args.reference, args.format.json, printer);
     }
     let (image, reference) = (read(&args.image)?, read(&args.reference)?);
     let names = format!("{} and {}", args.image.display(), args.reference.display());
     let comparison =
-        femc_film::compare(&image, &reference).map_err(|e| failed(format!("cannot compare {names}: {e}")))?;
+        femc_film::compare_images(&image, &reference).map_err(|e| failed(format!("cannot compare {names}: {e}")))?;
     let Comparison { mse, relmse, psnr, ssim, flip, mean_ratio, worst, excluded } = comparison;
-    let report = Report {
+    let report = CompareReport {
         image: args.image.display().to_string(),
         reference: args.reference.display().to_string(),
         width: image.width,
@@ -76,14 +76,14 @@ pub fn run(args: &CompareArgs, say: Say) -> Result<Exit, Failure> {
         same_pixels: femc_film::pixel_digest(&image) == femc_film::pixel_digest(&reference),
     };
     if args.format.json {
-        json::print(say, &report)?;
+        json::print(printer, &report)?;
     } else {
-        print(say, &report);
+        print(printer, &report);
     }
     Ok(Exit::Done)
 }
 
-fn print(say: Say, report: &Report) {
+fn print(printer: Printer, report: &CompareReport) {
     let row = |name: &str, value: String| vec![name.to_owned(), value];
     let rows = [
         row("mse", format!("{:.6e}", report.mse)),
@@ -93,17 +93,17 @@ fn print(say: Say, report: &Report) {
         row("flip", format!("{:.6}", report.flip)),
         row("mean_ratio", format!("{:.6}", report.mean_ratio)),
     ];
-    say.result(human::table(&["metric", "value"], &rows));
+    printer.result(human::table(&["metric", "value"], &rows));
     let WorstPixel { x, y, value, reference, relative } = report.worst_pixel;
-    say.result(format!("worst pixel {x},{y}: {value:?}, reference {reference:?}, relative error^2 {relative:.4e}"));
+    printer.result(format!("worst pixel {x},{y}: {value:?}, reference {reference:?}, relative error^2 {relative:.4e}"));
     if report.same_pixels {
-        say.result("the pixels are equal bit by bit");
+        printer.result("the pixels are equal bit by bit");
     }
     if report.excluded.pixels > 0 {
-        let Excluded { image, reference, pixels } = report.excluded;
-        say.result(say.doubtful(&format!(
+        let ExcludedPixels { image, reference, pixels } = report.excluded;
+        printer.result(printer.style_warning(&format!(
             "{} left out: not finite ({image} of A, {reference} of B)",
-            human::count(pixels, "pixel")
+            human::counted_noun(pixels, "pixel")
         )));
     }
 }

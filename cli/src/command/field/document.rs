@@ -2,14 +2,14 @@
 //! up into glTF's y up.
 
 use super::glb::{Glb, TooLarge};
-use femc_pipeline::radiosity::{Mesh, Part};
+use femc_pipeline::radiosity::{Mesh, MeshContent};
 use femc_pipeline::{Prepared, Side};
 use serde_json::{Value, json};
 use std::f64::consts::FRAC_1_SQRT_2;
 
 /// Whether the elements' edges are drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Wire {
+pub enum Wireframe {
     /// The edges are drawn as lines.
     Shown,
     /// The edges are not drawn.
@@ -17,12 +17,12 @@ pub enum Wire {
 }
 
 /// Distance of the lines from the surface, relative to the scene's extent.
-const LIFT: f32 = 1e-4;
+const EDGE_OFFSET: f32 = 1e-4;
 /// Gray value of the lines.
-const INK: f32 = 0.02;
+const EDGE_GRAY: f32 = 0.02;
 
 /// Metadata of the file.
-pub struct About<'a> {
+pub struct GltfMetadata<'a> {
     /// The frame.
     pub prepared: &'a Prepared,
     /// Color of a luminance of 1 cd/m2: colors are luminances times this.
@@ -34,22 +34,22 @@ pub struct About<'a> {
 }
 
 /// Returns the bytes of the file.
-pub fn glb(meshes: &[Mesh], wire: Wire, about: &About<'_>) -> Result<Vec<u8>, TooLarge> {
+pub fn glb(meshes: &[Mesh], wireframe: Wireframe, metadata: &GltfMetadata<'_>) -> Result<Vec<u8>, TooLarge> {
     let mut glb = Glb::default();
     let (mut materials, mut shown, mut nodes) = (Vec::new(), Vec::new(), Vec::new());
-    let lift = LIFT * about.prepared.world.bounds().size().length();
+    let lift = EDGE_OFFSET * metadata.prepared.world.bounds().size().length();
     for mesh in meshes {
-        let name = name(mesh, about.prepared);
+        let name = name(mesh, metadata.prepared);
         materials.push(material(&name, 1.0));
-        let mut primitives = vec![surface(&mut glb, mesh, about.scale, materials.len() - 1)];
-        if wire == Wire::Shown && mesh.part == Part::Elements {
-            materials.push(material(&format!("edges of {name}"), INK));
+        let mut primitives = vec![surface(&mut glb, mesh, metadata.scale, materials.len() - 1)];
+        if wireframe == Wireframe::Shown && mesh.content == MeshContent::Elements {
+            materials.push(material(&format!("edges of {name}"), EDGE_GRAY));
             primitives.push(edges(&mut glb, mesh, lift, materials.len() - 1));
         }
         shown.push(json!({ "name": name, "primitives": primitives }));
         nodes.push(json!({ "name": name, "mesh": shown.len() - 1 }));
     }
-    let [x, y, z] = about.prepared.in_world([0.0; 3].into());
+    let [x, y, z] = metadata.prepared.to_world([0.0; 3].into());
     let mut root = json!({
         "name": "scene", "translation": [x, z, -y], "rotation": [-FRAC_1_SQRT_2, 0.0, 0.0, FRAC_1_SQRT_2],
     });
@@ -60,7 +60,7 @@ pub fn glb(meshes: &[Mesh], wire: Wire, about: &About<'_>) -> Result<Vec<u8>, To
     let mut document = json!({
         "asset": { "version": "2.0", "generator": format!("femc {}", env!("CARGO_PKG_VERSION")) },
         "scene": 0,
-        "scenes": [{ "name": about.scene, "nodes": [nodes.len() - 1], "extras": extras(about) }],
+        "scenes": [{ "name": metadata.scene, "nodes": [nodes.len() - 1], "extras": extras(metadata) }],
         "nodes": nodes,
     });
     if !shown.is_empty() {
@@ -71,18 +71,18 @@ pub fn glb(meshes: &[Mesh], wire: Wire, about: &About<'_>) -> Result<Vec<u8>, To
     glb.finish(document)
 }
 
-fn extras(about: &About<'_>) -> Value {
+fn extras(metadata: &GltfMetadata<'_>) -> Value {
     json!({
-        "frame": about.prepared.frame,
-        "scale": about.scale,
-        "exposure_ev": about.ev,
+        "frame": metadata.prepared.frame,
+        "scale": metadata.scale,
+        "exposure_ev": metadata.ev,
         "color": "COLOR_0 = min(1, scale * luminance), luminance in cd/m2 per channel of linear Rec.709, along the normal",
         "_RADIANCE": "this luminance without scale and limit, cd/m2",
         "_IRRADIANCE": "lx per channel, including direct light of lamps",
         "_DIRECT": "only the direct light of lamps, lx",
         "_ELEMENT": "number of the element, -1 for lamps",
         "_SURFACE": "number of the surface, -1 for lamps",
-        "origin": about.prepared.in_world([0.0; 3].into()),
+        "origin": metadata.prepared.to_world([0.0; 3].into()),
         "axes": "positions are x, y, z of the scene in m minus its origin; the root node adds the origin and makes y the up axis",
     })
 }
@@ -92,7 +92,7 @@ fn name(mesh: &Mesh, prepared: &Prepared) -> String {
         "" => "unnamed",
         name => name,
     };
-    let part = if mesh.part == Part::Lamps { ", lamp" } else { "" };
+    let part = if mesh.content == MeshContent::Lamps { ", lamp" } else { "" };
     let side = if mesh.side == Side::Back { ", back" } else { "" };
     format!("{material}{part}{side}")
 }

@@ -7,15 +7,17 @@ mod report;
 use crate::args::{FormatArgs, SettingsArgs};
 use crate::clock::Clock;
 use crate::exit::{Exit, Failure, failed, usage};
-use crate::output::{Say, human, json};
-use crate::request::Base;
+use crate::output::{Printer, human, json};
+use crate::request::ImportedScene;
 use crate::threads;
-use crate::values::{Exposure, Frames, Override, Volume, ev};
+use crate::values::{ByteSize, Exposure, Frames, Override, ev};
 use clap::Args;
-use document::{About, Wire};
-use femc_film::{Levels, ToneCurve};
-use femc_pipeline::radiosity::{Look, Mesh, Options, Part, RESIDUAL, meshes, solve};
-use report::{Leaves, Links, Report};
+use document::{GltfMetadata, Wireframe};
+use femc_film::{LuminanceLevels, ToneCurve};
+use femc_pipeline::radiosity::{
+    Mesh, MeshContent, SolutionView, SolveOptions, TARGET_RESIDUAL, solution_meshes, solve,
+};
+use report::{FieldReport, LeafCounts, LinkCounts};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 
@@ -38,14 +40,14 @@ pub struct FieldArgs {
     #[arg(long, short, value_name = "FILE.glb")]
     out: Option<PathBuf>,
     /// Largest error of one link, relative to the light that its receiver gets
-    #[arg(long, value_name = "E", default_value_t = Options::default().error, value_parser = share)]
+    #[arg(long, value_name = "E", default_value_t = SolveOptions::default().error, value_parser = parse_link_error)]
     error: f32,
     /// Frame of the clip
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
     frame: u32,
     /// Memory limit for elements and links; when it is reached, refinement stops
     #[arg(long, value_name = "BYTES", default_value = "1GiB")]
-    memory: Volume,
+    memory: ByteSize,
     /// Exposure of the colors: auto (the log-average luminance, weighted by the light that surfaces send, is middle gray), or an
     /// exposure value at ISO 100 (2^EV / 8 cd/m2 is middle gray; one more is half as bright)
     #[arg(long, value_name = "auto|EV", default_value = "auto", allow_hyphen_values = true)]
@@ -67,7 +69,7 @@ pub struct FieldArgs {
 }
 
 /// Parses a share, > 0 and at most 10.
-fn share(text: &str) -> Result<f32, String> {
+fn parse_link_error(text: &str) -> Result<f32, String> {
     match text.parse::<f32>() {
         Ok(share) if share > 0.0 && share <= 10.0 => Ok(share),
         _ => Err(format!("`{text}` is not a link error; write a number above 0 and up to 10, like 0.1 for 10 %")),
@@ -75,82 +77,86 @@ fn share(text: &str) -> Result<f32, String> {
 }
 
 /// Runs `femc field`.
-pub fn run(args: FieldArgs, say: Say) -> Result<Exit, Failure> {
+pub fn run(args: FieldArgs, printer: Printer) -> Result<Exit, Failure> {
     let out = target(args.out.as_deref(), &args.scene)?;
     let pool = threads::pool(args.threads)?;
-    let typed = SettingsArgs { frames: Some(Frames::one(args.frame)), set: args.set, ..SettingsArgs::default() };
+    let typed = SettingsArgs { frames: Some(Frames::single(args.frame)), set: args.set, ..SettingsArgs::default() };
     let named = |key: &str| (key == "frames").then(|| "--frame".to_owned());
-    let asked = Base::open(&args.scene, args.root.as_deref(), say)?.ask(&typed, &named)?;
-    asked.warn_of_bent_light(say);
-    let prepared = pool.install(|| femc_pipeline::prepare(&asked.source, &asked.settings, args.frame, None));
+    let resolved = ImportedScene::open(&args.scene, args.root.as_deref(), printer)?.resolve(&typed, &named)?;
+    resolved.warn_of_bent_light(printer);
+    let prepared =
+        pool.install(|| femc_pipeline::prepare_frame(&resolved.source, &resolved.settings, args.frame, None));
     let prepared = prepared.map_err(failed)?;
 
-    say.note(format!(
+    printer.note(format!(
         "{}: solving frame {} with a link error of {}",
         args.scene.display(),
         args.frame,
         human::percent(args.error.into())
     ));
     let options =
-        Options { error: args.error, memory: usize::try_from(args.memory.0).unwrap_or(usize::MAX), guides: false };
+        SolveOptions { error: args.error, memory: usize::try_from(args.memory.0).unwrap_or(usize::MAX), guides: false };
     let begun = Clock.now();
     let solution = pool.install(|| solve(&prepared, &options, &AtomicBool::new(false)));
     let solution = solution.map_err(|_| failed("cancelled"))?;
     let seconds = Clock.since(begun).as_secs_f64();
 
-    let look = Look::new(&prepared, &solution);
-    let meshes = meshes(&look);
+    let look = SolutionView::new(&prepared, &solution);
+    let meshes = solution_meshes(&look);
     if meshes.is_empty() {
-        say.warning(format!("{}: no surface reflects or emits light, so the file has no meshes", args.scene.display()));
+        printer.warning(format!(
+            "{}: no surface reflects or emits light, so the file has no meshes",
+            args.scene.display()
+        ));
     }
     let curve = curve(args.exposure, &meshes);
-    let wire = if args.wire { Wire::Shown } else { Wire::Hidden };
+    let wireframe = if args.wire { Wireframe::Shown } else { Wireframe::Hidden };
     let (scale, scene) = (curve.exposure, args.scene.display().to_string());
-    let about = About { prepared: &prepared, scale, ev: ev(curve), scene: asked.name() };
-    let file = document::glb(&meshes, wire, &about).map_err(failed)?;
+    let metadata = GltfMetadata { prepared: &prepared, scale, ev: ev(curve), scene: resolved.name() };
+    let file = document::glb(&meshes, wireframe, &metadata).map_err(failed)?;
     femc_film::file::write_atomic(&out, &file).map_err(failed)?;
 
-    let (found, light, statistics) = (&solution.report, look.summary(), out.with_extension("json"));
-    let report = Report {
+    let (solve_report, light, statistics) = (&solution.report, look.totals(), out.with_extension("json"));
+    let report = FieldReport {
         scene,
         frame: args.frame,
         out: out.display().to_string(),
         statistics: statistics.display().to_string(),
         error: args.error,
         seconds,
-        elements: found.census.elements.into(),
-        leaves: Leaves::of(found, &light),
-        links: Links::of(found),
-        refused: found.refused,
-        rays: found.rays,
-        iterations: found.iterations,
-        residual: found.residual,
-        row_sum: found.row_sum,
-        bounded: found.bounded,
-        untrusted: found.verify(&light).err().map(|reason| reason.to_string()),
-        checked: found.checked,
-        corrected: found.corrected,
-        bytes: found.bytes,
+        elements: solve_report.census.elements.into(),
+        leaves: LeafCounts::from_report(solve_report, &light),
+        links: LinkCounts::from_report(solve_report),
+        refused: solve_report.refused,
+        rays: solve_report.rays,
+        iterations: solve_report.iterations,
+        residual: solve_report.residual,
+        row_sum: solve_report.row_sum,
+        bounded: solve_report.bounded,
+        untrusted: solve_report.verify(&light).err().map(|reason| reason.to_string()),
+        checked: solve_report.checked,
+        corrected: solve_report.corrected,
+        bytes: solve_report.bytes,
         energy: (&light).into(),
         irradiance: (&light).into(),
         area: light.area,
-        exposure_ev: about.ev,
+        exposure_ev: metadata.ev,
         scale,
         vertices: meshes.iter().map(|mesh| mesh.positions.len()).sum(),
         triangles: meshes.iter().map(|mesh| mesh.triangles.len()).sum(),
     };
     if let Some(reason) = &report.untrusted {
-        say.warning(format!(
+        printer.warning(format!(
             "the finite-element solution cannot be trusted: {reason}; `--method fem` and `--method femc` refuse it, use `--method pt`"
         ));
     }
     if report.bounded {
-        say.warning(
+        printer.warning(
             "light grew with each reflection because links are inexact; it was bounded, so the solution is rough",
         );
     }
-    if report.residual > RESIDUAL {
-        say.warning(format!(
+    if report.residual > TARGET_RESIDUAL {
+        printer.warning(format!(
             "light still changes by {} after {} iterations because surfaces and fog absorb very little: the solution is too dark",
             human::percent(report.residual.into()),
             report.iterations
@@ -159,9 +165,9 @@ pub fn run(args: FieldArgs, say: Say) -> Result<Exit, Failure> {
     let text = serde_json::to_string_pretty(&report).map_err(failed)? + "\n";
     femc_film::file::write_atomic(&statistics, text.as_bytes()).map_err(failed)?;
     if args.format.json {
-        json::print(say, &report)?;
+        json::print(printer, &report)?;
     } else {
-        report.print(say);
+        report.print(printer);
     }
     Ok(Exit::Done)
 }
@@ -189,14 +195,14 @@ fn target(out: Option<&Path>, scene: &Path) -> Result<PathBuf, Failure> {
 /// beside them.
 fn curve(exposure: Exposure, meshes: &[Mesh]) -> ToneCurve {
     if exposure != Exposure::Auto {
-        return exposure.curve(&Levels::default());
+        return exposure.curve(&LuminanceLevels::default());
     }
-    let elements = meshes.iter().filter(|mesh| mesh.part == Part::Elements);
+    let elements = meshes.iter().filter(|mesh| mesh.content == MeshContent::Elements);
     let lit: Vec<(f64, f64)> = elements
         .flat_map(Mesh::luminances)
         .map(|(luminance, area)| (f64::from(luminance), f64::from(area)))
         .filter(|&(luminance, area)| luminance > 0.0 && area > 0.0)
         .collect();
     let sent: f64 = lit.iter().map(|(luminance, area)| luminance * area).sum();
-    ToneCurve::exposing(lit.iter().map(|&(luminance, area)| (luminance, luminance * area / sent)))
+    ToneCurve::from_luminances(lit.iter().map(|&(luminance, area)| (luminance, luminance * area / sent)))
 }

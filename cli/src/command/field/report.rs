@@ -1,12 +1,12 @@
 //! Report on a solution, for people and as JSON.
 
-use crate::output::{Say, human};
-use femc_pipeline::radiosity::{Kinds, Report as Found, Summary};
+use crate::output::{Printer, human};
+use femc_pipeline::radiosity::{KindCounts, LightTotals, SolveReport as Found};
 use serde::Serialize;
 
 /// The report.
 #[derive(Serialize)]
-pub struct Report {
+pub struct FieldReport {
     /// The scene file.
     pub scene: String,
     /// The frame.
@@ -20,11 +20,11 @@ pub struct Report {
     /// The solver's time, s.
     pub seconds: f64,
     /// Elements by kind.
-    pub elements: Counts,
+    pub elements: ElementCounts,
     /// Elements that are not cut further.
-    pub leaves: Leaves,
+    pub leaves: LeafCounts,
     /// Links.
-    pub links: Links,
+    pub links: LinkCounts,
     /// Number of links that are less exact than requested.
     pub refused: usize,
     /// Number of visibility rays.
@@ -64,7 +64,7 @@ pub struct Report {
 
 /// Number of elements by kind.
 #[derive(Serialize)]
-pub struct Counts {
+pub struct ElementCounts {
     all: usize,
     clusters: usize,
     patches: usize,
@@ -72,16 +72,16 @@ pub struct Counts {
     fog: usize,
 }
 
-impl From<Kinds> for Counts {
-    fn from(kinds: Kinds) -> Self {
-        let Kinds { clusters, patches, curved, fog } = kinds;
+impl From<KindCounts> for ElementCounts {
+    fn from(kinds: KindCounts) -> Self {
+        let KindCounts { clusters, patches, curved, fog } = kinds;
         Self { all: kinds.total(), clusters, patches, curved, fog }
     }
 }
 
 /// Elements that are not cut further.
 #[derive(Serialize)]
-pub struct Leaves {
+pub struct LeafCounts {
     /// Leaves of surfaces and fog.
     all: usize,
     /// Number of surface sides that have leaves.
@@ -92,13 +92,13 @@ pub struct Leaves {
 
 /// Links by kind.
 #[derive(Serialize)]
-pub struct Links {
+pub struct LinkCounts {
     /// Links among elements.
     elements: usize,
     /// Links from light sources to elements.
     lamps: usize,
-    by_receiver: Counts,
-    by_sender: Counts,
+    by_receiver: ElementCounts,
+    by_sender: ElementCounts,
 }
 
 /// Luminous flux, lm.
@@ -117,11 +117,11 @@ pub struct Irradiance {
     most: f32,
 }
 
-impl Leaves {
+impl LeafCounts {
     /// Collects the counts from the solver's report and the field's summary.
-    pub fn of(found: &Found, light: &Summary) -> Self {
+    pub fn from_report(solve_report: &Found, light: &LightTotals) -> Self {
         Self {
-            all: found.leaves,
+            all: solve_report.leaves,
             surfaces: light.surfaces,
             median_per_surface: light.median_leaves,
             most_per_surface: light.most_leaves,
@@ -129,35 +129,35 @@ impl Leaves {
     }
 }
 
-impl Links {
+impl LinkCounts {
     /// Collects the counts from the solver's report.
-    pub fn of(found: &Found) -> Self {
+    pub fn from_report(solve_report: &Found) -> Self {
         Self {
-            elements: found.links,
-            lamps: found.lamp_links,
-            by_receiver: found.census.receivers.into(),
-            by_sender: found.census.senders.into(),
+            elements: solve_report.links,
+            lamps: solve_report.lamp_links,
+            by_receiver: solve_report.census.receivers.into(),
+            by_sender: solve_report.census.senders.into(),
         }
     }
 }
 
-impl From<&Summary> for Energy {
-    fn from(light: &Summary) -> Self {
+impl From<&LightTotals> for Energy {
+    fn from(light: &LightTotals) -> Self {
         Self { emitted: light.emitted, received: light.received, absorbed: light.absorbed }
     }
 }
 
-impl From<&Summary> for Irradiance {
-    fn from(light: &Summary) -> Self {
+impl From<&LightTotals> for Irradiance {
+    fn from(light: &LightTotals) -> Self {
         Self { least: light.least, median: light.median, most: light.most }
     }
 }
 
-impl Report {
+impl FieldReport {
     /// Prints the report for people.
-    pub fn print(&self, say: Say) {
+    pub fn print(&self, printer: Printer) {
         let row = |name: &str, value: String| vec![name.to_owned(), value];
-        let Counts { clusters, patches, curved, fog, .. } = self.elements;
+        let ElementCounts { clusters, patches, curved, fog, .. } = self.elements;
         let quantity = |n: usize| human::quantity(n as f64);
         let by_kind = [(patches, "flat"), (curved, "curved"), (fog, "fog"), (clusters, "clusters")];
         let by_kind: Vec<String> = by_kind
@@ -167,7 +167,7 @@ impl Report {
             .collect();
         let by_kind = if by_kind.is_empty() { String::new() } else { format!(" ({})", by_kind.join(", ")) };
         let in_fog = if fog > 0 { " and in fog" } else { "" };
-        let Links { elements, lamps, .. } = self.links;
+        let LinkCounts { elements, lamps, .. } = self.links;
         let Irradiance { least, median, most } = self.irradiance;
         let Energy { emitted, received, absorbed } = self.energy;
         let rows = [
@@ -202,6 +202,6 @@ impl Report {
             row("took", format!("{}, {}", human::seconds(self.seconds), human::bytes(self.bytes as u64))),
             row("shown at", format!("EV {:.2}", self.exposure_ev)),
         ];
-        say.result(human::table(&["solution", &self.out], &rows));
+        printer.result(human::table(&["solution", &self.out], &rows));
     }
 }

@@ -1,11 +1,11 @@
 //! A finished frame with the metadata of its file.
 
 use crate::exit::{Failure, failed, usage};
-use crate::request::Stated;
+use crate::request::FrameMetadata;
 use femc_film::convergence::BLOCK;
 use femc_film::{FilmError, Image, Rect, exr};
 use femc_pipeline::Settings;
-use femc_pipeline::account::Expected;
+use femc_pipeline::variance_attribution::ExpectedPixel;
 use std::path::Path;
 
 /// Contents of the file.
@@ -47,7 +47,7 @@ impl Frame {
             }
             other => failed(other),
         })?;
-        let Stated { settings, frame: number, scene, engine } = Stated::of(path, &file.attributes)?;
+        let FrameMetadata { settings, frame: number, scene, engine } = FrameMetadata::parse(path, &file.attributes)?;
         if engine != femc_worker::engine() {
             return Err(failed(format!(
                 "{} was rendered by build {engine} of the engine, but this femc has build {}: only the same build draws the same \
@@ -61,19 +61,19 @@ impl Frame {
         Ok(Self { settings, scene, number, width, height, image: file.image, errors, samples })
     }
 
-    fn at(&self, (x, y): (u32, u32)) -> usize {
+    fn pixel_index(&self, (x, y): (u32, u32)) -> usize {
         y as usize * self.width as usize + x as usize
     }
 
     /// Returns the samples and the color of a pixel.
-    pub fn pixel(&self, pixel: (u32, u32)) -> Expected {
-        let at = self.at(pixel);
-        Expected { samples: self.samples[at] as u32, color: self.image.pixels[at] }
+    pub fn pixel(&self, pixel: (u32, u32)) -> ExpectedPixel {
+        let at = self.pixel_index(pixel);
+        ExpectedPixel { samples: self.samples[at] as u32, color: self.image.pixels[at] }
     }
 
     /// Returns the blocks with the largest errors, the worst first. Of equal blocks, the upper left one comes first.
     pub fn worst_blocks(&self, most: usize) -> Vec<WorstBlock> {
-        let luminance = |pixel| f64::from(self.image.luminance(self.at(pixel)));
+        let luminance = |pixel| f64::from(self.image.luminance(self.pixel_index(pixel)));
         let frame = Rect { x: 0, y: 0, width: self.width, height: self.height };
         let floor = 0.01 * frame.pixels().map(luminance).sum::<f64>() / frame.area() as f64;
         let corners = (0..self.height).step_by(BLOCK as usize);
@@ -81,7 +81,7 @@ impl Frame {
         let block = |(x, y): (u32, u32)| {
             let rect = Rect { x, y, width: BLOCK.min(self.width - x), height: BLOCK.min(self.height - y) };
             let mean = rect.pixels().map(luminance).sum::<f64>() / rect.area() as f64;
-            WorstBlock { rect, error: f64::from(self.errors[self.at((x, y))]), mean, scale: mean.max(floor) }
+            WorstBlock { rect, error: f64::from(self.errors[self.pixel_index((x, y))]), mean, scale: mean.max(floor) }
         };
         let mut blocks: Vec<WorstBlock> = corners.map(block).filter(|block| block.error > 0.0).collect();
         blocks.sort_by(|a, b| b.error.total_cmp(&a.error));

@@ -7,13 +7,13 @@ mod report;
 use crate::args::FormatArgs;
 use crate::clock::Clock;
 use crate::exit::{Exit, Failure, failed, usage};
-use crate::output::{Progress, Say, Snapshot, json};
-use crate::request::{load, shown};
+use crate::output::{Printer, Progress, ProgressSnapshot, json};
+use crate::request::{load_scene, with_root_prefix};
 use clap::Args;
-use femc_pipeline::account::{Account, Lamps};
-use femc_pipeline::{Prepared, Source};
+use femc_pipeline::variance_attribution::{Lamps, VarianceAttribution};
+use femc_pipeline::{Prepared, SceneSource};
 use frame::{Frame, WorstBlock};
-use report::{Names, Report};
+use report::{FirefliesReport, Names};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -49,52 +49,66 @@ pub struct FirefliesArgs {
 }
 
 /// Runs `femc fireflies`.
-pub fn run(args: &FirefliesArgs, say: Say) -> Result<Exit, Failure> {
+pub fn run(args: &FirefliesArgs, printer: Printer) -> Result<Exit, Failure> {
     let frame = Frame::read(&args.frame)?;
-    let (root, loaded) = load(&args.scene, args.root.as_deref())?;
+    let (root, loaded) = load_scene(&args.scene, args.root.as_deref())?;
     let other_scene = || {
         let (frame, scene) = (args.frame.display(), args.scene.display());
         usage(format!(
             "{frame} was rendered from another scene than {scene} is now; give its scene, or render it again"
         ))
     };
-    let source = Source::new(Arc::new(loaded.scene)).variant(&frame.settings.overrides).map_err(|_| other_scene())?;
+    let source =
+        SceneSource::new(Arc::new(loaded.scene)).variant(&frame.settings.overrides).map_err(|_| other_scene())?;
     if source.scene().digest().to_string() != frame.scene {
         return Err(other_scene());
     }
-    let prepared = femc_pipeline::prepare(&source, &frame.settings, frame.number, None).map_err(failed)?;
+    let prepared = femc_pipeline::prepare_frame(&source, &frame.settings, frame.number, None).map_err(failed)?;
     if prepared.camera.film != [frame.width, frame.height] {
         return Err(other_scene());
     }
     let worst = frame.worst_blocks(args.blocks as usize);
     let lamps = Lamps::new(&prepared);
-    let accounts = accounts(&frame, &prepared, &lamps, &worst, say);
-    let names = Names { prepared: &prepared, lamps: &lamps, shown: &|file| shown(&root, file) };
-    let report = Report::new(&args.frame, &args.scene, &frame, &worst, &accounts, &names);
+    let accounts = accounts(&frame, &prepared, &lamps, &worst, printer);
+    let names = Names { prepared: &prepared, lamps: &lamps, display_path: &|file| with_root_prefix(&root, file) };
+    let report = FirefliesReport::new(&args.frame, &args.scene, &frame, &worst, &accounts, &names);
     if args.format.json {
-        json::print(say, &report)?;
+        json::print(printer, &report)?;
     } else {
-        print::print(say, &report);
+        print::print(printer, &report);
     }
     Ok(Exit::Done)
 }
 
 /// Returns the accounts of the blocks, in order.
-fn accounts(frame: &Frame, prepared: &Prepared, lamps: &Lamps, worst: &[WorstBlock], say: Say) -> Vec<Account> {
-    let (mut progress, samples) = (Progress::new(say, Clock), AtomicU64::new(0));
+fn accounts(
+    frame: &Frame,
+    prepared: &Prepared,
+    lamps: &Lamps,
+    worst: &[WorstBlock],
+    printer: Printer,
+) -> Vec<VarianceAttribution> {
+    let (mut progress, samples) = (Progress::new(printer, Clock), AtomicU64::new(0));
     let mut accounts = Vec::new();
     for block in worst {
         let done = accounts.len() as u64;
-        progress.show(&Snapshot {
+        progress.show(&ProgressSnapshot {
             frames: 1,
             tiles: worst.len() as u64,
             tiles_done: done,
             samples: samples.load(Ordering::Relaxed),
             fraction: done as f64 / worst.len() as f64,
-            ..Snapshot::default()
+            ..ProgressSnapshot::default()
         });
         let expected = |pixel| frame.pixel(pixel);
-        accounts.push(Account::of(prepared, &frame.settings, lamps, block.rect, expected, &samples));
+        accounts.push(VarianceAttribution::from_replay(
+            prepared,
+            &frame.settings,
+            lamps,
+            block.rect,
+            expected,
+            &samples,
+        ));
     }
     accounts
 }

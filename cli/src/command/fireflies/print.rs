@@ -1,7 +1,7 @@
 //! Prints the report for people.
 
-use super::report::{BlockReport, BrightestReport, LampReport, OnReport, OriginReport, Report};
-use crate::output::{Say, human};
+use super::report::{BlockReport, BrightestReport, FirefliesReport, LampReport, OriginReport, ScattererReport};
+use crate::output::{Printer, human};
 
 /// Number of origins in the table.
 const ROWS: usize = 15;
@@ -9,38 +9,39 @@ const ROWS: usize = 15;
 const PATHS: usize = 3;
 
 /// Prints blocks, table and paths.
-pub fn print(say: Say, report: &Report) {
+pub fn print(printer: Printer, report: &FirefliesReport) {
     if report.blocks.is_empty() {
-        say.result("no block has an error");
+        printer.result("no block has an error");
         return;
     }
-    say.result(format!("{}\n", human::table(&["block", "error", "mean", "worst pixels", "mostly"], &blocks(report))));
+    printer
+        .result(format!("{}\n", human::table(&["block", "error", "mean", "worst pixels", "mostly"], &blocks(report))));
     let rows: Vec<Vec<String>> = report.origins.iter().take(ROWS).map(row).collect();
     let header = ["variance", "light", "bounce", "what happened", "on what", "lamp", "brightest sample"];
-    say.result(human::table(&header, &rows));
+    printer.result(human::table(&header, &rows));
     if let more @ 1.. = report.origins.len().saturating_sub(ROWS) {
         let rest: f64 = report.origins.iter().skip(ROWS).map(|origin| origin.share).sum();
-        let more = human::count(more as u64, "more origin");
-        say.result(format!("and {more} with {} (--json lists all)", share(rest)));
+        let more = human::counted_noun(more as u64, "more origin");
+        printer.result(format!("and {more} with {} (--json lists all)", share(rest)));
     }
-    say.result("\npaths of the brightest samples, from the camera:");
+    printer.result("\npaths of the brightest samples, from the camera:");
     for origin in report.origins.iter().take(PATHS) {
-        say.result(format!("  {}", path(origin)));
+        printer.result(format!("  {}", path(origin)));
     }
     if report.unlike > 0 {
-        say.result(say.doubtful(&format!(
+        printer.result(printer.style_warning(&format!(
             "{} with unknown samples: their first samples were used",
-            human::count(report.unlike, "pixel")
+            human::counted_noun(report.unlike, "pixel")
         )));
     }
 }
 
-fn blocks(report: &Report) -> Vec<Vec<String>> {
+fn blocks(report: &FirefliesReport) -> Vec<Vec<String>> {
     let row = |block: &BlockReport| {
         let pixels = block.pixels.iter().map(|it| format!("{},{} {}", it.x, it.y, share(it.share)));
         let mostly = block.origins.first().map(|it| {
             let lamp = it.lamp.as_ref().map_or(String::new(), |it| format!(", {}", it.name));
-            format!("{} bounce {}, {}, {}{lamp}", share(it.share), it.bounce, technique(it), spelled(&it.on))
+            format!("{} bounce {}, {}, {}{lamp}", share(it.share), it.bounce, technique(it), describe_scatterer(&it.on))
         });
         vec![
             format!("{},{}", block.x, block.y),
@@ -60,7 +61,7 @@ fn row(origin: &OriginReport) -> Vec<String> {
         share(origin.light),
         origin.bounce.to_string(),
         technique(origin),
-        spelled(&origin.on),
+        describe_scatterer(&origin.on),
         origin.lamp.as_ref().map_or(String::new(), lamp),
         format!("{x},{y} #{sample}: {} cd/m2, {} x mean", number(*luminance), number(*times_mean)),
     ]
@@ -75,14 +76,18 @@ fn path(origin: &OriginReport) -> String {
     let BrightestReport { x, y, sample, path, .. } = &origin.brightest;
     let vertices = path.iter().map(|it| {
         let place = it.position.map(|p| format!("{p:.2}")).join(" ");
-        let what = if it.on.material.is_none() && it.on.medium.is_none() { "lamp".to_owned() } else { spelled(&it.on) };
+        let what = if it.on.material.is_none() && it.on.medium.is_none() {
+            "lamp".to_owned()
+        } else {
+            describe_scatterer(&it.on)
+        };
         format!("{what} ({place})")
     });
     format!("{x},{y} #{sample}: {}", vertices.collect::<Vec<_>>().join(" > "))
 }
 
 /// Returns text like `asphalt of street`, `medium fog`.
-fn spelled(on: &OnReport) -> String {
+fn describe_scatterer(on: &ScattererReport) -> String {
     let unnamed = |name: &str| if name.is_empty() { "(unnamed)".to_owned() } else { name.to_owned() };
     match (&on.material, &on.medium) {
         (Some(material), _) if on.object.is_empty() => unnamed(material),
@@ -95,7 +100,7 @@ fn spelled(on: &OnReport) -> String {
 fn lamp(lamp: &LampReport) -> String {
     let name = if lamp.name.is_empty() { "(unnamed)" } else { &lamp.name };
     let object = if lamp.object.is_empty() { String::new() } else { format!(" of {}", lamp.object) };
-    format!("{name}{object}, {}", lamp.place())
+    format!("{name}{object}, {}", lamp.location())
 }
 
 fn share(fraction: f64) -> String {

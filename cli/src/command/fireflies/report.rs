@@ -2,8 +2,11 @@
 
 use super::frame::{Frame, WorstBlock};
 use femc_pipeline::Prepared;
-use femc_pipeline::account::{Account, Brightest, How, Lamps, On, Origin, Part, on};
 use femc_pipeline::replay::Replay;
+use femc_pipeline::variance_attribution::{
+    BrightestContribution, ContributionKind, ContributionOrigin, Lamps, LastScatterer, OriginShare,
+    VarianceAttribution, scatterer,
+};
 use femc_scene::LampKind;
 use serde::Serialize;
 use std::path::Path;
@@ -15,7 +18,7 @@ const ORIGINS: usize = 5;
 
 /// The whole report.
 #[derive(Serialize)]
-pub struct Report {
+pub struct FirefliesReport {
     frame: String,
     scene: String,
     /// Number of samples that were traced again.
@@ -77,7 +80,7 @@ pub struct OriginReport {
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub guided: bool,
     /// Object or medium that scattered the path last.
-    pub on: OnReport,
+    pub on: ScattererReport,
     /// Lamp; none: a glowing medium.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lamp: Option<LampReport>,
@@ -87,7 +90,7 @@ pub struct OriginReport {
 
 /// Object or medium that scattered light.
 #[derive(Clone, Default, Serialize)]
-pub struct OnReport {
+pub struct ScattererReport {
     /// Dotted name of the innermost object.
     #[serde(skip_serializing_if = "String::is_empty")]
     pub object: String,
@@ -134,7 +137,7 @@ pub struct BrightestReport {
 pub struct VertexReport {
     /// Object or medium at the vertex.
     #[serde(flatten)]
-    pub on: OnReport,
+    pub on: ScattererReport,
     /// Position in the world, m.
     pub position: [f64; 3],
 }
@@ -146,35 +149,35 @@ pub struct Names<'a> {
     /// Its lamps.
     pub lamps: &'a Lamps,
     /// Function that returns a file of the scene as it is reached from the current folder.
-    pub shown: &'a dyn Fn(&str) -> String,
+    pub display_path: &'a dyn Fn(&str) -> String,
 }
 
 impl LampReport {
     /// Returns the location as `file:line`.
-    pub fn place(&self) -> String {
+    pub fn location(&self) -> String {
         format!("{}:{}", self.file, self.line)
     }
 }
 
-impl Report {
+impl FirefliesReport {
     /// Creates the report from the blocks' accounts.
     pub fn new(
         path: &Path,
         scene: &Path,
         frame: &Frame,
         worst: &[WorstBlock],
-        accounts: &[Account],
+        accounts: &[VarianceAttribution],
         names: &Names<'_>,
     ) -> Self {
-        let mut whole = Account::default();
+        let mut whole = VarianceAttribution::default();
         for (block, account) in worst.iter().zip(accounts) {
-            whole.join(account.clone().scaled(1.0 / (block.scale * block.scale)));
+            whole.merge(account.clone().scaled(1.0 / (block.scale * block.scale)));
         }
         let blocks = worst.iter().zip(accounts).map(|(block, account)| {
             let mut pixels = account.pixels.clone();
             pixels.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
             let all = account.variance();
-            let share = |&((x, y), variance): &((u32, u32), f64)| PixelReport { x, y, share: part(variance, all) };
+            let share = |&((x, y), variance): &((u32, u32), f64)| PixelReport { x, y, share: fraction(variance, all) };
             BlockReport {
                 x: block.rect.x,
                 y: block.rect.y,
@@ -191,60 +194,61 @@ impl Report {
             scene: scene.display().to_string(),
             samples: whole.samples,
             pixels: whole.pixels.len() as u64,
-            unlike: whole.unlike,
+            unlike: whole.mismatched,
             blocks: blocks.collect(),
             origins: origins(&whole, frame, names, usize::MAX),
         }
     }
 }
 
-fn part(of: f64, all: f64) -> f64 {
-    if all > 0.0 { of / all } else { 0.0 }
+fn fraction(part: f64, all: f64) -> f64 {
+    if all > 0.0 { part / all } else { 0.0 }
 }
 
 /// Returns the origins with the largest shares, in order.
-fn origins(account: &Account, frame: &Frame, names: &Names<'_>, most: usize) -> Vec<OriginReport> {
-    let mut sorted: Vec<(&Origin, &Part)> = account.parts.iter().collect();
+fn origins(account: &VarianceAttribution, frame: &Frame, names: &Names<'_>, most: usize) -> Vec<OriginReport> {
+    let mut sorted: Vec<(&ContributionOrigin, &OriginShare)> = account.origins.iter().collect();
     sorted.sort_by(|a, b| b.1.variance.total_cmp(&a.1.variance));
-    let (variance, mean) = (account.variance(), account.parts.values().map(|part| part.mean).sum());
-    let report = |(origin, it): (&Origin, &Part)| OriginReport {
-        share: part(it.variance, variance),
-        light: part(it.mean, mean),
+    let (variance, mean) = (account.variance(), account.origins.values().map(|part| part.mean).sum());
+    let report = |(origin, it): (&ContributionOrigin, &OriginShare)| OriginReport {
+        share: fraction(it.variance, variance),
+        light: fraction(it.mean, mean),
         bounce: origin.bounce,
-        how: how(origin.how),
+        how: technique_text(origin.technique),
         guided: origin.guided,
-        on: names.on(origin.on),
+        on: names.scatterer(origin.scatterer),
         lamp: origin.lamp.map(|lamp| names.lamp(lamp)),
         brightest: names.brightest(frame, origin, &it.brightest),
     };
     sorted.into_iter().take(most).map(report).collect()
 }
 
-fn how(how: How) -> &'static str {
+fn technique_text(how: ContributionKind) -> &'static str {
     match how {
-        How::Sight => "lamp drawn from the camera",
-        How::Seen => "lamp met by the camera's ray",
-        How::Mirrored => "lamp met behind a mirror or glass",
-        How::Scattered => "lamp met by scattering",
-        How::Surface => "light drawn at a surface",
-        How::Airlight => "airlight of a lamp",
-        How::Glow => "glow of a medium",
-        How::Field => "light of the first pass",
+        ContributionKind::CameraNextEvent => "lamp drawn from the camera",
+        ContributionKind::CameraHit => "lamp met by the camera's ray",
+        ContributionKind::SpecularHit => "lamp met behind a mirror or glass",
+        ContributionKind::ScatteredHit => "lamp met by scattering",
+        ContributionKind::NextEvent => "light drawn at a surface",
+        ContributionKind::Airlight => "airlight of a lamp",
+        ContributionKind::Glow => "glow of a medium",
+        ContributionKind::Field => "light of the first pass",
     }
 }
 
 impl Names<'_> {
-    fn on(&self, on: On) -> OnReport {
+    fn scatterer(&self, on: LastScatterer) -> ScattererReport {
         match on {
-            On::Camera => OnReport::default(),
-            On::Surface { object, material } => OnReport {
+            LastScatterer::Camera => ScattererReport::default(),
+            LastScatterer::Surface { object, material } => ScattererReport {
                 object: self.prepared.object_name(object).to_owned(),
                 material: Some(self.prepared.material_name(material).to_owned()),
                 medium: None,
             },
-            On::Medium(medium) => {
-                OnReport { medium: Some(self.prepared.medium_name(medium).to_owned()), ..OnReport::default() }
-            }
+            LastScatterer::Medium(medium) => ScattererReport {
+                medium: Some(self.prepared.medium_name(medium).to_owned()),
+                ..ScattererReport::default()
+            },
         }
     }
 
@@ -260,27 +264,32 @@ impl Names<'_> {
             kind,
             name: name.clone(),
             object: lamp.object.clone(),
-            file: (self.shown)(file),
+            file: (self.display_path)(file),
             line: lamp.location.line,
         }
     }
 
     /// Traces the brightest sample once more to get its path.
-    fn brightest(&self, frame: &Frame, origin: &Origin, it: &Brightest) -> BrightestReport {
+    fn brightest(&self, frame: &Frame, origin: &ContributionOrigin, it: &BrightestContribution) -> BrightestReport {
         let mut replay = Replay::new(self.prepared, &frame.settings);
         let (_, recording) = replay.sample(it.pixel, it.sample);
-        let is_it =
-            |entry: &&(_, usize)| Origin::of(self.prepared, self.lamps, recording, &entry.0, entry.1) == *origin;
-        let luminance = |color| f64::from(femc_pipeline::account::luminance(color));
+        let is_it = |entry: &&(_, usize)| {
+            ContributionOrigin::new(self.prepared, self.lamps, recording, &entry.0, entry.1) == *origin
+        };
+        let luminance = |color| f64::from(femc_pipeline::variance_attribution::luminance(color));
         let found = recording.contributions.iter().filter(is_it);
         let found = found.max_by(|a, b| luminance(a.0.color).total_cmp(&luminance(b.0.color)));
-        let vertex = |on, position| VertexReport { on, position: self.prepared.in_world(position) };
+        let vertex = |on, position| VertexReport { on, position: self.prepared.to_world(position) };
         let path = found.map(|(contribution, vertices)| {
             let steps = recording.steps[..*vertices].iter().map(|step| step.vertex);
             let mut path: Vec<VertexReport> =
-                steps.map(|it| vertex(self.on(on(self.prepared, it.place)), it.position)).collect();
-            if !matches!(origin.how, How::Surface | How::Glow) {
-                let end = if origin.how == How::Airlight { self.on(origin.on) } else { OnReport::default() };
+                steps.map(|it| vertex(self.scatterer(scatterer(self.prepared, it.location)), it.position)).collect();
+            if !matches!(origin.technique, ContributionKind::NextEvent | ContributionKind::Glow) {
+                let end = if origin.technique == ContributionKind::Airlight {
+                    self.scatterer(origin.scatterer)
+                } else {
+                    ScattererReport::default()
+                };
                 path.push(vertex(end, contribution.position));
             }
             path
@@ -290,7 +299,7 @@ impl Names<'_> {
             y: it.pixel.1,
             sample: it.sample,
             luminance: it.luminance,
-            times_mean: part(it.luminance, it.mean),
+            times_mean: fraction(it.luminance, it.mean),
             path: path.unwrap_or_default(),
         }
     }

@@ -1,10 +1,10 @@
 //! Import of a template as a job file. Tasks that differ only in their frames become one variant. Settings that differ between
 //! variants become axes.
 
-use super::place::{absolute, relative};
+use super::file_paths::{absolute, relative};
+use super::task_command::{CommandPart, ExecutionSettings, TaskCommand};
 use super::template::{Template, TemplateError};
-use super::written::{Rest, Word, Written};
-use crate::args::Stats;
+use crate::args::StatsMode;
 use crate::request::{Change, JobFile};
 use crate::values::Frames;
 use femc_model::JobSpec;
@@ -15,11 +15,11 @@ use std::path::{Path, PathBuf};
 
 /// Attribute of hosts that carries a job's tags.
 pub const TAGS: &str = "attr.femc.tags";
-const RUN: &str = "steps.0.script.actions.onRun";
+const RUN_ACTION: &str = "steps.0.script.actions.onRun";
 
 /// A job file, and the parts of the template that it lacks.
 #[derive(Debug)]
-pub struct Imported {
+pub struct ImportedJob {
     /// Text of the job file, TOML.
     pub text: String,
     /// Parts that were left out, one line each.
@@ -32,14 +32,17 @@ pub struct Imported {
 type Variants = Vec<BTreeMap<String, Change>>;
 
 /// Imports a template as a job file that does the same as the template's tasks, for the path `out`.
-pub fn import(template: &Template, out: &Path) -> Result<Imported, TemplateError> {
-    let mut left_out = simple(template)?;
-    let tasks = read(template)?;
-    let (scene, rest) = common(template, &tasks)?;
+pub fn import(template: &Template, out: &Path) -> Result<ImportedJob, TemplateError> {
+    let mut left_out = check_supported(template)?;
+    let tasks = read_tasks(template)?;
+    let (scene, execution) = common_request(template, &tasks)?;
     let flags: BTreeSet<&str> = tasks.iter().flat_map(|task| task.left_out.iter().copied()).collect();
     for flag in flags {
         left_out.push(
-            template.line_about(&format!("{RUN}.args"), format!("`{flag}` is left out: a sweep has its own outputs")),
+            template.line_about(
+                &format!("{RUN_ACTION}.args"),
+                format!("`{flag}` is left out: a sweep has its own outputs"),
+            ),
         );
     }
     let (variants, twice) = variants(template, tasks)?;
@@ -52,19 +55,19 @@ pub fn import(template: &Template, out: &Path) -> Result<Imported, TemplateError
     let (tags, lost) = tags(template);
     left_out.extend(lost);
     let folder = out.parent().unwrap_or(Path::new(""));
-    let mut lines = heading(template);
+    let mut lines = heading_lines(template);
     lines.push(format!("scene = {}", quoted(&relative(folder, &absolute(template.folder(), &scene)))));
-    lines.extend(settings(&variants[0], &axes, &rest, &tags));
-    lines.extend(sweep(&variants, &axes));
+    lines.extend(settings_lines(&variants[0], &axes, &execution, &tags));
+    lines.extend(sweep_lines(&variants, &axes));
     let text = lines.join("\n") + "\n";
     // The imported job file must pass the checks of any other job file.
     JobFile::parse(out, &text).map_err(|error| template.fault("steps.0.parameterSpace", error))?;
-    Ok(Imported { text, left_out, variants: variants.len() })
+    Ok(ImportedJob { text, left_out, variants: variants.len() })
 }
 
 /// Refuses templates that cannot become a sweep. Returns lines about parts that are left out.
-fn simple(template: &Template) -> Result<Vec<String>, TemplateError> {
-    let (job, written) = (&template.job, &template.written);
+fn check_supported(template: &Template) -> Result<Vec<String>, TemplateError> {
+    let (job, written) = (&template.job, &template.source);
     if job.steps.len() > 1 {
         return Err(template.fault("steps.1", "a sweep has one step; write a template for each step"));
     }
@@ -87,24 +90,24 @@ fn simple(template: &Template) -> Result<Vec<String>, TemplateError> {
         "`femc render` needs no embedded files",
     );
     let action = template.action();
-    leave(action.timeout.is_some(), &format!("{RUN}.timeout"), "the farm ends tasks that make no progress");
-    leave(action.cancelation.is_some(), &format!("{RUN}.cancelation"), "a cancelled task ends within a second");
+    leave(action.timeout.is_some(), &format!("{RUN_ACTION}.timeout"), "the farm ends tasks that make no progress");
+    leave(action.cancelation.is_some(), &format!("{RUN_ACTION}.cancelation"), "a cancelled task ends within a second");
     Ok(left_out)
 }
 
-fn read(template: &Template) -> Result<Vec<Written>, TemplateError> {
+fn read_tasks(template: &Template) -> Result<Vec<TaskCommand>, TemplateError> {
     let read = |line: &Vec<String>| {
-        Written::read(line).map_err(|(word, what)| match word {
-            Word::Command => template.fault(&format!("{RUN}.command"), what),
-            Word::Arguments => template.fault(&format!("{RUN}.args"), what),
+        TaskCommand::parse(line).map_err(|(word, what)| match word {
+            CommandPart::Command => template.fault(&format!("{RUN_ACTION}.command"), what),
+            CommandPart::Arguments => template.fault(&format!("{RUN_ACTION}.args"), what),
         })
     };
     template.command_lines()?.iter().map(read).collect()
 }
 
 /// Returns the scene and settings that all tasks must have in common.
-fn common(template: &Template, tasks: &[Written]) -> Result<(PathBuf, Rest), TemplateError> {
-    let args = format!("{RUN}.args");
+fn common_request(template: &Template, tasks: &[TaskCommand]) -> Result<(PathBuf, ExecutionSettings), TemplateError> {
+    let args = format!("{RUN_ACTION}.args");
     let Some(first) = tasks.first() else {
         return Err(template.fault("steps.0.parameterSpace", "the template has no tasks"));
     };
@@ -116,23 +119,23 @@ fn common(template: &Template, tasks: &[Written]) -> Result<(PathBuf, Rest), Tem
         let scene = first.scene.display();
         return Err(template.fault(&args, format!("{scene} is already a job file; run it with `femc sweep`")));
     }
-    if tasks.iter().any(|task| task.rest != first.rest) {
+    if tasks.iter().any(|task| task.execution != first.execution) {
         return Err(template.fault(&args, "--workers, --threads and --stats cannot differ from task to task"));
     }
-    Ok((first.scene.clone(), first.rest.clone()))
+    Ok((first.scene.clone(), first.execution.clone()))
 }
 
 /// Tasks whose settings differ only in their frames.
-struct Group {
+struct TaskGroup {
     changes: BTreeMap<String, Change>,
     /// Frames of the tasks, without duplicates; empty: all frames of the clip.
     frames: Vec<Frames>,
 }
 
 /// Returns the variants in the order of the tasks, and the number of duplicate tasks.
-fn variants(template: &Template, tasks: Vec<Written>) -> Result<(Variants, usize), TemplateError> {
-    let (groups, twice) = groups(tasks);
-    let joined: Option<Vec<Vec<Frames>>> = groups.iter().map(|group| joined(&group.frames)).collect();
+fn variants(template: &Template, tasks: Vec<TaskCommand>) -> Result<(Variants, usize), TemplateError> {
+    let (groups, twice) = group_tasks(tasks);
+    let joined: Option<Vec<Vec<Frames>>> = groups.iter().map(|group| join_frames(&group.frames)).collect();
     let all_frames = match joined {
         Some(joined) => joined,
         // The frames of some group cannot be written as one setting: then each task is a variant.
@@ -154,13 +157,14 @@ fn variants(template: &Template, tasks: Vec<Written>) -> Result<(Variants, usize
         None => Ok((variants, twice)),
         Some(other) => {
             let [a, b] = [names(&variants[0]), names(other)];
-            Err(template.fault(&format!("{RUN}.args"), format!("tasks give different settings: some {a}, some {b}")))
+            Err(template
+                .fault(&format!("{RUN_ACTION}.args"), format!("tasks give different settings: some {a}, some {b}")))
         }
     }
 }
 
-fn groups(tasks: Vec<Written>) -> (Vec<Group>, usize) {
-    let (mut known, mut groups, mut twice) = (BTreeMap::new(), Vec::<Group>::new(), 0);
+fn group_tasks(tasks: Vec<TaskCommand>) -> (Vec<TaskGroup>, usize) {
+    let (mut known, mut groups, mut twice) = (BTreeMap::new(), Vec::<TaskGroup>::new(), 0);
     for task in tasks {
         let key: Vec<(String, String)> = task.changes.iter().map(|c| (c.name().to_owned(), c.text())).collect();
         let next = groups.len();
@@ -168,7 +172,7 @@ fn groups(tasks: Vec<Written>) -> (Vec<Group>, usize) {
         let is_new = at == next;
         if is_new {
             let changes = task.changes.into_iter().map(|change| (change.name().to_owned(), change)).collect();
-            groups.push(Group { changes, frames: Vec::new() });
+            groups.push(TaskGroup { changes, frames: Vec::new() });
         }
         let others = &mut groups[at].frames;
         match task.frames.filter(|frames| !others.contains(frames)) {
@@ -180,7 +184,7 @@ fn groups(tasks: Vec<Written>) -> (Vec<Group>, usize) {
 }
 
 /// Returns the frames of several tasks as one setting, if they do not overlap and have one step.
-fn joined(frames: &[Frames]) -> Option<Vec<Frames>> {
+fn join_frames(frames: &[Frames]) -> Option<Vec<Frames>> {
     if frames.len() < 2 {
         return Some(frames.to_vec());
     }
@@ -189,7 +193,7 @@ fn joined(frames: &[Frames]) -> Option<Vec<Frames>> {
     let mut all = resolved?.concat();
     all.sort_unstable();
     let overlap = all.windows(2).any(|pair| pair[0] == pair[1]);
-    Frames::of(&all).filter(|_| !overlap).map(|frames| vec![frames])
+    Frames::from_even_steps(&all).filter(|_| !overlap).map(|frames| vec![frames])
 }
 
 /// Returns the names of the settings that differ, the one that changes most slowly first. Settings that change together are in the
@@ -207,23 +211,28 @@ fn axes(template: &Template, variants: &Variants) -> Vec<String> {
     found.into_iter().map(|(_, name)| name.clone()).collect()
 }
 
-fn heading(template: &Template) -> Vec<String> {
+fn heading_lines(template: &Template) -> Vec<String> {
     let mut lines = vec![format!("{}, from the Open Job Description template {}", template.job.name, template.file())];
     lines.extend(template.job.description.iter().flat_map(|text| text.lines()).map(str::to_owned));
     lines.iter().map(|line| format!("# {}", line.replace(char::is_control, " "))).collect()
 }
 
 /// Returns the lines of the settings that all variants have in common.
-fn settings(changes: &BTreeMap<String, Change>, axes: &[String], rest: &Rest, tags: &[String]) -> Vec<String> {
+fn settings_lines(
+    changes: &BTreeMap<String, Change>,
+    axes: &[String],
+    execution: &ExecutionSettings,
+    tags: &[String],
+) -> Vec<String> {
     let mut lines = Vec::new();
     if !tags.is_empty() {
         lines.push(format!("tags = [{}]", tags.iter().map(|tag| quoted(tag)).collect::<Vec<_>>().join(", ")));
     }
-    lines.extend(rest.workers.map(|n| format!("workers = {n}")));
-    lines.extend(rest.threads.map(|n| format!("threads = {n}")));
-    lines.extend(rest.stats.map(|stats| match stats {
-        Stats::Some => "stats = true".to_owned(),
-        Stats::Full => "stats = \"full\"".to_owned(),
+    lines.extend(execution.workers.map(|n| format!("workers = {n}")));
+    lines.extend(execution.threads.map(|n| format!("threads = {n}")));
+    lines.extend(execution.stats.map(|stats| match stats {
+        StatsMode::Some => "stats = true".to_owned(),
+        StatsMode::Full => "stats = \"full\"".to_owned(),
     }));
     let same = || changes.values().filter(|change| !axes.iter().any(|axis| axis == change.name()));
     let is_scalar = |change: &&Change| matches!(change, Change::Scalar(_));
@@ -237,7 +246,7 @@ fn settings(changes: &BTreeMap<String, Change>, axes: &[String], rest: &Rest, ta
 }
 
 /// Returns the lines of the sweep: all combinations (grid) if the variants are exactly those, else value by value (zip).
-fn sweep(variants: &Variants, axes: &[String]) -> Vec<String> {
+fn sweep_lines(variants: &Variants, axes: &[String]) -> Vec<String> {
     if axes.is_empty() {
         return Vec::new();
     }

@@ -7,20 +7,20 @@
 //! The price is that a template that runs other programs is refused.
 
 mod export;
+mod file_paths;
 mod import;
-mod place;
-mod spots;
+mod positions;
+mod task_command;
 mod template;
 #[cfg(test)]
 mod tests;
-mod written;
 
 use crate::args::SettingsArgs;
 use crate::exit::{Exit, Failure, failed, usage};
-use crate::output::{Say, human};
-use crate::request::{Base, JobFile};
+use crate::output::{Printer, human};
+use crate::request::{ImportedScene, JobFile};
 use clap::{Args, Subcommand};
-use export::FramesOf;
+use export::FrameChunks;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use template::{Template, TemplateError};
@@ -59,7 +59,7 @@ struct ImportArgs {
     #[arg(long, short, value_name = "JOB.toml")]
     out: PathBuf,
     /// Value of a job parameter, instead of its default (repeatable)
-    #[arg(long = "param", short, value_name = "NAME=VALUE", value_parser = named)]
+    #[arg(long = "param", short, value_name = "NAME=VALUE", value_parser = parse_parameter)]
     params: Vec<(String, String)>,
 }
 
@@ -76,39 +76,39 @@ struct ExportArgs {
     chunk: NonZeroUsize,
 }
 
-fn named(text: &str) -> Result<(String, String), String> {
+fn parse_parameter(text: &str) -> Result<(String, String), String> {
     let split = text.split_once('=').filter(|(name, _)| !name.is_empty());
     split.map(|(name, value)| (name.to_owned(), value.to_owned())).ok_or_else(|| "write NAME=VALUE".to_owned())
 }
 
 /// Runs `femc openjd`.
-pub fn run(args: &OpenjdArgs, say: Say) -> Result<Exit, Failure> {
+pub fn run(args: &OpenjdArgs, printer: Printer) -> Result<Exit, Failure> {
     match &args.command {
-        OpenjdCommand::Import(args) => import(args, say),
-        OpenjdCommand::Export(args) => export(args, say),
+        OpenjdCommand::Import(args) => import(args, printer),
+        OpenjdCommand::Export(args) => export(args, printer),
     }
 }
 
-fn import(args: &ImportArgs, say: Say) -> Result<Exit, Failure> {
-    let template = Template::open(&args.template, &args.params).map_err(refused)?;
-    let imported = import::import(&template, &args.out).map_err(refused)?;
+fn import(args: &ImportArgs, printer: Printer) -> Result<Exit, Failure> {
+    let template = Template::open(&args.template, &args.params).map_err(map_template_error)?;
+    let imported = import::import(&template, &args.out).map_err(map_template_error)?;
     write(&args.out, &imported.text)?;
-    imported.left_out.iter().for_each(|line| say.note(format!("warning: {line}")));
-    say.note(format!("{}: {}", args.out.display(), human::count(imported.variants as u64, "variant")));
+    imported.left_out.iter().for_each(|line| printer.note(format!("warning: {line}")));
+    printer.note(format!("{}: {}", args.out.display(), human::counted_noun(imported.variants as u64, "variant")));
     Ok(Exit::Done)
 }
 
-fn export(args: &ExportArgs, say: Say) -> Result<Exit, Failure> {
+fn export(args: &ExportArgs, printer: Printer) -> Result<Exit, Failure> {
     let job = JobFile::load(&args.job).map_err(usage)?;
-    let base = Base::open(&job.scene, job.settings.root.as_deref(), say)?;
-    let frames = frames(&job, &base)?;
-    let frames = FramesOf { all: &frames, chunk: args.chunk };
-    let exported = export::export(&job, frames, &args.out).map_err(refused)?;
+    let imported = ImportedScene::open(&job.scene, job.settings.root.as_deref(), printer)?;
+    let frames = frames(&job, &imported)?;
+    let frames = FrameChunks { all: &frames, chunk: args.chunk };
+    let exported = export::export(&job, frames, &args.out).map_err(map_template_error)?;
     write(&args.out, &exported.text)?;
-    exported.left_out.iter().for_each(|line| say.note(format!("warning: {line}")));
-    if let more @ 1.. = base.others() {
-        let files = human::count(more as u64, "further file");
-        say.note(format!(
+    exported.left_out.iter().for_each(|line| printer.note(format!("warning: {line}")));
+    if let more @ 1.. = imported.other_file_count() {
+        let files = human::counted_noun(more as u64, "further file");
+        printer.note(format!(
             "warning: the scene has {files} that a template cannot list: tasks need them beside the scene"
         ));
     }
@@ -116,8 +116,8 @@ fn export(args: &ExportArgs, say: Say) -> Result<Exit, Failure> {
 }
 
 /// Returns the frames of the first variant. Plans every variant, so that the template is as valid as its job.
-fn frames(job: &JobFile, base: &Base) -> Result<Vec<u32>, Failure> {
-    let ask = |settings: &SettingsArgs| Ok(base.ask(settings, &|key| job.at(key))?.plan.frames);
+fn frames(job: &JobFile, imported: &ImportedScene) -> Result<Vec<u32>, Failure> {
+    let ask = |settings: &SettingsArgs| Ok(imported.resolve(settings, &|key| job.location(key))?.plan.frames);
     let Some(sweep) = &job.sweep else { return ask(&job.settings) };
     let mut all =
         sweep.variants().iter().map(|variant| ask(&variant.apply(&job.settings))).collect::<Result<Vec<_>, _>>()?;
@@ -129,7 +129,7 @@ fn write(path: &Path, text: &str) -> Result<(), Failure> {
 }
 
 /// Maps an unreadable file to wrong usage, like all commands, and an unusable template to a found fault.
-fn refused(error: TemplateError) -> Failure {
+fn map_template_error(error: TemplateError) -> Failure {
     match error {
         TemplateError::Read { .. } => usage(error),
         TemplateError::Faults { .. } => failed(error),

@@ -1,7 +1,7 @@
 //! A checked template with bound parameters, and the command lines of its tasks.
 
-use super::spots::{Spots, place};
-use crate::values::Place;
+use super::positions::{PositionMap, to_position};
+use crate::values::TextPosition;
 use openjd_expr::{ExprValue, FormatStringOptions, PathFormat};
 use openjd_model::job::{Action, Job};
 use openjd_model::template::JobTemplate;
@@ -40,16 +40,16 @@ pub enum TemplateError {
 #[derive(Debug)]
 pub struct Template {
     path: PathBuf,
-    spots: Spots,
+    positions: PositionMap,
     /// Template as written.
-    pub written: JobTemplate,
+    pub source: JobTemplate,
     /// Job with values for the parameters.
     pub job: Job,
     values: JobParameterValues,
 }
 
 /// Parses the path of a part of a template, names and numbers separated by points: `steps.0.script`.
-pub fn part(path: &str) -> Vec<PathElement> {
+pub fn parse_path(path: &str) -> Vec<PathElement> {
     let element = |part: &str| match part.parse() {
         Ok(index) => PathElement::Index(index),
         Err(_) => PathElement::Field(part.to_owned()),
@@ -66,7 +66,7 @@ impl Template {
 
     /// Parses and checks the template in `text`; `path`: its file.
     pub fn parse(path: &Path, text: &str, given: &[(String, String)]) -> Result<Self, TemplateError> {
-        let spots = Spots::of(text);
+        let positions = PositionMap::parse(text);
         let limits = CallerLimits { max_task_count: Some(MAX_TASKS), ..CallerLimits::default() };
         let form = match path.extension() {
             Some(extension) if extension == "json" => DocumentType::Json,
@@ -74,22 +74,21 @@ impl Template {
         };
         let bound = || {
             let document = openjd_model::template::parse::document_string_to_object(text, form, &limits)?;
-            let written = decode_job_template(document, Some(&EXTENSIONS), &limits)?;
-            let folder = super::place::absolute(path.parent().unwrap_or(Path::new("")), Path::new(""));
-            let here = super::place::absolute(Path::new(""), Path::new(""));
+            let source = decode_job_template(document, Some(&EXTENSIONS), &limits)?;
+            let folder = super::file_paths::absolute(path.parent().unwrap_or(Path::new("")), Path::new(""));
+            let here = super::file_paths::absolute(Path::new(""), Path::new(""));
             let (folder, here) = (folder.to_string_lossy(), here.to_string_lossy());
             let options =
                 PathParameterOptions { allow_template_dir_walk_up: true, ..PathParameterOptions::new(&folder, &here) };
             let given = given.iter().map(|(name, value)| (name.clone(), ExprValue::String(value.clone())));
-            let values =
-                preprocess_job_parameters(&written, &JobParameterInputValues::from_iter(given), &[], &options)?;
-            let context = written.default_validation_context().with_caller_limits(limits.clone());
-            let job = create_job(&written, &values, &context)?;
-            Ok((written, job, values))
+            let values = preprocess_job_parameters(&source, &JobParameterInputValues::from_iter(given), &[], &options)?;
+            let context = source.default_validation_context().with_caller_limits(limits.clone());
+            let job = create_job(&source, &values, &context)?;
+            Ok((source, job, values))
         };
         match bound() {
-            Ok((written, job, values)) => Ok(Self { path: path.to_owned(), spots, written, job, values }),
-            Err(error) => Err(TemplateError::Faults { faults: faults(path, text, &spots, &error) }),
+            Ok((source, job, values)) => Ok(Self { path: path.to_owned(), positions, source, job, values }),
+            Err(error) => Err(TemplateError::Faults { faults: faults(path, text, &positions, &error) }),
         }
     }
 
@@ -103,15 +102,15 @@ impl Template {
         self.path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
     }
 
-    /// Returns a line about a part of the template: file, line, column, part, `what`.
-    pub fn line_about(&self, at: &str, what: impl std::fmt::Display) -> String {
-        let at = part(at);
-        line_about(&self.path, self.spots.find(&at), &at, what)
+    /// Returns a line about a part of the template: file, line, column, part, `message`.
+    pub fn line_about(&self, at: &str, message: impl std::fmt::Display) -> String {
+        let at = parse_path(at);
+        line_about(&self.path, self.positions.find(&at), &at, message)
     }
 
     /// Returns an error about a part of the template.
-    pub fn fault(&self, at: &str, what: impl std::fmt::Display) -> TemplateError {
-        TemplateError::Faults { faults: vec![self.line_about(at, what)] }
+    pub fn fault(&self, at: &str, message: impl std::fmt::Display) -> TemplateError {
+        TemplateError::Faults { faults: vec![self.line_about(at, message)] }
     }
 
     /// Returns the action of the first step.
@@ -170,25 +169,30 @@ impl Template {
 }
 
 /// Returns the faults of a template, one per line.
-fn faults(path: &Path, text: &str, spots: &Spots, error: &ModelError) -> Vec<String> {
+fn faults(path: &Path, text: &str, positions: &PositionMap, error: &ModelError) -> Vec<String> {
     match error {
         ModelError::ModelValidation(all) => {
             let line = |fault: &openjd_model::ValidationError| {
                 let what = fault.detail.as_ref().map_or(&fault.message, |detail| &detail.summary);
-                line_about(path, spots.find(&fault.path), &fault.path, one_line(what))
+                line_about(path, positions.find(&fault.path), &fault.path, one_line(what))
             };
             all.errors.iter().map(line).collect()
         }
         other => {
             // The error for a malformed template has no location; parsing the text once more yields one.
             let again = serde_saphyr::from_str::<JobTemplate>(text).err();
-            vec![line_about(path, again.and_then(|error| place(error.location()?)), &[], one_line(&plain(other)))]
+            vec![line_about(
+                path,
+                again.and_then(|error| to_position(error.location()?)),
+                &[],
+                one_line(&plain_message(other)),
+            )]
         }
     }
 }
 
 /// Returns the message without the name of the error kind.
-fn plain(error: &ModelError) -> String {
+fn plain_message(error: &ModelError) -> String {
     match error {
         ModelError::DecodeValidation(what) | ModelError::Compatibility(what) | ModelError::UnsupportedSchema(what) => {
             what.clone()
@@ -197,9 +201,14 @@ fn plain(error: &ModelError) -> String {
     }
 }
 
-fn line_about(path: &Path, place: Option<Place>, at: &[PathElement], what: impl std::fmt::Display) -> String {
+fn line_about(
+    path: &Path,
+    position: Option<TextPosition>,
+    at: &[PathElement],
+    message: impl std::fmt::Display,
+) -> String {
     let mut line = path.display().to_string();
-    if let Some(Place { line: row, column }) = place {
+    if let Some(TextPosition { line: row, column }) = position {
         line.push_str(&format!(":{row}:{column}"));
     }
     let mut pointer = String::new();
@@ -211,7 +220,7 @@ fn line_about(path: &Path, place: Option<Place>, at: &[PathElement], what: impl 
         }
     }
     let gap = if pointer.is_empty() { "" } else { ": " };
-    format!("{line}: {pointer}{gap}{what}")
+    format!("{line}: {pointer}{gap}{message}")
 }
 
 /// Returns the first line of a message, which is complete. Further lines only quote the source.

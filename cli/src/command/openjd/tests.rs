@@ -1,7 +1,7 @@
 //! Tests of import and export: which templates become which sweeps, the messages for all others, and that an exported template can
 //! be imported again.
 
-use super::export::{FramesOf, export};
+use super::export::{FrameChunks, export};
 use super::import::import;
 use super::template::Template;
 use crate::request::JobFile;
@@ -183,7 +183,7 @@ fn job(text: &str) -> JobFile {
 fn variants(job: &JobFile, all: &[u32]) -> Vec<String> {
     let line = |settings: &crate::args::SettingsArgs| {
         let frames = settings.frames.as_ref().map_or(all.to_vec(), |frames| frames.resolve(u32::MAX).expect("frames"));
-        let changes = crate::request::Change::all(settings);
+        let changes = crate::request::Change::from_settings(settings);
         let values: Vec<String> =
             changes.iter().filter(|change| change.name() != "frames").map(|c| format!("{c:?}")).collect();
         format!("{frames:?} {values:?} {:?} {:?} {:?}", settings.workers, settings.threads, settings.stats)
@@ -215,7 +215,7 @@ fn an_exported_job_comes_back_as_the_same_variants() {
             before.settings.frames.as_ref().map_or(all.clone(), |frames| frames.resolve(7).expect("frames"));
         for (chunk, name) in [(1, "/t/out/job.yaml"), (3, "/t/out/job.json")] {
             let chunk = NonZeroUsize::new(chunk).expect("not 0");
-            let exported = export(&before, FramesOf { all: &frames, chunk }, Path::new(name)).expect(text);
+            let exported = export(&before, FrameChunks { all: &frames, chunk }, Path::new(name)).expect(text);
             assert_eq!(exported.left_out, Vec::<String>::new(), "{text}");
             let template = Template::parse(Path::new(name), &exported.text, &[]).expect(text);
             let imported = import(&template, Path::new("/t/again.toml")).expect(text);
@@ -237,7 +237,7 @@ fn an_exported_job_comes_back_as_the_same_variants() {
 #[test]
 fn what_a_template_has_no_place_for_is_told() {
     let text = "priority = 70\ntags = [\"lab\", \"2 GPUs\"]\n[sweep]\nseed = [1, 2]\n[regions]\nsign = [0, 0, 4, 4]\n";
-    let frames = FramesOf { all: &[1], chunk: NonZeroUsize::MIN };
+    let frames = FrameChunks { all: &[1], chunk: NonZeroUsize::MIN };
     let exported = export(&job(text), frames, Path::new("/t/job.yaml")).expect("a template");
     for (place, what) in [("2:1", "priority"), ("3:1", "`2 GPUs`"), ("6:2", "regions")] {
         let begin = format!("/t/job.toml:{place}: ");
@@ -253,7 +253,7 @@ fn what_a_template_has_no_place_for_is_told() {
 #[test]
 fn a_job_of_more_values_than_a_template_may_have_is_refused() {
     let values = (0..1100).map(|n| format!("{n}.5")).collect::<Vec<_>>().join(", ");
-    let frames = FramesOf { all: &[1], chunk: NonZeroUsize::MIN };
+    let frames = FrameChunks { all: &[1], chunk: NonZeroUsize::MIN };
     let refused = export(&job(&format!("[sweep]\n\"a.b.c\" = [{values}]")), frames, Path::new("/t/job.yaml"));
     let error = refused.expect_err("too many").to_string();
     assert!(error.contains("1024"), "{error}");

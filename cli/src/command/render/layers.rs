@@ -1,6 +1,6 @@
 //! PNG files of layers, beside the file of layers: `FRAME.NAME.png`.
 
-use super::beside::layers_of;
+use super::sidecars::layers_path;
 use crate::exit::{Failure, failed};
 use crate::values::Exposure;
 use femc_film::{Image, ToneCurve, exr, file::write_atomic};
@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 /// Writes each layer of a frame as a PNG with the picture's exposure.
 /// - `curve`: the picture's tone curve; `None`: the curve of `exposure` for the colors in the file.
-pub fn show(
+pub fn write_pngs(
     frame: &Path,
     layers: &[Layer],
     curve: Option<ToneCurve>,
@@ -18,7 +18,7 @@ pub fn show(
     if layers.is_empty() {
         return Ok(Vec::new());
     }
-    let file = layers_of(frame);
+    let file = layers_path(frame);
     let curve = match curve {
         Some(curve) => curve,
         None => exposure.curve_of(&exr::read(&file).map_err(failed)?.image),

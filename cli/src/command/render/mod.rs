@@ -1,36 +1,36 @@
 //! `femc render SCENE`: runs the farm's coordinator and workers inside this process.
 
-mod beside;
 mod clip;
 mod drive;
+mod existing;
 mod layers;
 mod painting;
 mod report;
 mod report_file;
+mod sidecars;
 pub mod state;
 mod target;
-mod there;
 
-pub use beside::{Beside, Found as FoundBeside, layers_of, statistics_of};
+pub use sidecars::{SidecarKinds, Sidecars as FoundBeside, layers_path, statistics_path};
 
-pub use painting::{PaintingArgs, ask_for_layers};
+pub use painting::{PaintingArgs, request_painting_layers};
 pub use target::{frame_name, painted_name, still_name};
 
 use crate::args::{ExtrasArgs, FormatArgs, SettingsArgs};
 use crate::clock::Clock;
 use crate::exit::{Exit, Failure, failed, usage};
-use crate::output::{Say, human, json};
-use crate::request::{Asked, picture};
+use crate::output::{Printer, human, json};
+use crate::request::{ResolvedRequest, picture};
 use crate::values::Exposure;
 use clap::Args;
-use drive::{Made, Order};
-use report::{FrameReport, Report};
+use drive::{RenderRequest, RenderResult};
+use existing::ExpectedMetadata;
+use report::{FrameReport, RenderReport};
 use report_file::ReportFile;
-use state::{Found, Identity, Old, State};
+use state::{ExistingState, RunIdentity, RunState, StateMatch};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use target::Target;
-use there::Wanted;
 
 /// Render frames on this machine; rerun the command to resume after a stop
 #[derive(Debug, Args)]
@@ -81,66 +81,66 @@ pub struct RenderArgs {
 }
 
 /// Runs `femc render`.
-pub fn run(mut args: RenderArgs, say: Say) -> Result<Exit, Failure> {
+pub fn run(mut args: RenderArgs, printer: Printer) -> Result<Exit, Failure> {
     let begun = Clock.now();
     let style = args.painting.style()?;
     if let Some(style) = &style {
-        if let (Some(paper), Some(path)) = (style.paper(), &args.painting.style) {
-            say.warning(format!("--style {}: {paper}", path.display()));
+        if let (Some(paper), Some(path)) = (style.transparency_warning(), &args.painting.style) {
+            printer.warning(format!("--style {}: {paper}", path.display()));
         }
-        ask_for_layers(&mut args.settings);
+        request_painting_layers(&mut args.settings);
     }
     args.extras.check()?;
-    let report_file = args.report.as_deref().map(ReportFile::to).transpose()?;
-    let asked = match &args.replay {
-        Some(frame) => Asked::again(&args.scene, frame, args.settings, say)?,
-        None => Asked::open(&args.scene, args.settings, say)?.decided(say)?,
+    let report_file = args.report.as_deref().map(ReportFile::from_path).transpose()?;
+    let resolved = match &args.replay {
+        Some(frame) => ResolvedRequest::replay(&args.scene, frame, args.settings, printer)?,
+        None => ResolvedRequest::open(&args.scene, args.settings, printer)?.choose_method(printer)?,
     };
-    let target = Target::of(args.out.as_deref(), &asked.name(), asked.plan.frames.len())?;
+    let target = Target::parse(args.out.as_deref(), &resolved.name(), resolved.plan.frames.len())?;
     check_pictures(&target, &args.extras, args.exposure, style.is_some())?;
     let exposure = args.exposure.unwrap_or_default();
-    let frames = target.frames(&asked, say)?;
-    let wanted = Wanted::new(&asked, exposure)?;
+    let frames = target.frames(&resolved, printer)?;
+    let expected = ExpectedMetadata::new(&resolved, exposure)?;
     let mut done: BTreeMap<u32, FrameReport> = if args.fresh {
         BTreeMap::new()
     } else {
-        frames.iter().filter_map(|&frame| Some((frame, wanted.there(frame, &target.path(frame))?))).collect()
+        frames.iter().filter_map(|&frame| Some((frame, expected.existing_frame(frame, &target.path(frame))?))).collect()
     };
     let missing: Vec<u32> = frames.iter().copied().filter(|frame| !done.contains_key(frame)).collect();
-    let mut report = Report {
+    let mut report = RenderReport {
         scene: args.scene.display().to_string(),
         out: target.display(),
-        size: asked.film(),
+        size: resolved.film(),
         rendered: missing.len(),
-        ..Report::default()
+        ..RenderReport::default()
     };
     if missing.is_empty() {
-        say.note(format!("{}: already finished with this scene and these settings", target.display()));
+        printer.note(format!("{}: already finished with this scene and these settings", target.display()));
         if report_file.is_some() {
-            say.warning("--report: nothing was rendered, so there is no report; --fresh renders all frames again");
+            printer.warning("--report: nothing was rendered, so there is no report; --fresh renders all frames again");
         }
     } else {
-        asked.explain(say);
-        asked.warn_of_lost_light(say);
-        let old = if args.fresh { Old::Discard } else { Old::Keep };
-        let order = Order {
-            asked: &asked,
+        resolved.explain_method(printer);
+        resolved.warn_of_lost_light(printer);
+        let existing = if args.fresh { ExistingState::Discard } else { ExistingState::Keep };
+        let request = RenderRequest {
+            resolved: &resolved,
             target: &target,
             exposure,
             frames: &frames,
             missing,
             watch: args.watch,
-            scene: asked.parcel()?,
+            scene: resolved.parcel()?,
             wants_record: report_file.is_some(),
         };
-        let Made { frames, record } = render(&order, old, say)?;
+        let RenderResult { frames, record } = render(&request, existing, printer)?;
         if let (Some(report_file), Some(record)) = (report_file, record) {
             report.report = Some(report_file.write(record)?);
         }
         done.extend(frames.into_iter().map(|frame| (frame.frame, frame)));
     }
-    report.sum(done.into_values().collect());
-    report.bad = there::bad_samples(&report.frames);
+    report.add_frames(done.into_values().collect());
+    report.bad = existing::bad_samples(&report.frames);
     report.seconds = Clock.since(begun).as_secs_f64();
     if let ([file], true) = (report.files.as_slice(), target.is_picture()) {
         let attributes = picture::attributes(file.as_ref());
@@ -148,25 +148,31 @@ pub fn run(mut args: RenderArgs, say: Say) -> Result<Exit, Failure> {
     }
     if target.is_picture() {
         for file in &report.files {
-            let shown = layers::show(file.as_ref(), &asked.settings.layers, None, exposure)?;
+            let shown = layers::write_pngs(file.as_ref(), &resolved.settings.layers, None, exposure)?;
             report.previews.extend(shown.iter().map(|path| path.display().to_string()));
         }
     }
-    if asked.settings.has_layers() {
-        let files = report.files.iter().map(|file| layers_of(file.as_ref()).display().to_string());
+    if resolved.settings.has_layers() {
+        let files = report.files.iter().map(|file| layers_path(file.as_ref()).display().to_string());
         report.layers = files.collect();
     }
     if let Some(style) = &style {
-        report.painted =
-            args.painting.paint(style, &report.files, exposure, asked.threads.unwrap_or(0), &target.part(), say)?;
-        report.painted.iter().for_each(|file| say.note(format!("wrote {file}")));
+        report.painted = args.painting.paint(
+            style,
+            &report.files,
+            exposure,
+            resolved.threads.unwrap_or(0),
+            &target.checkpoint(),
+            printer,
+        )?;
+        report.painted.iter().for_each(|file| printer.note(format!("wrote {file}")));
     }
-    clip::write(&asked, &mut report, &args.extras, exposure, say)?;
-    report.warn(say);
+    clip::write(&resolved, &mut report, &args.extras, exposure, printer)?;
+    report.warn(printer);
     if args.format.json {
-        json::print(say, &report)?;
+        json::print(printer, &report)?;
     } else {
-        report.print(say);
+        report.print(printer);
     }
     Ok(Exit::Done)
 }
@@ -195,27 +201,29 @@ fn check_pictures(
 }
 
 /// Renders the missing frames. Resumes from the state beside the output if its scene and settings are the same.
-fn render(order: &Order<'_>, old: Old, say: Say) -> Result<Made, Failure> {
-    let Order { asked, target, frames, missing, scene, .. } = order;
-    let identity = Identity {
+fn render(request: &RenderRequest<'_>, existing: ExistingState, printer: Printer) -> Result<RenderResult, Failure> {
+    let RenderRequest { resolved, target, frames, missing, scene, .. } = request;
+    let identity = RunIdentity {
         engine: femc_worker::engine().to_owned(),
         bundle: scene.digest().to_string(),
-        settings: serde_json::to_value(&asked.settings).map_err(failed)?,
+        settings: serde_json::to_value(&resolved.settings).map_err(failed)?,
     };
-    let (state, found) = State::open(&target.state(), &identity, old)?;
-    let (out, all) = (target.display(), human::count(frames.len() as u64, "frame"));
+    let (state, state_match) = RunState::open(&target.state_folder(), &identity, existing)?;
+    let (out, all) = (target.display(), human::counted_noun(frames.len() as u64, "frame"));
     let others = missing.iter().filter(|&&frame| target.path(frame).exists()).count();
-    match found {
-        Found::Same => say.note(format!("{out}: resuming, {} of {all} finished", frames.len() - missing.len())),
-        Found::Nothing if others == 0 => {}
-        Found::Nothing | Found::Other => {
-            say.note(format!(
+    match state_match {
+        StateMatch::Same => {
+            printer.note(format!("{out}: resuming, {} of {all} finished", frames.len() - missing.len()));
+        }
+        StateMatch::Absent if others == 0 => {}
+        StateMatch::Absent | StateMatch::Other => {
+            printer.note(format!(
                 "{out}: the existing frames have another scene, other settings or another build of the engine; \
                 rendering them again"
             ));
         }
     }
-    let made = drive::run(order, &state, say)?;
-    state.remove().map_err(|e| failed(format!("{}: {e}", target.state().display())))?;
+    let made = drive::run(request, &state, printer)?;
+    state.remove().map_err(|e| failed(format!("{}: {e}", target.state_folder().display())))?;
     Ok(made)
 }

@@ -1,11 +1,11 @@
 //! Painted versions of frames, beside them: `FRAME.painted.png`.
 
-use super::layers_of;
+use super::layers_path;
 use crate::args::SettingsArgs;
-use crate::command::stylize::{Order, Painted, common_curve};
+use crate::command::stylize::{PaintRequest, PaintResult, common_curve};
 use crate::exit::{Failure, usage};
-use crate::output::Say;
-use crate::values::{Exposure, Style};
+use crate::output::Printer;
+use crate::values::{Exposure, PaintingStyle};
 use clap::Args;
 use femc_stylize::{Settings, styles};
 use femc_worker::Painting;
@@ -28,26 +28,26 @@ pub struct PaintingArgs {
 }
 
 /// Layers that painting reads: the guides, and the motion and depth that connect a frame to the next.
-const LAYERS: [&str; 3] = ["guides", "motion", "depth"];
+const PAINTING_LAYERS: [&str; 3] = ["guides", "motion", "depth"];
 
 /// Adds the layers that painting reads, if they are not requested yet.
-pub fn ask_for_layers(settings: &mut SettingsArgs) {
-    let missing = LAYERS.into_iter().filter(|name| !settings.layers.iter().any(|asked| asked.trim() == *name));
+pub fn request_painting_layers(settings: &mut SettingsArgs) {
+    let missing = PAINTING_LAYERS.into_iter().filter(|name| !settings.layers.iter().any(|asked| asked.trim() == *name));
     let missing: Vec<String> = missing.map(str::to_owned).collect();
     settings.layers.extend(missing);
 }
 
 impl PaintingArgs {
     /// Reads the style, before anything is rendered.
-    pub fn style(&self) -> Result<Option<Style>, Failure> {
+    pub fn style(&self) -> Result<Option<PaintingStyle>, Failure> {
         if let Some(boil) = self.boil.filter(|boil| !(0.0..=1.0).contains(boil)) {
             return Err(usage(format!("--boil {boil}: give a number from 0 to 1")));
         }
-        self.style.as_deref().map(|style| Style::read(style, self.style_source.as_deref())).transpose()
+        self.style.as_deref().map(|style| PaintingStyle::read(style, self.style_source.as_deref())).transpose()
     }
 
     /// Returns the painting for a farm. Its style must be one that comes with femc, because workers have no others.
-    pub fn wish(&self) -> Result<Option<Painting>, Failure> {
+    pub fn requested_painting(&self) -> Result<Option<Painting>, Failure> {
         let Some(style) = &self.style else { return Ok(None) };
         let boil = self.boil.unwrap_or(Settings::default().boil);
         let painting = Painting { style: style.display().to_string(), boil };
@@ -64,25 +64,25 @@ impl PaintingArgs {
 
     /// Paints the frames in order.
     /// - `threads`: number of threads, 0: one per processor;
-    /// - `part`: checkpoint file, which exists while painting runs.
+    /// - `checkpoint`: checkpoint file, which exists while painting runs.
     pub fn paint(
         &self,
-        style: &Style,
+        style: &PaintingStyle,
         files: &[String],
         exposure: Exposure,
         threads: u32,
-        part: &Path,
-        say: Say,
+        checkpoint: &Path,
+        printer: Printer,
     ) -> Result<Vec<String>, Failure> {
         if files.is_empty() {
             return Ok(Vec::new());
         }
-        let targets: Vec<PathBuf> = files.iter().map(|file| layers_of(file.as_ref())).collect();
+        let targets: Vec<PathBuf> = files.iter().map(|file| layers_path(file.as_ref())).collect();
         let outputs: Vec<PathBuf> = files.iter().map(|file| Path::new(file).with_extension("painted.png")).collect();
         let settings = Settings { boil: self.boil.unwrap_or(Settings::default().boil), ..Settings::default() };
         let curve = common_curve(exposure, &targets)?;
-        let Painted { frames, .. } =
-            Order { style, guides: &[], curve, settings, threads }.paint(&targets, &outputs, part, say)?;
+        let PaintResult { frames, .. } = PaintRequest { style, guides: &[], curve, settings, threads }
+            .paint(&targets, &outputs, checkpoint, printer)?;
         Ok(frames.into_iter().map(|row| row.image).collect())
     }
 }

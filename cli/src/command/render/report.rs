@@ -1,13 +1,13 @@
 //! Report of a render.
 
-use crate::output::{Say, error, human};
-use femc_model::Blocks;
+use crate::output::{Printer, error, human};
+use femc_model::BlockCounts;
 use serde::Serialize;
 use std::fmt;
 
 /// Summary of a render, printed whole by `--json`.
 #[derive(Debug, Default, Serialize)]
-pub struct Report {
+pub struct RenderReport {
     /// Scene file.
     pub scene: String,
     /// Output, as given with `--out`.
@@ -34,7 +34,7 @@ pub struct Report {
     /// Samples left out because they were not finite, negative or out of range.
     pub bad_samples: u64,
     /// Bad samples by frame.
-    pub bad: Vec<BadReport>,
+    pub bad: Vec<BadSamplesReport>,
     /// Exposure value of the pictures, if some were made.
     pub exposure_ev: Option<f64>,
     /// Files of the frames' layers, if they have some.
@@ -73,7 +73,7 @@ pub struct FrameReport {
 
 /// Bad samples of a frame.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct BadReport {
+pub struct BadSamplesReport {
     /// The frame.
     pub frame: u32,
     /// Samples with a NaN.
@@ -85,12 +85,12 @@ pub struct BadReport {
     /// Samples above the largest accepted radiance.
     pub out_of_range: u64,
     /// First bad sample by row, column and sample.
-    pub first: Option<First>,
+    pub first: Option<SamplePosition>,
 }
 
 /// A sample by its pixel and number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-pub struct First {
+pub struct SamplePosition {
     /// Column.
     pub x: u32,
     /// Row.
@@ -99,14 +99,14 @@ pub struct First {
     pub sample: u32,
 }
 
-impl BadReport {
+impl BadSamplesReport {
     /// Returns the number of bad samples of all kinds.
     pub fn total(&self) -> u64 {
         self.nan + self.infinite + self.negative + self.out_of_range
     }
 }
 
-impl fmt::Display for BadReport {
+impl fmt::Display for BadSamplesReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(
             f,
@@ -114,15 +114,15 @@ impl fmt::Display for BadReport {
             self.frame, self.nan, self.infinite, self.negative, self.out_of_range
         )?;
         match self.first {
-            Some(First { x, y, sample }) => write!(f, "; the first: pixel {x},{y}, sample {sample}"),
+            Some(SamplePosition { x, y, sample }) => write!(f, "; the first: pixel {x},{y}, sample {sample}"),
             None => Ok(()),
         }
     }
 }
 
-impl Report {
+impl RenderReport {
     /// Adds the frames and their sums to the report.
-    pub fn sum(&mut self, frames: Vec<FrameReport>) {
+    pub fn add_frames(&mut self, frames: Vec<FrameReport>) {
         let pixels = u64::from(self.size[0]) * u64::from(self.size[1]);
         self.files = frames.iter().map(|frame| frame.file.clone()).collect();
         let spp: u64 = frames.iter().map(|frame| u64::from(frame.spp)).sum();
@@ -136,44 +136,45 @@ impl Report {
     }
 
     /// Prints warnings on stderr about important problems.
-    pub fn warn(&self, say: Say) {
-        if let [first, others @ ..] = self.dark().as_slice() {
+    pub fn warn(&self, printer: Printer) {
+        if let [first, others @ ..] = self.dark_frames().as_slice() {
             let frames = match others.len() {
                 0 => format!("frame {first}"),
-                more => format!("frame {first} and {}", human::count(more as u64, "more frame")),
+                more => format!("frame {first} and {}", human::counted_noun(more as u64, "more frame")),
             };
             let scene = &self.scene;
-            say.warning(format!(
+            printer.warning(format!(
                 "no sample of {frames} met light; `femc check {scene}` lists lamps that light nothing"
             ));
         }
         if self.bad_samples > 0 {
-            let all = human::count(self.bad_samples, "bad sample");
-            say.warning(format!(
+            let all = human::counted_noun(self.bad_samples, "bad sample");
+            printer.warning(format!(
                 "{all} of {} left out of the image; please report the scene",
                 human::quantity(self.samples as f64)
             ));
             for bad in &self.bad {
-                say.warning(bad);
+                printer.warning(bad);
             }
         }
     }
 
     /// Returns the frames in which no sample met light.
-    fn dark(&self) -> Vec<u32> {
-        let is_dark = |frame: &&FrameReport| blocks(frame.blocks, frame.unlit_blocks).is_some_and(Blocks::is_dark);
+    fn dark_frames(&self) -> Vec<u32> {
+        let is_dark =
+            |frame: &&FrameReport| block_counts(frame.blocks, frame.unlit_blocks).is_some_and(BlockCounts::is_dark);
         self.frames.iter().filter(is_dark).map(|frame| frame.frame).collect()
     }
 
     /// Prints the report on stdout for people.
-    pub fn print(&self, say: Say) {
+    pub fn print(&self, printer: Printer) {
         let [width, height] = self.size;
         let what = match self.frames.as_slice() {
             [one] => one.file.clone(),
             frames => format!("{}: {} frames", self.out, frames.len()),
         };
         let mut line = format!("{what}, {width}x{height} pixels, {} samples a pixel", trimmed(self.spp));
-        if let Some(error) = error::words(self.relative_error, blocks(self.blocks, self.unlit_blocks)) {
+        if let Some(error) = error::error_text(self.relative_error, block_counts(self.blocks, self.unlit_blocks)) {
             line += &format!(", {error}");
         }
         if let Some(ev) = self.exposure_ev {
@@ -182,18 +183,18 @@ impl Report {
         line += &format!(", {}", human::seconds(self.seconds));
         let kept = self.frames.len() - self.rendered.min(self.frames.len());
         if kept > 0 {
-            line += &format!(" ({} already finished)", human::count(kept as u64, "frame"));
+            line += &format!(" ({} already finished)", human::counted_noun(kept as u64, "frame"));
         }
-        say.result(line);
+        printer.result(line);
         for made in [&self.video, &self.contact_sheet, &self.report].into_iter().flatten() {
-            say.result(made);
+            printer.result(made);
         }
     }
 }
 
 /// Combines two block counts, if both are known.
-fn blocks(all: Option<u32>, unlit: Option<u32>) -> Option<Blocks> {
-    Some(Blocks { all: all?, unlit: unlit? })
+fn block_counts(all: Option<u32>, unlit: Option<u32>) -> Option<BlockCounts> {
+    Some(BlockCounts { all: all?, unlit: unlit? })
 }
 
 /// Formats a number without meaningless decimals.
@@ -217,10 +218,10 @@ mod tests {
             seconds: 1.0,
             bad_samples: 2,
         };
-        let mut report = Report { size: [4, 2], ..Report::default() };
-        report.sum(vec![frame(1, 16, Some(0.1)), frame(2, 32, Some(0.2)), frame(3, 16, None)]);
+        let mut report = RenderReport { size: [4, 2], ..RenderReport::default() };
+        report.add_frames(vec![frame(1, 16, Some(0.1)), frame(2, 32, Some(0.2)), frame(3, 16, None)]);
         assert_eq!((report.samples, report.bad_samples, report.relative_error), (512, 6, Some(0.2)));
         assert_eq!(report.files, ["1.exr", "2.exr", "3.exr"]);
-        assert_eq!((report.blocks, report.unlit_blocks, report.dark()), (Some(12), Some(6), vec![3]));
+        assert_eq!((report.blocks, report.unlit_blocks, report.dark_frames()), (Some(12), Some(6), vec![3]));
     }
 }

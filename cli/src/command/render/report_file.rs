@@ -1,7 +1,7 @@
 //! File with the usage of a run's tasks.
 
 use crate::exit::{Failure, failed, usage};
-use femc_reports::attempts::{By, JobRecord, Json, columns, csv, rows, write_parquet};
+use femc_reports::attempts::{GroupBy, JobRecord, RowsAsJson, columns, csv, rows, write_parquet};
 use femc_reports::pages;
 use std::path::{Path, PathBuf};
 
@@ -9,11 +9,11 @@ use std::path::{Path, PathBuf};
 #[derive(Debug)]
 pub struct ReportFile {
     path: PathBuf,
-    form: Form,
+    format: Format,
 }
 
 #[derive(Debug, Clone, Copy)]
-enum Form {
+enum Format {
     Page,
     Csv,
     Json,
@@ -22,26 +22,26 @@ enum Form {
 
 impl ReportFile {
     /// Chooses the format by the extension of the file name.
-    pub fn to(path: &Path) -> Result<Self, Failure> {
-        let form = match path.extension().and_then(|extension| extension.to_str()) {
-            Some("html") => Form::Page,
-            Some("csv") => Form::Csv,
-            Some("json") => Form::Json,
-            Some("parquet") => Form::Parquet,
+    pub fn from_path(path: &Path) -> Result<Self, Failure> {
+        let format = match path.extension().and_then(|extension| extension.to_str()) {
+            Some("html") => Format::Page,
+            Some("csv") => Format::Csv,
+            Some("json") => Format::Json,
+            Some("parquet") => Format::Parquet,
             _ => return Err(usage(format!("--report {}: give FILE.html, .csv, .json or .parquet", path.display()))),
         };
-        Ok(Self { path: path.to_owned(), form })
+        Ok(Self { path: path.to_owned(), format })
     }
 
     /// Writes the usage. Returns the file's name.
     pub fn write(&self, record: JobRecord) -> Result<String, Failure> {
         let records = vec![record];
-        let (columns, rows) = (columns(By::Attempt), rows(&records, By::Attempt));
-        let bytes = match self.form {
-            Form::Page => pages::Report { title: None, records }.html()?.into_bytes(),
-            Form::Csv => (csv(&columns, &rows) + "\n").into_bytes(),
-            Form::Json => serde_json::to_vec_pretty(&Json(&columns, &rows)).map_err(failed)?,
-            Form::Parquet => {
+        let (columns, rows) = (columns(GroupBy::Attempt), rows(&records, GroupBy::Attempt));
+        let bytes = match self.format {
+            Format::Page => pages::JobsReport { title: None, records }.html()?.into_bytes(),
+            Format::Csv => (csv(&columns, &rows) + "\n").into_bytes(),
+            Format::Json => serde_json::to_vec_pretty(&RowsAsJson(&columns, &rows)).map_err(failed)?,
+            Format::Parquet => {
                 write_parquet(&self.path, &columns, &rows)?;
                 return Ok(self.path.display().to_string());
             }

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 /// Identity of a run. Two runs with equal identities render the same bytes, so one may resume from the state of the other.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Identity {
+pub struct RunIdentity {
     /// Build of the engine.
     pub engine: String,
     /// Content hash of the scene's files.
@@ -19,7 +19,7 @@ pub struct Identity {
 
 /// Treatment of an existing state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Old {
+pub enum ExistingState {
     /// Resume from it, if its identity is the same.
     Keep,
     /// Remove it.
@@ -28,9 +28,9 @@ pub enum Old {
 
 /// Result of the search for a state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Found {
+pub enum StateMatch {
     /// No state exists.
-    Nothing,
+    Absent,
     /// A state with the same identity exists: resume from it.
     Same,
     /// A state with another identity existed and was removed.
@@ -39,14 +39,14 @@ pub enum Found {
 
 /// The folder of the state. It is locked against other processes until this value is dropped.
 #[derive(Debug)]
-pub struct State {
+pub struct RunState {
     folder: PathBuf,
     _lock: File,
 }
 
-impl State {
+impl RunState {
     /// Opens the state in `folder`, which is created if missing. A state with another identity is removed.
-    pub fn open(folder: &Path, identity: &Identity, old: Old) -> Result<(Self, Found), Failure> {
+    pub fn open(folder: &Path, identity: &RunIdentity, existing: ExistingState) -> Result<(Self, StateMatch), Failure> {
         let at = |what: &str, e: &dyn std::fmt::Display| failed(format!("{}: {what}: {e}", folder.display()));
         fs::create_dir_all(folder).map_err(|e| at("cannot be created", &e))?;
         let lock = File::create(folder.join("lock")).map_err(|e| at("cannot be written", &e))?;
@@ -62,20 +62,20 @@ impl State {
         }
         let state = Self { folder: folder.to_owned(), _lock: lock };
         let file = folder.join("identity.json");
-        let found = match fs::read(&file) {
-            Ok(text) if old == Old::Keep && same(&text, identity) => Found::Same,
+        let state_match = match fs::read(&file) {
+            Ok(text) if existing == ExistingState::Keep && is_same_identity(&text, identity) => StateMatch::Same,
             Ok(_) => {
                 state.clear().map_err(|e| at("cannot be emptied", &e))?;
-                Found::Other
+                StateMatch::Other
             }
-            Err(_) => Found::Nothing,
+            Err(_) => StateMatch::Absent,
         };
-        if found != Found::Same {
+        if state_match != StateMatch::Same {
             let text = serde_json::to_vec_pretty(identity).map_err(failed)?;
             let written = File::create(&file).and_then(|mut file| file.write_all(&text).and_then(|()| file.sync_all()));
             written.map_err(|e| at("cannot be written", &e))?;
         }
-        Ok((state, found))
+        Ok((state, state_match))
     }
 
     /// Returns the path of the embedded farm's log.
@@ -94,7 +94,7 @@ impl State {
     }
 
     /// Stores the frames of the job, before it is submitted.
-    pub fn keep_frames(&self, frames: &[u32]) -> Result<(), Failure> {
+    pub fn save_frames(&self, frames: &[u32]) -> Result<(), Failure> {
         let text = serde_json::to_vec(frames).map_err(failed)?;
         femc_film::file::write_atomic(&self.folder.join("frames.json"), &text).map_err(failed)
     }
@@ -118,61 +118,64 @@ impl State {
     }
 }
 
-fn same(text: &[u8], identity: &Identity) -> bool {
-    serde_json::from_slice::<Identity>(text).is_ok_and(|found| found == *identity)
+fn is_same_identity(text: &[u8], identity: &RunIdentity) -> bool {
+    serde_json::from_slice::<RunIdentity>(text).is_ok_and(|found| found == *identity)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn identity(seed: u64) -> Identity {
-        Identity { engine: "1".into(), bundle: "b".into(), settings: serde_json::json!({ "seed": seed }) }
+    fn identity(seed: u64) -> RunIdentity {
+        RunIdentity { engine: "1".into(), bundle: "b".into(), settings: serde_json::json!({ "seed": seed }) }
     }
 
     #[test]
     fn state_is_reused_for_same_identity_and_cleared_for_another() {
-        let place = tempfile::tempdir().expect("a folder");
-        let folder = place.path().join("out/.femc");
-        let open = |seed| State::open(&folder, &identity(seed), Old::Keep).expect("a state");
+        let temp = tempfile::tempdir().expect("a folder");
+        let folder = temp.path().join("out/.femc");
+        let open = |seed| RunState::open(&folder, &identity(seed), ExistingState::Keep).expect("a state");
         let (state, found) = open(1);
-        assert_eq!(found, Found::Nothing);
+        assert_eq!(found, StateMatch::Absent);
         fs::write(state.log(), "log").expect("written");
         fs::create_dir(state.artifacts()).expect("made");
         drop(state);
         let (state, found) = open(1);
-        assert_eq!((found, state.log().exists()), (Found::Same, true));
+        assert_eq!((found, state.log().exists()), (StateMatch::Same, true));
         drop(state);
         let (state, found) = open(2);
-        assert_eq!((found, state.log().exists(), state.artifacts().exists()), (Found::Other, false, false));
+        assert_eq!((found, state.log().exists(), state.artifacts().exists()), (StateMatch::Other, false, false));
         state.remove().expect("removed");
-        assert!(!folder.exists() && place.path().join("out").exists());
+        assert!(!folder.exists() && temp.path().join("out").exists());
     }
 
     #[test]
     fn a_state_is_discarded_on_demand() {
-        let place = tempfile::tempdir().expect("a folder");
-        let open = |old| State::open(place.path(), &identity(1), old).expect("a state");
-        let (state, _) = open(Old::Keep);
+        let temp = tempfile::tempdir().expect("a folder");
+        let open = |old| RunState::open(temp.path(), &identity(1), old).expect("a state");
+        let (state, _) = open(ExistingState::Keep);
         fs::write(state.log(), "log").expect("written");
         drop(state);
-        let (state, found) = open(Old::Discard);
-        assert_eq!((found, state.log().exists()), (Found::Other, false));
+        let (state, found) = open(ExistingState::Discard);
+        assert_eq!((found, state.log().exists()), (StateMatch::Other, false));
     }
 
     #[test]
     fn a_state_in_use_is_refused() {
-        let place = tempfile::tempdir().expect("a folder");
-        let first = State::open(place.path(), &identity(1), Old::Keep).expect("a state");
-        let second = State::open(place.path(), &identity(1), Old::Keep).expect_err("a refusal");
+        let temp = tempfile::tempdir().expect("a folder");
+        let first = RunState::open(temp.path(), &identity(1), ExistingState::Keep).expect("a state");
+        let second = RunState::open(temp.path(), &identity(1), ExistingState::Keep).expect_err("a refusal");
         assert!(second.message.contains("another femc"), "{second}");
         drop(first);
     }
 
     #[test]
     fn a_damaged_identity_is_another_one() {
-        let place = tempfile::tempdir().expect("a folder");
-        fs::write(place.path().join("identity.json"), "{").expect("written");
-        assert_eq!(State::open(place.path(), &identity(1), Old::Keep).expect("a state").1, Found::Other);
+        let temp = tempfile::tempdir().expect("a folder");
+        fs::write(temp.path().join("identity.json"), "{").expect("written");
+        assert_eq!(
+            RunState::open(temp.path(), &identity(1), ExistingState::Keep).expect("a state").1,
+            StateMatch::Other
+        );
     }
 }

@@ -1,8 +1,8 @@
 //! Destination of frames: OUT ending in `.exr` or `.png` is one image, anything else is a folder of numbered images.
 
 use crate::exit::{Failure, usage};
-use crate::output::Say;
-use crate::request::{Asked, FramesChosen, picture};
+use crate::output::Printer;
+use crate::request::{FramesChosen, ResolvedRequest, picture};
 use std::path::{Path, PathBuf};
 
 /// Destination of frames.
@@ -21,7 +21,7 @@ pub enum Target {
 
 impl Target {
     /// Interprets `out` for a scene named `stem` with `frames` frames.
-    pub fn of(out: Option<&Path>, stem: &str, frames: usize) -> Result<Self, Failure> {
+    pub fn parse(out: Option<&Path>, stem: &str, frames: usize) -> Result<Self, Failure> {
         let Some(out) = out else {
             let (image, folder) = (PathBuf::from(format!("{stem}.exr")), PathBuf::from(stem));
             return Ok(if frames == 1 { Self::Image(image) } else { Self::Folder { folder, stem: stem.to_owned() } });
@@ -47,13 +47,13 @@ impl Target {
     }
 
     /// Returns the frames to write. A single image takes the first frame of a clip if no frames were chosen.
-    pub fn frames(&self, asked: &Asked, say: Say) -> Result<Vec<u32>, Failure> {
-        let frames = &asked.plan.frames;
-        match (self, frames.as_slice(), asked.frames_chosen) {
+    pub fn frames(&self, resolved: &ResolvedRequest, printer: Printer) -> Result<Vec<u32>, Failure> {
+        let frames = &resolved.plan.frames;
+        match (self, frames.as_slice(), resolved.frames_chosen) {
             (Self::Image(path), [first, _, ..], FramesChosen::All) => {
                 let last = frames.last().copied().unwrap_or(*first);
                 let path = path.display();
-                say.note(format!(
+                printer.note(format!(
                     "{path} is one image: rendering only frame {first} of {first}..{last} (give a folder as OUT for all frames)"
                 ));
                 Ok(vec![*first])
@@ -76,7 +76,7 @@ impl Target {
     }
 
     /// Returns the checkpoint file of the painting, needed to resume after a stop.
-    pub fn part(&self) -> PathBuf {
+    pub fn checkpoint(&self) -> PathBuf {
         match self {
             Self::Image(path) => path.with_extension("painted.part"),
             Self::Folder { folder, .. } => folder.join("painted.part"),
@@ -84,7 +84,7 @@ impl Target {
     }
 
     /// Returns the folder of the state, needed to resume after a stop.
-    pub fn state(&self) -> PathBuf {
+    pub fn state_folder(&self) -> PathBuf {
         match self {
             Self::Image(path) => {
                 let mut name = path.clone().into_os_string();
@@ -128,37 +128,37 @@ pub fn still_name(stem: &str, frame: u32) -> String {
 mod tests {
     use super::*;
 
-    fn of(out: &str, frames: usize) -> Option<Target> {
-        Target::of(Some(Path::new(out)), "fog", frames).ok()
+    fn parse_out(out: &str, frames: usize) -> Option<Target> {
+        Target::parse(Some(Path::new(out)), "fog", frames).ok()
     }
 
     #[test]
     fn exr_and_png_names_are_images_with_their_state_beside_them() {
-        let target = of("a/b.exr", 1).expect("a target");
+        let target = parse_out("a/b.exr", 1).expect("a target");
         assert_eq!(target.path(7), Path::new("a/b.exr"));
-        assert_eq!(target.state(), Path::new("a/b.exr.femc"));
-        assert!(!target.is_picture() && of("a/b.PNG", 1).is_some_and(|target| target.is_picture()));
+        assert_eq!(target.state_folder(), Path::new("a/b.exr.femc"));
+        assert!(!target.is_picture() && parse_out("a/b.PNG", 1).is_some_and(|target| target.is_picture()));
     }
 
     #[test]
     fn any_other_name_is_a_folder_of_numbered_frames() {
-        let target = of("clip", 1).expect("a target");
+        let target = parse_out("clip", 1).expect("a target");
         assert_eq!(target.path(7), Path::new("clip/fog.0007.exr"));
         assert_eq!(target.path(12345), Path::new("clip/fog.12345.exr"));
-        assert_eq!(target.state(), Path::new("clip/.femc"));
+        assert_eq!(target.state_folder(), Path::new("clip/.femc"));
     }
 
     #[test]
     fn without_a_name_a_still_is_an_image_and_a_clip_a_folder() {
-        assert_eq!(Target::of(None, "fog", 1).ok(), Some(Target::Image("fog.exr".into())));
+        assert_eq!(Target::parse(None, "fog", 1).ok(), Some(Target::Image("fog.exr".into())));
         let folder = Target::Folder { folder: "fog".into(), stem: "fog".into() };
-        assert_eq!(Target::of(None, "fog", 2).ok(), Some(folder));
+        assert_eq!(Target::parse(None, "fog", 2).ok(), Some(folder));
     }
 
     #[test]
     fn names_that_promise_another_format_are_refused() {
         for out in ["a.tif", "a.JPG", "clip.mp4", "clip.gif"] {
-            assert_eq!(of(out, 1), None, "{out}");
+            assert_eq!(parse_out(out, 1), None, "{out}");
         }
     }
 }

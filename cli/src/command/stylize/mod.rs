@@ -1,18 +1,21 @@
 //! `femc stylize`: paints renders in the style of a painted example, guided by light.
 
-mod kept;
+mod checkpoint;
 mod row;
 
-use crate::args::{FormatArgs, fits};
+use crate::args::{FormatArgs, glob_match};
 use crate::clock::Clock;
 use crate::exit::{Exit, Failure, failed, usage};
-use crate::output::{Progress, Say, human, json};
+use crate::output::{Printer, Progress, human, json};
 use crate::threads;
-use crate::values::{Exposure, Style, guide_frame};
+use crate::values::{Exposure, PaintingStyle, guide_frame};
+use checkpoint::RunCheckpoint;
 use clap::{Args, ValueEnum};
-use femc_film::{Levels, ToneCurve, file};
-use femc_stylize::{Before, Begun, Example, GuideFrame, Planes, Settings, StylizeError, Stylized, Watch, frames};
-use kept::Kept;
+use femc_film::{LuminanceLevels, ToneCurve, file};
+use femc_stylize::{
+    ChannelImage, Checkpoint, Example, GuideFrame, PreviousFrame, ProgressObserver, Settings, StylizeError,
+    StylizedImage, frames,
+};
 use row::Row;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -89,7 +92,7 @@ enum Method {
 }
 
 #[derive(Serialize)]
-struct Report {
+struct StylizeReport {
     method: Method,
     mu: f32,
     balance: f32,
@@ -102,26 +105,27 @@ struct Report {
 }
 
 /// Runs `femc stylize`.
-pub fn run(args: &StylizeArgs, say: Say) -> Result<Exit, Failure> {
-    let targets = targets(&args.target)?;
+pub fn run(args: &StylizeArgs, printer: Printer) -> Result<Exit, Failure> {
+    let targets = expand_targets(&args.target)?;
     let outputs = args.outputs(&targets)?;
-    let style = Style::read(&args.style, args.source.as_deref())?;
-    if let Some(paper) = style.paper() {
-        say.warning(format!("--style {}: {paper}", args.style.display()));
+    let style = PaintingStyle::read(&args.style, args.source.as_deref())?;
+    if let Some(paper) = style.transparency_warning() {
+        printer.warning(format!("--style {}: {paper}", args.style.display()));
     }
     let (settings, threads) = (args.settings(), args.threads.unwrap_or(0));
     let curve = common_curve(args.exposure, &targets)?;
-    let order = Order { style: &style, guides: &args.guides, curve, settings, threads };
-    let Painted { guides, seconds, frames, is_moved } = order.paint(&targets, &outputs, &Kept::path(&args.out), say)?;
+    let request = PaintRequest { style: &style, guides: &args.guides, curve, settings, threads };
+    let PaintResult { guides, seconds, frames, has_motion } =
+        request.paint(&targets, &outputs, &RunCheckpoint::path(&args.out), printer)?;
     let Settings { mu, balance, boil, patch, iterations, .. } = settings;
-    let report = Report { method: args.method, mu, balance, boil, patch, iterations, guides, seconds, frames };
+    let report = StylizeReport { method: args.method, mu, balance, boil, patch, iterations, guides, seconds, frames };
     if args.format.json {
-        json::print(say, &report)?;
+        json::print(printer, &report)?;
     } else {
-        print(say, &report);
+        print(printer, &report);
     }
-    if report.frames.len() > 1 && !is_moved {
-        say.note(
+    if report.frames.len() > 1 && !has_motion {
+        printer.note(
             "each target was painted independently, because they have no layer `motion`; \
                 `femc render --layers motion,depth` writes it",
         );
@@ -130,9 +134,9 @@ pub fn run(args: &StylizeArgs, say: Say) -> Result<Exit, Failure> {
 }
 
 /// A request to paint frames.
-pub struct Order<'a> {
+pub struct PaintRequest<'a> {
     /// Style of the paintings.
-    pub style: &'a Style,
+    pub style: &'a PaintingStyle,
     /// Names of the guiding layers; empty: all that source and frames have.
     pub guides: &'a [String],
     /// Tone curve of the frames.
@@ -144,7 +148,7 @@ pub struct Order<'a> {
 }
 
 /// Result of painting.
-pub struct Painted {
+pub struct PaintResult {
     /// Names of the layers used as guides.
     pub guides: Vec<String>,
     /// Total time in seconds.
@@ -152,60 +156,77 @@ pub struct Painted {
     /// Report rows, frame by frame.
     pub frames: Vec<Row>,
     /// Whether the frames have motion vectors.
-    pub is_moved: bool,
+    pub has_motion: bool,
 }
 
-impl Order<'_> {
+impl PaintRequest<'_> {
     /// Paints frames in order, each after its predecessor; needs at least one target. An interrupted run resumes at the level where
     /// it stopped.
     /// - `outputs`: picture file of each target;
-    /// - `part`: checkpoint file, which exists while painting runs.
-    pub fn paint(&self, targets: &[PathBuf], outputs: &[PathBuf], part: &Path, say: Say) -> Result<Painted, Failure> {
-        let (clock, progress) = (Clock, Mutex::new(Progress::new(say, Clock)));
+    /// - `checkpoint_path`: checkpoint file, which exists while painting runs.
+    pub fn paint(
+        &self,
+        targets: &[PathBuf],
+        outputs: &[PathBuf],
+        checkpoint_path: &Path,
+        printer: Printer,
+    ) -> Result<PaintResult, Failure> {
+        let (clock, progress) = (Clock, Mutex::new(Progress::new(printer, Clock)));
         let started = clock.now();
-        let Style { painting, source, source_path, .. } = self.style;
+        let PaintingStyle { painting, source, source_path, .. } = self.style;
         let first = guide_frame("--target", &targets[0])?;
         let names = match self.guides {
-            [] => frames::common(source, &first).map_err(|error| told(&error, &targets[0]))?,
+            [] => frames::common_guides(source, &first).map_err(|error| map_stylize_error(&error, &targets[0]))?,
             named => named.iter().map(String::as_str).collect(),
         };
-        let shown = source.guides(&names, ToneCurve::auto(source.exposed().as_ref()));
-        let guides = shown.map_err(|error| told(&error, source_path))?;
+        let shown = source.guides(&names, ToneCurve::auto(source.exposure_image().as_ref()));
+        let guides = shown.map_err(|error| map_stylize_error(&error, source_path))?;
         let example = Example { style: painting, guides: &guides };
         let pool = threads::pool(Some(self.threads))?;
-        let paint = |frame: &GuideFrame, before: Option<&Before>, begun: Option<Begun>, watch: &dyn Watch| {
+        let paint = |frame: &GuideFrame,
+                     before: Option<&PreviousFrame>,
+                     begun: Option<Checkpoint>,
+                     watch: &dyn ProgressObserver| {
             let shown = frame.guides(&names, self.curve)?;
             pool.install(|| femc_stylize::stylize(example, &shown, before, &self.settings, begun, watch))
         };
-        let keys = self.keys(&names, &guides, targets);
-        let mut kept = Kept::read(part).filter(|kept| {
+        let keys = self.frame_keys(&names, &guides, targets);
+        let mut checkpoint = RunCheckpoint::read(checkpoint_path).filter(|kept| {
             let painted = outputs.get(..kept.frame).unwrap_or_default();
             keys.get(kept.frame) == Some(&kept.key) && painted.iter().all(|out| out.exists())
         });
         let mut first = Some(first);
-        let (mut rows, mut last): (Vec<Row>, Option<(Stylized, GuideFrame)>) = (Vec::new(), None);
-        if let Some(kept) = &mut kept {
-            say.note(format!("{}: resuming, {} of {} painted", part.display(), kept.frame, targets.len()));
-            rows = std::mem::take(&mut kept.rows);
-            if let Some(target) = kept.frame.checked_sub(1).map(|at| &targets[at]) {
+        let (mut rows, mut last): (Vec<Row>, Option<(StylizedImage, GuideFrame)>) = (Vec::new(), None);
+        if let Some(checkpoint) = &mut checkpoint {
+            printer.note(format!(
+                "{}: resuming, {} of {} painted",
+                checkpoint_path.display(),
+                checkpoint.frame,
+                targets.len()
+            ));
+            rows = std::mem::take(&mut checkpoint.rows);
+            if let Some(target) = checkpoint.frame.checked_sub(1).map(|at| &targets[at]) {
                 let frame = guide_frame("--target", target)?;
-                let done = Begun { left: 0, patches: std::mem::take(&mut kept.last) };
-                let painted = paint(&frame, None, Some(done), &()).map_err(|error| told(&error, target))?;
+                let done = Checkpoint { levels_left: 0, patches: std::mem::take(&mut checkpoint.last) };
+                let painted =
+                    paint(&frame, None, Some(done), &()).map_err(|error| map_stylize_error(&error, target))?;
                 last = Some((painted, frame));
             }
         }
-        let (first_left, mut begun) = kept.map_or((0, None), |kept| (kept.frame, kept.begun));
+        let (first_left, mut begun) = checkpoint.map_or((0, None), |kept| (kept.frame, kept.in_progress));
         for (at, (target, out)) in targets.iter().zip(outputs).enumerate().skip(first_left) {
             let began = clock.now();
             let frame = match first.take().filter(|_| at == 0) {
                 Some(first) => first,
                 None => guide_frame("--target", target)?,
             };
-            let told = |error: StylizeError| told(&error, target);
-            let before = pool.install(|| last.as_ref().and_then(|(painted, frame)| moved(painted, frame)));
-            let before = before.transpose().map_err(told)?;
+            let to_failure = |error: StylizeError| map_stylize_error(&error, target);
+            let before = pool.install(|| last.as_ref().and_then(|(painted, frame)| warp_previous(painted, frame)));
+            let before = before.transpose().map_err(to_failure)?;
             let fields = last.map(|(painted, _)| painted.field.patches).unwrap_or_default();
-            let keep = |begun| Kept::new(keys[at].clone(), at, rows.clone(), fields.clone(), begun).write(part);
+            let keep = |begun| {
+                RunCheckpoint::new(keys[at].clone(), at, rows.clone(), fields.clone(), begun).write(checkpoint_path)
+            };
             if at > first_left {
                 keep(None)?;
             }
@@ -213,36 +234,41 @@ impl Order<'_> {
                 step: &|now| {
                     let part = (at as f64 + now.fraction) / targets.len() as f64;
                     let text = || format!("{}: level {}/{}", out.display(), now.level, now.levels);
-                    progress.lock().unwrap_or_else(PoisonError::into_inner).at(part, text);
+                    progress.lock().unwrap_or_else(PoisonError::into_inner).update(part, text);
                 },
                 level: &|begun| {
                     if let Err(failure) = keep(Some(begun)) {
-                        say.warning(format!("{}: cannot save the progress: {}", part.display(), failure.message));
+                        printer.warning(format!(
+                            "{}: cannot save the progress: {}",
+                            checkpoint_path.display(),
+                            failure.message
+                        ));
                     }
                 },
             };
-            let painted = paint(&frame, before.as_ref(), begun.take(), &watch).map_err(told)?;
-            file::write_atomic(out, &frames::picture(&painted.image).to_png().map_err(failed)?).map_err(failed)?;
+            let painted = paint(&frame, before.as_ref(), begun.take(), &watch).map_err(to_failure)?;
+            file::write_atomic(out, &frames::image_to_picture(&painted.image).to_png().map_err(failed)?)
+                .map_err(failed)?;
             let flicker = before.and_then(|before| before.flicker(&painted.image));
-            rows.push(Row::of(out, &painted, flicker, clock.since(began).as_secs_f64()));
+            rows.push(Row::new(out, &painted, flicker, clock.since(began).as_secs_f64()));
             last = Some((painted, frame));
         }
-        match std::fs::remove_file(part) {
+        match std::fs::remove_file(checkpoint_path) {
             Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-                return Err(failed(format!("{}: {error}", part.display())));
+                return Err(failed(format!("{}: {error}", checkpoint_path.display())));
             }
             _ => {}
         }
-        Ok(Painted {
+        Ok(PaintResult {
             guides: names.into_iter().map(str::to_owned).collect(),
             seconds: clock.since(started).as_secs_f64(),
             frames: rows,
-            is_moved: last.is_some_and(|(_, frame)| frame.motion().is_some()),
+            has_motion: last.is_some_and(|(_, frame)| frame.motion().is_some()),
         })
     }
 
     /// Returns a digest for each frame of everything that determines its bytes.
-    fn keys(&self, names: &[&str], guides: &Planes, targets: &[PathBuf]) -> Vec<String> {
+    fn frame_keys(&self, names: &[&str], guides: &ChannelImage, targets: &[PathBuf]) -> Vec<String> {
         let mut key = blake3::Hasher::new();
         let Self { curve, settings, .. } = self;
         key.update(format!("{} {settings:?} {curve:?} {names:?}", env!("CARGO_PKG_VERSION")).as_bytes());
@@ -262,22 +288,22 @@ impl Order<'_> {
 /// Shows the progress of a frame's painting, and saves checkpoints.
 struct Watcher<'a> {
     step: &'a (dyn Fn(femc_stylize::Progress) + Sync),
-    level: &'a (dyn Fn(Begun) + Sync),
+    level: &'a (dyn Fn(Checkpoint) + Sync),
 }
 
-impl Watch for Watcher<'_> {
-    fn step(&self, now: femc_stylize::Progress) {
+impl ProgressObserver for Watcher<'_> {
+    fn on_progress(&self, now: femc_stylize::Progress) {
         (self.step)(now);
     }
 
-    fn level(&self, begun: Begun) {
+    fn on_checkpoint(&self, begun: Checkpoint) {
         (self.level)(begun);
     }
 }
 
 /// Returns the previous frame, warped to the view of this one; `None`: its motion is not known.
-fn moved(painted: &Stylized, frame: &GuideFrame) -> Option<Result<Before, StylizeError>> {
-    frame.motion().map(|motion| Before::new(painted, motion, frame.depth()))
+fn warp_previous(painted: &StylizedImage, frame: &GuideFrame) -> Option<Result<PreviousFrame, StylizeError>> {
+    frame.motion().map(|motion| PreviousFrame::new(painted, motion, frame.depth()))
 }
 
 impl StylizeArgs {
@@ -296,7 +322,7 @@ impl StylizeArgs {
         match targets {
             [_] if is_png => return Ok(vec![self.out.clone()]),
             [_, _, ..] if is_png => {
-                let count = human::count(targets.len() as u64, "target");
+                let count = human::counted_noun(targets.len() as u64, "target");
                 return Err(usage(format!(
                     "-o {}: {count}, but this is one picture; give a folder, FOLDER/",
                     self.out.display()
@@ -330,11 +356,11 @@ impl StylizeArgs {
 
 /// Returns the common tone curve of all targets.
 pub fn common_curve(exposure: Exposure, targets: &[PathBuf]) -> Result<ToneCurve, Failure> {
-    let mut all = Levels::default();
+    let mut all = LuminanceLevels::default();
     if exposure == Exposure::Auto {
         for target in targets {
-            let exposed = guide_frame("--target", target)?.exposed();
-            all.merge(&exposed.as_ref().map_or_else(Levels::default, Levels::of_image));
+            let exposed = guide_frame("--target", target)?.exposure_image();
+            all.merge(&exposed.as_ref().map_or_else(LuminanceLevels::default, LuminanceLevels::from_image));
         }
     }
     Ok(exposure.curve(&all))
@@ -342,7 +368,7 @@ pub fn common_curve(exposure: Exposure, targets: &[PathBuf]) -> Result<ToneCurve
 
 /// Converts an error into a message with advice.
 /// - `path`: the faulty frame, if any.
-fn told(error: &StylizeError, path: &Path) -> Failure {
+fn map_stylize_error(error: &StylizeError, path: &Path) -> Failure {
     let path = path.display();
     match error {
         StylizeError::Mu(mu) => usage(format!("--mu {mu}: give a number that is not negative")),
@@ -361,14 +387,14 @@ fn told(error: &StylizeError, path: &Path) -> Failure {
             target_guides.join(", ")
         )),
         StylizeError::NoGuide(name) => failed(format!("{path}: no layer `{name}`; see --guides")),
-        StylizeError::BeforeSize { .. } => {
+        StylizeError::PreviousFrameSize { .. } => {
             failed(format!("{path}: {error}; all frames of a clip have one size: paint this file separately"))
         }
         StylizeError::NotFinite { .. } => failed(format!("{path}: {error}; render or repair the image")),
         StylizeError::Shape { .. }
         | StylizeError::StyleSize { .. }
         | StylizeError::StyleChannels(_)
-        | StylizeError::Begun
+        | StylizeError::ForeignCheckpoint
         | StylizeError::Brushwork
         | StylizeError::File(_)
         | StylizeError::Channels { .. } => failed(format!("{path}: {error}")),
@@ -376,9 +402,9 @@ fn told(error: &StylizeError, path: &Path) -> Failure {
 }
 
 /// Returns the files to paint: named files, and for each pattern all matching files in alphabetical order.
-fn targets(asked: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
+fn expand_targets(requested: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
     let mut all = Vec::new();
-    for path in asked {
+    for path in requested {
         let Some(pattern) = path.file_name().and_then(|name| name.to_str()).filter(|name| name.contains('*')) else {
             all.push(path.clone());
             continue;
@@ -387,7 +413,7 @@ fn targets(asked: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
         let fault = |error| failed(format!("--target {}: {error}", path.display()));
         let entries = std::fs::read_dir(folder).and_then(Iterator::collect::<Result<Vec<_>, _>>).map_err(fault)?;
         let mut names: Vec<String> = entries.iter().filter_map(|entry| entry.file_name().into_string().ok()).collect();
-        names.retain(|name| fits(pattern, name));
+        names.retain(|name| glob_match(pattern, name));
         names.sort_unstable();
         if names.is_empty() {
             return Err(usage(format!("--target {}: no such file", path.display())));
@@ -397,7 +423,7 @@ fn targets(asked: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
     Ok(all)
 }
 
-fn print(say: Say, report: &Report) {
+fn print(printer: Printer, report: &StylizeReport) {
     let columns = ["picture", "guide error", "entropy", "unused", "sharpness", "flicker", "time"];
     let row = |row: &Row| {
         let or_none = |value: Option<f64>, digits: usize| value.map_or("-".to_owned(), |it| format!("{it:.digits$}"));
@@ -412,8 +438,8 @@ fn print(say: Say, report: &Report) {
         ]
     };
     let rows: Vec<Vec<String>> = report.frames.iter().map(row).collect();
-    say.result(human::table(&columns, &rows));
+    printer.result(human::table(&columns, &rows));
     for row in &report.frames {
-        say.note(format!("wrote {}", row.image));
+        printer.note(format!("wrote {}", row.image));
     }
 }

@@ -1,6 +1,6 @@
 //! Report row of a painted target in `femc stylize`: its file, size, time and quality figures.
 
-use femc_stylize::{Figures, Stylized};
+use femc_stylize::{QualityMetrics, StylizedImage};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -21,14 +21,14 @@ pub struct Row {
     pub target_patches: usize,
     /// Quality figures.
     #[serde(flatten)]
-    pub figures: Figures,
+    pub figures: QualityMetrics,
     /// Mean difference from the previous frame along the motion, levels of 255.
     pub flicker: Option<f64>,
 }
 
 impl Row {
     /// Creates the row of a picture that was written to `out`.
-    pub fn of(out: &Path, painted: &Stylized, flicker: Option<f64>, seconds: f64) -> Self {
+    pub fn new(out: &Path, painted: &StylizedImage, flicker: Option<f64>, seconds: f64) -> Self {
         Self {
             image: out.display().to_string(),
             width: painted.image.width(),
@@ -36,7 +36,7 @@ impl Row {
             levels: painted.levels,
             seconds,
             target_patches: painted.field.patches.len(),
-            figures: painted.figures,
+            figures: painted.quality,
             flicker,
         }
     }

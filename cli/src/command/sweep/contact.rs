@@ -1,10 +1,10 @@
 //! Contact sheet of a sweep: all variants with one exposure, so that brightness can be compared.
 
-use super::folder::Folder;
-use super::work::{Planned, Work};
+use super::folder::SweepFolder;
+use super::resolved::{PlannedVariant, ResolvedSweep};
 use crate::exit::{Failure, failed};
-use crate::output::Say;
-use femc_film::{Image, SheetCell, SheetRow, ToneCurve, exr, labelled_sheet};
+use crate::output::Printer;
+use femc_film::{Image, SheetCell, SheetRow, ToneCurve, exr, labeled_sheet};
 use std::path::PathBuf;
 
 /// Width of a picture in pixels.
@@ -14,55 +14,56 @@ const COLUMNS: usize = 10;
 /// Largest number of rows that viewers can open and people look at.
 const ROWS: usize = 200;
 /// Largest number of pictures that determine the exposure.
-const EXPOSED: usize = 32;
+const MAX_EXPOSED: usize = 32;
 
 /// A future picture of the sheet: its file and its caption.
-struct Shown {
+struct SheetPicture {
     file: PathBuf,
     caption: String,
 }
 
 /// Writes `contact.png`, if there is anything to show.
-pub fn write(work: &Work, folder: &Folder, say: Say) -> Result<Option<String>, Failure> {
-    let rows = rows(work, folder);
-    let all: Vec<&Shown> = rows.iter().take(ROWS).flat_map(|(_, row)| row).collect();
+pub fn write(sweep: &ResolvedSweep, folder: &SweepFolder, printer: Printer) -> Result<Option<String>, Failure> {
+    let rows = rows(sweep, folder);
+    let all: Vec<&SheetPicture> = rows.iter().take(ROWS).flat_map(|(_, row)| row).collect();
     if all.is_empty() {
         return Ok(None);
     }
-    let small = |shown: &Shown| Ok(exr::read(&shown.file).map_err(failed)?.image.shrunk_to(THUMBNAIL));
-    let exposed = all.iter().step_by(all.len().div_ceil(EXPOSED)).map(|shown| small(shown));
+    let small = |shown: &SheetPicture| Ok(exr::read(&shown.file).map_err(failed)?.image.shrunk_to(THUMBNAIL));
+    let exposed = all.iter().step_by(all.len().div_ceil(MAX_EXPOSED)).map(|shown| small(shown));
     let curve = ToneCurve::auto(&exposed.collect::<Result<Vec<Image>, Failure>>()?);
-    let cell = |shown: &Shown| Ok(SheetCell { picture: curve.picture(&small(shown)?), caption: shown.caption.clone() });
-    let row = |(title, row): &(String, Vec<Shown>)| {
+    let cell =
+        |shown: &SheetPicture| Ok(SheetCell { picture: curve.picture(&small(shown)?), caption: shown.caption.clone() });
+    let row = |(title, row): &(String, Vec<SheetPicture>)| {
         Ok(SheetRow { title: title.clone(), cells: row.iter().map(cell).collect::<Result<_, Failure>>()? })
     };
     let sheet: Vec<SheetRow> = rows.iter().take(ROWS).map(row).collect::<Result<_, Failure>>()?;
     let path = folder.join("contact.png");
-    let png = labelled_sheet(&sheet).to_png().map_err(failed)?;
+    let png = labeled_sheet(&sheet).to_png().map_err(failed)?;
     femc_film::file::write_atomic(&path, &png).map_err(failed)?;
     if rows.len() > ROWS {
-        say.note(format!("{}: the first {ROWS} of {} rows", path.display(), rows.len()));
+        printer.note(format!("{}: the first {ROWS} of {} rows", path.display(), rows.len()));
     }
     Ok(Some(path.display().to_string()))
 }
 
 /// Returns the rows of the sheet. For clips, each variant has a row; for single frames, each row contains all values of the last
 /// axis.
-fn rows(work: &Work, folder: &Folder) -> Vec<(String, Vec<Shown>)> {
-    let there = |variant: &Planned| -> Vec<(u32, PathBuf)> {
+fn rows(sweep: &ResolvedSweep, folder: &SweepFolder) -> Vec<(String, Vec<SheetPicture>)> {
+    let there = |variant: &PlannedVariant| -> Vec<(u32, PathBuf)> {
         let ready = variant.frames.iter().filter(|p| folder.has(&variant.file(p.frame), &p.key));
         ready.map(|planning| (planning.frame, folder.join(&variant.file(planning.frame)))).collect()
     };
-    if work.variants.iter().any(|variant| variant.frames.len() > 1) {
-        let row = |variant: &Planned| (work.title(variant), spread(there(variant)));
-        return work.variants.iter().map(row).filter(|(_, row)| !row.is_empty()).collect();
+    if sweep.variants.iter().any(|variant| variant.frames.len() > 1) {
+        let row = |variant: &PlannedVariant| (sweep.title(variant), spread(there(variant)));
+        return sweep.variants.iter().map(row).filter(|(_, row)| !row.is_empty()).collect();
     }
-    let mut rows: Vec<(String, Vec<Shown>)> = Vec::new();
-    for variant in &work.variants {
-        let title = work.title(variant);
+    let mut rows: Vec<(String, Vec<SheetPicture>)> = Vec::new();
+    for variant in &sweep.variants {
+        let title = sweep.title(variant);
         let (title, caption) = title.rsplit_once(", ").unwrap_or(("", &title));
         for (_, file) in there(variant) {
-            let shown = Shown { file, caption: caption.to_owned() };
+            let shown = SheetPicture { file, caption: caption.to_owned() };
             match rows.last_mut().filter(|(last, row)| last == title && row.len() < COLUMNS) {
                 Some((_, row)) => row.push(shown),
                 None => rows.push((title.to_owned(), vec![shown])),
@@ -73,11 +74,11 @@ fn rows(work: &Work, folder: &Folder) -> Vec<(String, Vec<Shown>)> {
 }
 
 /// Returns frames spread evenly over a clip, including the first and the last.
-fn spread(frames: Vec<(u32, PathBuf)>) -> Vec<Shown> {
+fn spread(frames: Vec<(u32, PathBuf)>) -> Vec<SheetPicture> {
     let (count, last) = (frames.len().min(COLUMNS), frames.len().saturating_sub(1));
     let mut places = (0..count).map(|at| at * last / (count - 1).max(1)).peekable();
     let chosen = |(at, (frame, file)): (usize, (u32, PathBuf))| {
-        places.next_if_eq(&at).map(|_| Shown { file, caption: format!("frame {frame}") })
+        places.next_if_eq(&at).map(|_| SheetPicture { file, caption: format!("frame {frame}") })
     };
     frames.into_iter().enumerate().filter_map(chosen).collect()
 }

@@ -1,28 +1,28 @@
 //! Queues the variants of a sweep, and collects their frames as they finish.
 
-use super::folder::{Folder, Order, Shot};
-use super::work::{Planned, Work};
+use super::folder::{FrameEntry, JobOrder, SweepFolder};
+use super::resolved::{PlannedVariant, ResolvedSweep};
 use crate::clock::Clock;
-use crate::command::client::Farm;
+use crate::command::client::FarmClient;
 use crate::command::interrupt::Interrupt;
 use crate::command::render::FoundBeside;
-use crate::command::subject::{self, Logs};
-use crate::command::submit::own_key;
+use crate::command::subject::{self, IncludedLogs};
+use crate::command::submit::unique_key;
 use crate::exit::{Failure, interrupted};
-use crate::output::{Progress, Say, Snapshot, job as show};
+use crate::output::{Printer, Progress, ProgressSnapshot, job as show};
 use femc_model::{Control, Digest, FrameRecord, JobId, JobSpec, JobState, JobStatus};
 use femc_reports::attempts::{JobRecord, write_record};
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 /// Shortest interval between two status calls, used first, for small scenes.
-const FIRST_LOOK: Duration = Duration::from_millis(20);
-const LAST_LOOK: Duration = Duration::from_millis(300);
+const MIN_POLL_INTERVAL: Duration = Duration::from_millis(20);
+const MAX_POLL_INTERVAL: Duration = Duration::from_millis(300);
 
 /// A job of the sweep.
-pub struct Queued<'a> {
+pub struct QueuedJob<'a> {
     /// Variant whose frames it renders.
-    pub variant: &'a Planned,
+    pub variant: &'a PlannedVariant,
     /// Number of the job.
     pub job: JobId,
     /// Wanted frames of the job that are not fetched yet.
@@ -31,19 +31,22 @@ pub struct Queued<'a> {
 }
 
 /// Links frames that exist under another name. Returns the frames that no file has yet, each with the first variant that needs it.
-pub fn missing<'a>(work: &'a Work, folder: &mut Folder) -> Result<Vec<(&'a Planned, Vec<u32>)>, Failure> {
+pub fn missing<'a>(
+    sweep: &'a ResolvedSweep,
+    folder: &mut SweepFolder,
+) -> Result<Vec<(&'a PlannedVariant, Vec<u32>)>, Failure> {
     let (mut missing, mut ordered) = (Vec::new(), BTreeSet::new());
-    for variant in &work.variants {
+    for variant in &sweep.variants {
         let mut frames = Vec::new();
-        for planning in &variant.frames {
-            let name = variant.file(planning.frame);
-            if folder.has(&name, &planning.key) {
+        for planned in &variant.frames {
+            let name = variant.file(planned.frame);
+            if folder.has(&name, &planned.key) {
                 continue;
             }
-            if folder.knows(&planning.key) {
-                folder.link(&name, &planning.key)?;
-            } else if ordered.insert(&planning.key) {
-                frames.push(planning.frame);
+            if folder.has_key(&planned.key) {
+                folder.link(&name, &planned.key)?;
+            } else if ordered.insert(&planned.key) {
+                frames.push(planned.frame);
             }
         }
         if !frames.is_empty() {
@@ -54,45 +57,45 @@ pub fn missing<'a>(work: &'a Work, folder: &mut Folder) -> Result<Vec<(&'a Plann
 }
 
 /// Queues a job for each variant with missing frames. Finds jobs again that an earlier run queued.
-pub async fn queue<'a>(
-    work: &Work,
-    missing: Vec<(&'a Planned, Vec<u32>)>,
-    folder: &mut Folder,
-    farm: &Farm,
-) -> Result<Vec<Queued<'a>>, Failure> {
+pub async fn queue_jobs<'a>(
+    sweep: &ResolvedSweep,
+    missing: Vec<(&'a PlannedVariant, Vec<u32>)>,
+    folder: &mut SweepFolder,
+    farm: &FarmClient,
+) -> Result<Vec<QueuedJob<'a>>, Failure> {
     for (variant, frames) in &missing {
-        let order = order(variant, frames, folder);
-        folder.keep(&variant.name, order);
+        let order = find_or_create_order(variant, frames, folder);
+        folder.set_order(&variant.name, order);
     }
     // Save the orders before the first submission, so that jobs queued from here on are found again.
     folder.save()?;
     let mut queued = Vec::new();
     for (variant, frames) in missing {
-        let order = order(variant, &frames, folder);
+        let order = find_or_create_order(variant, &frames, folder);
         let spec = JobSpec { frames: order.frames.clone(), ..variant.spec.clone() };
-        let (job, _) = farm.submit(&work.scene, Digest::of(order.ticket.as_bytes()), spec).await?;
-        folder.keep(&variant.name, Order { job: Some(job.0), ..order });
-        queued.push(Queued { variant, job, open: frames.into_iter().collect(), seen: 0 });
+        let (job, _) = farm.submit(&sweep.scene, Digest::compute(order.ticket.as_bytes()), spec).await?;
+        folder.set_order(&variant.name, JobOrder { job: Some(job.0), ..order });
+        queued.push(QueuedJob { variant, job, open: frames.into_iter().collect(), seen: 0 });
     }
     folder.save()?;
     Ok(queued)
 }
 
 /// Returns the open order of a variant, if it contains these frames, else a new one.
-fn order(variant: &Planned, frames: &[u32], folder: &Folder) -> Order {
+fn find_or_create_order(variant: &PlannedVariant, frames: &[u32], folder: &SweepFolder) -> JobOrder {
     let key = |frames: &[u32]| JobSpec { frames: frames.to_vec(), ..variant.spec.clone() }.key().to_string();
     let fits =
-        |order: &&Order| frames.iter().all(|frame| order.frames.contains(frame)) && order.spec == key(&order.frames);
-    folder.order(&variant.name).filter(fits).cloned().unwrap_or_else(|| Order {
+        |order: &&JobOrder| frames.iter().all(|frame| order.frames.contains(frame)) && order.spec == key(&order.frames);
+    folder.order(&variant.name).filter(fits).cloned().unwrap_or_else(|| JobOrder {
         frames: frames.to_vec(),
         spec: key(frames),
-        ticket: format!("{}/{}", own_key(), variant.name),
+        ticket: format!("{}/{}", unique_key(), variant.name),
         job: None,
     })
 }
 
 /// Retries failed jobs of an earlier run, and resumes paused ones.
-pub async fn wake(queued: &[Queued<'_>], farm: &Farm) -> Result<(), Failure> {
+pub async fn resume_jobs(queued: &[QueuedJob<'_>], farm: &FarmClient) -> Result<(), Failure> {
     let ours: BTreeSet<JobId> = queued.iter().map(|queued| queued.job).collect();
     for status in farm.jobs().await?.iter().filter(|status| ours.contains(&status.job)) {
         match status.state {
@@ -105,7 +108,7 @@ pub async fn wake(queued: &[Queued<'_>], farm: &Farm) -> Result<(), Failure> {
 }
 
 /// Cancels jobs of an embedded farm that a changed sweep no longer needs.
-pub async fn cancel_others(queued: &[Queued<'_>], farm: &Farm) -> Result<(), Failure> {
+pub async fn cancel_others(queued: &[QueuedJob<'_>], farm: &FarmClient) -> Result<(), Failure> {
     let ours: BTreeSet<JobId> = queued.iter().map(|queued| queued.job).collect();
     for status in farm.jobs().await?.iter().filter(|s| !ours.contains(&s.job) && !s.state.has_ended()) {
         farm.control(status.job, Control::Cancel).await?;
@@ -114,51 +117,51 @@ pub async fn cancel_others(queued: &[Queued<'_>], farm: &Farm) -> Result<(), Fai
 }
 
 /// Stores the usage of each job's attempts, for `femc stats` and `femc report`.
-async fn keep_record(queued: &[Queued<'_>], folder: &Folder, farm: &Farm) -> Result<(), Failure> {
+async fn save_records(queued: &[QueuedJob<'_>], folder: &SweepFolder, farm: &FarmClient) -> Result<(), Failure> {
     let run =
         std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).map_or(0, |since| since.as_millis() as u64);
     for queued in queued {
         let Some(order) = folder.order(&queued.variant.name) else { continue };
-        let record = subject::of_job(farm, queued.job, Logs::Failures).await?;
+        let record = subject::fetch_record(farm, queued.job, IncludedLogs::Failures).await?;
         let record = JobRecord { run, variant: Some(queued.variant.name.clone()), ..record };
-        write_record(&record, &folder.join(&subject::kept_file(&order.ticket)))?;
+        write_record(&record, &folder.join(&subject::record_file(&order.ticket)))?;
     }
     Ok(())
 }
 
 /// Writes frames as they finish until all jobs have ended. Returns lines about problems.
 pub async fn collect(
-    queued: &mut [Queued<'_>],
-    folder: &mut Folder,
-    farm: &Farm,
+    queued: &mut [QueuedJob<'_>],
+    folder: &mut SweepFolder,
+    farm: &FarmClient,
     interrupt: &mut Interrupt,
-    say: Say,
+    printer: Printer,
 ) -> Result<Vec<String>, Failure> {
-    let mut progress = Progress::new(say, Clock);
-    let mut look = FIRST_LOOK;
+    let mut progress = Progress::new(printer, Clock);
+    let mut poll_interval = MIN_POLL_INTERVAL;
     loop {
         let all: BTreeMap<JobId, JobStatus> =
-            farm.patient_jobs().await?.into_iter().map(|status| (status.job, status)).collect();
+            farm.jobs_with_retry().await?.into_iter().map(|status| (status.job, status)).collect();
         let mut is_whole = true;
         for queued in queued.iter_mut() {
             if let Some(status) = all.get(&queued.job).filter(|status| status.frames_done > queued.seen) {
                 queued.seen = status.frames_done;
-                if queued.take(folder, farm).await? == Took::NotAll {
+                if queued.fetch_frames(folder, farm).await? == FetchOutcome::Incomplete {
                     // A lost frame is rendered again and counts afterwards.
                     (queued.seen, is_whole) = (0, false);
                 }
             }
         }
         let ours: Vec<&JobStatus> = queued.iter().filter_map(|queued| all.get(&queued.job)).collect();
-        progress.show(&together(&ours, queued));
+        progress.show(&combined_progress(&ours, queued));
         if is_whole && ours.iter().all(|status| status.state.has_ended()) {
             progress.finish();
             folder.save()?;
-            keep_record(queued, folder, farm).await?;
-            return Ok(troubles(queued, &all));
+            save_records(queued, folder, farm).await?;
+            return Ok(problem_lines(queued, &all));
         }
         tokio::select! {
-            () = tokio::time::sleep(look) => look = (look * 3 / 2).min(LAST_LOOK),
+            () = tokio::time::sleep(poll_interval) => poll_interval = (poll_interval * 3 / 2).min(MAX_POLL_INTERVAL),
             () = interrupt.wait() => {
                 progress.finish();
                 folder.save()?;
@@ -174,38 +177,38 @@ pub async fn collect(
 
 /// Result of fetching finished frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Took {
-    All,
+enum FetchOutcome {
+    Complete,
     /// A file of a frame was damaged or gone.
-    NotAll,
+    Incomplete,
 }
 
-impl Queued<'_> {
+impl QueuedJob<'_> {
     /// Writes the finished frames.
-    async fn take(&mut self, folder: &mut Folder, farm: &Farm) -> Result<Took, Failure> {
-        let mut took = Took::All;
+    async fn fetch_frames(&mut self, folder: &mut SweepFolder, farm: &FarmClient) -> Result<FetchOutcome, Failure> {
+        let mut outcome = FetchOutcome::Complete;
         for record in farm.frames(self.job).await? {
-            let planning = self.variant.frames.iter().find(|planning| planning.frame == record.frame);
-            if let Some(planning) = planning.filter(|_| self.open.contains(&record.frame)) {
+            let planned = self.variant.frames.iter().find(|planning| planning.frame == record.frame);
+            if let Some(planned) = planned.filter(|_| self.open.contains(&record.frame)) {
                 let Some(bytes) = farm.image(&record).await? else {
-                    took = Took::NotAll;
+                    outcome = FetchOutcome::Incomplete;
                     continue;
                 };
-                let Some(beside) = FoundBeside::fetch(farm, &record).await? else {
-                    took = Took::NotAll;
+                let Some(sidecars) = FoundBeside::fetch(farm, &record).await? else {
+                    outcome = FetchOutcome::Incomplete;
                     continue;
                 };
                 let name = self.variant.file(record.frame);
-                folder.write(&name, &bytes, &beside, shot(&planning.key, &record))?;
+                folder.write(&name, &bytes, &sidecars, frame_entry(&planned.key, &record))?;
                 self.open.remove(&record.frame);
             }
         }
-        Ok(took)
+        Ok(outcome)
     }
 }
 
-fn shot(key: &str, record: &FrameRecord) -> Shot {
-    Shot {
+fn frame_entry(key: &str, record: &FrameRecord) -> FrameEntry {
+    FrameEntry {
         key: key.to_owned(),
         spp: record.spp,
         relative_error: record.relative_error,
@@ -215,14 +218,14 @@ fn shot(key: &str, record: &FrameRecord) -> Shot {
     }
 }
 
-fn troubles(queued: &[Queued<'_>], all: &BTreeMap<JobId, JobStatus>) -> Vec<String> {
-    let trouble = |queued: &Queued<'_>| {
+fn problem_lines(queued: &[QueuedJob<'_>], all: &BTreeMap<JobId, JobStatus>) -> Vec<String> {
+    let trouble = |queued: &QueuedJob<'_>| {
         let name = &queued.variant.name;
         match all.get(&queued.job) {
             Some(status) if status.state == JobState::Done => Vec::new(),
             Some(status) => {
                 let mut lines = vec![format!("{name}: job {} is {}", queued.job, status.state.name())];
-                lines.extend(show::trouble(status));
+                lines.extend(show::failure_lines(status));
                 lines
             }
             None => vec![format!("{name}: the farm no longer knows job {}", queued.job)],
@@ -232,12 +235,12 @@ fn troubles(queued: &[Queued<'_>], all: &BTreeMap<JobId, JobStatus>) -> Vec<Stri
 }
 
 /// Returns the progress of all jobs as if they were one.
-fn together(jobs: &[&JobStatus], queued: &[Queued<'_>]) -> Snapshot {
-    let mut sum = Snapshot::default();
+fn combined_progress(jobs: &[&JobStatus], queued: &[QueuedJob<'_>]) -> ProgressSnapshot {
+    let mut sum = ProgressSnapshot::default();
     let mut weighted = 0.0;
     for status in jobs {
         let stop = queued.iter().find(|queued| queued.job == status.job).map(|queued| queued.variant.stop);
-        let one = show::snapshot(status, stop);
+        let one = show::progress_snapshot(status, stop);
         sum.frames_done += one.frames_done;
         sum.frames += one.frames;
         sum.tiles_done += one.tiles_done;
@@ -249,5 +252,5 @@ fn together(jobs: &[&JobStatus], queued: &[Queued<'_>]) -> Snapshot {
         }
         weighted += one.fraction * one.frames as f64;
     }
-    Snapshot { fraction: weighted / sum.frames.max(1) as f64, ..sum }
+    ProgressSnapshot { fraction: weighted / sum.frames.max(1) as f64, ..sum }
 }

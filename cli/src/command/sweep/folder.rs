@@ -3,9 +3,9 @@
 //! `sweep.json` stores the key of every file, so that a frame is rendered only once, even if several variants show it or the sweep
 //! is extended. A file is written before its entry in `sweep.json`. A file without an entry is fetched again.
 
-use super::work::{Planned, Work};
-use crate::clock::{Clock, Moment};
-use crate::command::render::{Beside, FoundBeside};
+use super::resolved::{PlannedVariant, ResolvedSweep};
+use crate::clock::{Clock, Timestamp};
+use crate::command::render::{FoundBeside, SidecarKinds};
 use crate::exit::{Failure, failed};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -17,16 +17,16 @@ use std::time::Duration;
 /// Name of the manifest.
 const MANIFEST: &str = "sweep.json";
 /// Shortest interval between two writes of the manifest, which is large with very many frames.
-const EVERY: Duration = Duration::from_secs(1);
+const SAVE_INTERVAL: Duration = Duration::from_secs(1);
 
 /// A folder and its manifest.
-pub struct Folder {
+pub struct SweepFolder {
     path: PathBuf,
     manifest: Manifest,
     by_key: BTreeMap<String, String>,
-    saved: Moment,
+    last_save: Timestamp,
     /// Files that each frame has beside it.
-    beside: Beside,
+    sidecars: SidecarKinds,
 }
 
 #[derive(Default, Serialize, Deserialize)]
@@ -34,22 +34,22 @@ struct Manifest {
     /// Engine build of the program.
     engine: String,
     /// Variants of the latest run, in order.
-    variants: Vec<Named>,
+    variants: Vec<NamedVariant>,
     /// Frames by their paths in this folder.
-    files: BTreeMap<String, Shot>,
+    files: BTreeMap<String, FrameEntry>,
     /// Jobs with frames that are not fetched yet, by variant.
-    orders: BTreeMap<String, Order>,
+    orders: BTreeMap<String, JobOrder>,
 }
 
 #[derive(Serialize, Deserialize)]
-struct Named {
+struct NamedVariant {
     name: String,
     values: BTreeMap<String, String>,
 }
 
 /// An existing frame.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Shot {
+pub struct FrameEntry {
     /// Digest of the inputs of the frame.
     pub key: String,
     /// Samples per pixel.
@@ -66,7 +66,7 @@ pub struct Shot {
 
 /// A job that was queued, or is about to be.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Order {
+pub struct JobOrder {
     /// Frames of the job.
     pub frames: Vec<u32>,
     /// Digest of everything that determines the job's pixels.
@@ -77,10 +77,10 @@ pub struct Order {
     pub job: Option<u64>,
 }
 
-impl Folder {
+impl SweepFolder {
     /// Opens the folder, which need not exist.
-    /// - `beside`: files without which a frame counts as missing.
-    pub fn open(path: &Path, beside: Beside) -> Result<Self, Failure> {
+    /// - `sidecars`: files without which a frame counts as missing.
+    pub fn open(path: &Path, sidecars: SidecarKinds) -> Result<Self, Failure> {
         let file = path.join(MANIFEST);
         let manifest: Manifest = match fs::read(&file) {
             Ok(text) => serde_json::from_slice(&text).map_err(|e| {
@@ -89,17 +89,18 @@ impl Folder {
             Err(e) if e.kind() == ErrorKind::NotFound => Manifest::default(),
             Err(e) => return Err(failed(format!("{}: {e}", file.display()))),
         };
-        let mut folder = Self { path: path.to_owned(), manifest, by_key: BTreeMap::new(), saved: Clock.now(), beside };
-        folder.forget_what_is_gone();
+        let mut folder =
+            Self { path: path.to_owned(), manifest, by_key: BTreeMap::new(), last_save: Clock.now(), sidecars };
+        folder.prune_missing();
         Ok(folder)
     }
 
     /// Removes entries whose files are missing or damaged.
-    fn forget_what_is_gone(&mut self) {
-        let (path, beside) = (self.path.clone(), self.beside);
+    fn prune_missing(&mut self) {
+        let (path, sidecars) = (self.path.clone(), self.sidecars);
         self.manifest.files.retain(|name, _| {
             let path = path.join(name);
-            beside.are_there(&path) && femc_film::exr::read_attributes(&path).is_ok()
+            sidecars.all_exist(&path) && femc_film::exr::read_attributes(&path).is_ok()
         });
         let mut files: Vec<_> = self.manifest.files.iter().collect();
         // The last of several equal files represents them: a rendered one rather than a linked one.
@@ -118,7 +119,7 @@ impl Folder {
     }
 
     /// Returns the entry of a file.
-    pub fn shot(&self, name: &str) -> Option<&Shot> {
+    pub fn entry(&self, name: &str) -> Option<&FrameEntry> {
         self.manifest.files.get(name)
     }
 
@@ -128,38 +129,44 @@ impl Folder {
         (!self.manifest.files.is_empty() && engine != femc_worker::engine()).then_some(engine)
     }
 
-    /// Returns whether the file `name` exists and has this key.
+    /// Returns whether the file `set_variants` exists and has this key.
     pub fn has(&self, name: &str, key: &str) -> bool {
-        self.shot(name).is_some_and(|shot| shot.key == key)
+        self.entry(name).is_some_and(|shot| shot.key == key)
     }
 
     /// Returns whether some file has this key.
-    pub fn knows(&self, key: &str) -> bool {
+    pub fn has_key(&self, key: &str) -> bool {
         self.by_key.contains_key(key)
     }
 
-    /// Links `name` to the file that has this key; does nothing if there is none.
+    /// Links `set_variants` to the file that has this key; does nothing if there is none.
     pub fn link(&mut self, name: &str, key: &str) -> Result<(), Failure> {
         let Some(source) = self.by_key.get(key).cloned().filter(|source| source != name) else { return Ok(()) };
-        let Some(shot) = self.manifest.files.get(&source).cloned() else { return Ok(()) };
+        let Some(entry) = self.manifest.files.get(&source).cloned() else { return Ok(()) };
         let (from, to) = (self.join(&source), self.join(name));
-        for (from, to) in self.beside.files(&from).zip(self.beside.files(&to)) {
-            same(&from, &to).map_err(|e| failed(format!("{}: {e}", to.display())))?;
+        for (from, to) in self.sidecars.paths(&from).zip(self.sidecars.paths(&to)) {
+            link_or_copy(&from, &to).map_err(|e| failed(format!("{}: {e}", to.display())))?;
         }
-        same(&from, &to).map_err(|e| failed(format!("{}: {e}", to.display())))?;
-        self.enter(name, Shot { same_as: Some(shot.same_as.unwrap_or(source)), ..shot });
+        link_or_copy(&from, &to).map_err(|e| failed(format!("{}: {e}", to.display())))?;
+        self.insert_entry(name, FrameEntry { same_as: Some(entry.same_as.unwrap_or(source)), ..entry });
         Ok(())
     }
 
     /// Writes a finished frame and the files beside it.
-    pub fn write(&mut self, name: &str, bytes: &[u8], beside: &FoundBeside, shot: Shot) -> Result<(), Failure> {
-        beside.write(&self.join(name))?;
+    pub fn write(
+        &mut self,
+        name: &str,
+        bytes: &[u8],
+        sidecars: &FoundBeside,
+        entry: FrameEntry,
+    ) -> Result<(), Failure> {
+        sidecars.write(&self.join(name))?;
         femc_film::file::write_atomic(&self.join(name), bytes).map_err(failed)?;
-        self.enter(name, shot);
-        if Clock.since(self.saved) >= EVERY { self.save() } else { Ok(()) }
+        self.insert_entry(name, entry);
+        if Clock.since(self.last_save) >= SAVE_INTERVAL { self.save() } else { Ok(()) }
     }
 
-    fn enter(&mut self, name: &str, shot: Shot) {
+    fn insert_entry(&mut self, name: &str, entry: FrameEntry) {
         if let Some(old) = self.manifest.files.get(name)
             && self.by_key.get(&old.key).is_some_and(|file| file == name)
         {
@@ -170,38 +177,38 @@ impl Folder {
                 None => self.by_key.remove(&key),
             };
         }
-        self.by_key.entry(shot.key.clone()).or_insert_with(|| name.to_owned());
-        self.manifest.files.insert(name.to_owned(), shot);
+        self.by_key.entry(entry.key.clone()).or_insert_with(|| name.to_owned());
+        self.manifest.files.insert(name.to_owned(), entry);
     }
 
     /// Stores the variants of this run.
-    pub fn name(&mut self, work: &Work) {
-        let values = |variant: &Planned| {
-            work.axes.iter().zip(&variant.values).map(|(axis, value)| (axis.clone(), value.text.clone())).collect()
+    pub fn set_variants(&mut self, sweep: &ResolvedSweep) {
+        let values = |variant: &PlannedVariant| {
+            sweep.axes.iter().zip(&variant.values).map(|(axis, value)| (axis.clone(), value.text.clone())).collect()
         };
-        let named = |variant: &Planned| Named { name: variant.name.clone(), values: values(variant) };
-        self.manifest.variants = work.variants.iter().map(named).collect();
+        let named = |variant: &PlannedVariant| NamedVariant { name: variant.name.clone(), values: values(variant) };
+        self.manifest.variants = sweep.variants.iter().map(named).collect();
         self.manifest.engine = femc_worker::engine().to_owned();
     }
 
     /// Returns the open order of a variant.
-    pub fn order(&self, variant: &str) -> Option<&Order> {
+    pub fn order(&self, variant: &str) -> Option<&JobOrder> {
         self.manifest.orders.get(variant)
     }
 
     /// Stores an order.
-    pub fn keep(&mut self, variant: &str, order: Order) {
+    pub fn set_order(&mut self, variant: &str, order: JobOrder) {
         self.manifest.orders.insert(variant.to_owned(), order);
     }
 
     /// Removes all orders, after all frames have been fetched.
-    pub fn settle(&mut self) {
+    pub fn clear_orders(&mut self) {
         self.manifest.orders.clear();
     }
 
     /// Writes the manifest to disk.
     pub fn save(&mut self) -> Result<(), Failure> {
-        self.saved = Clock.now();
+        self.last_save = Clock.now();
         let text = serde_json::to_vec_pretty(&self.manifest).map_err(failed)?;
         femc_film::file::write_atomic(&self.join(MANIFEST), &text).map_err(failed)
     }
@@ -209,7 +216,7 @@ impl Folder {
 
 /// Makes `to` equal to `from`: a hard link, or a copy if links are not possible. An existing file is replaced and never overwritten
 /// in place, because it may belong to another variant, too.
-fn same(from: &Path, to: &Path) -> std::io::Result<()> {
+fn link_or_copy(from: &Path, to: &Path) -> std::io::Result<()> {
     if let Some(folder) = to.parent() {
         fs::create_dir_all(folder)?;
     }

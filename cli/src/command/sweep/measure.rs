@@ -1,17 +1,17 @@
 //! Measurements of the frames of a sweep: `frames` has one row per frame, `variants` one per variant.
 
-use super::folder::{Folder, Shot};
-use super::work::{Planned, Work};
+use super::folder::{FrameEntry, SweepFolder};
+use super::resolved::{PlannedVariant, ResolvedSweep};
 use crate::exit::{Failure, failed};
 use femc_film::{Image, exr};
 use femc_reports::sweep::{Cells, Table};
 use std::collections::BTreeMap;
 
 /// Measurements of a frame.
-pub struct Measured<'a> {
-    variant: &'a Planned,
+pub struct FrameMeasurement<'a> {
+    variant: &'a PlannedVariant,
     frame: u32,
-    shot: Shot,
+    entry: FrameEntry,
     /// Mean luminance of the film, cd/m2.
     luminance: f64,
     /// Mean luminances of the regions, cd/m2.
@@ -20,24 +20,24 @@ pub struct Measured<'a> {
 }
 
 /// Measures all existing frames, in the order of the sweep.
-pub fn measure<'a>(work: &'a Work, folder: &Folder) -> Result<Vec<Measured<'a>>, Failure> {
+pub fn measure<'a>(sweep: &'a ResolvedSweep, folder: &SweepFolder) -> Result<Vec<FrameMeasurement<'a>>, Failure> {
     let mut seen: BTreeMap<String, (f64, Vec<f64>)> = BTreeMap::new();
     let mut measured = Vec::new();
-    for variant in &work.variants {
-        for planning in &variant.frames {
-            let name = variant.file(planning.frame);
-            let Some(shot) = folder.shot(&name).filter(|shot| shot.key == planning.key) else { continue };
+    for variant in &sweep.variants {
+        for planned in &variant.frames {
+            let name = variant.file(planned.frame);
+            let Some(shot) = folder.entry(&name).filter(|entry| entry.key == planned.key) else { continue };
             if !seen.contains_key(&shot.key) {
                 let image = exr::read(&folder.join(&name)).map_err(failed)?.image;
-                let regions = work.measures.regions.iter().map(|region| mean(&image, region.bounds)).collect();
+                let regions = sweep.measures.regions.iter().map(|region| mean(&image, region.bounds)).collect();
                 seen.insert(shot.key.clone(), (mean(&image, [0, 0, image.width, image.height]), regions));
             }
             let (luminance, regions) = seen[&shot.key].clone();
-            let contrasts = contrasts(work, &regions);
-            measured.push(Measured {
+            let contrasts = contrasts(sweep, &regions);
+            measured.push(FrameMeasurement {
                 variant,
-                frame: planning.frame,
-                shot: shot.clone(),
+                frame: planned.frame,
+                entry: shot.clone(),
                 luminance,
                 regions,
                 contrasts,
@@ -57,47 +57,48 @@ fn mean(image: &Image, [x0, y0, x1, y1]: [u32; 4]) -> f64 {
 }
 
 /// Returns Weber contrasts; none against black.
-fn contrasts(work: &Work, regions: &[f64]) -> Vec<Option<f64>> {
-    let of =
-        |name: &str| work.measures.regions.iter().zip(regions).find(|(region, _)| region.name == name).map(|(_, l)| *l);
+fn contrasts(sweep: &ResolvedSweep, regions: &[f64]) -> Vec<Option<f64>> {
+    let of = |name: &str| {
+        sweep.measures.regions.iter().zip(regions).find(|(region, _)| region.name == name).map(|(_, l)| *l)
+    };
     let contrast = |target: &str, background: &str| {
         let (target, background) = (of(target)?, of(background).filter(|background| *background > 0.0)?);
         Some((target - background) / background)
     };
-    work.measures.contrasts.iter().map(|pair| contrast(&pair.target, &pair.background)).collect()
+    sweep.measures.contrasts.iter().map(|pair| contrast(&pair.target, &pair.background)).collect()
 }
 
 /// Returns a table with a row for each frame.
-pub fn frames(work: &Work, measured: &[Measured<'_>]) -> Table {
-    let rows: Vec<Vec<&Measured<'_>>> = measured.iter().map(|one| vec![one]).collect();
-    let mut table = start(work, &measured.iter().map(|one| one.variant).collect::<Vec<_>>());
+pub fn frames(sweep: &ResolvedSweep, measured: &[FrameMeasurement<'_>]) -> Table {
+    let rows: Vec<Vec<&FrameMeasurement<'_>>> = measured.iter().map(|one| vec![one]).collect();
+    let mut table = variant_table(sweep, &measured.iter().map(|one| one.variant).collect::<Vec<_>>());
     table.add("frame", Cells::Count(measured.iter().map(|one| i64::from(one.frame)).collect()));
     table.add("file", Cells::Text(measured.iter().map(|one| one.variant.file(one.frame)).collect()));
-    let same_as = |one: &Measured<'_>| one.shot.same_as.clone().unwrap_or_default();
+    let same_as = |one: &FrameMeasurement<'_>| one.entry.same_as.clone().unwrap_or_default();
     table.add("same_as", Cells::Text(measured.iter().map(same_as).collect()));
-    numbers(work, &rows, &mut table);
+    add_measurements(sweep, &rows, &mut table);
     table
 }
 
 /// Returns a table with a row for each variant: means of its frames, the worst error, the sum of the seconds.
-pub fn variants(work: &Work, measured: &[Measured<'_>]) -> Table {
-    let of = |variant: &Planned| measured.iter().filter(|one| std::ptr::eq(one.variant, variant)).collect();
-    let rows: Vec<Vec<&Measured<'_>>> = work.variants.iter().map(of).collect();
-    let mut table = start(work, &work.variants.iter().collect::<Vec<_>>());
+pub fn variants(sweep: &ResolvedSweep, measured: &[FrameMeasurement<'_>]) -> Table {
+    let of = |variant: &PlannedVariant| measured.iter().filter(|one| std::ptr::eq(one.variant, variant)).collect();
+    let rows: Vec<Vec<&FrameMeasurement<'_>>> = sweep.variants.iter().map(of).collect();
+    let mut table = variant_table(sweep, &sweep.variants.iter().collect::<Vec<_>>());
     table.add("frames", Cells::Count(rows.iter().map(|row| row.len() as i64).collect()));
-    let linked = |row: &Vec<&Measured<'_>>| row.iter().filter(|one| one.shot.same_as.is_some()).count() as i64;
+    let linked = |row: &Vec<&FrameMeasurement<'_>>| row.iter().filter(|one| one.entry.same_as.is_some()).count() as i64;
     table.add("frames_linked", Cells::Count(rows.iter().map(linked).collect()));
-    numbers(work, &rows, &mut table);
+    add_measurements(sweep, &rows, &mut table);
     table
 }
 
 /// Starts a table with the columns of the variant and its values.
-fn start(work: &Work, rows: &[&Planned]) -> Table {
+fn variant_table(sweep: &ResolvedSweep, rows: &[&PlannedVariant]) -> Table {
     let mut table = Table::default();
     table.add("variant", Cells::Text(rows.iter().map(|variant| variant.name.clone()).collect()));
-    for (at, axis) in work.axes.iter().enumerate() {
+    for (at, axis) in sweep.axes.iter().enumerate() {
         let values = || rows.iter().map(|variant| &variant.values[at]);
-        let cells = if work.variants.iter().all(|variant| variant.values[at].number.is_some()) {
+        let cells = if sweep.variants.iter().all(|variant| variant.values[at].number.is_some()) {
             Cells::Number(values().map(|value| value.number).collect())
         } else {
             Cells::Text(values().map(|value| value.text.clone()).collect())
@@ -107,9 +108,9 @@ fn start(work: &Work, rows: &[&Planned]) -> Table {
     table
 }
 
-fn numbers(work: &Work, rows: &[Vec<&Measured<'_>>], table: &mut Table) {
-    let mut add = |name: String, value: &dyn Fn(&Measured<'_>) -> Option<f64>, join: fn(&[f64]) -> f64| {
-        let cell = |row: &Vec<&Measured<'_>>| {
+fn add_measurements(sweep: &ResolvedSweep, rows: &[Vec<&FrameMeasurement<'_>>], table: &mut Table) {
+    let mut add = |name: String, value: &dyn Fn(&FrameMeasurement<'_>) -> Option<f64>, join: fn(&[f64]) -> f64| {
+        let cell = |row: &Vec<&FrameMeasurement<'_>>| {
             let values: Vec<f64> = row.iter().filter_map(|one| value(one)).collect();
             (!values.is_empty()).then(|| join(&values))
         };
@@ -117,13 +118,13 @@ fn numbers(work: &Work, rows: &[Vec<&Measured<'_>>], table: &mut Table) {
     };
     let mean: fn(&[f64]) -> f64 = |values| values.iter().sum::<f64>() / values.len() as f64;
     add("mean_luminance".into(), &|one| Some(one.luminance), mean);
-    for (at, region) in work.measures.regions.iter().enumerate() {
+    for (at, region) in sweep.measures.regions.iter().enumerate() {
         add(format!("luminance.{}", region.name), &|one| Some(one.regions[at]), mean);
     }
-    for (at, contrast) in work.measures.contrasts.iter().enumerate() {
+    for (at, contrast) in sweep.measures.contrasts.iter().enumerate() {
         add(format!("contrast.{}", contrast.name), &|one| one.contrasts[at], mean);
     }
-    add("relative_error".into(), &|one| one.shot.relative_error, |values| values.iter().copied().fold(0.0, f64::max));
-    add("spp".into(), &|one| Some(f64::from(one.shot.spp)), mean);
-    add("seconds".into(), &|one| Some(one.shot.seconds), |values| values.iter().sum());
+    add("relative_error".into(), &|one| one.entry.relative_error, |values| values.iter().copied().fold(0.0, f64::max));
+    add("spp".into(), &|one| Some(f64::from(one.entry.spp)), mean);
+    add("seconds".into(), &|one| Some(one.entry.seconds), |values| values.iter().sum());
 }

@@ -6,29 +6,29 @@ mod folder;
 mod measure;
 mod plan;
 mod report;
-mod share;
-mod work;
+mod resolved;
+mod sharing;
 
 pub use plan::plan;
 
-use super::client::{self, Farm};
-use super::embedded::{self, Embedded};
+use super::client::{self, FarmClient};
+use super::embedded::{self, EmbeddedFarm};
 use super::interrupt::Interrupt;
-use super::render::Beside;
-use super::render::state::{Identity, Old, State};
-use super::submit::own_key;
+use super::render::SidecarKinds;
+use super::render::state::{ExistingState, RunIdentity, RunState};
+use super::submit::unique_key;
 use crate::args::{FormatArgs, NotesArgs, ServerArgs, SettingsArgs};
 use crate::clock::Clock;
 use crate::exit::{Exit, Failure, failed, usage};
-use crate::output::Say;
+use crate::output::Printer;
 use clap::Args;
-use drive::Queued;
-use folder::Folder;
-use report::{JobReport, Report};
-use share::Shares;
+use drive::QueuedJob;
+use folder::SweepFolder;
+use report::{JobReport, SweepReport};
+use resolved::{PlannedVariant, ResolvedSweep};
+use sharing::SharingCounts;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use work::{Planned, Work};
 
 /// Render the variants of a job: a grid or a zip of selectors, cameras, frames and settings
 #[derive(Debug, Args)]
@@ -80,66 +80,66 @@ pub struct SweepArgs {
 }
 
 /// Runs `femc sweep`.
-pub fn run(args: &SweepArgs, say: Say) -> Result<Exit, Failure> {
+pub fn run(args: &SweepArgs, printer: Printer) -> Result<Exit, Failure> {
     let begun = Clock.now();
-    let mut work = Work::open(&args.job, &args.settings, say)?;
-    for variant in &mut work.variants {
+    let mut sweep = ResolvedSweep::open(&args.job, &args.settings, printer)?;
+    for variant in &mut sweep.variants {
         let spec = &mut variant.spec;
         spec.priority = args.priority.unwrap_or(spec.priority);
         spec.owner = args.owner.clone().unwrap_or_else(|| std::mem::take(&mut spec.owner));
-        spec.notes = args.notes.over(std::mem::take(&mut spec.notes))?;
+        spec.notes = args.notes.merge_over(std::mem::take(&mut spec.notes))?;
     }
-    let work = work;
-    let Some(out) = &args.out else { return queue_only(&work, args, say) };
+    let sweep = sweep;
+    let Some(out) = &args.out else { return queue_only(&sweep, args, printer) };
     if out.is_file() {
         return Err(usage(format!("-o {} is a file; give a folder", out.display())));
     }
-    let state = lock(&work, out)?;
-    let mut folder = Folder::open(out, Beside::of(&work.first.settings))?;
+    let state = lock(&sweep, out)?;
+    let mut folder = SweepFolder::open(out, SidecarKinds::from_settings(&sweep.first.settings))?;
     if let Some(other) = folder.other_engine() {
         let (path, own) = (out.display(), femc_worker::engine());
-        say.note(format!(
+        printer.note(format!(
             "{path}: its frames are from another build of the engine ({other}, this is {own}); rendering them again"
         ));
     }
-    let shares = Shares::count(&work, Some(&folder));
-    shares.note(say);
-    folder.name(&work);
-    let missing = drive::missing(&work, &mut folder)?;
-    let mut report = Report::new(&work, out, shares);
+    let sharing = SharingCounts::count(&sweep, Some(&folder));
+    sharing.note(printer);
+    folder.set_variants(&sweep);
+    let missing = drive::missing(&sweep, &mut folder)?;
+    let mut report = SweepReport::new(&sweep, out, sharing);
     let mut troubles = Vec::new();
     if missing.is_empty() {
         folder.save()?;
     } else if args.local {
-        troubles = local(&work, missing, &mut folder, &state, &mut report, say)?;
+        troubles = render_locally(&sweep, missing, &mut folder, &state, &mut report, printer)?;
     } else {
         troubles = client::block_on(&args.server, async |farm| {
-            let mut queued = drive::queue(&work, missing.clone(), &mut folder, farm).await?;
-            drive::wake(&queued, farm).await?;
+            let mut queued = drive::queue_jobs(&sweep, missing.clone(), &mut folder, farm).await?;
+            drive::resume_jobs(&queued, farm).await?;
             report.jobs = jobs(&queued);
-            report.note_jobs(say);
+            report.note_jobs(printer);
             if args.detach {
                 return Ok(Vec::new());
             }
             let mut interrupt = Interrupt::listen()?;
-            drive::collect(&mut queued, &mut folder, farm, &mut interrupt, say).await
+            drive::collect(&mut queued, &mut folder, farm, &mut interrupt, printer).await
         })?;
     }
     if args.detach {
-        return report.queued(args.format.json, say);
+        return report.print_jobs(args.format.json, printer);
     }
     // Link equal frames of other variants, whose originals exist now.
-    let left = drive::missing(&work, &mut folder)?;
-    let measured = measure::measure(&work, &folder)?;
-    measure::frames(&work, &measured).write(out, "frames")?;
-    measure::variants(&work, &measured).write(out, "variants")?;
-    report.contact_sheet = contact::write(&work, &folder, say)?;
+    let left = drive::missing(&sweep, &mut folder)?;
+    let measured = measure::measure(&sweep, &folder)?;
+    measure::frames(&sweep, &measured).write(out, "frames")?;
+    measure::variants(&sweep, &measured).write(out, "variants")?;
+    report.contact_sheet = contact::write(&sweep, &folder, printer)?;
     report.seconds = Clock.since(begun).as_secs_f64();
     if left.is_empty() {
-        folder.settle();
+        folder.clear_orders();
         folder.save()?;
         state.remove().map_err(|e| failed(format!("{}: {e}", out.display())))?;
-        report.print(args.format.json, say)?;
+        report.print(args.format.json, printer)?;
         return Ok(Exit::Done);
     }
     folder.save()?;
@@ -149,43 +149,43 @@ pub fn run(args: &SweepArgs, say: Say) -> Result<Exit, Failure> {
 }
 
 /// Locks the folder against other processes. Removes the log of an embedded farm if it belongs to another scene.
-fn lock(work: &Work, out: &Path) -> Result<State, Failure> {
-    let identity = Identity {
+fn lock(sweep: &ResolvedSweep, out: &Path) -> Result<RunState, Failure> {
+    let identity = RunIdentity {
         engine: femc_worker::engine().to_owned(),
-        bundle: work.scene.digest().to_string(),
+        bundle: sweep.scene.digest().to_string(),
         settings: serde_json::Value::Null,
     };
-    Ok(State::open(&out.join(".femc"), &identity, Old::Keep)?.0)
+    Ok(RunState::open(&out.join(".femc"), &identity, ExistingState::Keep)?.0)
 }
 
 /// Renders in this process.
-fn local(
-    work: &Work,
-    missing: Vec<(&Planned, Vec<u32>)>,
-    folder: &mut Folder,
-    state: &State,
-    report: &mut Report,
-    say: Say,
+fn render_locally(
+    sweep: &ResolvedSweep,
+    missing: Vec<(&PlannedVariant, Vec<u32>)>,
+    folder: &mut SweepFolder,
+    state: &RunState,
+    report: &mut SweepReport,
+    printer: Printer,
 ) -> Result<Vec<String>, Failure> {
     client::runtime()?.block_on(async {
         let mut interrupt = Interrupt::listen()?;
-        let plan = embedded::Plan {
+        let settings = embedded::EmbeddedConfig {
             log: state.log(),
             artifacts: state.artifacts(),
-            workers: work.first.workers,
-            threads: work.first.threads,
+            workers: sweep.first.workers,
+            threads: sweep.first.threads,
         };
-        let (mut embedded, farm) = Embedded::start(plan).await?;
+        let (mut embedded, farm) = EmbeddedFarm::start(settings).await?;
         let outcome = async {
-            let mut queued = drive::queue(work, missing, folder, &farm).await?;
+            let mut queued = drive::queue_jobs(sweep, missing, folder, &farm).await?;
             drive::cancel_others(&queued, &farm).await?;
-            drive::wake(&queued, &farm).await?;
+            drive::resume_jobs(&queued, &farm).await?;
             report.jobs = jobs(&queued);
-            drive::collect(&mut queued, folder, &farm, &mut interrupt, say).await
+            drive::collect(&mut queued, folder, &farm, &mut interrupt, printer).await
         };
         let outcome = tokio::select! {
             outcome = outcome => outcome,
-            broken = embedded.broken() => return Err(broken),
+            broken = embedded.wait_for_failure() => return Err(broken),
         };
         drop(farm);
         embedded.stop().await;
@@ -194,25 +194,25 @@ fn local(
 }
 
 /// Queues whole variants, without fetching them. Variants with exactly the same frames share a job.
-fn queue_only(work: &Work, args: &SweepArgs, say: Say) -> Result<Exit, Failure> {
-    let mut report = Report::new(work, Path::new(""), Shares::count(work, None));
-    report.jobs = client::block_on(&args.server, async |farm: &Farm| {
+fn queue_only(sweep: &ResolvedSweep, args: &SweepArgs, printer: Printer) -> Result<Exit, Failure> {
+    let mut report = SweepReport::new(sweep, Path::new(""), SharingCounts::count(sweep, None));
+    report.jobs = client::block_on(&args.server, async |farm: &FarmClient| {
         let (mut known, mut jobs) = (BTreeMap::new(), Vec::new());
-        for variant in &work.variants {
+        for variant in &sweep.variants {
             let keys: Vec<&str> = variant.frames.iter().map(|planning| planning.key.as_str()).collect();
             let job = match known.get(&keys) {
                 Some(job) => *job,
-                None => farm.submit(&work.scene, own_key(), variant.spec.clone()).await?.0.0,
+                None => farm.submit(&sweep.scene, unique_key(), variant.spec.clone()).await?.0.0,
             };
             known.insert(keys, job);
             jobs.push(JobReport { variant: variant.name.clone(), job });
         }
         Ok(jobs)
     })?;
-    report.note_jobs(say);
-    report.queued(args.format.json, say)
+    report.note_jobs(printer);
+    report.print_jobs(args.format.json, printer)
 }
 
-fn jobs(queued: &[Queued<'_>]) -> Vec<JobReport> {
+fn jobs(queued: &[QueuedJob<'_>]) -> Vec<JobReport> {
     queued.iter().map(|queued| JobReport { variant: queued.variant.name.clone(), job: queued.job.0 }).collect()
 }

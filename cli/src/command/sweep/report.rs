@@ -1,23 +1,23 @@
 //! Report of a sweep.
 
-use super::share::Shares;
-use super::work::Work;
+use super::resolved::ResolvedSweep;
+use super::sharing::SharingCounts;
 use crate::exit::{Exit, Failure};
-use crate::output::{Say, human, json};
+use crate::output::{Printer, human, json};
 use serde::Serialize;
 use std::collections::BTreeSet;
 use std::path::Path;
 
 /// Summary of a sweep, printed whole by `--json`.
 #[derive(Debug, Serialize)]
-pub struct Report {
+pub struct SweepReport {
     /// Folder of the sweep; empty without `-o`.
     pub out: String,
     /// Names of the variants, which are also the names of their folders.
     pub variants: Vec<String>,
     /// Sharing, counted before the start.
     #[serde(flatten)]
-    pub shares: Counts,
+    pub shares: FrameCounts,
     /// Jobs that were queued or found again.
     pub jobs: Vec<JobReport>,
     /// The sheet.
@@ -28,7 +28,7 @@ pub struct Report {
 
 /// Frames by origin.
 #[derive(Debug, Serialize)]
-pub struct Counts {
+pub struct FrameCounts {
     /// Number of all frames.
     pub frames: usize,
     /// Frames rendered by this run.
@@ -50,14 +50,14 @@ pub struct JobReport {
     pub job: u64,
 }
 
-impl Report {
+impl SweepReport {
     /// Creates the report before anything has run.
-    pub fn new(work: &Work, out: &Path, shares: Shares) -> Self {
-        let Shares { frames, there: kept, linked, render: rendered, worlds, .. } = shares;
+    pub fn new(sweep: &ResolvedSweep, out: &Path, sharing: SharingCounts) -> Self {
+        let SharingCounts { frames, there: kept, linked, render: rendered, worlds, .. } = sharing;
         Self {
             out: out.display().to_string(),
-            variants: work.variants.iter().map(|variant| variant.name.clone()).collect(),
-            shares: Counts { frames, rendered, linked, kept, worlds },
+            variants: sweep.variants.iter().map(|variant| variant.name.clone()).collect(),
+            shares: FrameCounts { frames, rendered, linked, kept, worlds },
             jobs: Vec::new(),
             contact_sheet: None,
             seconds: 0.0,
@@ -65,34 +65,34 @@ impl Report {
     }
 
     /// Prints on stderr which job belongs to which variant.
-    pub fn note_jobs(&self, say: Say) {
-        self.jobs.iter().for_each(|job| say.note(format!("job {}: {}", job.job, job.variant)));
+    pub fn note_jobs(&self, printer: Printer) {
+        self.jobs.iter().for_each(|job| printer.note(format!("job {}: {}", job.job, job.variant)));
     }
 
     /// Prints the numbers of queued jobs on stdout, one per line, when the command does not wait.
-    pub fn queued(&self, as_json: bool, say: Say) -> Result<Exit, Failure> {
+    pub fn print_jobs(&self, as_json: bool, printer: Printer) -> Result<Exit, Failure> {
         if as_json {
-            json::print(say, self)?;
+            json::print(printer, self)?;
         } else {
             let mut seen = BTreeSet::new();
-            self.jobs.iter().filter(|job| seen.insert(job.job)).for_each(|job| say.result(job.job));
+            self.jobs.iter().filter(|job| seen.insert(job.job)).for_each(|job| printer.result(job.job));
         }
         Ok(Exit::Done)
     }
 
     /// Prints the report of a complete sweep.
-    pub fn print(&self, as_json: bool, say: Say) -> Result<(), Failure> {
+    pub fn print(&self, as_json: bool, printer: Printer) -> Result<(), Failure> {
         if as_json {
-            return json::print(say, self);
+            return json::print(printer, self);
         }
-        let Counts { frames, rendered, linked, kept, .. } = self.shares;
-        let variants = human::count(self.variants.len() as u64, "variant");
-        say.result(format!(
+        let FrameCounts { frames, rendered, linked, kept, .. } = self.shares;
+        let variants = human::counted_noun(self.variants.len() as u64, "variant");
+        printer.result(format!(
             "{}: {variants}, {frames} frames ({rendered} rendered, {linked} linked, {kept} already finished), {}",
             self.out,
             human::seconds(self.seconds)
         ));
-        self.contact_sheet.iter().for_each(|sheet| say.result(sheet));
+        self.contact_sheet.iter().for_each(|sheet| printer.result(sheet));
         Ok(())
     }
 }

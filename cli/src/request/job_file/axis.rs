@@ -3,8 +3,8 @@
 use super::change::Change;
 use super::fault::Fault;
 use super::range::{MAX_VARIANTS, Range};
-use crate::values::Place;
-use crate::values::{Budget, Override};
+use crate::values::TextPosition;
+use crate::values::{DurationArg, Override};
 use std::borrow::Cow;
 use toml::Spanned;
 use toml::de::DeValue;
@@ -15,22 +15,22 @@ pub struct Axis {
     /// Selector, or the setting's long name.
     pub name: String,
     /// Values, at least one.
-    pub choices: Vec<Choice>,
+    pub values: Vec<AxisValue>,
     /// Line and column of the name.
-    pub place: Place,
+    pub position: TextPosition,
     /// Byte offset of the name.
     pub offset: usize,
 }
 
 /// A value of an axis.
 #[derive(Clone, Debug)]
-pub struct Choice {
+pub struct AxisValue {
     /// Change of the settings.
     pub change: Change,
     /// Text of the value, for messages and folder names.
     pub text: String,
     /// Line and column of the value.
-    pub place: Place,
+    pub position: TextPosition,
     /// Byte offset of the value.
     pub offset: usize,
 }
@@ -52,14 +52,14 @@ impl Axis {
                 format!("`{name}` cannot be varied; an axis is a selector or one of {SETTINGS}"),
             ));
         }
-        let choices: Vec<Choice> = match value.get_ref() {
+        let choices: Vec<AxisValue> = match value.get_ref() {
             DeValue::Array(values) => {
-                values.iter().map(|value| Choice::read(&name, value, text)).collect::<Result<_, _>>()?
+                values.iter().map(|value| AxisValue::read(&name, value, text)).collect::<Result<_, _>>()?
             }
             DeValue::Table(table) => Range::read(&name, value.span().start, table)?
                 .values()
                 .into_iter()
-                .map(|number| Choice::number(&name, number, value.span().start, text))
+                .map(|number| AxisValue::number(&name, number, value.span().start, text))
                 .collect::<Result<_, _>>()?,
             _ => {
                 let what = format!("`{name}`: an axis must be a list of values, or {{ from = 1, to = 10, steps = 4 }}");
@@ -71,18 +71,18 @@ impl Axis {
             n if n > MAX_VARIANTS => {
                 Err(Fault::new(offset, format!("`{name}` has {n} values; a sweep has at most {MAX_VARIANTS} variants")))
             }
-            _ => Ok(Self { name, choices, place: Place::of(text, offset), offset }),
+            _ => Ok(Self { name, values: choices, position: TextPosition::from_offset(text, offset), offset }),
         }
     }
 }
 
-impl Choice {
+impl AxisValue {
     fn read(name: &str, value: &Spanned<DeValue<'_>>, text: &str) -> Result<Self, Fault> {
         let offset = value.span().start;
         let source = text.get(value.span()).unwrap_or_default();
         let change = Change::read(name, value).map_err(|what| Fault::new(offset, format!("`{name}`: {what}")))?;
         change.check().map_err(|what| Fault::new(offset, format!("`{name}` = {source}: {what}")))?;
-        Ok(Self { text: change.text(), change, place: Place::of(text, offset), offset })
+        Ok(Self { text: change.text(), change, position: TextPosition::from_offset(text, offset), offset })
     }
 
     /// Returns the choice for a value of a range.
@@ -91,7 +91,7 @@ impl Choice {
             || (number.fract() == 0.0 && (0.0..=f64::from(u32::MAX)).contains(&number)).then_some(number as u32);
         let change = match name {
             "error" => Some(Change::Error(number)),
-            "time" => Some(Change::Time(Budget { seconds: number })),
+            "time" => Some(Change::Time(DurationArg { seconds: number })),
             "spp" => whole().map(Change::Spp),
             "max-depth" => whole().map(Change::MaxDepth),
             "seed" => whole().map(|n| Change::Seed(n.into())),
@@ -102,6 +102,6 @@ impl Choice {
             Fault::new(offset, format!("`{name}` cannot be {number}, a step of this range; give a list of values"))
         })?;
         change.check().map_err(|what| Fault::new(offset, format!("`{name}` = {number}: {what}")))?;
-        Ok(Self { text: change.text(), change, place: Place::of(text, offset), offset })
+        Ok(Self { text: change.text(), change, position: TextPosition::from_offset(text, offset), offset })
     }
 }

@@ -2,7 +2,7 @@
 
 use super::fault::one_line;
 use crate::args::{Filter, Method, SettingsArgs};
-use crate::values::{Budget, Frames, Override, Size};
+use crate::values::{DurationArg, Frames, Override, Size};
 use serde::Deserialize;
 #[cfg(feature = "openjd")]
 use std::collections::BTreeMap;
@@ -25,7 +25,7 @@ pub enum Change {
     /// `error`
     Error(f64),
     /// `time`
-    Time(Budget),
+    Time(DurationArg),
     /// `method`
     Method(Method),
     /// `max-depth`
@@ -37,24 +37,24 @@ pub enum Change {
 }
 
 /// Parses a value of a given type.
-fn typed<'d, T: Deserialize<'d>>(value: &Spanned<DeValue<'d>>) -> Result<T, String> {
+fn parse_value<'d, T: Deserialize<'d>>(value: &Spanned<DeValue<'d>>) -> Result<T, String> {
     T::deserialize(ValueDeserializer::from(value.clone())).map_err(|e| one_line(e.message()))
 }
 
 impl Change {
     pub(super) fn read<'d>(name: &str, value: &Spanned<DeValue<'d>>) -> Result<Self, String> {
         Ok(match name {
-            "camera" => Self::Camera(typed(value)?),
-            "size" => Self::Size(typed(value)?),
-            "frames" => Self::Frames(typed(value)?),
-            "spp" => Self::Spp(typed(value)?),
-            "error" => Self::Error(typed(value)?),
-            "time" => Self::Time(typed(value)?),
-            "method" => Self::Method(typed(value)?),
-            "max-depth" => Self::MaxDepth(typed(value)?),
-            "filter" => Self::Filter(typed(value)?),
-            "seed" => Self::Seed(typed(value)?),
-            selector => Self::Scalar(Override { selector: selector.to_owned(), value: typed(value)? }),
+            "camera" => Self::Camera(parse_value(value)?),
+            "size" => Self::Size(parse_value(value)?),
+            "frames" => Self::Frames(parse_value(value)?),
+            "spp" => Self::Spp(parse_value(value)?),
+            "error" => Self::Error(parse_value(value)?),
+            "time" => Self::Time(parse_value(value)?),
+            "method" => Self::Method(parse_value(value)?),
+            "max-depth" => Self::MaxDepth(parse_value(value)?),
+            "filter" => Self::Filter(parse_value(value)?),
+            "seed" => Self::Seed(parse_value(value)?),
+            selector => Self::Scalar(Override { selector: selector.to_owned(), value: parse_value(value)? }),
         })
     }
 
@@ -134,7 +134,7 @@ impl Change {
 impl Change {
     /// Returns the changes that turn empty settings into these, one per setting and selector. They do not include `workers`,
     /// `threads` and `stats`, which change no pixel.
-    pub fn all(settings: &SettingsArgs) -> Vec<Self> {
+    pub fn from_settings(settings: &SettingsArgs) -> Vec<Self> {
         let SettingsArgs { camera, size, frames, spp, error, time, method, max_depth, filter, seed, set, .. } =
             settings;
         let last: BTreeMap<&str, &Override> = set.iter().map(|change| (change.selector.as_str(), change)).collect();

@@ -1,6 +1,6 @@
 //! Errors of a job file, with their locations.
 
-use crate::values::Place;
+use crate::values::TextPosition;
 use std::path::{Path, PathBuf};
 
 /// Reasons why a job file is refused.
@@ -16,11 +16,11 @@ pub enum JobFileError {
     },
     /// The file is not TOML, or not a job.
     #[error("{}:{}:{}: {what}", path.display(), place.line, place.column)]
-    Form {
+    Invalid {
         /// The job file.
         path: PathBuf,
         /// Line and column of the fault.
-        place: Place,
+        place: TextPosition,
         /// Description of the fault.
         what: String,
     },
@@ -32,18 +32,22 @@ pub struct Fault {
     /// Byte offset.
     pub offset: usize,
     /// Description of the fault.
-    pub what: String,
+    pub message: String,
 }
 
 impl Fault {
     /// Creates a fault at a byte offset.
-    pub fn new(offset: usize, what: impl Into<String>) -> Self {
-        Self { offset, what: what.into() }
+    pub fn new(offset: usize, message: impl Into<String>) -> Self {
+        Self { offset, message: message.into() }
     }
 
     /// Adds the file to the fault.
-    pub fn within(self, path: &Path, text: &str) -> JobFileError {
-        JobFileError::Form { path: path.to_owned(), place: Place::of(text, self.offset), what: self.what }
+    pub fn in_file(self, path: &Path, text: &str) -> JobFileError {
+        JobFileError::Invalid {
+            path: path.to_owned(),
+            place: TextPosition::from_offset(text, self.offset),
+            what: self.message,
+        }
     }
 }
 

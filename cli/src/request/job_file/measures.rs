@@ -1,7 +1,7 @@
 //! `[regions]` and `[contrasts]`: measurements in every frame of a sweep.
 
 use super::fault::Fault;
-use crate::values::Place;
+use crate::values::TextPosition;
 use serde::Deserialize as _;
 use std::collections::BTreeMap;
 use toml::Spanned;
@@ -15,7 +15,7 @@ pub struct Region {
     /// Left, top, right and bottom border, in pixels from the upper left corner; right and bottom are exclusive.
     pub bounds: [u32; 4],
     /// Location in the job file.
-    pub place: Place,
+    pub position: TextPosition,
 }
 
 /// Weber contrast of one region against another: (L - Lb) / Lb.
@@ -88,5 +88,5 @@ fn region(name: String, value: &Spanned<DeValue<'_>>, text: &str) -> Result<Regi
     if x0 >= x1 || y0 >= y1 {
         return Err(Fault::new(at, format!("`{name}`: the region contains no pixel; it needs x0 < x1 and y0 < y1")));
     }
-    Ok(Region { name, bounds, place: Place::of(text, at) })
+    Ok(Region { name, bounds, position: TextPosition::from_offset(text, at) })
 }

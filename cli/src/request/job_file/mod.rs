@@ -5,19 +5,19 @@ mod change;
 mod fault;
 mod measures;
 mod range;
-mod stem;
 mod sweep;
 #[cfg(test)]
 mod sweep_tests;
+mod variant_names;
 
 pub use fault::JobFileError;
 pub use measures::Measures;
 pub use sweep::Sweep;
 #[cfg(feature = "openjd")]
-pub use {axis::Axis, change::Change, sweep::Mode};
+pub use {axis::Axis, change::Change, sweep::SweepMode};
 
-use crate::args::{Filter, Method, SettingsArgs, Stats, job_name};
-use crate::values::{Budget, Frames, Override, Place, Size};
+use crate::args::{Filter, Method, SettingsArgs, StatsMode, job_name};
+use crate::values::{DurationArg, Frames, Override, Size, TextPosition};
 use fault::{Fault, one_line};
 use femc_model::JobNotes;
 use femc_pipeline::Layer;
@@ -48,20 +48,20 @@ pub struct JobFile {
     pub sweep: Option<Sweep>,
     /// Measurements in the frames of a sweep.
     pub measures: Measures,
-    places: BTreeMap<String, Place>,
+    positions: BTreeMap<String, TextPosition>,
 }
 
 /// The file as written. `_` and `-` are both accepted in `max-depth`.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
-struct Written {
+struct RawJobFile {
     scene: PathBuf,
     camera: Option<String>,
     size: Option<Size>,
     frames: Option<Frames>,
     spp: Option<u32>,
     error: Option<f64>,
-    time: Option<Budget>,
+    time: Option<DurationArg>,
     method: Option<Method>,
     #[serde(alias = "max_depth")]
     max_depth: Option<u32>,
@@ -99,8 +99,8 @@ struct Written {
 #[derive(Debug, Deserialize)]
 #[serde(untagged, expecting = "expected true, false or \"full\"")]
 enum StatsValue {
-    Whether(bool),
-    How(StatsWord),
+    Flag(bool),
+    Mode(StatsWord),
 }
 
 #[derive(Debug, Deserialize)]
@@ -110,10 +110,10 @@ enum StatsWord {
 }
 
 impl StatsValue {
-    fn how(self) -> Option<Stats> {
+    fn mode(self) -> Option<StatsMode> {
         match self {
-            Self::Whether(is_wanted) => is_wanted.then_some(Stats::Some),
-            Self::How(StatsWord::Full) => Some(Stats::Full),
+            Self::Flag(is_wanted) => is_wanted.then_some(StatsMode::Some),
+            Self::Mode(StatsWord::Full) => Some(StatsMode::Full),
         }
     }
 }
@@ -128,13 +128,13 @@ impl JobFile {
 
     /// Parses the job in `text`; `path`: its file.
     pub fn parse(path: &Path, text: &str) -> Result<Self, JobFileError> {
-        Self::read(path, text).map_err(|fault| fault.within(path, text))
+        Self::read(path, text).map_err(|fault| fault.in_file(path, text))
     }
 
     fn read(path: &Path, text: &str) -> Result<Self, Fault> {
         let wrong = |e: toml::de::Error| Fault::new(e.span().map_or(0, |s| s.start), one_line(e.message()));
-        let job: Written = toml::from_str(text).map_err(wrong)?;
-        check(&job).map_err(|(key, what)| Fault::new(offset_of(text, key), what))?;
+        let job: RawJobFile = toml::from_str(text).map_err(wrong)?;
+        check(&job).map_err(|(key, what)| Fault::new(key_offset(text, key), what))?;
         let table = DeTable::parse(text).map_err(wrong)?;
         let table = table.get_ref();
         let sweep = table.get("sweep").map(|table| Sweep::read(table, text)).transpose()?;
@@ -144,7 +144,7 @@ impl JobFile {
             path: path.to_owned(),
             sweep,
             measures,
-            places: places(table, text),
+            positions: setting_positions(table, text),
             scene: folder.join(&job.scene),
             settings: SettingsArgs {
                 camera: job.camera,
@@ -161,7 +161,7 @@ impl JobFile {
                 threads: job.threads,
                 set: job.set.into_iter().map(|(selector, value)| Override { selector, value }).collect(),
                 root: job.root.map(|root| folder.join(root)),
-                stats: job.stats.and_then(StatsValue::how),
+                stats: job.stats.and_then(StatsValue::mode),
                 layer: job.layer.into_iter().map(|(name, expression)| Layer { name, expression }).collect(),
                 layers: job.layers,
             },
@@ -173,19 +173,19 @@ impl JobFile {
     }
 
     /// Returns the location of a setting, such as `frames` or the override `set.medium.fog.sigma_s`: `job.toml:3:10`.
-    pub fn at(&self, key: &str) -> Option<String> {
-        self.places.get(key).map(|place| self.shown(*place))
+    pub fn location(&self, key: &str) -> Option<String> {
+        self.positions.get(key).map(|place| self.format_location(*place))
     }
 
     /// Formats a location in this file for a message.
-    pub fn shown(&self, place: Place) -> String {
-        format!("{}:{}:{}", self.path.display(), place.line, place.column)
+    pub fn format_location(&self, position: TextPosition) -> String {
+        format!("{}:{}:{}", self.path.display(), position.line, position.column)
     }
 
     /// Removes the locations of settings that the command line replaces.
-    pub fn replaced(&mut self, typed: &SettingsArgs) {
+    pub fn remove_replaced(&mut self, typed: &SettingsArgs) {
         let keys = typed_keys(typed);
-        self.places.retain(|key, _| !keys.contains(key.strip_prefix("set.").unwrap_or(key)));
+        self.positions.retain(|key, _| !keys.contains(key.strip_prefix("set.").unwrap_or(key)));
     }
 }
 
@@ -210,22 +210,22 @@ pub fn typed_keys(typed: &SettingsArgs) -> BTreeSet<&str> {
     settings.chain(set.iter().map(|change| change.selector.as_str())).collect()
 }
 
-fn places(table: &DeTable<'_>, text: &str) -> BTreeMap<String, Place> {
-    let mut places = BTreeMap::new();
+fn setting_positions(table: &DeTable<'_>, text: &str) -> BTreeMap<String, TextPosition> {
+    let mut positions = BTreeMap::new();
     for (key, value) in table {
-        places.insert(key.get_ref().replace('_', "-"), Place::of(text, key.span().start));
+        positions.insert(key.get_ref().replace('_', "-"), TextPosition::from_offset(text, key.span().start));
         if let ("set", DeValue::Table(set)) = (key.get_ref().as_ref(), value.get_ref()) {
             let place = |(key, _): (&toml::Spanned<std::borrow::Cow<'_, str>>, _)| {
-                (format!("set.{}", key.get_ref()), Place::of(text, key.span().start))
+                (format!("set.{}", key.get_ref()), TextPosition::from_offset(text, key.span().start))
             };
-            places.extend(set.iter().map(place));
+            positions.extend(set.iter().map(place));
         }
     }
-    places
+    positions
 }
 
 /// Checks the keys as the command line checks the flags. The error contains the faulty key and a description.
-fn check(job: &Written) -> Result<(), (&'static str, String)> {
+fn check(job: &RawJobFile) -> Result<(), (&'static str, String)> {
     let stops = [job.spp.is_some(), job.error.is_some(), job.time.is_some()];
     if stops.iter().filter(|&&given| given).count() > 1 {
         let key = if job.spp.is_some() { "spp" } else { "error" };
@@ -260,7 +260,7 @@ fn check(job: &Written) -> Result<(), (&'static str, String)> {
 }
 
 /// Returns the byte offset of the line that begins with `key`.
-fn offset_of(text: &str, key: &str) -> usize {
+fn key_offset(text: &str, key: &str) -> usize {
     let mut offset = 0;
     for line in text.split_inclusive('\n') {
         let start = line.trim_start();
@@ -310,9 +310,9 @@ mod tests {
         let settings = job.settings;
         assert_eq!(settings.camera.as_deref(), Some("main"));
         assert_eq!(settings.size, Some(Size { width: 32, height: 16 }));
-        assert_eq!(settings.time, Some(Budget { seconds: 90.0 }));
+        assert_eq!(settings.time, Some(DurationArg { seconds: 90.0 }));
         assert_eq!((settings.method, settings.filter), (Some(Method::Pt), Some(Filter::BlackmanHarris)));
-        assert_eq!((settings.max_depth, settings.seed, settings.stats), (Some(5), Some(3), Some(Stats::Some)));
+        assert_eq!((settings.max_depth, settings.seed, settings.stats), (Some(5), Some(3), Some(StatsMode::Some)));
         assert_eq!((settings.workers, settings.threads), (Some(2), Some(1)));
     }
 

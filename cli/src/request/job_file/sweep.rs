@@ -1,11 +1,11 @@
 //! `[sweep]`: the axes, and how they are combined.
 
-use super::axis::{Axis, Choice};
+use super::axis::{Axis, AxisValue};
 use super::fault::Fault;
 use super::range::MAX_VARIANTS;
-use super::stem::stems;
+use super::variant_names::variant_names;
 use crate::args::SettingsArgs;
-use crate::values::Place;
+use crate::values::TextPosition;
 use std::collections::BTreeSet;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
@@ -16,13 +16,13 @@ pub struct Sweep {
     /// Axes, at least one.
     pub axes: Vec<Axis>,
     /// Combination of the axes.
-    pub mode: Mode,
-    place: Place,
+    pub mode: SweepMode,
+    position: TextPosition,
 }
 
 /// Combination of axes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Mode {
+pub enum SweepMode {
     /// All combinations; the last axis varies fastest.
     #[default]
     Grid,
@@ -36,7 +36,7 @@ pub struct Variant<'a> {
     /// Name of the folder: short, unique in the sweep, and unchanged when the sweep gets more values.
     pub name: String,
     /// Choices in the order of the axes.
-    pub choices: Vec<&'a Choice>,
+    pub values: Vec<&'a AxisValue>,
 }
 
 impl Sweep {
@@ -56,14 +56,14 @@ impl Sweep {
                 "the sweep has no axis; write one like \"medium.fog.sigma_s\" = [0.01, 0.02]",
             ));
         }
-        let sweep = Self { axes, mode, place: Place::of(text, begin) };
+        let sweep = Self { axes, mode, position: TextPosition::from_offset(text, begin) };
         sweep.check(begin)?;
         Ok(sweep)
     }
 
     /// Returns the location of the table.
-    pub fn place(&self) -> Place {
-        self.place
+    pub fn position(&self) -> TextPosition {
+        self.position
     }
 
     fn check(&self, begin: usize) -> Result<(), Fault> {
@@ -72,19 +72,19 @@ impl Sweep {
             return Err(Fault::new(second.offset, format!("{} and {} exclude each other", first.name, second.name)));
         }
         match self.mode {
-            Mode::Grid => self.check_grid(begin),
-            Mode::Zip => self.check_zip(),
+            SweepMode::Grid => self.check_grid(begin),
+            SweepMode::Zip => self.check_zip(),
         }
     }
 
     fn check_grid(&self, begin: usize) -> Result<(), Fault> {
         for axis in &self.axes {
             let mut seen = BTreeSet::new();
-            if let Some(twice) = axis.choices.iter().find(|choice| !seen.insert(choice.text.as_str())) {
+            if let Some(twice) = axis.values.iter().find(|choice| !seen.insert(choice.text.as_str())) {
                 return Err(Fault::new(twice.offset, format!("`{}` has the value {} twice", axis.name, twice.text)));
             }
         }
-        let count = self.axes.iter().try_fold(1usize, |count, axis| count.checked_mul(axis.choices.len()));
+        let count = self.axes.iter().try_fold(1usize, |count, axis| count.checked_mul(axis.values.len()));
         match count {
             Some(count) if count <= MAX_VARIANTS => Ok(()),
             count => {
@@ -96,8 +96,8 @@ impl Sweep {
 
     fn check_zip(&self) -> Result<(), Fault> {
         let first = &self.axes[0];
-        if let Some(other) = self.axes.iter().find(|axis| axis.choices.len() != first.choices.len()) {
-            let [a, b] = [first, other].map(|axis| axis.choices.len());
+        if let Some(other) = self.axes.iter().find(|axis| axis.values.len() != first.values.len()) {
+            let [a, b] = [first, other].map(|axis| axis.values.len());
             let what = format!(
                 "mode = \"zip\" pairs values: `{}` has {a} values, but `{}` has {b}; give both the same number",
                 first.name, other.name
@@ -105,8 +105,8 @@ impl Sweep {
             return Err(Fault::new(other.offset, what));
         }
         let mut seen = BTreeSet::new();
-        for (at, choice) in first.choices.iter().enumerate() {
-            if !seen.insert(self.axes.iter().map(|axis| axis.choices[at].text.as_str()).collect::<Vec<_>>()) {
+        for (at, choice) in first.values.iter().enumerate() {
+            if !seen.insert(self.axes.iter().map(|axis| axis.values[at].text.as_str()).collect::<Vec<_>>()) {
                 return Err(Fault::new(choice.offset, "the same combination of values occurs twice"));
             }
         }
@@ -116,19 +116,19 @@ impl Sweep {
     /// Returns all variants. In a grid, the last axis varies fastest.
     pub fn variants(&self) -> Vec<Variant<'_>> {
         let labels = self.labels();
-        let rows: Vec<Vec<&Choice>> = match self.mode {
-            Mode::Grid => self.axes.iter().fold(vec![Vec::new()], |rows, axis| {
-                let with = |row: Vec<_>| axis.choices.iter().map(move |choice| [row.as_slice(), &[choice]].concat());
+        let rows: Vec<Vec<&AxisValue>> = match self.mode {
+            SweepMode::Grid => self.axes.iter().fold(vec![Vec::new()], |rows, axis| {
+                let with = |row: Vec<_>| axis.values.iter().map(move |choice| [row.as_slice(), &[choice]].concat());
                 rows.into_iter().flat_map(with).collect()
             }),
-            Mode::Zip => {
-                let row = |at: usize| self.axes.iter().map(|axis| &axis.choices[at]).collect();
-                (0..self.axes[0].choices.len()).map(row).collect()
+            SweepMode::Zip => {
+                let row = |at: usize| self.axes.iter().map(|axis| &axis.values[at]).collect();
+                (0..self.axes[0].values.len()).map(row).collect()
             }
         };
         let texts = rows.iter().map(|row| labels.iter().zip(row).map(|(l, c)| format!("{l}={}", c.text)).collect());
-        let names = stems(&texts.collect::<Vec<Vec<String>>>());
-        rows.into_iter().zip(names).map(|(choices, name)| Variant { name, choices }).collect()
+        let names = variant_names(&texts.collect::<Vec<Vec<String>>>());
+        rows.into_iter().zip(names).map(|(choices, name)| Variant { name, values: choices }).collect()
     }
 
     /// Returns the axes' names, shortened as far as they stay unique: `sigma_s` for `medium.fog.sigma_s`.
@@ -152,16 +152,16 @@ impl Variant<'_> {
     /// Returns these settings with the variant's choices.
     pub fn apply(&self, settings: &SettingsArgs) -> SettingsArgs {
         let mut settings = settings.clone();
-        self.choices.iter().for_each(|choice| choice.change.apply(&mut settings));
+        self.values.iter().for_each(|choice| choice.change.apply(&mut settings));
         settings
     }
 }
 
-fn mode(entries: &DeTable<'_>) -> Result<Mode, Fault> {
-    let Some(value) = entries.get("mode") else { return Ok(Mode::default()) };
+fn mode(entries: &DeTable<'_>) -> Result<SweepMode, Fault> {
+    let Some(value) = entries.get("mode") else { return Ok(SweepMode::default()) };
     match value.get_ref() {
-        DeValue::String(text) if text == "grid" => Ok(Mode::Grid),
-        DeValue::String(text) if text == "zip" => Ok(Mode::Zip),
+        DeValue::String(text) if text == "grid" => Ok(SweepMode::Grid),
+        DeValue::String(text) if text == "zip" => Ok(SweepMode::Zip),
         _ => {
             Err(Fault::new(value.span().start, "mode must be \"grid\" (all combinations) or \"zip\" (value by value)"))
         }

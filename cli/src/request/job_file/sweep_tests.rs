@@ -51,7 +51,7 @@ fn every_setting_of_an_image_can_be_an_axis() {
     .expect("a job");
     let sweep = job.sweep.expect("a sweep");
     let settings = sweep.variants()[0].apply(&SettingsArgs { spp: Some(4), ..SettingsArgs::default() });
-    assert_eq!((settings.spp, settings.time), (None, Some(Budget { seconds: 120.0 })), "the axis' stop wins");
+    assert_eq!((settings.spp, settings.time), (None, Some(DurationArg { seconds: 120.0 })), "the axis' stop wins");
     assert_eq!((settings.camera.as_deref(), settings.max_depth, settings.seed), (Some("a"), Some(3), Some(7)));
 }
 

@@ -8,12 +8,12 @@ use bytes::Bytes;
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::TcpStream;
 
-use super::peer::{self, Peer, announced, closed, connect, connect_from, message, outcome};
+use super::peer::{self, Peer, announced, connect, connect_from, message, outcome, wait_until_closed};
 use super::{Target, frames};
 
 /// Waits until a connection opened at `begun` is closed. Returns text with the seconds.
 async fn seconds_until_closed(stream: &mut TcpStream, begun: Instant) -> String {
-    closed(stream).await;
+    wait_until_closed(stream).await;
     format!("closed after {} s", begun.elapsed().as_secs())
 }
 
@@ -41,7 +41,7 @@ pub async fn connections(target: &mut Target) -> String {
     assert!(turned_away >= 2000, "{turned_away} of {} turned away", open.len());
     let begun = Instant::now();
     for stream in &mut open {
-        closed(stream).await;
+        wait_until_closed(stream).await;
     }
     format!("{turned_away} of {} turned away at once, the others after {} s", open.len(), begun.elapsed().as_secs())
 }
@@ -64,22 +64,22 @@ pub async fn half_a_handshake(target: &mut Target) -> String {
 pub async fn plain_to_encrypted(target: &mut Target) -> String {
     let begun = Instant::now();
     let mut stream = connect(target.address()).await;
-    assert!(push(&mut stream, &[frames::greeting(), frames::call(1, "/femc.v1.Jobs/List")].concat()).await);
+    assert!(push(&mut stream, &[frames::client_preface(), frames::call(1, "/femc.v1.Jobs/List")].concat()).await);
     seconds_until_closed(&mut stream, begun).await
 }
 
 pub async fn greeting_alone(target: &mut Target) -> String {
     let begun = Instant::now();
     let mut stream = connect(target.address()).await;
-    assert!(push(&mut stream, &frames::greeting()).await);
+    assert!(push(&mut stream, &frames::client_preface()).await);
     seconds_until_closed(&mut stream, begun).await
 }
 
-pub async fn small_talk(target: &mut Target) -> String {
+pub async fn endless_pings(target: &mut Target) -> String {
     let begun = Instant::now();
     let mut stream = connect(target.address()).await;
-    assert!(push(&mut stream, &frames::greeting()).await);
-    while begun.elapsed() < peer::PATIENCE {
+    assert!(push(&mut stream, &frames::client_preface()).await);
+    while begun.elapsed() < peer::CLOSE_TIMEOUT {
         tokio::time::sleep(Duration::from_millis(500)).await;
         if !push(&mut stream, &[frames::settings(), frames::ping()].concat()).await {
             return format!("closed after {} s", begun.elapsed().as_secs());
@@ -91,7 +91,7 @@ pub async fn small_talk(target: &mut Target) -> String {
 pub async fn half_open(target: &mut Target) -> String {
     let stream = connect(target.address()).await.into_std().expect("a socket");
     let mut other = TcpStream::from_std(stream.try_clone().expect("another handle")).expect("a socket");
-    let mut peer = Peer::on(TcpStream::from_std(stream).expect("a socket")).await;
+    let mut peer = Peer::from_stream(TcpStream::from_std(stream).expect("a socket")).await;
     let first = peer.call("Jobs/List", message(&[])).await;
     assert!(first.starts_with("status 0"), "{first}");
     peer.stop();
@@ -159,7 +159,7 @@ pub async fn headers(target: &mut Target) -> String {
 
 pub async fn open_calls(target: &mut Target) -> String {
     let mut stream = connect(target.address()).await;
-    assert!(push(&mut stream, &frames::greeting()).await);
+    assert!(push(&mut stream, &frames::client_preface()).await);
     let mut sent = 0;
     for n in 0..20_000u32 {
         if !push(&mut stream, &frames::call(2 * n + 1, "/femc.v1.Jobs/Submit")).await {
@@ -176,7 +176,7 @@ pub async fn open_calls(target: &mut Target) -> String {
 pub async fn rapid_reset(target: &mut Target) -> String {
     let begun = Instant::now();
     let (mut stream, mut sent) = (connect(target.address()).await, 0);
-    assert!(push(&mut stream, &frames::greeting()).await);
+    assert!(push(&mut stream, &frames::client_preface()).await);
     for n in 0..200_000u32 {
         let both = [frames::call(2 * n + 1, "/femc.v1.Jobs/List"), frames::reset(2 * n + 1)].concat();
         if !push(&mut stream, &both).await {
@@ -185,21 +185,21 @@ pub async fn rapid_reset(target: &mut Target) -> String {
         sent += 1;
     }
     target.serves_others();
-    closed(&mut stream).await;
+    wait_until_closed(&mut stream).await;
     assert!(sent < 200_000, "all were taken");
     format!("closed after {sent} calls, {} s", begun.elapsed().as_secs())
 }
 
 pub async fn pings(target: &mut Target) -> String {
     let mut stream = connect(target.address()).await;
-    assert!(push(&mut stream, &frames::greeting()).await);
+    assert!(push(&mut stream, &frames::client_preface()).await);
     let many: Vec<u8> = (0..10_000).flat_map(|_| frames::ping()).collect();
     let mut sent = 0;
     while sent < 500 && push(&mut stream, &many).await {
         sent += 1;
     }
     target.serves_others();
-    closed(&mut stream).await;
+    wait_until_closed(&mut stream).await;
     format!("closed after {sent} times 10 000")
 }
 
@@ -235,7 +235,7 @@ pub async fn calls(target: &mut Target) -> String {
 }
 
 /// Returns a message that announces the digest of a missing file.
-fn announces(digest: u8) -> Bytes {
+fn digest_message(digest: u8) -> Bytes {
     message(&[&[0x0a, 32][..], &[digest; 32]].concat())
 }
 
@@ -245,7 +245,7 @@ pub async fn uploads(target: &mut Target) -> String {
     let mut open = Vec::new();
     for n in 0..200 {
         let (response, mut send) = peer.begin("Artifacts/Put").await.expect("a call");
-        send.send_data(announces(n), false).expect("it is taken");
+        send.send_data(digest_message(n), false).expect("it is taken");
         // Half of a piece of one mebibyte.
         let piece = [&[0x12, 0x80, 0x80, 0x40][..], &vec![0; 1 << 19]].concat();
         send.reserve_capacity(1 << 20);
@@ -265,7 +265,7 @@ pub async fn uploads(target: &mut Target) -> String {
 
 pub async fn unread_downloads(target: &mut Target) -> String {
     let bytes = Bytes::from(vec![7; 24 << 20]);
-    let artifact = femc_model::Artifact::of(&bytes);
+    let artifact = femc_model::Artifact::from_bytes(&bytes);
     let client = femc_proto::Client::connect(&target.url).await.expect("a connection");
     client.put(bytes).await.expect("it is kept");
     let before = target.resident();
@@ -332,21 +332,21 @@ pub async fn nonsense(target: &mut Target) -> String {
 }
 
 pub async fn guesses(target: &mut Target) -> String {
-    target.place.run("ca token user bob --role viewer").exits(0);
-    let real = target.place.read("bob.token");
+    target.dir.run("ca token user bob --role viewer").exits(0);
+    let real = target.dir.read("bob.token");
     let (_, rest) = real.split_once('\n').expect("a token and a certificate");
     for n in 0..20u64 {
         let guess = format!("femc_{n:064x}\n{rest}");
-        let path = target.place.path("guess.token");
+        let path = target.dir.path("guess.token");
         let _ = std::fs::remove_file(&path);
         std::fs::write(&path, guess).expect("a file");
         std::fs::set_permissions(&path, std::os::unix::fs::PermissionsExt::from_mode(0o600)).expect("its mode");
         let answer =
-            target.place.run(&format!("jobs --server {} --token-file guess.token", target.url)).exits(1).stderr();
+            target.dir.run(&format!("jobs --server {} --token-file guess.token", target.url)).exits(1).stderr();
         assert!(answer.contains("does not know the token"), "{answer}");
     }
-    target.place.run(&format!("jobs --server {} --token-file bob.token", target.url)).exits(0);
-    let record = target.place.read("audit.jsonl");
+    target.dir.run(&format!("jobs --server {} --token-file bob.token", target.url)).exits(0);
+    let record = target.dir.read("audit.jsonl");
     let guesses = record.lines().filter(|line| line.contains("Unauthenticated")).count();
     assert!((1..=20).contains(&guesses) && !record.contains(&real[5..69]), "{record}");
     format!("20 of 20 refused, {guesses} lines in the record")

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 
 use super::Target;
-use super::peer::{closed, connect, connect_from};
+use super::peer::{connect, connect_from, wait_until_closed};
 use crate::common::http::{Answer, CHANGE, ask, send};
 
 const CANCEL: &str = "{\"jobs\":[1],\"action\":\"cancel\"}";
@@ -57,7 +57,7 @@ pub async fn rebinding(target: &mut Target) -> String {
     "403 foreign_host".to_owned()
 }
 
-pub async fn climbing(target: &mut Target) -> String {
+pub async fn path_traversal(target: &mut Target) -> String {
     for path in [
         "/../../../../etc/passwd",
         "/assets/../../../../etc/passwd",
@@ -91,7 +91,7 @@ pub async fn huge_body(target: &mut Target) -> String {
     "413 too_large".to_owned()
 }
 
-pub async fn forged(target: &mut Target) -> String {
+pub async fn forged_tokens(target: &mut Target) -> String {
     let get = |head: &str| ask(target.address(), "GET /api/v1/jobs", &[head], "");
     let real = target.token("eve");
     let forged = format!("femc_{}", "0".repeat(64));
@@ -160,18 +160,18 @@ pub async fn unread_feeds(target: &mut Target) -> String {
     "served, with bounded memory".to_owned()
 }
 
-pub async fn kept_open(target: &mut Target) -> String {
+pub async fn idle_connection(target: &mut Target) -> String {
     let begun = Instant::now();
     let mut stream = connect(target.address()).await;
     let request = format!("GET /api/v1/me HTTP/1.1\r\nHost: {}\r\n\r\n", target.address());
     stream.write_all(request.as_bytes()).await.expect("it listens");
     // The answer is sent, and no further request follows.
-    tokio::time::timeout(Duration::from_secs(90), closed_after(&mut stream)).await.expect("closed in time");
+    tokio::time::timeout(Duration::from_secs(90), drain_until_closed(&mut stream)).await.expect("closed in time");
     format!("closed after {} s", begun.elapsed().as_secs())
 }
 
-async fn closed_after(stream: &mut tokio::net::TcpStream) {
+async fn drain_until_closed(stream: &mut tokio::net::TcpStream) {
     let mut bytes = [0; 1 << 12];
     while stream.read(&mut bytes).await.is_ok_and(|count| count > 0) {}
-    closed(stream).await;
+    wait_until_closed(stream).await;
 }

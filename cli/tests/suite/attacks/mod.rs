@@ -11,7 +11,7 @@ mod peer;
 
 use std::time::Duration;
 
-use crate::common::{Place, Running};
+use crate::common::{TestFolder, TestProcess};
 
 /// Tolerated growth of the coordinator's memory after an attack, in bytes. Buffers of closed connections go back to the allocator,
 /// which does not return all of them to the system.
@@ -21,27 +21,27 @@ const TRANSFERS: u64 = 16 * (8 << 20);
 
 /// A coordinator under attack.
 pub struct Target {
-    place: Place,
-    coordinator: Running,
+    dir: TestFolder,
+    coordinator: TestProcess,
     /// URL with `http://` or `https://`.
     url: String,
 }
 
 impl Target {
     fn start(options: &str) -> Self {
-        let place = Place::new();
+        let dir = TestFolder::new();
         if options.contains("--identity") || options.contains("--token-file") {
-            place.run("ca init").exits(0);
-            place.run("ca issue coordinator farm").exits(0);
-            place.run("ca issue user ann --role viewer").exits(0);
-            place.run("ca token user eve --role viewer").exits(0);
-            place.run("ca token user dora --role viewer").exits(0);
+            dir.run("ca init").exits(0);
+            dir.run("ca issue coordinator farm").exits(0);
+            dir.run("ca issue user ann --role viewer").exits(0);
+            dir.run("ca token user eve --role viewer").exits(0);
+            dir.run("ca token user dora --role viewer").exits(0);
         }
         let line = format!("coordinator --listen 127.0.0.1:0 --store sqlite:farm.db --artifacts artifacts {options}");
-        let mut coordinator = place.start(&line);
+        let mut coordinator = dir.start(&line);
         let line = coordinator.first_line();
         let url = line.split_whitespace().find(|word| word.starts_with("http")).expect("the address").to_owned();
-        Self { place, coordinator, url }
+        Self { dir, coordinator, url }
     }
 
     /// Returns host and port.
@@ -52,31 +52,31 @@ impl Target {
     /// Checks that another client gets answers.
     #[track_caller]
     fn serves_others(&mut self) {
-        let identity = match (self.url.starts_with("https"), self.place.path("dora.token").exists()) {
+        let identity = match (self.url.starts_with("https"), self.dir.path("dora.token").exists()) {
             (true, _) => "--identity ann.pem",
             (false, true) => "--token-file dora.token",
             (false, false) => "",
         };
-        self.place.run(&format!("jobs --server {} {identity}", self.url)).exits(0);
+        self.dir.run(&format!("jobs --server {} {identity}", self.url)).exits(0);
         assert!(self.coordinator.is_running());
     }
 
     /// Queues a job, which stays queued because there is no worker.
     #[track_caller]
     fn submit(&self) {
-        self.place.run(&format!("submit fog.mgf --frames 1 --spp 1 --server {}", self.url)).exits(0);
+        self.dir.run(&format!("submit fog.mgf --frames 1 --spp 1 --server {}", self.url)).exits(0);
     }
 
     /// Reads a user's token.
     fn token(&self, name: &str) -> String {
-        let text = std::fs::read_to_string(self.place.path(&format!("{name}.token"))).expect("a token");
+        let text = std::fs::read_to_string(self.dir.path(&format!("{name}.token"))).expect("a token");
         text.lines().next().expect("a line").trim().to_owned()
     }
 
     /// Revokes a user's token.
     #[track_caller]
     fn revoke(&self, name: &str) {
-        self.place.run(&format!("ca revoke {name}")).exits(0);
+        self.dir.run(&format!("ca revoke {name}")).exits(0);
     }
 
     /// Returns the resident memory in bytes.
@@ -90,7 +90,7 @@ impl Target {
 
 /// Runs one attack against a new coordinator. Prints how the attack was refused.
 #[track_caller]
-fn withstands(name: &str, options: &str, growth: u64, attack: impl AsyncFnOnce(&mut Target) -> String) {
+fn assert_withstands(name: &str, options: &str, growth: u64, attack: impl AsyncFnOnce(&mut Target) -> String) {
     let mut target = Target::start(options);
     target.serves_others();
     let before = target.resident();
@@ -111,7 +111,7 @@ macro_rules! attacks {
     ($($name:ident($options:expr, $growth:expr) = $attack:expr;)*) => {
         $(#[test]
         fn $name() {
-            withstands(stringify!($name), $options, $growth, $attack);
+            assert_withstands(stringify!($name), $options, $growth, $attack);
         })*
     };
 }
@@ -129,9 +129,9 @@ attacks! {
     nonsense_in_every_call("", GROWTH) = attack::nonsense;
     a_page_of_another_site("", GROWTH) = browser::cross_site;
     a_name_that_was_made_to_lead_here("", GROWTH) = browser::rebinding;
-    paths_that_climb("", GROWTH) = browser::climbing;
+    paths_that_climb("", GROWTH) = browser::path_traversal;
     a_body_without_end("", GROWTH) = browser::huge_body;
-    cookies_that_are_forged_or_over("--token-file femc-ca/tokens", GROWTH) = browser::forged;
+    cookies_that_are_forged_or_over("--token-file femc-ca/tokens", GROWTH) = browser::forged_tokens;
     guessed_tokens("--identity farm.pem --token-file femc-ca/tokens", GROWTH) = attack::guesses;
 }
 
@@ -143,7 +143,7 @@ macro_rules! waiting_attacks {
             std::thread::scope(|scope| {
                 $(
                     let thread = std::thread::Builder::new().name(stringify!($name).to_owned());
-                    let run = || withstands(stringify!($name), $options, $growth, $attack);
+                    let run = || assert_withstands(stringify!($name), $options, $growth, $attack);
                     thread.spawn_scoped(scope, run).expect("a thread");
                 )*
             });
@@ -156,12 +156,12 @@ waiting_attacks! {
     a_connection_that_says_nothing("", GROWTH) = attack::silence;
     half_a_tls_handshake("--identity farm.pem", GROWTH) = attack::half_a_handshake;
     http2_and_then_nothing("", GROWTH) = attack::greeting_alone;
-    http2_that_never_calls("", GROWTH) = attack::small_talk;
+    http2_that_never_calls("", GROWTH) = attack::endless_pings;
     a_peer_that_stops("", GROWTH) = attack::half_open;
     a_request_of_a_byte_a_second("", GROWTH) = attack::trickle;
     a_head_that_never_ends("", GROWTH) = browser::slow_head;
     feeds_that_are_not_read("", GROWTH) = browser::unread_feeds;
-    a_connection_that_is_kept_open("", GROWTH) = browser::kept_open;
+    a_connection_that_is_kept_open("", GROWTH) = browser::idle_connection;
     uploads_that_never_end("", GROWTH + TRANSFERS) = attack::uploads;
     downloads_that_are_not_read("", GROWTH + TRANSFERS) = attack::unread_downloads;
 }

@@ -10,7 +10,7 @@ use tokio::io::AsyncReadExt as _;
 use tokio::net::{TcpSocket, TcpStream};
 
 /// Timeout that is longer than every timeout of the coordinator.
-pub const PATIENCE: Duration = Duration::from_secs(60);
+pub const CLOSE_TIMEOUT: Duration = Duration::from_secs(60);
 
 /// Connects from an attacker's address.
 pub async fn connect_from(from: Ipv4Addr, address: &str) -> std::io::Result<TcpStream> {
@@ -26,10 +26,10 @@ pub async fn connect(address: &str) -> TcpStream {
 }
 
 /// Waits until the other side closes, and ignores data before that.
-pub async fn closed(stream: &mut TcpStream) {
+pub async fn wait_until_closed(stream: &mut TcpStream) {
     let mut bytes = [0; 1 << 12];
     let end = async { while stream.read(&mut bytes).await.is_ok_and(|count| count > 0) {} };
-    tokio::time::timeout(PATIENCE, end).await.expect("the connection is closed");
+    tokio::time::timeout(CLOSE_TIMEOUT, end).await.expect("the connection is closed");
 }
 
 /// An HTTP/2 connection whose frames are handled until this value is dropped.
@@ -40,10 +40,10 @@ pub struct Peer {
 
 impl Peer {
     pub async fn connect(address: &str) -> Self {
-        Self::on(connect(address).await).await
+        Self::from_stream(connect(address).await).await
     }
 
-    pub async fn on(stream: TcpStream) -> Self {
+    pub async fn from_stream(stream: TcpStream) -> Self {
         let (calls, connection) = h2::client::Builder::new().handshake(stream).await.expect("HTTP/2");
         let connection = tokio::spawn(async move {
             // The attack itself checks how the connection ends.
@@ -92,7 +92,7 @@ pub fn announced(length: u32, body: &[u8]) -> Bytes {
 
 /// Returns gRPC's code and message, or how the stream was closed.
 pub async fn outcome(response: ResponseFuture) -> String {
-    let answer = tokio::time::timeout(PATIENCE, response).await.expect("an answer");
+    let answer = tokio::time::timeout(CLOSE_TIMEOUT, response).await.expect("an answer");
     let response = match answer {
         Ok(response) => response,
         Err(error) => return format!("closed: {error}"),

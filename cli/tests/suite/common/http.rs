@@ -28,7 +28,7 @@ pub fn get(port: u16, path: &str) -> Option<(u16, String)> {
 pub fn metrics(port: u16) -> Samples {
     let (status, page) = get(port, "/metrics").expect("an answer");
     assert_eq!(status, 200);
-    Samples::read(&page).unwrap_or_else(|fault| panic!("{fault}\n{page}"))
+    Samples::parse(&page).unwrap_or_else(|fault| panic!("{fault}\n{page}"))
 }
 
 /// An HTTP answer.

@@ -10,7 +10,7 @@ use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
 /// Timeout that is longer than any step takes on a loaded machine.
-pub const PATIENCE: Duration = Duration::from_secs(120);
+pub const STEP_TIMEOUT: Duration = Duration::from_secs(120);
 
 /// A foggy box, 32 x 32 pixels, a clip of 8 frames in which the fog thickens.
 pub const FOG: &str = "\
@@ -66,55 +66,55 @@ f i j k l
 ";
 
 /// Starts a coordinator on this port (0: a free one). Returns it and its address.
-pub fn coordinator(place: &Place, port: u16) -> (Running, String) {
+pub fn start_coordinator(dir: &TestFolder, port: u16) -> (TestProcess, String) {
     let mut coordinator =
-        place.start(&format!("coordinator --listen 127.0.0.1:{port} --store sqlite:farm.db --artifacts artifacts"));
+        dir.start(&format!("coordinator --listen 127.0.0.1:{port} --store sqlite:farm.db --artifacts artifacts"));
     let line = coordinator.first_line();
     let url = line.split_whitespace().find(|word| word.starts_with("http://")).expect("the address").to_owned();
     (coordinator, url)
 }
 
 /// Queues `fog.mgf`. Returns the job's number.
-pub fn submit(place: &Place, url: &str, settings: &str) -> String {
-    let ran = place.run(&format!("submit fog.mgf {settings} --server {url}")).exits(0);
+pub fn submit(dir: &TestFolder, url: &str, settings: &str) -> String {
+    let ran = dir.run(&format!("submit fog.mgf {settings} --server {url}")).exits(0);
     let id = ran.stdout().lines().last().expect("a job id").to_owned();
     assert!(!id.is_empty() && !id.contains(' '), "the id stands alone: {id}");
     id
 }
 
 /// Returns a job's status.
-pub fn status(place: &Place, url: &str, job: &str) -> serde_json::Value {
-    place.run(&format!("status {job} --json --server {url}")).exits(0).json()
+pub fn status(dir: &TestFolder, url: &str, job: &str) -> serde_json::Value {
+    dir.run(&format!("status {job} --json --server {url}")).exits(0).json()
 }
 
 /// Returns the farm's workers.
-pub fn workers(place: &Place, url: &str) -> serde_json::Value {
-    place.run(&format!("workers --json --server {url}")).exits(0).json()
+pub fn workers(dir: &TestFolder, url: &str) -> serde_json::Value {
+    dir.run(&format!("workers --json --server {url}")).exits(0).json()
 }
 
 /// Returns the finished share of the job's samples.
-pub fn share(place: &Place, url: &str, job: &str) -> f64 {
-    let status = status(place, url, job);
+pub fn finished_share(dir: &TestFolder, url: &str, job: &str) -> f64 {
+    let status = status(dir, url, job);
     let number = |key: &str| status[key].as_f64().expect("a number");
     number("samples") / number("samples_most")
 }
 
 /// Returns the number of drawn samples.
-pub fn drawn(place: &Place, url: &str, job: &str) -> f64 {
-    status(place, url, job)["samples"].as_f64().expect("a number")
+pub fn samples_done(dir: &TestFolder, url: &str, job: &str) -> f64 {
+    status(dir, url, job)["samples"].as_f64().expect("a number")
 }
 
 /// A temporary folder with `fog.mgf` in it.
-pub struct Place {
+pub struct TestFolder {
     folder: tempfile::TempDir,
 }
 
-impl Place {
+impl TestFolder {
     pub fn new() -> Self {
         let folder = tempfile::tempdir().expect("a temporary folder");
-        let place = Self { folder };
-        place.write("fog.mgf", FOG);
-        place
+        let dir = Self { folder };
+        dir.write("fog.mgf", FOG);
+        dir
     }
 
     pub fn path(&self, name: &str) -> PathBuf {
@@ -137,22 +137,22 @@ impl Place {
     }
 
     /// Runs a command to its end.
-    pub fn run(&self, line: &str) -> Ran {
+    pub fn run(&self, line: &str) -> CommandOutput {
         let output = self.command(line).output().expect("femc starts");
-        Ran { line: line.to_owned(), output }
+        CommandOutput { line: line.to_owned(), output }
     }
 
     /// Starts a command with its output in the files `NAME.out` and `NAME.err`.
-    pub fn start_as(&self, name: &str, line: &str) -> Running {
+    pub fn start_as(&self, name: &str, line: &str) -> TestProcess {
         self.start_command(name, &mut self.command(line))
     }
 
     /// Like [`Self::start_as`], for a prepared command.
-    pub fn start_command(&self, name: &str, command: &mut Command) -> Running {
+    pub fn start_command(&self, name: &str, command: &mut Command) -> TestProcess {
         let file = |kind| std::fs::File::create(self.path(&format!("{name}.{kind}"))).expect("a file");
         let line = format!("{command:?}");
         let child = command.stdout(file("out")).stderr(file("err")).spawn().expect("femc starts");
-        Running { line, child: Some(child) }
+        TestProcess { line, child: Some(child) }
     }
 
     /// Returns the current content of a file.
@@ -161,26 +161,26 @@ impl Place {
     }
 
     /// Starts a command. A failed test prints its output.
-    pub fn start(&self, line: &str) -> Running {
-        Running::of(&mut self.command(line))
+    pub fn start(&self, line: &str) -> TestProcess {
+        TestProcess::spawn(&mut self.command(line))
     }
 }
 
-/// Starts a coordinator on a free port with its log in `place` and this artifact store. Returns it and its address.
-pub fn coordinator_with(place: &Place, artifacts: &str) -> (Running, String) {
+/// Starts a coordinator on a free port with its log in `dir` and this artifact store. Returns it and its address.
+pub fn start_coordinator_with(dir: &TestFolder, artifacts: &str) -> (TestProcess, String) {
     let line = format!("coordinator --listen 127.0.0.1:0 --store sqlite:farm.db --artifacts {artifacts}");
-    let mut coordinator = place.start(&line);
+    let mut coordinator = dir.start(&line);
     let url = coordinator.address();
     (coordinator, url)
 }
 
 /// A finished run.
-pub struct Ran {
+pub struct CommandOutput {
     line: String,
     output: Output,
 }
 
-impl Ran {
+impl CommandOutput {
     /// Creates the result of a command that was run by other means.
     pub fn new(line: &str, output: Output) -> Self {
         Self { line: line.to_owned(), output }
@@ -220,14 +220,14 @@ impl Ran {
 }
 
 /// A process that is killed when the test ends.
-pub struct Running {
+pub struct TestProcess {
     line: String,
     child: Option<Child>,
 }
 
-impl Running {
+impl TestProcess {
     /// Starts a command and captures its output.
-    pub fn of(command: &mut Command) -> Self {
+    pub fn spawn(command: &mut Command) -> Self {
         let line = format!("{command:?}");
         let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("femc starts");
         Self { line, child: Some(child) }
@@ -254,15 +254,15 @@ impl Running {
 
     /// Waits until `condition` holds, while the process runs.
     #[track_caller]
-    pub fn wait_until(&mut self, what: &str, mut condition: impl FnMut() -> bool) {
+    pub fn wait_until(&mut self, event: &str, mut condition: impl FnMut() -> bool) {
         let start = Instant::now();
         while !condition() {
             if !self.is_running() {
                 let line = self.line.clone();
                 let ran = self.end();
-                panic!("femc {line} ended before {what}\n{}\n{}", ran.stdout(), ran.stderr());
+                panic!("femc {line} ended before {event}\n{}\n{}", ran.stdout(), ran.stderr());
             }
-            assert!(start.elapsed() < PATIENCE, "femc {}: {what} never came", self.line);
+            assert!(start.elapsed() < STEP_TIMEOUT, "femc {}: {event} never came", self.line);
             std::thread::sleep(Duration::from_millis(5));
         }
     }
@@ -285,9 +285,9 @@ impl Running {
     }
 
     /// Waits for the end of the process.
-    pub fn end(&mut self) -> Ran {
+    pub fn end(&mut self) -> CommandOutput {
         let child = self.child.take().expect("not waited for yet");
-        Ran { line: self.line.clone(), output: child.wait_with_output().expect("its output") }
+        CommandOutput { line: self.line.clone(), output: child.wait_with_output().expect("its output") }
     }
 
     /// Returns the address that a coordinator prints.
@@ -306,7 +306,7 @@ impl Running {
     }
 }
 
-impl Drop for Running {
+impl Drop for TestProcess {
     fn drop(&mut self) {
         if let Some(mut child) = self.child.take() {
             let _ = child.kill();
@@ -316,7 +316,7 @@ impl Drop for Running {
 }
 
 /// Returns the sorted names in a folder that do not begin with a dot.
-pub fn names(folder: &Path) -> Vec<String> {
+pub fn file_names(folder: &Path) -> Vec<String> {
     let Ok(entries) = std::fs::read_dir(folder) else { return Vec::new() };
     let mut names: Vec<String> =
         entries.map(|entry| entry.expect("an entry").file_name().to_string_lossy().into_owned()).collect();

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 
 /// A relay between clients and a server, on threads of its own.
-pub struct Outage {
+pub struct OutageRelay {
     /// URL of the relay for clients.
     pub url: String,
     state: Arc<State>,
@@ -19,9 +19,9 @@ struct State {
     refused: AtomicUsize,
 }
 
-impl Outage {
+impl OutageRelay {
     /// Creates a relay to the server at `url`, like `http://127.0.0.1:9000`.
-    pub fn of(url: &str) -> Self {
+    pub fn new(url: &str) -> Self {
         let server = url.trim_start_matches("http://").trim_end_matches('/').to_owned();
         let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
         let url = format!("http://{}", listener.local_addr().expect("an address"));

@@ -8,7 +8,7 @@ use std::time::Duration;
 
 /// Direction of bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Way {
+pub enum Direction {
     /// To the server.
     Up,
     /// From the server.
@@ -30,17 +30,17 @@ struct State {
 }
 
 impl State {
-    fn is_frozen(&self, way: Way) -> &AtomicBool {
-        match way {
-            Way::Up => &self.up,
-            Way::Down => &self.down,
+    fn is_frozen(&self, direction: Direction) -> &AtomicBool {
+        match direction {
+            Direction::Up => &self.up,
+            Direction::Down => &self.down,
         }
     }
 }
 
 impl Proxy {
     /// Creates a proxy to the server at `url`.
-    pub fn to(url: &str) -> Self {
+    pub fn new(url: &str) -> Self {
         let target = url.trim_start_matches("http://").to_owned();
         let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
         let url = format!("http://{}", listener.local_addr().expect("its address"));
@@ -52,9 +52,9 @@ impl Proxy {
                 let clone = |stream: &TcpStream| stream.try_clone().expect("another handle");
                 shared.streams.lock().expect("no panic").extend([clone(&near), clone(&far)]);
                 let (back, forth) = (clone(&near), clone(&far));
-                for (from, to, way) in [(near, far, Way::Up), (forth, back, Way::Down)] {
+                for (from, to, direction) in [(near, far, Direction::Up), (forth, back, Direction::Down)] {
                     let shared = shared.clone();
-                    std::thread::spawn(move || relay(from, to, shared.is_frozen(way)));
+                    std::thread::spawn(move || relay(from, to, shared.is_frozen(direction)));
                 }
             }
         });
@@ -63,17 +63,19 @@ impl Proxy {
 
     /// Holds back all bytes in both directions; connections stay open.
     pub fn freeze(&self) {
-        [Way::Up, Way::Down].into_iter().for_each(|way| self.freeze_way(way));
+        [Direction::Up, Direction::Down].into_iter().for_each(|way| self.freeze_direction(way));
     }
 
     /// Holds back all bytes in one direction.
-    pub fn freeze_way(&self, way: Way) {
-        self.state.is_frozen(way).store(true, Ordering::SeqCst);
+    pub fn freeze_direction(&self, direction: Direction) {
+        self.state.is_frozen(direction).store(true, Ordering::SeqCst);
     }
 
     /// Delivers the held bytes and stops delaying.
     pub fn thaw(&self) {
-        [Way::Up, Way::Down].into_iter().for_each(|way| self.state.is_frozen(way).store(false, Ordering::SeqCst));
+        [Direction::Up, Direction::Down]
+            .into_iter()
+            .for_each(|way| self.state.is_frozen(way).store(false, Ordering::SeqCst));
     }
 
     /// Breaks all connections; new ones can be made.

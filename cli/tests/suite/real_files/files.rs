@@ -1,11 +1,11 @@
 //! Tests of file names, images, and errors that list all missing names.
 
-use super::{place, said};
-use crate::common::{Place, coordinator, film, names, pixels};
+use super::{all_output, test_folder};
+use crate::common::{TestFolder, file_names, film, pixels, start_coordinator};
 
 /// Returns the faults of a scene from `check --json`, as `line: message`.
-fn faults(place: &Place, scene: &str) -> Vec<String> {
-    let report = place.run(&format!("check {scene} --json")).exits(1).json();
+fn faults(dir: &TestFolder, scene: &str) -> Vec<String> {
+    let report = dir.run(&format!("check {scene} --json")).exits(1).json();
     let faults = report["faults"].as_array().expect("a list");
     assert_eq!(report["errors"].as_u64(), Some(faults.len() as u64));
     let text = |fault: &serde_json::Value| format!("{}: {}", fault["line"], fault["message"].as_str().expect("text"));
@@ -13,10 +13,10 @@ fn faults(place: &Place, scene: &str) -> Vec<String> {
 }
 
 /// Returns the mean red, green and blue of a rendered scene.
-fn means(place: &Place, scene: &str) -> [f64; 3] {
+fn means(dir: &TestFolder, scene: &str) -> [f64; 3] {
     let out = scene.replace(".mgf", ".exr");
-    place.run(&format!("render {scene} -o out-{out} --spp 4")).exits(0);
-    let values = film(&place.path(&format!("out-{out}"))).rgb;
+    dir.run(&format!("render {scene} -o out-{out} --spp 4")).exits(0);
+    let values = film(&dir.path(&format!("out-{out}"))).rgb;
     let sum = |k: usize| values.iter().skip(k).step_by(3).map(|&value| f64::from(value)).sum::<f64>();
     [0, 1, 2].map(|k| sum(k) / (values.len() / 3) as f64)
 }
@@ -28,11 +28,11 @@ fn are_near(means: [f64; 3], wanted: [f64; 3], tolerance: f64) -> bool {
 
 #[test]
 fn undefined_materials_are_all_listed_with_their_definition() {
-    let place = place();
+    let dir = test_folder();
     let names = [(8, "oak"), (10, "slate"), (12, "chalk"), (14, "brass"), (16, "wool")];
-    let listed = faults(&place, "undefined.mgf");
+    let listed = faults(&dir, "undefined.mgf");
     assert_eq!(listed.len(), 5, "{listed:?}");
-    let ran = place.run("check undefined.mgf").exits(1);
+    let ran = dir.run("check undefined.mgf").exits(1);
     for ((line, name), fault) in names.into_iter().zip(&listed) {
         assert!(
             fault.starts_with(&format!("{line}: undefined material `{name}`; define it before this line")),
@@ -44,7 +44,7 @@ fn undefined_materials_are_all_listed_with_their_definition() {
     }
     assert!(ran.stdout().contains("undefined.mgf: 5 errors"), "{}", ran.stdout());
     // `render` prints the first error and where to find the others.
-    let ran = place.run("render undefined.mgf -o x.exr").exits(1);
+    let ran = dir.run("render undefined.mgf -o x.exr").exits(1);
     let wanted =
         ["undefined.mgf:8:3: undefined material `oak`", "; 4 more errors: `femc check undefined.mgf` lists them"];
     assert!(wanted.iter().all(|part| ran.stderr().contains(part)), "{}", ran.stderr());
@@ -53,7 +53,7 @@ fn undefined_materials_are_all_listed_with_their_definition() {
 
 #[test]
 fn file_names_with_blanks_need_quotes_and_the_error_shows_them() {
-    let place = place();
+    let dir = test_folder();
     for (scene, shown) in [
         (
             "blank-lamp.mgf",
@@ -68,92 +68,91 @@ fn file_names_with_blanks_need_quotes_and_the_error_shows_them() {
             "blank-texture.mgf:5:9: error: the file name `my wood.png` contains spaces; write it in double quotes: `map_ed \"my wood.png\"`",
         ),
     ] {
-        let ran = place.run(&format!("check {scene}")).exits(1);
+        let ran = dir.run(&format!("check {scene}")).exits(1);
         assert!(ran.stdout().contains(shown), "{}", ran.stdout());
         assert!(ran.stdout().contains(": 1 error"), "{}", ran.stdout());
     }
 }
 
 /// Writes a scene with an include, a lamp and a texture whose names have blanks.
-fn quoted(place: &Place) {
-    let lamp = place.read("blank-lamp.mgf").replace("my lamp.ies", "\"my lamp.ies\"");
-    let texture = place.read("blank-texture.mgf").replace("my wood.png", "\"my wood.png\"");
+fn write_quoted_scene(dir: &TestFolder) {
+    let lamp = dir.read("blank-lamp.mgf").replace("my lamp.ies", "\"my lamp.ies\"");
+    let texture = dir.read("blank-texture.mgf").replace("my wood.png", "\"my wood.png\"");
     let (texture, _) = texture.split_once("camera").expect("a camera");
-    place.write("my picture.mgf", texture);
-    place.write("quoted.mgf", &format!("{lamp}\ni \"my picture.mgf\" -t -.5 -.5 .1\n"));
-    place.write(
+    dir.write("my picture.mgf", texture);
+    dir.write("quoted.mgf", &format!("{lamp}\ni \"my picture.mgf\" -t -.5 -.5 .1\n"));
+    dir.write(
         "plain.mgf",
-        &place
-            .read("quoted.mgf")
+        &dir.read("quoted.mgf")
             .replace("\"my lamp.ies\"", "lamp-points.ies")
             .replace("\"my picture.mgf\"", "picture.mgf"),
     );
-    place.write("picture.mgf", &texture.replace("\"my wood.png\"", "wood.png"));
-    std::fs::copy(place.path("my wood.png"), place.path("wood.png")).expect("copied");
+    dir.write("picture.mgf", &texture.replace("\"my wood.png\"", "wood.png"));
+    std::fs::copy(dir.path("my wood.png"), dir.path("wood.png")).expect("copied");
 }
 
 #[test]
 fn quoted_names_give_the_pictures_of_plain_names() {
-    let place = place();
-    quoted(&place);
-    let report = place.run("check quoted.mgf --json").exits(0).json();
+    let dir = test_folder();
+    write_quoted_scene(&dir);
+    let report = dir.run("check quoted.mgf --json").exits(0).json();
     assert_eq!(report["errors"], 0);
-    place.run("render quoted.mgf -o quoted.exr --spp 2").exits(0);
-    place.run("render plain.mgf -o plain.exr --spp 2").exits(0);
-    assert_eq!(pixels(&place.path("quoted.exr")), pixels(&place.path("plain.exr")));
+    dir.run("render quoted.mgf -o quoted.exr --spp 2").exits(0);
+    dir.run("render plain.mgf -o plain.exr --spp 2").exits(0);
+    assert_eq!(pixels(&dir.path("quoted.exr")), pixels(&dir.path("plain.exr")));
 }
 
 #[test]
 fn files_whose_names_have_blanks_reach_the_workers_of_a_farm() {
-    let place = place();
-    quoted(&place);
-    let (_farm, url) = coordinator(&place, 0);
-    let _worker = place.start(&format!("worker --join {url} --threads 1"));
-    let ran = place.run(&format!("submit quoted.mgf --spp 2 --server {url}")).exits(0);
+    let dir = test_folder();
+    write_quoted_scene(&dir);
+    let (_farm, url) = start_coordinator(&dir, 0);
+    let _worker = dir.start(&format!("worker --join {url} --threads 1"));
+    let ran = dir.run(&format!("submit quoted.mgf --spp 2 --server {url}")).exits(0);
     let job = ran.stdout().lines().last().expect("a job id").to_owned();
-    place.run(&format!("watch {job} --server {url}")).exits(0);
-    place.run(&format!("fetch {job} -o farm --server {url}")).exits(0);
-    place.run("render quoted.mgf -o alone.exr --spp 2").exits(0);
-    let fetched = names(&place.path("farm")).into_iter().find(|name| name.ends_with(".exr")).expect("a frame");
-    assert_eq!(pixels(&place.path("farm").join(fetched)), pixels(&place.path("alone.exr")));
+    dir.run(&format!("watch {job} --server {url}")).exits(0);
+    dir.run(&format!("fetch {job} -o farm --server {url}")).exits(0);
+    dir.run("render quoted.mgf -o alone.exr --spp 2").exits(0);
+    let fetched = file_names(&dir.path("farm")).into_iter().find(|name| name.ends_with(".exr")).expect("a frame");
+    assert_eq!(pixels(&dir.path("farm").join(fetched)), pixels(&dir.path("alone.exr")));
 }
 
 #[test]
 fn what_a_png_says_of_its_values_is_used() {
-    let place = place();
+    let dir = test_folder();
     for (scene, wanted) in [("png-linear.mgf", 0.5), ("png-cicp-linear.mgf", 0.5), ("png-plain.mgf", 0.214)] {
-        let means = means(&place, scene);
+        let means = means(&dir, scene);
         assert!(are_near(means, [wanted; 3], 1e-3), "{scene}: {means:?}");
-        let ran = place.run(&format!("check {scene}"));
-        assert!(!said(&ran).contains("texture"), "{}", said(&ran));
+        let ran = dir.run(&format!("check {scene}"));
+        assert!(!all_output(&ran).contains("texture"), "{}", all_output(&ran));
     }
 }
 
 #[test]
 fn gray_exrs_and_channels_with_a_dot_are_read() {
-    let place = place();
+    let dir = test_folder();
     // Ramps from 0 to 7/8, and a constant blue of 1/4.
     for (scene, wanted) in [("exr-gray-y.mgf", [0.4375; 3]), ("exr-dotted.mgf", [0.4375, 0.4375, 0.25])] {
-        let ran = place.run(&format!("check {scene}")).exits(0);
+        let ran = dir.run(&format!("check {scene}")).exits(0);
         assert!(ran.stdout().contains("0 warnings"), "{}", ran.stdout());
-        let means = means(&place, scene);
+        let means = means(&dir, scene);
         assert!(are_near(means, wanted, 5e-3), "{scene}: {means:?}");
     }
 }
 
 #[test]
 fn a_texture_above_1_on_a_reflectance_is_said_once() {
-    let place = place();
-    let text = place.read("exr-gray-y.mgf").replace("\ted 3.14159265\n\tmap_ed", "\trd .5\n\tmap_rd");
-    place.write("factors.mgf", &text);
-    let above = place.run("check factors.mgf").exits(0);
+    let dir = test_folder();
+    let text = dir.read("exr-gray-y.mgf").replace("\ted 3.14159265\n\tmap_ed", "\trd .5\n\tmap_rd");
+    dir.write("factors.mgf", &text);
+    let above = dir.run("check factors.mgf").exits(0);
     // The image from the bug reports stays below 1.
     assert!(!above.stdout().contains("values above 1"), "{}", above.stdout());
-    place.run("render exr-gray-y.mgf -o bright.exr --spp 1 --set material.picture.ed=1000").exits(0);
-    place.write(
+    dir.run("render exr-gray-y.mgf -o bright.exr --spp 1 --set material.picture.ed=1000").exits(0);
+    dir.write(
         "factors.mgf",
         &format!("{}m twice =\n\trd .5\n\tmap_rd bright.exr\n", text.replace("gray-y.exr", "bright.exr")),
     );
-    let above = place.run("check factors.mgf --all").exits(0).stdout();
+    let above = dir.run("check factors.mgf --all").exits(0).stdout();
     assert_eq!(above.matches("reflectance factors above 1 are clamped to 1").count(), 1, "{above}");
 }

@@ -1,7 +1,7 @@
 //! Tests of lamps whose light no method finds, and of frames that met no light.
 
-use super::{place, said};
-use crate::common::Place;
+use super::{all_output, test_folder};
+use crate::common::TestFolder;
 use femc_film::exr;
 use serde_json::Value;
 
@@ -36,7 +36,7 @@ const CAN: &str = "cyl bottom .15 top\nv top =\n\tp 0 0 1.15\n\tn 0 0 1\nring to
     ring bottom .02 .15\n";
 
 /// Enclosures of the lamps: material and surfaces.
-const AROUND: [(&str, &str, &str); 16] = [
+const ENCLOSURES: [(&str, &str, &str); 16] = [
     ("nothing", "", ""),
     ("ball of glass", "sides 1\n\tir 1.5 0\n\tts 1 0", BALL),
     ("block of glass", "sides 1\n\tir 1.5 0\n\tts 1 0", BOX),
@@ -56,63 +56,63 @@ const AROUND: [(&str, &str, &str); 16] = [
 ];
 
 /// Returns the lines of `check` about lamps that light nothing.
-fn hidden(place: &Place, file: &str) -> Vec<String> {
-    let json = place.run(&format!("check {file} --json")).exits(0).json();
+fn hidden_lamps(dir: &TestFolder, file: &str) -> Vec<String> {
+    let json = dir.run(&format!("check {file} --json")).exits(0).json();
     let faults = json["faults"].as_array().expect("faults").clone();
     let is_hidden = |fault: &&Value| fault["kind"] == "lights-nothing";
     faults.iter().filter(is_hidden).map(|fault| fault["message"].as_str().expect("a message").to_owned()).collect()
 }
 
-fn mean(place: &Place, file: &str) -> f64 {
-    let image = exr::read(&place.path(file)).expect("a picture").image;
+fn mean(dir: &TestFolder, file: &str) -> f64 {
+    let image = exr::read(&dir.path(file)).expect("a picture").image;
     let sum: f64 = image.pixels.iter().map(|pixel| f64::from(pixel[1])).sum();
     sum / image.pixels.len() as f64
 }
 
 #[test]
 fn a_point_in_solid_glass_is_named_and_a_bulb_is_found() {
-    let place = place();
-    let named = hidden(&place, "glass-globe.mgf");
+    let dir = test_folder();
+    let named = hidden_lamps(&dir, "glass-globe.mgf");
     assert!(named.len() == 1 && named[0].contains("cannot get through the solid glass"), "{named:?}");
-    assert_eq!(hidden(&place, "glass-globe-bulb.mgf"), [""; 0]);
+    assert_eq!(hidden_lamps(&dir, "glass-globe-bulb.mgf"), [""; 0]);
     for method in ["femc", "pt", "fem"] {
-        let ran = place.run(&format!("render glass-globe.mgf -o x.exr --spp 16 --method {method} --fresh")).exits(0);
-        let said = said(&ran);
+        let ran = dir.run(&format!("render glass-globe.mgf -o x.exr --spp 16 --method {method} --fresh")).exits(0);
+        let said = all_output(&ran);
         assert!(said.contains("glass-globe.mgf:30: the light of this lamp cannot get through"), "{said}");
         assert!(said.contains("thin sheet (`sides 2`, no `ir`)"), "{said}");
         assert!(said.contains("no sample met light in any of the 4 blocks") && !said.contains("0.00 %"), "{said}");
         assert!(said.contains("no sample of frame 1 met light"), "{said}");
     }
     // No server listens on that port. The warning is printed before the connection fails.
-    let ran = place.run("submit glass-globe.mgf --spp 16 --method pt --server http://127.0.0.1:9").exits(4);
-    assert!(said(&ran).contains("the light of this lamp cannot get through"), "{}", said(&ran));
-    let ran = place.run("render glass-globe-bulb.mgf -o bulb.exr --spp 128 --method femc").exits(0);
-    assert!(!said(&ran).contains("warning"), "{}", said(&ran));
-    let found = mean(&place, "bulb.exr");
+    let ran = dir.run("submit glass-globe.mgf --spp 16 --method pt --server http://127.0.0.1:9").exits(4);
+    assert!(all_output(&ran).contains("the light of this lamp cannot get through"), "{}", all_output(&ran));
+    let ran = dir.run("render glass-globe-bulb.mgf -o bulb.exr --spp 128 --method femc").exits(0);
+    assert!(!all_output(&ran).contains("warning"), "{}", all_output(&ran));
+    let found = mean(&dir, "bulb.exr");
     assert!((found / 12.4 - 1.0).abs() < 0.05, "{found}");
 }
 
 /// Checks that every lamp in every enclosure has a warning if and only if its picture is black.
 #[test]
 fn a_lamp_is_named_just_where_no_sample_meets_its_light() {
-    let place = place();
+    let dir = test_folder();
     let table = "IESNA:LM-63-2002\n[TEST] a cube\nTILT=NONE\n1 -1 1 2 1 1 2 .05 .05 .05\n1 1 20\n0 180\n0\n100 100\n";
-    place.write("lamp-box.ies", table);
+    dir.write("lamp-box.ies", table);
     let (mut wrong, mut black) = (Vec::new(), 0);
-    for (around, material, surfaces) in AROUND {
+    for (around, material, surfaces) in ENCLOSURES {
         for (lamp, text) in LAMPS {
             let shade = if surfaces.is_empty() {
                 String::new()
             } else {
                 format!("m shade =\n\t{material}\nm shade\n{surfaces}")
             };
-            place.write("t.mgf", &format!("{FLOOR}{text}{shade}"));
-            let ran = place.run("render t.mgf -o t.exr --spp 64 --method pt --fresh --json").exits(0);
+            dir.write("t.mgf", &format!("{FLOOR}{text}{shade}"));
+            let ran = dir.run("render t.mgf -o t.exr --spp 64 --method pt --fresh --json").exits(0);
             let report = ran.json();
             let is_black = report["unlit_blocks"] == 1;
             assert_eq!(report["relative_error"].is_null(), is_black, "{report}");
             black += u32::from(is_black);
-            let named = hidden(&place, "t.mgf");
+            let named = hidden_lamps(&dir, "t.mgf");
             if named.len() != usize::from(is_black) {
                 wrong.push(format!("{lamp} in {around}: {named:?}, black: {is_black}"));
             }
@@ -147,12 +147,12 @@ fn room(lamp: &str) -> String {
 
 #[test]
 fn a_luminaire_above_the_ceiling_or_in_a_wall_is_named() {
-    let place = place();
+    let dir = test_folder();
     let down = "IESNA:LM-63-2002\n[TEST] down\nTILT=NONE\n1 -1 1 2 1 1 2 0 0 0\n1 1 20\n0 60\n0\n100 100\n";
-    place.write("down.ies", down);
+    dir.write("down.ies", down);
     let in_room = |lamp: &str| {
-        place.write("room.mgf", &room(lamp));
-        hidden(&place, "room.mgf")
+        dir.write("room.mgf", &room(lamp));
+        hidden_lamps(&dir, "room.mgf")
     };
     // A second lamp lights the room, so that the camera sees light.
     let lit = "ies down.ies -t 0 0 2.5\n";
@@ -169,60 +169,60 @@ fn a_luminaire_above_the_ceiling_or_in_a_wall_is_named() {
     named(&format!("{block}ies lamp-point.ies -t 0 1.2 .6\n"), "inside a solid, or behind a one-sided surface");
     // Without walls the light of the lamp and the view both leave the scene.
     let pavilion = room(&format!("{lit}ies down.ies -t 0 0 3.02\n")).replace("f f0 f1 c1 c0\n", "");
-    place.write("pavilion.mgf", &pavilion);
-    let found = hidden(&place, "pavilion.mgf");
+    dir.write("pavilion.mgf", &pavilion);
+    let found = hidden_lamps(&dir, "pavilion.mgf");
     assert!(found.len() == 1 && found[0].contains("only surfaces within"), "{found:?}");
     // Light that enters through an opening is not excluded.
     let through =
         room("m lamp =\n\tsides 1\n\ted 1000\nv o =\n\tp 0 -5 2\nm lamp\nsph o .2\n").replace("f f0 f1 c1 c0\n", "");
-    place.write("open.mgf", &through);
-    assert_eq!(hidden(&place, "open.mgf"), [""; 0]);
+    dir.write("open.mgf", &through);
+    assert_eq!(hidden_lamps(&dir, "open.mgf"), [""; 0]);
 }
 
 /// Renders a floor that reflects on one side only: one block meets no light.
 #[test]
 fn blocks_without_light_are_counted_on_the_terminal_and_in_json() {
-    let place = place();
+    let dir = test_folder();
     let floor = FLOOR.replace("p 2 -2 0", "p 0 -2 0").replace("p 2 2 0", "p 0 2 0").replace("film 16 16", "film 32 16");
-    place.write("half.mgf", &format!("{floor}ies lamp-point.ies -t 0 0 1\n"));
-    let ran = place.run("render half.mgf -o half.exr --spp 16 --method pt").exits(0);
-    assert!(said(&ran).contains(", 1 of 2 blocks met no light"), "{}", said(&ran));
-    let again = place.run("render half.mgf -o half.exr --spp 16 --method pt --json").exits(0).json();
+    dir.write("half.mgf", &format!("{floor}ies lamp-point.ies -t 0 0 1\n"));
+    let ran = dir.run("render half.mgf -o half.exr --spp 16 --method pt").exits(0);
+    assert!(all_output(&ran).contains(", 1 of 2 blocks met no light"), "{}", all_output(&ran));
+    let again = dir.run("render half.mgf -o half.exr --spp 16 --method pt --json").exits(0).json();
     assert_eq!([&again["blocks"], &again["unlit_blocks"]], [2, 1], "{again}");
     assert_eq!([&again["frames"][0]["blocks"], &again["frames"][0]["unlit_blocks"]], [2, 1]);
     assert!(again["relative_error"].as_f64().is_some_and(|error| error > 0.0), "{again}");
     // An existing frame is recognized by its file.
-    place.run("render glass-globe.mgf -o dark.exr --spp 2 --method pt").exits(0);
-    let again = place.run("render glass-globe.mgf -o dark.exr --spp 2 --method pt --json").exits(0).json();
+    dir.run("render glass-globe.mgf -o dark.exr --spp 2 --method pt").exits(0);
+    let again = dir.run("render glass-globe.mgf -o dark.exr --spp 2 --method pt --json").exits(0).json();
     assert_eq!(
         (&again["rendered"], &again["unlit_blocks"], &again["relative_error"]),
         (&0.into(), &4.into(), &Value::Null)
     );
     // The error never converges without light.
-    let ran = place.run("render glass-globe.mgf -o goal.exr --error .1 --method pt").exits(0);
+    let ran = dir.run("render glass-globe.mgf -o goal.exr --error .1 --method pt").exits(0);
     assert!(
-        said(&ran).contains("no sample met light in any") && !said(&ran).contains("relative error"),
+        all_output(&ran).contains("no sample met light in any") && !all_output(&ran).contains("relative error"),
         "{}",
-        said(&ran)
+        all_output(&ran)
     );
 }
 
 #[test]
 fn first_pass_names_the_share_of_light_through_solids() {
-    let place = place();
-    let ran = place.run("render glass-globe-bulb.mgf -o fem.exr --spp 4 --method fem").exits(0);
+    let dir = test_folder();
+    let ran = dir.run("render glass-globe-bulb.mgf -o fem.exr --spp 4 --method fem").exits(0);
     assert!(
         ran.stderr().contains("100 % of the lamps' light (1257 lm) first passes through clear solids"),
         "{}",
         ran.stderr()
     );
-    let ran = place.run("field glass-globe-bulb.mgf -o fem.glb --error 2").exits(0);
+    let ran = dir.run("field glass-globe-bulb.mgf -o fem.glb --error 2").exits(0);
     assert!(ran.stderr().contains("100 % of the lamps' light (1257 lm)"), "{}", ran.stderr());
     // A second bulb in the open has half of the light; path tracing finds all of that half.
-    let two = place.read("glass-globe-bulb.mgf") + "v side =\n\tp 1 0 1\nm bulb\nsph side .01\n";
-    place.write("two.mgf", &two);
-    let ran = place.run("render two.mgf -o two.exr --spp 4 --method fem").exits(0);
+    let two = dir.read("glass-globe-bulb.mgf") + "v side =\n\tp 1 0 1\nm bulb\nsph side .01\n";
+    dir.write("two.mgf", &two);
+    let ran = dir.run("render two.mgf -o two.exr --spp 4 --method fem").exits(0);
     assert!(ran.stderr().contains("% of the lamps' light"), "{}", ran.stderr());
-    let ran = place.run("render two.mgf -o two.exr --spp 4 --method pt --fresh").exits(0);
+    let ran = dir.run("render two.mgf -o two.exr --spp 4 --method pt --fresh").exits(0);
     assert!(!ran.stderr().contains("of the lamps' light"), "{}", ran.stderr());
 }

@@ -6,21 +6,21 @@ mod lamps;
 mod photometry;
 mod words;
 
-use crate::common::{Place, Ran};
+use crate::common::{CommandOutput, TestFolder};
 use std::path::Path;
 
 /// Creates a temporary folder with all inputs.
-fn place() -> Place {
-    let place = Place::new();
+fn test_folder() -> TestFolder {
+    let dir = TestFolder::new();
     let inputs = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/real_files");
     for entry in std::fs::read_dir(inputs).expect("the folder of inputs") {
         let entry = entry.expect("an input");
-        std::fs::copy(entry.path(), place.path(&entry.file_name().to_string_lossy())).expect("the input is copied");
+        std::fs::copy(entry.path(), dir.path(&entry.file_name().to_string_lossy())).expect("the input is copied");
     }
-    place
+    dir
 }
 
 /// Returns standard output and standard error together.
-fn said(ran: &Ran) -> String {
+fn all_output(ran: &CommandOutput) -> String {
     format!("{}{}", ran.stdout(), ran.stderr())
 }

@@ -21,13 +21,13 @@ pub enum Cut {
 
 /// Traffic through a [`Proxy`].
 #[derive(Debug, Default)]
-pub struct Seen {
+pub struct ProxyTraffic {
     up: AtomicU64,
     down: AtomicU64,
     cuts: AtomicUsize,
 }
 
-impl Seen {
+impl ProxyTraffic {
     /// Returns the bytes from clients to the server, on all connections.
     pub fn up(&self) -> u64 {
         self.up.load(Ordering::SeqCst)
@@ -47,14 +47,14 @@ impl Seen {
 /// A proxy between clients and a server. Its first connection breaks at the first cut, its second at the second, and so on.
 pub struct Proxy {
     pub url: String,
-    pub seen: Arc<Seen>,
+    pub traffic: Arc<ProxyTraffic>,
 }
 
 impl Proxy {
     pub async fn start(server: SocketAddr, cuts: &[Cut]) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let url = format!("http://{}", listener.local_addr().unwrap());
-        let seen = Arc::new(Seen::default());
+        let seen = Arc::new(ProxyTraffic::default());
         let cuts = Mutex::new(cuts.iter().copied().collect::<VecDeque<_>>());
         let shared = seen.clone();
         tokio::spawn(async move {
@@ -63,11 +63,11 @@ impl Proxy {
                 tokio::spawn(connection(client, server, cut, shared.clone()));
             }
         });
-        Self { url, seen }
+        Self { url, traffic: seen }
     }
 }
 
-async fn connection(client: TcpStream, server: SocketAddr, cut: Option<Cut>, seen: Arc<Seen>) {
+async fn connection(client: TcpStream, server: SocketAddr, cut: Option<Cut>, traffic: Arc<ProxyTraffic>) {
     let Ok(server) = TcpStream::connect(server).await else { return };
     let ((from_client, to_client), (from_server, to_server)) = (client.into_split(), server.into_split());
     let (up, down) = match cut {
@@ -77,10 +77,10 @@ async fn connection(client: TcpStream, server: SocketAddr, cut: Option<Cut>, see
     };
     // The direction that ends first ends the connection in both directions.
     let is_cut = tokio::select! {
-        is_cut = pump(from_client, to_server, up, &seen.up) => is_cut,
-        is_cut = pump(from_server, to_client, down, &seen.down) => is_cut,
+        is_cut = pump(from_client, to_server, up, &traffic.up) => is_cut,
+        is_cut = pump(from_server, to_client, down, &traffic.down) => is_cut,
     };
-    seen.cuts.fetch_add(usize::from(is_cut), Ordering::SeqCst);
+    traffic.cuts.fetch_add(usize::from(is_cut), Ordering::SeqCst);
 }
 
 /// Forwards bytes. Returns whether it ended at its limit.

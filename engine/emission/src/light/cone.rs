@@ -1,6 +1,6 @@
 //! An open truncated cone; equal radii make a cylinder. Negative radii turn the normals inward. Sampled by area.
 
-use super::{LightSample, area_pdf, assemble};
+use super::{LightSample, area_pdf, assemble_sample};
 use crate::emission::Emission;
 use femc_math::elementary::double::sin_cos;
 use femc_math::glam::{DVec3, Vec3A};
@@ -61,7 +61,7 @@ impl Cone {
         let (sin, cos) = sin_cos(TAU * f64::from(u[1]));
         let radial = self.tangent * cos + self.bitangent * sin;
         let normal = (radial * self.height + self.axis * (r0 - r1)).normalize_or_zero() * self.facing;
-        assemble(
+        assemble_sample(
             reference.as_dvec3(),
             self.base + self.axis * (t * self.height) + radial * radius,
             normal,

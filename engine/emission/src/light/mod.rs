@@ -13,7 +13,7 @@ pub mod sphere;
 pub mod torus;
 pub mod triangle;
 
-use crate::{Emission, Profile, Sides};
+use crate::{AngularProfile, Emission, EmittingSides};
 pub use cone::Cone;
 use femc_math::color::luminance;
 use femc_math::elementary::double;
@@ -78,7 +78,7 @@ impl EmissionCone {
     pub const ALL: Self = Self { axis: Vec3A::Z, cos_normals: -1.0, exponent: 1.0, two_sided: false };
 
     /// Checks whether light may leave in every direction.
-    pub fn is_everywhere(&self) -> bool {
+    pub fn is_omnidirectional(&self) -> bool {
         self.cos_normals <= -1.0
     }
 
@@ -88,7 +88,7 @@ impl EmissionCone {
         let two_sided = self.two_sided || other.two_sided;
         let angle = |cos: f32| f64::from(double::acos(f64::from(cos.clamp(-1.0, 1.0))) as f32);
         let (a, b) = (angle(self.cos_normals), angle(other.cos_normals));
-        if self.is_everywhere() || other.is_everywhere() {
+        if self.is_omnidirectional() || other.is_omnidirectional() {
             return Self { exponent, two_sided, ..Self::ALL };
         }
         let between = angle(self.axis.dot(other.axis));
@@ -142,7 +142,7 @@ pub enum Light {
     PhotometricSolid(PhotometricSolid),
 }
 
-macro_rules! each {
+macro_rules! dispatch {
     ($light:expr, $l:ident => $body:expr) => {
         match $light {
             Light::Triangle($l) => $body,
@@ -162,14 +162,14 @@ impl Light {
     /// [`Self::pdf`] (tests `samples_follow_the_density_*`).
     #[inline]
     pub fn sample(&self, reference: Vec3A, u: [f32; 2]) -> Option<LightSample> {
-        each!(self, l => l.sample(reference, u))
+        dispatch!(self, l => l.sample(reference, u))
     }
 
     /// Returns the density, 1/sr, that [`Self::sample`] has for the point `position` of this light with front normal `normal`, seen
     /// in direction `dir` (unit, from the reference to the light). 0 for delta lights and where the light does not emit.
     #[inline]
     pub fn pdf(&self, reference: Vec3A, position: Vec3A, normal: Vec3A, dir: Vec3A) -> f32 {
-        each!(self, l => l.pdf(reference, position, normal, dir))
+        dispatch!(self, l => l.pdf(reference, position, normal, dir))
     }
 
     /// Returns the radiance, cd/m2, in direction `dir_from_light` (unit, away from the light) at a point with front normal
@@ -234,10 +234,10 @@ impl Light {
     /// Returns the point of a flat polygon that is seen from `reference` in direction `dir` (unit), with density 1: the caller has
     /// drawn the direction. `None` if the direction misses it, if it sends no light there, and for other shapes.
     #[inline]
-    pub fn toward(&self, reference: Vec3A, dir: Vec3A) -> Option<LightSample> {
+    pub fn sample_in_direction(&self, reference: Vec3A, dir: Vec3A) -> Option<LightSample> {
         match self {
-            Self::Triangle(l) => l.toward(reference, dir),
-            Self::Parallelogram(l) => l.toward(reference, dir),
+            Self::Triangle(l) => l.sample_in_direction(reference, dir),
+            Self::Parallelogram(l) => l.sample_in_direction(reference, dir),
             Self::Sphere(_)
             | Self::Cone(_)
             | Self::Ring(_)
@@ -249,12 +249,12 @@ impl Light {
 
     /// Luminous flux, lm.
     pub fn power(&self) -> f32 {
-        each!(self, l => l.power())
+        dispatch!(self, l => l.power())
     }
 
     /// Returns the lower and upper corner of the bounding box, m.
     pub fn bounds(&self) -> (Vec3A, Vec3A) {
-        each!(self, l => l.bounds())
+        dispatch!(self, l => l.bounds())
     }
 
     /// Returns a point in the middle of the light, m; for a flat light, it lies in its plane.
@@ -283,10 +283,10 @@ impl Light {
 
 fn flat_cone(normal: Vec3A, emission: &Emission) -> EmissionCone {
     let exponent = match emission.profile {
-        Profile::Lambertian => 1.0,
-        Profile::Lobe { exponent } => exponent + 1.0,
+        AngularProfile::Lambertian => 1.0,
+        AngularProfile::Lobe { exponent } => exponent + 1.0,
     };
-    EmissionCone { axis: normal, cos_normals: 1.0, exponent, two_sided: emission.sides == Sides::Two }
+    EmissionCone { axis: normal, cos_normals: 1.0, exponent, two_sided: emission.sides == EmittingSides::Two }
 }
 
 /// Returns the density over solid angle of a point drawn uniformly over `area` m2; 0 if it is not a positive finite number.
@@ -298,7 +298,7 @@ fn area_pdf(area: f64, distance2: f64, cos: f64) -> f32 {
 
 /// Returns direction and distance from `reference` to `position`, in double precision.
 #[inline]
-fn toward(reference: DVec3, position: DVec3) -> Option<(DVec3, f64)> {
+fn direction_and_distance(reference: DVec3, position: DVec3) -> Option<(DVec3, f64)> {
     let v = position - reference;
     let distance = v.length();
     (distance > 0.0 && distance.is_finite()).then(|| (v / distance, distance))
@@ -306,7 +306,7 @@ fn toward(reference: DVec3, position: DVec3) -> Option<(DVec3, f64)> {
 
 /// Assembles a sample at the point `position` (f64). Its error is the rounding to f32 plus `relative` ulps of `scale`.
 #[inline]
-fn assemble(
+fn assemble_sample(
     reference: DVec3,
     position: DVec3,
     normal: DVec3,
@@ -315,7 +315,7 @@ fn assemble(
     radiance: impl FnOnce(DVec3, f32) -> Rgb,
     uv: [f64; 2],
 ) -> Option<LightSample> {
-    let (dir, distance) = toward(reference, position)?;
+    let (dir, distance) = direction_and_distance(reference, position)?;
     let pdf = pdf(dir, distance);
     let radiance = radiance(dir, -dir.dot(normal) as f32);
     if pdf <= 0.0 || !pdf.is_finite() || radiance == Rgb::ZERO {
@@ -338,7 +338,7 @@ fn assemble(
 /// Intersects a ray along `dir` with the plane through `a` that `e1` and `e2` span, and returns the coordinates in units of these
 /// if the point is in front. `cross` is `e1 x e2`; `a` and the ray are relative to the same point.
 #[inline]
-fn in_plane(a: DVec3, [e1, e2, cross]: [DVec3; 3], dir: DVec3) -> Option<[f64; 2]> {
+fn intersect_plane(a: DVec3, [e1, e2, cross]: [DVec3; 3], dir: DVec3) -> Option<[f64; 2]> {
     let distance = a.dot(cross) / dir.dot(cross);
     let p = dir * distance - a;
     let scale = 1.0 / cross.length_squared();
@@ -347,7 +347,7 @@ fn in_plane(a: DVec3, [e1, e2, cross]: [DVec3; 3], dir: DVec3) -> Option<[f64; 2
 }
 
 /// Returns the bounds of a set of points.
-fn bounds_of(points: &[Vec3A]) -> (Vec3A, Vec3A) {
+fn bounding_box(points: &[Vec3A]) -> (Vec3A, Vec3A) {
     points.iter().fold((Vec3A::INFINITY, Vec3A::NEG_INFINITY), |(low, high), &p| (low.min(p), high.max(p)))
 }
 

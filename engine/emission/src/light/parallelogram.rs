@@ -3,15 +3,15 @@
 //! A rectangle is sampled uniformly over its solid angle (\[urena2013\]). Any other parallelogram is sampled as the two triangles
 //! of its diagonal, one of which is chosen by solid angle. The limits are those of [`crate::solid_angle`].
 
-use super::triangle::toward_plane;
-use super::{LightSample, area_pdf, assemble, bounds_of, in_plane};
-use crate::emission::{Emission, Sides};
+use super::triangle::sample_facing_hemisphere;
+use super::{LightSample, area_pdf, assemble_sample, bounding_box, intersect_plane};
+use crate::emission::{Emission, EmittingSides};
 use crate::solid_angle::{self, SphericalRectangle, Strategy};
 use femc_math::glam::{DVec3, Vec3A};
 use std::f32::consts::TAU;
 
 /// Largest cosine between the edges of a rectangle. The resulting error in the density is of second order in it.
-const RIGHT_ANGLE: f64 = 1e-5;
+const MAX_RECTANGLE_COSINE: f64 = 1e-5;
 
 /// A light in the shape of a parallelogram.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -53,7 +53,7 @@ impl Parallelogram {
         let (a, u, v) = (origin.as_dvec3(), edge_u.as_dvec3(), edge_v.as_dvec3());
         let cross = u.cross(v);
         let size = [u.length(), v.length()];
-        let right = u.dot(v).abs() <= RIGHT_ANGLE * size[0] * size[1];
+        let right = u.dot(v).abs() <= MAX_RECTANGLE_COSINE * size[0] * size[1];
         let shape = if right && cross != DVec3::ZERO {
             // y is made exactly perpendicular to x within the plane.
             let x = u / size[0];
@@ -105,14 +105,14 @@ impl Parallelogram {
     #[inline]
     fn strategy(&self, a: DVec3) -> (Option<View>, Strategy) {
         let behind = a.dot(self.normal);
-        if behind == 0.0 || (behind > 0.0 && self.emission.sides == Sides::One) {
+        if behind == 0.0 || (behind > 0.0 && self.emission.sides == EmittingSides::One) {
             return (None, Strategy::EdgeOn);
         }
         if solid_angle::is_far(a + 0.5 * (self.edge_u + self.edge_v), self.reach2) {
             return (None, Strategy::Area);
         }
         let (view, omega) = self.view(a);
-        (Some(view), Strategy::of(omega))
+        (Some(view), Strategy::from_solid_angle(omega))
     }
 
     /// Returns the corners in order, m.
@@ -121,16 +121,24 @@ impl Parallelogram {
         [DVec3::ZERO, u, u + v, v].map(|corner| (self.origin + corner).as_vec3a())
     }
 
-    /// See [`super::Light::toward`].
+    /// See [`super::Light::sample_in_direction`].
     #[inline]
-    pub fn toward(&self, reference: Vec3A, dir: Vec3A) -> Option<LightSample> {
+    pub fn sample_in_direction(&self, reference: Vec3A, dir: Vec3A) -> Option<LightSample> {
         let origin = reference.as_dvec3();
-        let [u, v] = in_plane(self.origin - origin, [self.edge_u, self.edge_v, self.cross], dir.as_dvec3())?;
+        let [u, v] = intersect_plane(self.origin - origin, [self.edge_u, self.edge_v, self.cross], dir.as_dvec3())?;
         if u.max(v) > 1.0 {
             return None;
         }
         let position = self.origin + self.edge_u * u + self.edge_v * v;
-        assemble(origin, position, self.normal, self.scale, |_, _| 1.0, |_, cos| self.emission.radiance(cos), [u, v])
+        assemble_sample(
+            origin,
+            position,
+            self.normal,
+            self.scale,
+            |_, _| 1.0,
+            |_, cos| self.emission.radiance(cos),
+            [u, v],
+        )
     }
 
     /// See [`super::Light::sample`].
@@ -147,12 +155,12 @@ impl Parallelogram {
                 View::Skew(near, far) => self.sample_skew(a, near, far, u)?.map(|x| x.clamp(0.0, 1.0)),
             },
             Strategy::Hemisphere => {
-                let [s, t] = self.coordinates(a, toward_plane(self.normal, a, u));
+                let [s, t] = self.coordinates(a, sample_facing_hemisphere(self.normal, a, u));
                 ((0.0..=1.0).contains(&s) && (0.0..=1.0).contains(&t)).then_some([s, t])?
             }
         };
         let position = self.origin + self.edge_u * s + self.edge_v * t;
-        assemble(
+        assemble_sample(
             origin,
             position,
             self.normal,
@@ -210,6 +218,6 @@ impl Parallelogram {
     /// Bounding box.
     pub fn bounds(&self) -> (Vec3A, Vec3A) {
         let (a, u, v) = (self.origin, self.edge_u, self.edge_v);
-        bounds_of(&[a, a + u, a + v, a + u + v].map(|p| p.as_vec3a()))
+        bounding_box(&[a, a + u, a + v, a + u + v].map(|p| p.as_vec3a()))
     }
 }

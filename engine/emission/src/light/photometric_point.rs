@@ -31,7 +31,7 @@ impl PhotometricPoint {
     /// See [`super::Light::sample`].
     #[inline]
     pub fn sample(&self, reference: Vec3A, _u: [f32; 2]) -> Option<LightSample> {
-        let (dir, distance) = super::toward(reference.as_dvec3(), self.position.as_dvec3())?;
+        let (dir, distance) = super::direction_and_distance(reference.as_dvec3(), self.position.as_dvec3())?;
         let dir = dir.as_vec3a();
         let radiance = self.intensity(-dir) * (1.0 / (distance * distance)) as f32;
         (radiance.is_finite() && radiance != Rgb::ZERO).then_some(LightSample {

@@ -5,9 +5,9 @@
 //! a thickness of 1 % of their largest extent, but at least 1 mm. If I does not vanish in the plane of the opening, light must
 //! leave through a side.
 
-use super::{LightSample, area_pdf, assemble};
+use super::{LightSample, area_pdf, assemble_sample};
 use crate::photometry::IntensityDistribution;
-use crate::solid_angle::{SMALLEST, SphericalRectangle};
+use crate::solid_angle::{MIN_SOLID_ANGLE, SphericalRectangle};
 use femc_math::Rgb;
 use femc_math::color::luminance;
 use femc_math::elementary::double::sin_cos;
@@ -18,7 +18,7 @@ use std::sync::Arc;
 /// Thickness of a flat opening relative to its largest extent.
 const RELATIVE_THICKNESS: f32 = 0.01;
 /// Minimum thickness, m.
-const LEAST_THICKNESS: f32 = 1e-3;
+const MIN_THICKNESS: f32 = 1e-3;
 
 /// Shape of the opening, in the luminaire's frame, centered on the origin.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -57,7 +57,7 @@ impl Solid {
 
     /// Creates a ball of this diameter, m.
     pub fn sphere(diameter: f32) -> Self {
-        Self::Sphere { radius: 0.5 * diameter.max(LEAST_THICKNESS) }
+        Self::Sphere { radius: 0.5 * diameter.max(MIN_THICKNESS) }
     }
 
     /// Returns the area projected along the unit direction `w` of the luminaire's frame, m2; > 0.
@@ -75,7 +75,7 @@ impl Solid {
 }
 
 fn thickness(extent: f32) -> f32 {
-    (RELATIVE_THICKNESS * extent).max(LEAST_THICKNESS)
+    (RELATIVE_THICKNESS * extent).max(MIN_THICKNESS)
 }
 
 /// A part of the opening's surface in the common frame, for the ray tracer; normals point outward, emission is one-sided.
@@ -133,7 +133,7 @@ pub struct PhotometricSolid {
 }
 
 /// A sampled point of the surface: position and outward normal relative to the center, in luminaire axes.
-struct Drawn {
+struct SurfaceSample {
     position: DVec3,
     normal: DVec3,
     /// Density over solid angle, or over area.
@@ -148,7 +148,7 @@ enum Density {
 
 /// One face of a box as seen from a reference point, in luminaire axes.
 #[derive(Clone, Copy)]
-struct Side {
+struct BoxFace {
     axis: usize,
     sign: f64,
     view: SphericalRectangle,
@@ -186,7 +186,7 @@ impl PhotometricSolid {
     }
 
     /// Returns the faces of a box that face `p` (relative to the center, luminaire axes).
-    fn sides(half: [f32; 3], p: DVec3) -> ([Option<Side>; 3], f64, f64) {
+    fn visible_faces(half: [f32; 3], p: DVec3) -> ([Option<BoxFace>; 3], f64, f64) {
         let half = half.map(f64::from);
         let units = [DVec3::X, DVec3::Y, DVec3::Z];
         let (mut sides, mut solid_angle, mut facing) = ([None; 3], 0.0, 0.0);
@@ -200,7 +200,7 @@ impl PhotometricSolid {
             let corner = units[axis] * (sign * half[axis]) - units[a] * half[a] - units[b] * half[b] - p;
             let size = [2.0 * half[a], 2.0 * half[b]];
             let view = SphericalRectangle::new(corner, units[a], units[b], units[axis], size);
-            let side = Side { axis, sign, view, facing: size[0] * size[1] * before };
+            let side = BoxFace { axis, sign, view, facing: size[0] * size[1] * before };
             solid_angle += view.solid_angle();
             facing += side.facing;
             sides[axis] = Some(side);
@@ -208,11 +208,11 @@ impl PhotometricSolid {
         (sides, solid_angle, facing)
     }
 
-    fn sample_box(half: [f32; 3], p: DVec3, u: [f32; 2]) -> Option<Drawn> {
-        let (sides, solid_angle, facing) = Self::sides(half, p);
-        let narrow = solid_angle < SMALLEST;
+    fn sample_box(half: [f32; 3], p: DVec3, u: [f32; 2]) -> Option<SurfaceSample> {
+        let (sides, solid_angle, facing) = Self::visible_faces(half, p);
+        let narrow = solid_angle < MIN_SOLID_ANGLE;
         let total = if narrow { facing } else { solid_angle };
-        let weight = |s: &Side| if narrow { s.facing } else { s.view.solid_angle() };
+        let weight = |s: &BoxFace| if narrow { s.facing } else { s.view.solid_angle() };
         let mut goal = f64::from(u[0]) * total;
         let mut chosen = None;
         for side in sides.iter().flatten().filter(|s| weight(s) > 0.0) {
@@ -235,11 +235,11 @@ impl PhotometricSolid {
         position[b] = (2.0 * uv[1] - 1.0) * extent(b);
         normal[side.axis] = side.sign;
         let density = Self::box_density(half, side, solid_angle, facing);
-        Some(Drawn { position, normal, density, uv })
+        Some(SurfaceSample { position, normal, density, uv })
     }
 
-    fn box_density(half: [f32; 3], side: &Side, solid_angle: f64, facing: f64) -> Density {
-        if solid_angle >= SMALLEST {
+    fn box_density(half: [f32; 3], side: &BoxFace, solid_angle: f64, facing: f64) -> Density {
+        if solid_angle >= MIN_SOLID_ANGLE {
             return Density::SolidAngle(1.0 / solid_angle);
         }
         let (a, b) = ((side.axis + 1) % 3, (side.axis + 2) % 3);
@@ -255,7 +255,7 @@ impl PhotometricSolid {
         (lateral, cap, if p.z < 0.0 { -1.0 } else { 1.0 })
     }
 
-    fn sample_cylinder(radius: f32, half_height: f32, p: DVec3, u: [f32; 2]) -> Option<Drawn> {
+    fn sample_cylinder(radius: f32, half_height: f32, p: DVec3, u: [f32; 2]) -> Option<SurfaceSample> {
         let (lateral, cap, side) = Self::cylinder_areas(radius, half_height, p);
         let (r, h) = (f64::from(radius), f64::from(half_height));
         let total = lateral + cap;
@@ -267,11 +267,11 @@ impl PhotometricSolid {
         } else if goal < lateral {
             let t = goal / lateral;
             let position = DVec3::new(r * cos, r * sin, (2.0 * t - 1.0) * h);
-            Some(Drawn { position, normal: DVec3::new(cos, sin, 0.0), density, uv: [f64::from(u[1]), t] })
+            Some(SurfaceSample { position, normal: DVec3::new(cos, sin, 0.0), density, uv: [f64::from(u[1]), t] })
         } else {
             let t = ((goal - lateral) / cap).clamp(0.0, 1.0).sqrt();
             let position = DVec3::new(r * t * cos, r * t * sin, side * h);
-            Some(Drawn { position, normal: DVec3::Z * side, density, uv: [f64::from(u[1]), t] })
+            Some(SurfaceSample { position, normal: DVec3::Z * side, density, uv: [f64::from(u[1]), t] })
         }
     }
 
@@ -280,13 +280,13 @@ impl PhotometricSolid {
         let origin = reference.as_dvec3();
         let center = self.center.as_dvec3();
         let p = self.local(origin - center);
-        let drawn = match self.solid {
+        let sample = match self.solid {
             Solid::Box { half } => Self::sample_box(half, p, u)?,
             Solid::Cylinder { radius, half_height } => Self::sample_cylinder(radius, half_height, p, u)?,
             Solid::Sphere { radius } => {
                 let view = super::sphere::OutsideView::new(f64::from(radius), -p)?;
                 let outward = view.sample(u);
-                Drawn {
+                SurfaceSample {
                     position: outward * f64::from(radius),
                     normal: outward,
                     density: Density::SolidAngle(view.density()),
@@ -294,15 +294,15 @@ impl PhotometricSolid {
                 }
             }
         };
-        let normal = self.world(drawn.normal);
-        assemble(
+        let normal = self.world(sample.normal);
+        assemble_sample(
             origin,
-            center + self.world(drawn.position),
+            center + self.world(sample.position),
             normal,
-            self.center.abs() + Vec3A::splat(drawn.position.length() as f32),
-            |dir, distance| density(&drawn.density, distance * distance, dir.dot(normal)),
+            self.center.abs() + Vec3A::splat(sample.position.length() as f32),
+            |dir, distance| solid_angle_pdf(&sample.density, distance * distance, dir.dot(normal)),
             |dir, _| self.radiance(-dir.as_vec3a(), normal.as_vec3a()),
-            drawn.uv,
+            sample.uv,
         )
     }
 
@@ -314,7 +314,7 @@ impl PhotometricSolid {
         let p = self.local(reference.as_dvec3() - self.center.as_dvec3());
         let d = match self.solid {
             Solid::Box { half } => {
-                let (sides, solid_angle, facing) = Self::sides(half, p);
+                let (sides, solid_angle, facing) = Self::visible_faces(half, p);
                 let n = self.local(normal.as_dvec3()).abs();
                 let axis = if n.x > n.y.max(n.z) { 0 } else { 1 + usize::from(n.z > n.y) };
                 match &sides[axis] {
@@ -332,7 +332,7 @@ impl PhotometricSolid {
             },
         };
         let distance2 = position.as_dvec3().distance_squared(reference.as_dvec3());
-        density(&d, distance2, f64::from(dir.dot(normal)))
+        solid_angle_pdf(&d, distance2, f64::from(dir.dot(normal)))
     }
 
     /// Luminous flux, lm.
@@ -391,7 +391,7 @@ impl PhotometricSolid {
     }
 }
 
-fn density(density: &Density, distance2: f64, cos: f64) -> f32 {
+fn solid_angle_pdf(density: &Density, distance2: f64, cos: f64) -> f32 {
     match *density {
         Density::SolidAngle(pdf) => pdf as f32,
         Density::Area(per_area) => area_pdf(1.0 / per_area, distance2, cos),

@@ -1,6 +1,6 @@
 //! An annulus or disc, sampled by area.
 
-use super::{LightSample, area_pdf, assemble};
+use super::{LightSample, area_pdf, assemble_sample};
 use crate::emission::Emission;
 use femc_math::elementary::double::sin_cos;
 use femc_math::glam::{DVec3, Vec3A};
@@ -45,7 +45,7 @@ impl Ring {
         let (inner2, outer2) = (self.inner * self.inner, self.outer * self.outer);
         let radius = (inner2 + f64::from(u[0]) * (outer2 - inner2)).sqrt();
         let (sin, cos) = sin_cos(TAU * f64::from(u[1]));
-        assemble(
+        assemble_sample(
             reference.as_dvec3(),
             self.center + (self.tangent * cos + self.bitangent * sin) * radius,
             self.normal,

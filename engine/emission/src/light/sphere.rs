@@ -6,8 +6,8 @@
 //! A reference point on the sphere itself may be rounded to either side, so its side does not decide what it sees. In this case the
 //! far wall is sampled, uniformly by area. The near wall, which only a point outside the sphere could see, is not sampled.
 
-use super::{LightSample, assemble};
-use crate::emission::{Emission, Sides};
+use super::{LightSample, assemble_sample};
+use crate::emission::{Emission, EmittingSides};
 use femc_math::elementary::double::sin_cos;
 use femc_math::gamma;
 use femc_math::glam::{DVec3, Vec3A};
@@ -117,7 +117,7 @@ impl Sphere {
     #[inline]
     fn view(&self, origin: DVec3) -> View {
         let to_center = self.center - origin;
-        let one_sided = self.emission.sides == Sides::One;
+        let one_sided = self.emission.sides == EmittingSides::One;
         let distance = to_center.length();
         // Rounding of a surface point, of the center and of the radius in single precision.
         let rounding = origin.abs().max_element() + self.center.abs().max_element() + self.radius;
@@ -175,7 +175,7 @@ impl Sphere {
             }
         };
         let scale = self.center.as_vec3a().abs() + Vec3A::splat(self.radius as f32);
-        assemble(
+        assemble_sample(
             origin,
             self.center + outward * self.radius,
             outward * self.facing,

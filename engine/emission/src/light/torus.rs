@@ -1,6 +1,6 @@
 //! A torus between two radii about an axis. Both radii negative: normals inward. Sampled by area.
 
-use super::{LightSample, area_pdf, assemble};
+use super::{LightSample, area_pdf, assemble_sample};
 use crate::emission::Emission;
 use femc_math::elementary::double::sin_cos;
 use femc_math::glam::{DVec3, Vec3A};
@@ -55,7 +55,7 @@ impl Torus {
         let radial = self.tangent * cos + self.bitangent * sin;
         let outward = radial * cos_tube + self.axis * sin_tube;
         let normal = outward * self.facing;
-        assemble(
+        assemble_sample(
             reference.as_dvec3(),
             self.center + radial * self.major + outward * self.minor,
             normal,

@@ -3,8 +3,8 @@
 //! Under a moderate solid angle, it is sampled uniformly over the solid angle (\[arvo1995\]). If it nearly fills a hemisphere,
 //! directions are sampled over the hemisphere. Below 1e-8 sr, it is sampled by area.
 
-use super::{LightSample, area_pdf, assemble, bounds_of, in_plane};
-use crate::emission::{Emission, Sides};
+use super::{LightSample, area_pdf, assemble_sample, bounding_box, intersect_plane};
+use crate::emission::{Emission, EmittingSides};
 use crate::solid_angle::{self, Strategy};
 use femc_math::glam::{DVec3, Vec3A};
 use femc_math::{Frame, warp};
@@ -62,13 +62,13 @@ impl Triangle {
     #[inline]
     fn strategy(&self, a: DVec3) -> Strategy {
         let behind = a.dot(self.normal);
-        if behind == 0.0 || (behind > 0.0 && self.emission.sides == Sides::One) {
+        if behind == 0.0 || (behind > 0.0 && self.emission.sides == EmittingSides::One) {
             return Strategy::EdgeOn;
         }
         if solid_angle::is_far(a + (self.e1 + self.e2) / 3.0, self.reach2) {
             return Strategy::Area;
         }
-        Strategy::of(solid_angle::triangle(a, self.e1, self.e2, self.cross))
+        Strategy::from_solid_angle(solid_angle::triangle(a, self.e1, self.e2, self.cross))
     }
 
     /// See [`super::Light::sample`].
@@ -88,12 +88,12 @@ impl Triangle {
                 [b1 / excess, b2 / excess]
             }
             Strategy::Hemisphere => {
-                let [b1, b2] = self.barycentric(a, toward_plane(self.normal, a, u));
+                let [b1, b2] = self.barycentric(a, sample_facing_hemisphere(self.normal, a, u));
                 (b1 >= 0.0 && b2 >= 0.0 && b1 + b2 <= 1.0).then_some([b1, b2])?
             }
         };
         let position = self.origin + self.e1 * b1 + self.e2 * b2;
-        assemble(
+        assemble_sample(
             origin,
             position,
             self.normal,
@@ -109,16 +109,24 @@ impl Triangle {
         [self.origin, self.origin + self.e1, self.origin + self.e2].map(|v| v.as_vec3a())
     }
 
-    /// See [`super::Light::toward`].
+    /// See [`super::Light::sample_in_direction`].
     #[inline]
-    pub fn toward(&self, reference: Vec3A, dir: Vec3A) -> Option<LightSample> {
+    pub fn sample_in_direction(&self, reference: Vec3A, dir: Vec3A) -> Option<LightSample> {
         let origin = reference.as_dvec3();
-        let [b1, b2] = in_plane(self.origin - origin, [self.e1, self.e2, self.cross], dir.as_dvec3())?;
+        let [b1, b2] = intersect_plane(self.origin - origin, [self.e1, self.e2, self.cross], dir.as_dvec3())?;
         if b1 + b2 > 1.0 {
             return None;
         }
         let position = self.origin + self.e1 * b1 + self.e2 * b2;
-        assemble(origin, position, self.normal, self.scale, |_, _| 1.0, |_, cos| self.emission.radiance(cos), [b1, b2])
+        assemble_sample(
+            origin,
+            position,
+            self.normal,
+            self.scale,
+            |_, _| 1.0,
+            |_, cos| self.emission.radiance(cos),
+            [b1, b2],
+        )
     }
 
     /// Returns the barycentric coordinates of the point that the ray along `dir` hits.
@@ -155,13 +163,13 @@ impl Triangle {
     /// Bounding box.
     pub fn bounds(&self) -> (Vec3A, Vec3A) {
         let corners = [self.origin, self.origin + self.e1, self.origin + self.e2].map(|v| v.as_vec3a());
-        bounds_of(&corners)
+        bounding_box(&corners)
     }
 }
 
 /// Samples a direction uniformly over the hemisphere that faces the plane with `normal` through the point `a`.
 #[inline]
-pub(super) fn toward_plane(normal: DVec3, a: DVec3, u: [f32; 2]) -> DVec3 {
+pub(super) fn sample_facing_hemisphere(normal: DVec3, a: DVec3, u: [f32; 2]) -> DVec3 {
     let axis = if a.dot(normal) < 0.0 { -normal } else { normal };
     Frame::from_normal(axis.as_vec3a()).to_world(warp::direction(1.0 - u[0], u[1])).as_dvec3()
 }

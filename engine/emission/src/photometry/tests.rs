@@ -16,7 +16,7 @@ fn steps(from: f64, to: f64, n: u32) -> Vec<f64> {
     (0..=n).map(|i| from + (to - from) * f64::from(i) / f64::from(n)).collect()
 }
 
-fn at(table: &IntensityDistribution, v: f64, h: f64) -> f64 {
+fn intensity_at(table: &IntensityDistribution, v: f64, h: f64) -> f64 {
     f64::from(table.intensity(direction(table.kind, v, h).as_vec3a()))
 }
 
@@ -32,7 +32,11 @@ fn every_type_gives_back_its_table_and_is_linear_between() {
         for &v in &vertical[1..vertical.len() - 1] {
             for &h in &horizontal[1..horizontal.len() - 1] {
                 for (v, h) in [(v, h), (v + 2.5, h), (v, h + 3.0), (v - 1.0, h - 2.0)] {
-                    assert!((at(&table, v, h) - value(v, h)).abs() < 2e-2, "{kind:?} {v} {h}: {}", at(&table, v, h));
+                    assert!(
+                        (intensity_at(&table, v, h) - value(v, h)).abs() < 2e-2,
+                        "{kind:?} {v} {h}: {}",
+                        intensity_at(&table, v, h)
+                    );
                 }
             }
         }
@@ -82,28 +86,40 @@ fn part_tables_are_expanded_by_their_symmetry() {
         let folded = table(c, &vertical, &part, |v, h| 200.0 + v + of(h));
         for v in [3.0, 77.0, 160.0] {
             for h in steps(0.0, 355.0, 71) {
-                let (a, b) = (at(&folded, v, h + 1.0), at(&whole, v, h + 1.0));
+                let (a, b) = (intensity_at(&folded, v, h + 1.0), intensity_at(&whole, v, h + 1.0));
                 assert!((a - b).abs() < 1e-2, "{part:?} {v} {h}: {a} against {b}");
             }
         }
         assert!((folded.flux() / whole.flux() - 1.0).abs() < 1e-6);
     }
     let single = table(c, &vertical, &[0.0], |v, _| v);
-    assert!((at(&single, 60.0, 0.0) - 60.0).abs() < 1e-3 && (at(&single, 60.0, 213.0) - 60.0).abs() < 1e-3);
+    assert!(
+        (intensity_at(&single, 60.0, 0.0) - 60.0).abs() < 1e-3
+            && (intensity_at(&single, 60.0, 213.0) - 60.0).abs() < 1e-3
+    );
     let open = table(c, &vertical, &steps(0.0, 345.0, 23), |_, h| if h == 0.0 { 30.0 } else { 0.0 });
-    assert!((at(&open, 90.0, 352.5) - 15.0).abs() < 1e-3, "a full turn that stops at 345 wraps");
+    assert!((intensity_at(&open, 90.0, 352.5) - 15.0).abs() < 1e-3, "a full turn that stops at 345 wraps");
     for kind in [PhotometryKind::A, PhotometryKind::B] {
         let half = table(kind, &steps(-90.0, 90.0, 18), &steps(0.0, 90.0, 9), |_, h| h);
-        assert!((at(&half, 10.0, -30.0) - 30.0).abs() < 1e-2 && (at(&half, 10.0, 30.0) - 30.0).abs() < 1e-2);
+        assert!(
+            (intensity_at(&half, 10.0, -30.0) - 30.0).abs() < 1e-2
+                && (intensity_at(&half, 10.0, 30.0) - 30.0).abs() < 1e-2
+        );
     }
 }
 
 #[test]
 fn nothing_shines_beyond_the_tabulated_angles() {
     let down = table(PhotometryKind::C, &steps(0.0, 90.0, 9), &[0.0], |_, _| 10.0);
-    assert_eq!((at(&down, 89.9, 20.0), at(&down, 90.1, 20.0), at(&down, 180.0, 0.0)), (10.0, 0.0, 0.0));
+    assert_eq!(
+        (intensity_at(&down, 89.9, 20.0), intensity_at(&down, 90.1, 20.0), intensity_at(&down, 180.0, 0.0)),
+        (10.0, 0.0, 0.0)
+    );
     let flood = table(PhotometryKind::B, &steps(-30.0, 30.0, 6), &steps(-40.0, 40.0, 8), |_, _| 10.0);
-    assert_eq!((at(&flood, 29.0, -39.0), at(&flood, 31.0, 0.0), at(&flood, 0.0, 41.0)), (10.0, 0.0, 0.0));
+    assert_eq!(
+        (intensity_at(&flood, 29.0, -39.0), intensity_at(&flood, 31.0, 0.0), intensity_at(&flood, 0.0, 41.0)),
+        (10.0, 0.0, 0.0)
+    );
     assert_eq!(flood.intensity(Vec3A::Z), 0.0);
 }
 

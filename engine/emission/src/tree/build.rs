@@ -1,7 +1,7 @@
 //! Construction of the light tree.
 
 use super::LightBounds;
-use super::place::{Node, sine};
+use super::importance::{Node, sin_from_cos};
 use crate::light::EmissionCone;
 use femc_math::glam::Vec3A;
 use std::f32::consts::PI;
@@ -16,24 +16,24 @@ pub(super) struct Cluster {
     pub(super) high: Vec3A,
     center: Vec3A,
     pub(super) power: f32,
-    haze: f32,
+    extinction: f32,
     pub(super) intensity: f32,
     pub(super) cone: EmissionCone,
     pub(super) light: u32,
 }
 
 impl Cluster {
-    pub(super) fn of(light: &LightBounds, index: u32) -> Self {
+    pub(super) fn new(light: &LightBounds, index: u32) -> Self {
         let cone = light.cone;
         // Integral of the profile over the directions of emission.
-        let solid_angle = if cone.is_everywhere() {
+        let solid_angle = if cone.is_omnidirectional() {
             4.0 * PI
         } else {
             2.0 * PI / (cone.exponent + 1.0) * if cone.two_sided { 2.0 } else { 1.0 }
         };
         let intensity = light.power / solid_angle;
-        let &LightBounds { low, high, center, power, haze, .. } = light;
-        Self { low, high, center, power, haze, intensity, cone, light: index }
+        let &LightBounds { low, high, center, power, extinction, .. } = light;
+        Self { low, high, center, power, extinction, intensity, cone, light: index }
     }
 
     pub(super) fn join(self, other: &Self) -> Self {
@@ -43,7 +43,7 @@ impl Cluster {
             high,
             center: (low + high) * 0.5,
             power: self.power + other.power,
-            haze: self.haze.min(other.haze),
+            extinction: self.extinction.min(other.extinction),
             intensity: self.intensity + other.intensity,
             cone: self.cone.join(&other.cone),
             light: self.light,
@@ -60,10 +60,10 @@ impl Cluster {
             radius2,
             intensity: self.intensity,
             cos_normals: self.cone.cos_normals,
-            sin_normals: sine(self.cone.cos_normals),
+            sin_normals: sin_from_cos(self.cone.cos_normals),
             exponent: self.cone.exponent,
             two_sided: self.cone.two_sided,
-            haze: self.haze,
+            extinction: self.extinction,
             children,
             light,
             ranks: (0, 0),
@@ -79,7 +79,7 @@ impl Cluster {
 }
 
 /// Partitions `leaves` into two parts, neither empty, of the least cost; returns the number in the first.
-pub(super) fn cut(whole: &Cluster, leaves: &mut [Cluster]) -> usize {
+pub(super) fn partition_leaves(whole: &Cluster, leaves: &mut [Cluster]) -> usize {
     let middle = |c: &Cluster| (c.low + c.high) * 0.5;
     let low = leaves.iter().map(middle).fold(Vec3A::INFINITY, Vec3A::min);
     let size = leaves.iter().map(middle).fold(Vec3A::NEG_INFINITY, Vec3A::max) - low;

@@ -5,7 +5,7 @@ use femc_math::elementary::double::{exp, exp_m1, ln_1p};
 
 /// Optical depth below which a series is used, with an error below 1e-9. The functions cost five times as much, and for small
 /// depths their differences have no digits.
-const THIN: f64 = 0.5;
+const THIN_DEPTH: f64 = 0.5;
 
 /// One over (n + 2)!.
 const SERIES: [f64; 9] = [
@@ -22,7 +22,7 @@ const SERIES: [f64; 9] = [
 
 /// Light sent by a stretch.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Sent {
+pub(super) struct SourceTerm {
     /// At its start.
     pub from: f64,
     /// At its end.
@@ -33,9 +33,9 @@ pub(super) struct Sent {
 /// [0, 1] of exp(-depth s) (1 - s) and of exp(-depth s) s, and exp(-depth).
 /// - `depth`: optical depth of the stretch, >= 0.
 #[inline]
-pub(super) fn weights(depth: f64) -> ([f64; 2], f64) {
+pub(super) fn endpoint_weights(depth: f64) -> ([f64; 2], f64) {
     let x = depth;
-    if x < THIN {
+    if x < THIN_DEPTH {
         // In pairs, which do not depend on each other.
         let s = &SERIES;
         let (x2, pair) = (x * x, |k: usize| s[k] - s[k + 1] * x);
@@ -51,35 +51,36 @@ pub(super) fn weights(depth: f64) -> ([f64; 2], f64) {
 }
 
 /// Returns the light that arrives from the first part of the stretch, as a share of its length.
-/// - `upto`: end of the part, in [0, 1].
-pub(super) fn part(depth: f64, sent: Sent, upto: f64) -> f64 {
-    let there = sent.from + (sent.to - sent.from) * upto;
-    let ([first, second], _) = weights(depth * upto);
-    upto * (sent.from * first + there * second)
+/// - `end`: end of the part, in [0, 1].
+pub(super) fn partial_integral(depth: f64, sent: SourceTerm, end: f64) -> f64 {
+    let there = sent.from + (sent.to - sent.from) * end;
+    let ([first, second], _) = endpoint_weights(depth * end);
+    end * (sent.from * first + there * second)
 }
 
 /// Returns the light that arrives from a position, per share of the length.
 #[inline]
-pub(super) fn density(depth: f64, sent: Sent, at: f64) -> f64 {
+pub(super) fn density(depth: f64, sent: SourceTerm, at: f64) -> f64 {
     exp(-depth * at) * (sent.from + (sent.to - sent.from) * at)
 }
 
-/// Maximum number of steps of [`invert`]; bisection alone would need the same number.
-const STEPS: u32 = 60;
+/// Maximum number of steps of [`invert_integral`]; bisection alone would need the same number.
+const MAX_STEPS: u32 = 60;
 /// Maximum last step, relative to the position.
-const EXACT: f64 = 1e-9;
+const TOLERANCE: f64 = 1e-9;
 
-/// Returns the position in [0, 1] up to which the channels' [`part`]s sum to `wanted`. It uses Newton's steps, and bisection where
-/// these lead away.
+/// Returns the position in [0, 1] up to which the channels' [`partial_integral`]s sum to `target`. It uses Newton's steps, and
+/// bisection where these lead away.
 /// - `whole`: the sum up to 1, > 0.
-pub(super) fn invert(channels: &[(f64, Sent)], wanted: f64, whole: f64) -> f64 {
-    let sum =
-        |of: fn(f64, Sent, f64) -> f64, at: f64| channels.iter().map(|&(depth, sent)| of(depth, sent, at)).sum::<f64>();
-    let share = (wanted / whole).clamp(0.0, 1.0);
+pub(super) fn invert_integral(channels: &[(f64, SourceTerm)], target: f64, whole: f64) -> f64 {
+    let sum = |of: fn(f64, SourceTerm, f64) -> f64, at: f64| {
+        channels.iter().map(|&(depth, sent)| of(depth, sent, at)).sum::<f64>()
+    };
+    let share = (target / whole).clamp(0.0, 1.0);
     let (mut low, mut high) = (0.0f64, 1.0f64);
     let mut at = first_guess(channels, share);
-    for _ in 0..STEPS {
-        let error = sum(part, at) - wanted;
+    for _ in 0..MAX_STEPS {
+        let error = sum(partial_integral, at) - target;
         if error > 0.0 {
             high = at;
         } else {
@@ -89,7 +90,7 @@ pub(super) fn invert(channels: &[(f64, Sent)], wanted: f64, whole: f64) -> f64 {
         let next = at - step;
         let next = if next > low && next < high { next } else { 0.5 * (low + high) };
         // The error after Newton's step is of the order of the squared step.
-        if (next - at).abs() <= EXACT.sqrt() * at && next == at - step || (next - at).abs() <= EXACT * at {
+        if (next - at).abs() <= TOLERANCE.sqrt() * at && next == at - step || (next - at).abs() <= TOLERANCE * at {
             return next;
         }
         at = next;
@@ -98,9 +99,9 @@ pub(super) fn invert(channels: &[(f64, Sent)], wanted: f64, whole: f64) -> f64 {
 }
 
 /// Returns the solution for a transmittance of 1, or for a constant light along the stretch.
-fn first_guess(channels: &[(f64, Sent)], share: f64) -> f64 {
+fn first_guess(channels: &[(f64, SourceTerm)], share: f64) -> f64 {
     let least = channels.iter().map(|(depth, _)| *depth).fold(f64::INFINITY, f64::min);
-    if least > THIN {
+    if least > THIN_DEPTH {
         return (-ln_1p(share * exp_m1(-least)) / least).clamp(0.0, 1.0);
     }
     let (from, to) = channels.iter().fold((0.0, 0.0), |(from, to), (depth, sent)| {

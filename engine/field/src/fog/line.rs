@@ -1,18 +1,18 @@
 //! Light that fog sends along a line, leaf by leaf.
 
-use super::integral::{Sent, density, invert, weights};
-use super::tree::{FogTree, Kind, Placed};
+use super::integral::{SourceTerm, density, endpoint_weights, invert_integral};
+use super::tree::{FogTree, NodeKind, PlacedLeaf};
 use femc_math::Rgb;
 use femc_math::color::LUMINANCE_WEIGHTS;
 use femc_math::glam::{DVec3, Vec3A};
 
 /// A stretch of a line in one leaf.
 #[derive(Clone, Copy, Debug)]
-struct Piece {
+struct LinePiece {
     /// Distance of its start from the line's origin, m.
     start: f64,
     /// Luminance that arrives at the line's start from this piece and all pieces before it, cd/m2.
-    upto: f64,
+    cumulative_luminance: f64,
     length: f32,
     /// Optical depth.
     depth: f32,
@@ -29,7 +29,7 @@ struct Channels {
 
 /// A point on a line.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct LinePoint {
+pub struct FogLinePoint {
     /// Distance from the line's origin, m.
     pub t: f32,
     /// Density of the distance, 1/m.
@@ -37,27 +37,27 @@ pub struct LinePoint {
 }
 
 /// Light that fog sends along a line: the light that it scatters toward the line's start, without direct light from light sources,
-/// with isotropic scattering. See [`FogTree::line`].
+/// with isotropic scattering. See [`FogTree::radiance_along`].
 #[derive(Clone, Debug, Default)]
-pub struct Line {
-    pieces: Vec<Piece>,
+pub struct FogLine {
+    pieces: Vec<LinePiece>,
     /// Channels of the last pieces, from the first one with colored fog on.
     colored: Vec<Channels>,
     /// Boxes that are not visited yet: the node, and the distance at which the line leaves it.
     pending: Vec<(u32, f64)>,
     total: Rgb,
-    through: Rgb,
+    transmittance: Rgb,
 }
 
-impl Line {
+impl FogLine {
     /// Returns the radiance that arrives at the line's start, cd/m2.
-    pub fn total(&self) -> Rgb {
+    pub fn radiance(&self) -> Rgb {
         self.total
     }
 
     /// Returns the luminance that arrives at the line's start, cd/m2.
     pub fn luminance(&self) -> f32 {
-        self.pieces.last().map_or(0.0, |piece| piece.upto) as f32
+        self.pieces.last().map_or(0.0, |piece| piece.cumulative_luminance) as f32
     }
 
     /// Returns the number of boxes that it goes through.
@@ -67,23 +67,28 @@ impl Line {
 
     /// Returns the transmittance from the line's end to its start through the fog of the boxes.
     pub fn transmittance(&self) -> Rgb {
-        self.through
+        self.transmittance
     }
 
     /// Samples a point from which light comes, by luminance.
     /// - `u`: in [0, 1);
     /// - returns `None` if no light comes; [`Self::pdf`] is the density.
-    pub fn sample(&self, u: f64) -> Option<LinePoint> {
-        let whole = self.pieces.last()?.upto;
+    pub fn sample(&self, u: f64) -> Option<FogLinePoint> {
+        let whole = self.pieces.last()?.cumulative_luminance;
         let wanted = u * whole;
-        let index = self.pieces.partition_point(|piece| piece.upto <= wanted);
+        let index = self.pieces.partition_point(|piece| piece.cumulative_luminance <= wanted);
         let piece = self.pieces.get(index)?;
-        let (before, length) = (if index == 0 { 0.0 } else { self.pieces[index - 1].upto }, f64::from(piece.length));
+        let (before, length) =
+            (if index == 0 { 0.0 } else { self.pieces[index - 1].cumulative_luminance }, f64::from(piece.length));
         let (channels, count) = self.channels(index);
-        let share = invert(&channels[..count], (wanted - before) / length, (piece.upto - before) / length);
+        let share = invert_integral(
+            &channels[..count],
+            (wanted - before) / length,
+            (piece.cumulative_luminance - before) / length,
+        );
         let t = (piece.start + length * share) as f32;
         let pdf = self.pdf(t);
-        (pdf > 0.0).then_some(LinePoint { t, pdf })
+        (pdf > 0.0).then_some(FogLinePoint { t, pdf })
     }
 
     /// Returns the density of [`Self::sample`] at a distance from the line's origin, 1/m. It integrates to 1 over the line, if
@@ -95,7 +100,7 @@ impl Line {
         // Rounding may place a sample at an end slightly outside.
         let slack = f64::from(f32::EPSILON) * t.abs();
         let end = last.start + f64::from(last.length);
-        if !(last.upto > 0.0 && t >= first.start - slack && t <= end + slack) {
+        if !(last.cumulative_luminance > 0.0 && t >= first.start - slack && t <= end + slack) {
             return 0.0;
         }
         let index = self.pieces.partition_point(|piece| piece.start <= t).saturating_sub(1);
@@ -103,17 +108,18 @@ impl Line {
         let at = ((t - piece.start) / f64::from(piece.length)).clamp(0.0, 1.0);
         let (channels, count) = self.channels(index);
         let value: f64 = channels[..count].iter().map(|&(depth, sent)| density(depth, sent, at)).sum();
-        (value / last.upto) as f32
+        (value / last.cumulative_luminance) as f32
     }
 
     /// Returns the optical depth and the light sent of a piece: for all channels together, or for each.
     #[inline]
-    fn channels(&self, index: usize) -> ([(f64, Sent); 3], usize) {
-        let channel =
-            |depth: f32, [from, to]: [f32; 2]| (f64::from(depth), Sent { from: f64::from(from), to: f64::from(to) });
+    fn channels(&self, index: usize) -> ([(f64, SourceTerm); 3], usize) {
+        let channel = |depth: f32, [from, to]: [f32; 2]| {
+            (f64::from(depth), SourceTerm { from: f64::from(from), to: f64::from(to) })
+        };
         let gray = self.pieces.len() - self.colored.len();
         if index < gray {
-            let Piece { depth, sent, .. } = self.pieces[index];
+            let LinePiece { depth, sent, .. } = self.pieces[index];
             return ([channel(depth, sent); 3], 1);
         }
         let Channels { depth, sent } = &self.colored[index - gray];
@@ -124,7 +130,7 @@ impl Line {
         self.pieces.clear();
         self.colored.clear();
         self.pending.clear();
-        (self.total, self.through) = (Rgb::ZERO, Rgb::ONE);
+        (self.total, self.transmittance) = (Rgb::ZERO, Rgb::ONE);
     }
 }
 
@@ -133,7 +139,7 @@ struct Walk {
     origin: DVec3,
     dir: DVec3,
     /// Transmittance to the line's start, by channel.
-    through: [f64; 3],
+    transmittance: [f64; 3],
     total: Rgb,
     luminance: f64,
 }
@@ -141,27 +147,27 @@ struct Walk {
 impl Walk {
     /// Returns the light that a leaf sends at the two ends of a stretch in it, per m.
     #[inline]
-    fn sent(&self, placed: &Placed, start: f64, length: f32) -> [Rgb; 2] {
-        let [from, slope] = placed.along(self.origin + self.dir * start, self.dir);
+    fn source_term(&self, placed: &PlacedLeaf, start: f64, length: f32) -> [Rgb; 2] {
+        let [from, slope] = placed.value_and_slope(self.origin + self.dir * start, self.dir);
         [from, from + slope * length].map(|mean| placed.leaf.sigma_s * mean.max(Rgb::ZERO))
     }
 
     /// Adds the stretch of the line in a leaf, if all fog so far is gray.
     #[inline]
-    fn add(&mut self, placed: &Placed, start: f64, end: f64, pieces: &mut Vec<Piece>) {
+    fn add_gray(&mut self, placed: &PlacedLeaf, start: f64, end: f64, pieces: &mut Vec<LinePiece>) {
         let length = end - start;
-        let sent = self.sent(placed, start, length as f32);
-        let through = self.through[0];
+        let sent = self.source_term(placed, start, length as f32);
+        let through = self.transmittance[0];
         let depth = f64::from(placed.leaf.sigma_t.x) * length;
-        let ([first, second], passes) = weights(depth);
+        let ([first, second], passes) = endpoint_weights(depth);
         let [from, to] = sent.map(|color| color.dot(LUMINANCE_WEIGHTS) * through as f32);
         self.luminance += length * (f64::from(from) * first + f64::from(to) * second);
         let scale = through * length;
         self.total += sent[0] * ((first * scale) as f32) + sent[1] * ((second * scale) as f32);
-        self.through[0] = through * passes;
-        pieces.push(Piece {
+        self.transmittance[0] = through * passes;
+        pieces.push(LinePiece {
             start,
-            upto: self.luminance,
+            cumulative_luminance: self.luminance,
             length: length as f32,
             depth: depth as f32,
             sent: [from, to],
@@ -169,14 +175,14 @@ impl Walk {
     }
 
     /// Adds the stretch of the line in a leaf, by channel.
-    fn add_colored(&mut self, placed: &Placed, start: f64, end: f64, line: &mut Line) {
+    fn add_colored(&mut self, placed: &PlacedLeaf, start: f64, end: f64, line: &mut FogLine) {
         let length = end - start;
-        let sent = self.sent(placed, start, length as f32);
+        let sent = self.source_term(placed, start, length as f32);
         let mut channels = Channels { depth: [0.0; 3], sent: [[0.0; 2]; 3] };
         for k in 0..3 {
-            let through = self.through[k];
+            let through = self.transmittance[k];
             let depth = f64::from(placed.leaf.sigma_t[k]) * length;
-            let ([first, second], passes) = weights(depth);
+            let ([first, second], passes) = endpoint_weights(depth);
             let [from, to] = sent.map(|color| f64::from(color[k]) * through);
             let arrives = length * (from * first + to * second);
             self.total[k] += arrives as f32;
@@ -184,20 +190,26 @@ impl Walk {
             self.luminance += weight * arrives;
             channels.depth[k] = depth as f32;
             channels.sent[k] = [from, to].map(|value| (weight * value) as f32);
-            self.through[k] = through * passes;
+            self.transmittance[k] = through * passes;
         }
         line.colored.push(channels);
-        line.pieces.push(Piece { start, upto: self.luminance, length: length as f32, depth: 0.0, sent: [0.0; 2] });
+        line.pieces.push(LinePiece {
+            start,
+            cumulative_luminance: self.luminance,
+            length: length as f32,
+            depth: 0.0,
+            sent: [0.0; 2],
+        });
     }
 }
 
 impl FogTree {
-    /// Computes the light that the fog sends along a line, as in [`Line`]. Outside of the boxes there is no fog.
+    /// Computes the light that the fog sends along a line, as in [`FogLine`]. Outside of the boxes there is no fog.
     /// - `origin`: prepared frame, m;
     /// - `dir`: unit;
     /// - `t0`, `t1`: distances of the line's start and end from the origin, m;
-    /// - `line`: result. Its old contents are lost, its buffers are reused.
-    pub fn line(&self, origin: Vec3A, dir: Vec3A, t0: f32, t1: f32, line: &mut Line) {
+    /// - `radiance_along`: result. Its old contents are lost, its buffers are reused.
+    pub fn radiance_along(&self, origin: Vec3A, dir: Vec3A, t0: f32, t1: f32, line: &mut FogLine) {
         line.clear();
         if self.nodes.is_empty() {
             return;
@@ -206,12 +218,12 @@ impl FogTree {
         let Some((mut start, mut end)) = self.clip(o, d, [t0, t1].map(f64::from)) else { return };
         let inverse = d.recip().to_array();
         let (from, way) = (o.to_array(), d.to_array());
-        let mut walk = Walk { origin: o, dir: d, through: [1.0; 3], total: Rgb::ZERO, luminance: 0.0 };
+        let mut walk = Walk { origin: o, dir: d, transmittance: [1.0; 3], total: Rgb::ZERO, luminance: 0.0 };
         let mut gray = true;
         let mut node = 0;
         loop {
             match self.nodes[node as usize].kind() {
-                Kind::Cut { axis, at, low } => {
+                NodeKind::Split { axis, at, low } => {
                     let at = f64::from(at);
                     if way[axis] == 0.0 {
                         node = low + u32::from(from[axis] >= at);
@@ -229,15 +241,15 @@ impl FogTree {
                         node = low + later;
                     }
                 }
-                Kind::Leaf(index) => {
+                NodeKind::Leaf(index) => {
                     if end > start {
                         let placed = &self.leaves[index as usize];
                         if gray && !placed.is_gray {
                             gray = false;
-                            walk.through = [walk.through[0]; 3];
+                            walk.transmittance = [walk.transmittance[0]; 3];
                         }
                         if gray {
-                            walk.add(placed, start, end, &mut line.pieces);
+                            walk.add_gray(placed, start, end, &mut line.pieces);
                         } else {
                             walk.add_colored(placed, start, end, line);
                         }
@@ -249,8 +261,8 @@ impl FogTree {
             }
         }
         line.total = walk.total;
-        let through = if gray { [walk.through[0]; 3] } else { walk.through };
-        line.through = Rgb::from_array(through.map(|x| x as f32));
+        let through = if gray { [walk.transmittance[0]; 3] } else { walk.transmittance };
+        line.transmittance = Rgb::from_array(through.map(|x| x as f32));
     }
 
     /// Returns the part of a line in the bounding box; `None` if there is none.

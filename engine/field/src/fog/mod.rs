@@ -6,5 +6,5 @@ mod line;
 mod tests;
 mod tree;
 
-pub use line::{Line, LinePoint};
+pub use line::{FogLine, FogLinePoint};
 pub use tree::{FogCell, FogLeaf, FogTree};

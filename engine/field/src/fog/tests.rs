@@ -1,6 +1,6 @@
 //! Tests of the light along lines, on random trees.
 
-use super::{FogCell, FogLeaf, FogTree, Line};
+use super::{FogCell, FogLeaf, FogLine, FogTree};
 use femc_math::Rgb;
 use femc_math::elementary::double::exp;
 use femc_math::glam::{DVec3, Vec3A};
@@ -43,7 +43,7 @@ fn leaf(numbers: &mut Numbers, fog: Fog) -> FogLeaf {
     let sigma_s = numbers.color(1.0) * sigma_t.max(Rgb::splat(0.01));
     let slope = |numbers: &mut Numbers| numbers.color(6.0) - 3.0;
     let mean = [numbers.color(2.0), slope(numbers), slope(numbers), slope(numbers)];
-    FogLeaf { mean, sigma_s, sigma_t }.limited()
+    FogLeaf { mean, sigma_s, sigma_t }.limit_slopes()
 }
 
 /// Creates a random tree in [-1, 1] x [-1, 1] x [0, 3].
@@ -62,7 +62,7 @@ fn tree(seed: u64, fog: Fog) -> FogTree {
             let (mut low, mut high) = (max, min);
             (low[axis], high[axis]) = (at, at);
             boxes.extend([[min, low], [high, max]]);
-            cells.push(FogCell::Cut { axis: axis as u8, at });
+            cells.push(FogCell::Split { axis: axis as u8, at });
         } else {
             cells.push(FogCell::Leaf(leaf(&mut numbers, fog)));
         }
@@ -89,7 +89,7 @@ fn segment(tree: &FogTree, seed: u64) -> (Vec3A, Vec3A, [f32; 2]) {
         // In the plane of a split across another axis.
         let planes: Vec<(u8, f32)> = tree
             .cells()
-            .filter_map(|cell| if let FogCell::Cut { axis, at } = cell { Some((axis, at)) } else { None })
+            .filter_map(|cell| if let FogCell::Split { axis, at } = cell { Some((axis, at)) } else { None })
             .filter(|&(across, _)| usize::from(across) != axis)
             .collect();
         if let Some(&(across, at)) = planes.get((numbers.next() * planes.len() as f32) as usize) {
@@ -101,20 +101,20 @@ fn segment(tree: &FogTree, seed: u64) -> (Vec3A, Vec3A, [f32; 2]) {
 }
 
 /// Returns the leaf at a point, and its box, using only the cells.
-fn find(tree: &FogTree, place: DVec3) -> Option<(FogLeaf, [DVec3; 2])> {
+fn leaf_at(tree: &FogTree, position: DVec3) -> Option<(FogLeaf, [DVec3; 2])> {
     let cells: Vec<FogCell> = tree.cells().collect();
     let [mut min, mut max] = tree.bounds().map(|corner| corner.as_dvec3());
-    if place.cmplt(min).any() || place.cmpgt(max).any() {
+    if position.cmplt(min).any() || position.cmpgt(max).any() {
         return None;
     }
     let mut index = 0;
     loop {
         match cells[index] {
             FogCell::Leaf(leaf) => return Some((leaf, [min, max])),
-            FogCell::Cut { axis, at } => {
+            FogCell::Split { axis, at } => {
                 let (axis, at) = (usize::from(axis), f64::from(at));
-                let before = cells[..index].iter().filter(|cell| matches!(cell, FogCell::Cut { .. })).count();
-                let is_low = place[axis] < at;
+                let before = cells[..index].iter().filter(|cell| matches!(cell, FogCell::Split { .. })).count();
+                let is_low = position[axis] < at;
                 index = 2 * before + 1 + usize::from(!is_low);
                 if is_low { max[axis] = at } else { min[axis] = at }
             }
@@ -136,10 +136,11 @@ fn borders_of_leaves(tree: &FogTree, origin: Vec3A, dir: Vec3A, [t0, t1]: [f32; 
     let (o, d) = (origin.as_dvec3(), dir.as_dvec3());
     let [min, max] = tree.bounds();
     let mut planes: Vec<(usize, f32)> = (0..3).flat_map(|axis| [(axis, min[axis]), (axis, max[axis])]).collect();
-    planes
-        .extend(tree.cells().filter_map(|cell| {
-            if let FogCell::Cut { axis, at } = cell { Some((usize::from(axis), at)) } else { None }
-        }));
+    planes.extend(
+        tree.cells().filter_map(|cell| {
+            if let FogCell::Split { axis, at } = cell { Some((usize::from(axis), at)) } else { None }
+        }),
+    );
     let (t0, t1) = (f64::from(t0), f64::from(t1));
     let crossing = |&(axis, at): &(usize, f32)| (f64::from(at) - o[axis]) / d[axis];
     let mut places: Vec<f64> = planes.iter().map(crossing).filter(|t| *t > t0 && *t < t1).chain([t0, t1]).collect();
@@ -158,7 +159,7 @@ fn quadrature(tree: &FogTree, origin: Vec3A, dir: Vec3A, range: [f32; 2]) -> ([f
     let (mut sum, mut depth) = ([0.0; 3], [0.0f64; 3]);
     for pair in borders_of_leaves(tree, origin, dir, range).windows(2) {
         let (a, length) = (pair[0], pair[1] - pair[0]);
-        let Some((leaf, [low, high])) = find(tree, o + d * (a + 0.5 * length)) else { continue };
+        let Some((leaf, [low, high])) = leaf_at(tree, o + d * (a + 0.5 * length)) else { continue };
         let sigma = leaf.sigma_t.to_array().map(f64::from);
         let steps = steps(&leaf, length);
         for step in 0..steps {
@@ -179,10 +180,10 @@ fn quadrature(tree: &FogTree, origin: Vec3A, dir: Vec3A, range: [f32; 2]) -> ([f
     (sum, depth.map(|depth| exp(-depth)))
 }
 
-fn claim_close(have: Rgb, want: [f64; 3], scale: f64, what: &str) {
+fn assert_close(have: Rgb, want: [f64; 3], scale: f64, label: &str) {
     for k in 0..3 {
         let error = (f64::from(have[k]) - want[k]).abs();
-        assert!(error <= 1e-6 * (want[k] + 1e-6 * scale) + 1e-30, "{what}: {have} {want:?}");
+        assert!(error <= 1e-6 * (want[k] + 1e-6 * scale) + 1e-30, "{label}: {have} {want:?}");
     }
 }
 
@@ -193,12 +194,12 @@ proptest! {
     fn a_line_has_what_quadrature_finds(seed: u64, way: u64, colored: bool) {
         let tree = tree(seed, if colored { Fog::Colored } else { Fog::Gray });
         let (origin, dir, range) = segment(&tree, way);
-        let mut line = Line::default();
-        tree.line(origin, dir, range[0], range[1], &mut line);
+        let mut line = FogLine::default();
+        tree.radiance_along(origin, dir, range[0], range[1], &mut line);
         let (sum, through) = quadrature(&tree, origin, dir, range);
         let scale = sum.iter().copied().fold(0.0, f64::max);
-        claim_close(line.total(), sum, scale, "total");
-        claim_close(line.transmittance(), through, 1.0, "transmittance");
+        assert_close(line.radiance(), sum, scale, "total");
+        assert_close(line.transmittance(), through, 1.0, "transmittance");
         let want: f64 = (0..3).map(|k| sum[k] * f64::from(femc_math::color::LUMINANCE_WEIGHTS[k])).sum();
         prop_assert!((f64::from(line.luminance()) - want).abs() <= 1e-6 * want + 1e-30, "{} {want}", line.luminance());
     }
@@ -208,13 +209,13 @@ proptest! {
         let tree = tree(seed, if colored { Fog::Colored } else { Fog::Gray });
         let (origin, dir, [t0, t1]) = segment(&tree, way);
         let cut = t0 + (t1 - t0) * share;
-        let [mut whole, mut near, mut far] = [(); 3].map(|()| Line::default());
-        tree.line(origin, dir, t0, t1, &mut whole);
-        tree.line(origin, dir, t0, cut, &mut near);
-        tree.line(origin, dir, cut, t1, &mut far);
-        let both = near.total() + near.transmittance() * far.total();
-        let most = whole.total().max_element();
-        prop_assert!((both - whole.total()).abs().max_element() <= 2e-6 * most, "{both} {}", whole.total());
+        let [mut whole, mut near, mut far] = [(); 3].map(|()| FogLine::default());
+        tree.radiance_along(origin, dir, t0, t1, &mut whole);
+        tree.radiance_along(origin, dir, t0, cut, &mut near);
+        tree.radiance_along(origin, dir, cut, t1, &mut far);
+        let both = near.radiance() + near.transmittance() * far.radiance();
+        let most = whole.radiance().max_element();
+        prop_assert!((both - whole.radiance()).abs().max_element() <= 2e-6 * most, "{both} {}", whole.radiance());
         let through = near.transmittance() * far.transmittance();
         prop_assert!((through - whole.transmittance()).abs().max_element() <= 2e-6);
     }
@@ -223,18 +224,18 @@ proptest! {
     fn in_a_furnace_a_line_has_what_it_takes_of_the_light_behind(seed: u64, way: u64) {
         let tree = tree(seed, Fog::Furnace);
         let (origin, dir, [t0, t1]) = segment(&tree, way);
-        let mut line = Line::default();
-        tree.line(origin, dir, t0, t1, &mut line);
+        let mut line = FogLine::default();
+        tree.radiance_along(origin, dir, t0, t1, &mut line);
         let want = (Rgb::ONE - line.transmittance()) * 3.0;
-        prop_assert!((line.total() - want).abs().max_element() <= 1e-6, "{} {want}", line.total());
+        prop_assert!((line.radiance() - want).abs().max_element() <= 1e-6, "{} {want}", line.radiance());
     }
 
     #[test]
     fn the_density_integrates_to_the_share_of_what_is_drawn(seed: u64, way: u64, colored: bool) {
         let tree = tree(seed, if colored { Fog::Colored } else { Fog::Gray });
         let (origin, dir, [t0, t1]) = segment(&tree, way);
-        let mut line = Line::default();
-        tree.line(origin, dir, t0, t1, &mut line);
+        let mut line = FogLine::default();
+        tree.radiance_along(origin, dir, t0, t1, &mut line);
         // The light up to the point sampled for u is the share u of all light.
         let mut before = t0;
         for k in 0..16 {
@@ -246,8 +247,8 @@ proptest! {
             prop_assert!(drawn.t >= before && drawn.t <= t1 && drawn.pdf.is_finite());
             prop_assert_eq!(line.pdf(drawn.t), drawn.pdf);
             before = drawn.t;
-            let mut near = Line::default();
-            tree.line(origin, dir, t0, drawn.t, &mut near);
+            let mut near = FogLine::default();
+            tree.radiance_along(origin, dir, t0, drawn.t, &mut near);
             // The position is rounded.
             let slack = f64::from(drawn.pdf) * f64::from(drawn.t) * f64::from(f32::EPSILON);
             let share = f64::from(near.luminance()) / f64::from(line.luminance());
@@ -257,12 +258,12 @@ proptest! {
 }
 
 /// Returns borders of cells with equal shares of the light, and the light up to each of them.
-fn borders(tree: &FogTree, line: &Line, (origin, dir, t0): (Vec3A, Vec3A, f32), cells: u32) -> (Vec<f32>, Vec<f64>) {
-    let mut near = Line::default();
+fn borders(tree: &FogTree, line: &FogLine, (origin, dir, t0): (Vec3A, Vec3A, f32), cells: u32) -> (Vec<f32>, Vec<f64>) {
+    let mut near = FogLine::default();
     (1..cells)
         .filter_map(|k| line.sample(f64::from(k) / f64::from(cells)))
         .map(|drawn| {
-            tree.line(origin, dir, t0, drawn.t, &mut near);
+            tree.radiance_along(origin, dir, t0, drawn.t, &mut near);
             (drawn.t, f64::from(near.luminance()) / f64::from(line.luminance()))
         })
         .unzip()
@@ -277,17 +278,17 @@ fn distances_are_drawn_by_the_light_that_comes_from_them() {
     for k in 0..LINES {
         let tree = tree(k, if k % 2 == 0 { Fog::Gray } else { Fog::Colored });
         let (origin, dir, [t0, t1]) = segment(&tree, 1000 + k);
-        let mut line = Line::default();
-        tree.line(origin, dir, t0, t1, &mut line);
+        let mut line = FogLine::default();
+        tree.radiance_along(origin, dir, t0, t1, &mut line);
         if line.luminance() == 0.0 {
             continue;
         }
         // Equidistant points are tested, too, because the light's own quantiles might hide errors between them.
         let (mut places, mut upto) = borders(&tree, &line, (origin, dir, t0), 16);
-        let mut near = Line::default();
+        let mut near = FogLine::default();
         for step in 1..16u8 {
             let t = t0 + (t1 - t0) * f32::from(step) / 16.0;
-            tree.line(origin, dir, t0, t, &mut near);
+            tree.radiance_along(origin, dir, t0, t, &mut near);
             places.push(t);
             upto.push(f64::from(near.luminance()) / f64::from(line.luminance()));
         }
@@ -313,8 +314,8 @@ fn the_density_integrates_to_one() {
     for k in 0..1000 {
         let tree = tree(k, if k % 2 == 0 { Fog::Gray } else { Fog::Colored });
         let (origin, dir, [t0, t1]) = segment(&tree, 2000 + k);
-        let mut line = Line::default();
-        tree.line(origin, dir, t0, t1, &mut line);
+        let mut line = FogLine::default();
+        tree.radiance_along(origin, dir, t0, t1, &mut line);
         // If a free path is within the rounding of the distance, a quadrature is impossible.
         let thickest = tree.leaves().map(|leaf| leaf.sigma_t.max_element()).fold(0.0, f32::max);
         if line.luminance() == 0.0 || thickest > 100.0 {
@@ -323,7 +324,7 @@ fn the_density_integrates_to_one() {
         let mut sum = 0.0;
         for pair in borders_of_leaves(&tree, origin, dir, [t0, t1]).windows(2) {
             let (a, length) = (pair[0], pair[1] - pair[0]);
-            let Some((leaf, _)) = find(&tree, origin.as_dvec3() + dir.as_dvec3() * (a + 0.5 * length)) else {
+            let Some((leaf, _)) = leaf_at(&tree, origin.as_dvec3() + dir.as_dvec3() * (a + 0.5 * length)) else {
                 continue;
             };
             let steps = steps(&leaf, length);
@@ -344,7 +345,7 @@ fn a_point_has_the_light_of_its_box_and_none_outside() {
     let mut numbers = Numbers(3);
     for _ in 0..1000 {
         let point = Vec3A::new(-1.2, -1.2, -0.2) + numbers.color(1.0) * Vec3A::new(2.4, 2.4, 3.4);
-        let want = find(&tree, point.as_dvec3()).map_or(Rgb::ZERO, |(leaf, [min, max])| {
+        let want = leaf_at(&tree, point.as_dvec3()).map_or(Rgb::ZERO, |(leaf, [min, max])| {
             let local = ((point.as_dvec3() - min) / (max - min) - 0.5).as_vec3a();
             let [middle, x, y, z] = leaf.mean;
             (middle + x * local.x + y * local.y + z * local.z).max(Rgb::ZERO)
@@ -358,7 +359,7 @@ fn a_point_has_the_light_of_its_box_and_none_outside() {
 fn cells_that_are_no_tree_of_boxes_or_have_no_light_are_refused() {
     let bounds = [Vec3A::ZERO, Vec3A::ONE];
     let good = FogLeaf { mean: [Rgb::ONE, Rgb::ONE, Rgb::ZERO, Rgb::ZERO], sigma_s: Rgb::ONE, sigma_t: Rgb::ONE };
-    let cut = |axis, at| FogCell::Cut { axis, at };
+    let cut = |axis, at| FogCell::Split { axis, at };
     let accepted = |cells: &[FogCell]| FogTree::new(bounds, cells).is_some();
     let with = |change: fn(&mut FogLeaf)| {
         let mut leaf = good;
@@ -384,5 +385,5 @@ fn cells_that_are_no_tree_of_boxes_or_have_no_light_are_refused() {
     large.sigma_s = Rgb::splat(f32::MAX);
     assert!(!accepted(&[FogCell::Leaf(FogLeaf { mean: large.mean.map(|m| m * 4.0), ..large })]), "an infinite product");
     assert!(FogTree::new([Vec3A::ONE, Vec3A::ZERO], &[leaf]).is_none());
-    assert!(with(|leaf| *leaf = FogLeaf { mean: leaf.mean.map(|m| m * 7.0), ..*leaf }.limited()));
+    assert!(with(|leaf| *leaf = FogLeaf { mean: leaf.mean.map(|m| m * 7.0), ..*leaf }.limit_slopes()));
 }

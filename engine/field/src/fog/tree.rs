@@ -17,7 +17,7 @@ pub struct FogLeaf {
 
 impl FogLeaf {
     /// Reduces the changes by channel until no point of the box has a negative value. The mean over the box does not change.
-    pub fn limited(mut self) -> Self {
+    pub fn limit_slopes(mut self) -> Self {
         let [middle, slopes @ ..] = &mut self.mean;
         *middle = middle.max(Rgb::ZERO);
         let most: Rgb = slopes.iter().map(|slope| slope.abs() * 0.5).sum();
@@ -31,7 +31,7 @@ impl FogLeaf {
     }
 
     /// Checks that it is finite and nowhere negative, up to rounding.
-    fn is_sound(&self) -> bool {
+    fn is_valid(&self) -> bool {
         let [middle, slopes @ ..] = self.mean;
         let most: Rgb = slopes.iter().map(|slope| slope.abs() * 0.5).sum();
         let coefficients = [self.sigma_s, self.sigma_t];
@@ -47,7 +47,7 @@ impl FogLeaf {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum FogCell {
     /// A box that is split in two across an axis.
-    Cut {
+    Split {
         /// Axis: 0, 1 or 2.
         axis: u8,
         /// Coordinate of the split, prepared frame, m.
@@ -66,24 +66,24 @@ pub(super) struct Node {
 }
 
 /// Kind of a node.
-pub(super) enum Kind {
-    Cut { axis: usize, at: f32, low: u32 },
+pub(super) enum NodeKind {
+    Split { axis: usize, at: f32, low: u32 },
     Leaf(u32),
 }
 
 impl Node {
     #[inline]
-    pub(super) fn kind(self) -> Kind {
+    pub(super) fn kind(self) -> NodeKind {
         match self.next & 3 {
-            3 => Kind::Leaf(self.next >> 2),
-            axis => Kind::Cut { axis: axis as usize, at: self.at, low: self.next >> 2 },
+            3 => NodeKind::Leaf(self.next >> 2),
+            axis => NodeKind::Split { axis: axis as usize, at: self.at, low: self.next >> 2 },
         }
     }
 }
 
 /// A leaf with its position.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Placed {
+pub(super) struct PlacedLeaf {
     pub(super) leaf: FogLeaf,
     /// Center, prepared frame, m.
     center: DVec3,
@@ -93,10 +93,10 @@ pub(super) struct Placed {
     pub(super) is_gray: bool,
 }
 
-impl Placed {
+impl PlacedLeaf {
     /// Returns the mean radiance from all directions at a point of the box, cd/m2.
     #[inline]
-    fn at(&self, point: DVec3) -> Rgb {
+    fn value_at(&self, point: DVec3) -> Rgb {
         let local = ((point - self.center) * self.inverse).as_vec3a();
         let [middle, x, y, z] = self.leaf.mean;
         (middle + x * local.x + y * local.y + z * local.z).max(Rgb::ZERO)
@@ -104,7 +104,7 @@ impl Placed {
 
     /// Returns the mean radiance at a point, not clamped at 0, and its change per m along a direction.
     #[inline]
-    pub(super) fn along(&self, point: DVec3, dir: DVec3) -> [Rgb; 2] {
+    pub(super) fn value_and_slope(&self, point: DVec3, dir: DVec3) -> [Rgb; 2] {
         let [local, step] = [(point - self.center) * self.inverse, dir * self.inverse].map(|v| v.as_vec3a());
         let [middle, x, y, z] = self.leaf.mean;
         [middle + x * local.x + y * local.y + z * local.z, x * step.x + y * step.y + z * step.z]
@@ -117,20 +117,20 @@ pub struct FogTree {
     pub(super) min: Vec3A,
     pub(super) max: Vec3A,
     pub(super) nodes: Vec<Node>,
-    pub(super) leaves: Vec<Placed>,
+    pub(super) leaves: Vec<PlacedLeaf>,
 }
 
 impl FogTree {
     /// Maximum number of boxes of a tree.
-    const MOST: usize = 1 << 29;
+    const MAX_CELLS: usize = 1 << 29;
 
     /// Creates a tree.
     /// - `min`, `max`: corners of the bounding box, prepared frame, m;
     /// - `cells`: the bounding box first; the halves of all split boxes follow in the order of these, lower half first.
     /// - returns `None` if cells do not form such a tree, something is not finite, or light or a coefficient is negative.
     pub fn new([min, max]: [Vec3A; 2], cells: &[FogCell]) -> Option<Self> {
-        let cuts = cells.iter().filter(|cell| matches!(cell, FogCell::Cut { .. })).count();
-        let sound = min.is_finite() && max.is_finite() && min.cmple(max).all() && cells.len() < Self::MOST;
+        let cuts = cells.iter().filter(|cell| matches!(cell, FogCell::Split { .. })).count();
+        let sound = min.is_finite() && max.is_finite() && min.cmple(max).all() && cells.len() < Self::MAX_CELLS;
         if !sound || cells.len() != 2 * cuts + 1 {
             return None;
         }
@@ -141,7 +141,7 @@ impl FogTree {
             // If all boxes before are leaves, there is no box for this cell.
             let [min, max] = *boxes.get(index)?;
             match *cell {
-                FogCell::Cut { axis, at } => {
+                FogCell::Split { axis, at } => {
                     let axis = usize::from(axis);
                     if axis > 2 || !(min[axis]..=max[axis]).contains(&at) {
                         return None;
@@ -152,7 +152,7 @@ impl FogTree {
                     boxes.extend([[min, low_max], [high_min, max]]);
                 }
                 FogCell::Leaf(leaf) => {
-                    if !leaf.is_sound() {
+                    if !leaf.is_valid() {
                         return None;
                     }
                     tree.nodes.push(Node { at: 0.0, next: (tree.leaves.len() as u32) << 2 | 3 });
@@ -162,7 +162,7 @@ impl FogTree {
                         DVec3::from_array([0, 1, 2].map(|k| if edges[k] > 0.0 { 1.0 / edges[k] } else { 0.0 }));
                     let sigma = leaf.sigma_t;
                     let is_gray = sigma.x == sigma.y && sigma.y == sigma.z;
-                    tree.leaves.push(Placed { leaf, center: 0.5 * (min + max), inverse, is_gray });
+                    tree.leaves.push(PlacedLeaf { leaf, center: 0.5 * (min + max), inverse, is_gray });
                 }
             }
         }
@@ -187,8 +187,8 @@ impl FogTree {
     /// Returns all boxes in the order of [`FogTree::new`].
     pub fn cells(&self) -> impl Iterator<Item = FogCell> + '_ {
         self.nodes.iter().map(|node| match node.kind() {
-            Kind::Cut { axis, at, .. } => FogCell::Cut { axis: axis as u8, at },
-            Kind::Leaf(index) => FogCell::Leaf(self.leaves[index as usize].leaf),
+            NodeKind::Split { axis, at, .. } => FogCell::Split { axis: axis as u8, at },
+            NodeKind::Leaf(index) => FogCell::Leaf(self.leaves[index as usize].leaf),
         })
     }
 
@@ -205,10 +205,10 @@ impl FogTree {
     /// Returns the mean radiance from all directions at a point, cd/m2, without direct light from light sources; 0 outside of the
     /// boxes.
     pub fn mean_radiance(&self, point: Vec3A) -> Rgb {
-        self.find(point).map_or(Rgb::ZERO, |placed| placed.at(point.as_dvec3()))
+        self.find(point).map_or(Rgb::ZERO, |placed| placed.value_at(point.as_dvec3()))
     }
 
-    fn find(&self, point: Vec3A) -> Option<&Placed> {
+    fn find(&self, point: Vec3A) -> Option<&PlacedLeaf> {
         if self.nodes.is_empty() || point.cmplt(self.min).any() || point.cmpgt(self.max).any() {
             return None;
         }
@@ -216,8 +216,8 @@ impl FogTree {
         let mut node = self.nodes[0];
         loop {
             match node.kind() {
-                Kind::Cut { axis, at, low } => node = self.nodes[low as usize + usize::from(place[axis] >= at)],
-                Kind::Leaf(index) => return Some(&self.leaves[index as usize]),
+                NodeKind::Split { axis, at, low } => node = self.nodes[low as usize + usize::from(place[axis] >= at)],
+                NodeKind::Leaf(index) => return Some(&self.leaves[index as usize]),
             }
         }
     }

@@ -33,7 +33,7 @@ pub fn read(path: &Path) -> Result<ExrFile, FilmError> {
 /// Reads only the string attributes of the file at `path`.
 pub fn read_attributes(path: &Path) -> Result<BTreeMap<String, String>, FilmError> {
     let file = File::open(path).map_err(|cause| FilmError::File { path: path.into(), cause })?;
-    let meta = MetaData::read_from_buffered(BufReader::new(file), false).map_err(|e| failed(&e).in_file(path))?;
+    let meta = MetaData::read_from_buffered(BufReader::new(file), false).map_err(|e| read_error(&e).in_file(path))?;
     Ok(text_attributes(&meta))
 }
 
@@ -42,11 +42,11 @@ pub fn decode(mut source: impl Read + Seek) -> Result<ExrFile, FilmError> {
     let broken = |e: std::io::Error| FilmError::Format { what: "reading EXR", cause: e.to_string() };
     let length = source.seek(SeekFrom::End(0)).map_err(broken)?;
     source.rewind().map_err(broken)?;
-    let meta = MetaData::read_from_buffered(&mut source, false).map_err(|e| failed(&e))?;
+    let meta = MetaData::read_from_buffered(&mut source, false).map_err(|e| read_error(&e))?;
     let colors =
         meta.headers.iter().find(|h| has_colors(h)).ok_or_else(|| FilmError::NoColors { found: names(&meta) })?;
     for header in &meta.headers {
-        check(header, length)?;
+        check_header(header, length)?;
     }
     let (width, height) = (colors.layer_size.width(), colors.layer_size.height());
     source.rewind().map_err(broken)?;
@@ -63,11 +63,11 @@ pub fn decode(mut source: impl Read + Seek) -> Result<ExrFile, FilmError> {
         )
         .first_valid_layer()
         .all_attributes();
-    let found = match Threads::of(width * height) {
+    let found = match Threads::for_pixels(width * height) {
         Threads::One => file.non_parallel().from_buffered(source),
         Threads::Many => file.from_buffered(source),
     };
-    let found = found.map_err(|e| failed(&e))?;
+    let found = found.map_err(|e| read_error(&e))?;
     let pixels = found.layer_data.channel_data.pixels;
     let image = Image { width: width as u32, height: height as u32, pixels };
     Ok(ExrFile { image, attributes: text_attributes(&meta) })
@@ -79,7 +79,7 @@ fn has_colors(header: &Header) -> bool {
 }
 
 /// Refuses sizes beyond the limits, and more blocks than a file of `length` bytes can index.
-pub(super) fn check(header: &Header, length: u64) -> Result<(), FilmError> {
+pub(super) fn check_header(header: &Header, length: u64) -> Result<(), FilmError> {
     const MAX_CHANNELS: usize = 1024;
     const MAX_TILE_EDGE: usize = 1 << 14;
     let (width, height) = (header.layer_size.width() as u64, header.layer_size.height() as u64);
@@ -120,6 +120,6 @@ fn utf8(text: &Text) -> String {
     std::str::from_utf8(text.as_slice()).map_or_else(|_| text.to_string(), str::to_owned)
 }
 
-pub(super) fn failed(cause: &exr::error::Error) -> FilmError {
+pub(super) fn read_error(cause: &exr::error::Error) -> FilmError {
     FilmError::Format { what: "reading EXR", cause: cause.to_string() }
 }

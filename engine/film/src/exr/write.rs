@@ -58,7 +58,7 @@ impl Provenance {
             ("relative_error_mean", self.error.mean.to_string()),
             ("relative_error_floor", self.error.floor.to_string()),
             ("unlit_blocks", self.error.unlit.to_string()),
-            ("bad_samples", account(&self.bad)),
+            ("bad_samples", bad_samples_text(&self.bad)),
         ];
         let named = |(name, value)| (format!("{ATTRIBUTE_PREFIX}{name}"), value);
         always.into_iter().chain(allocation).chain(bias).map(named).collect()
@@ -66,7 +66,7 @@ impl Provenance {
 }
 
 /// Formats the text of `femc:bad_samples`.
-fn account(bad: &BadSamples) -> String {
+fn bad_samples_text(bad: &BadSamples) -> String {
     let [nan, infinite, negative, large] = bad.counts;
     let counts = format!("nan={nan} infinite={infinite} negative={negative} out-of-range={large}");
     match bad.first {
@@ -76,11 +76,11 @@ fn account(bad: &BadSamples) -> String {
 }
 
 /// Maximum length in bytes of a name in a file without long names; the next constant is the maximum with them.
-const MOST_OF_SHORT_NAME: usize = 31;
-const MOST_OF_NAME: usize = 255;
+const MAX_SHORT_NAME: usize = 31;
+const MAX_NAME: usize = 255;
 /// Index of the byte with the first flags after the version; the next constant is the bit of long names in it (bit 10 of the word).
-const FLAGS: usize = 5;
-const LONG_NAMES: u8 = 1 << 2;
+const FLAGS_OFFSET: usize = 5;
+const LONG_NAMES_FLAG: u8 = 1 << 2;
 
 /// Value of `relative_error.Y` in a block that received no light.
 pub const UNLIT: f32 = -1.0;
@@ -94,7 +94,7 @@ pub fn encode(image: &FrameImage, provenance: &Provenance) -> Result<Vec<u8>, Fi
     channels.extend(color("variance.", &image.variance));
     channels.push(floats("depth.Z", image.depth.iter().copied()));
     channels.push(floats("variance.Y", image.luminance_variance.iter().copied()));
-    channels.push(floats("relative_error.Y", errors(&provenance.error, image).into_iter()));
+    channels.push(floats("relative_error.Y", block_error_plane(&provenance.error, image).into_iter()));
     channels.push(AnyChannel::new("samples.Y", FlatSamples::U32(image.samples.clone())));
     encode_channels([image.color.width, image.color.height], channels, provenance.attributes())
 }
@@ -105,7 +105,7 @@ pub fn encode(image: &FrameImage, provenance: &Provenance) -> Result<Vec<u8>, Fi
 pub fn encode_layers(
     image: &FrameImage,
     layers: &[LayerImage],
-    others: &[(String, Vec<f32>)],
+    channels_by_name: &[(String, Vec<f32>)],
     texts: &[(String, String)],
     provenance: &Provenance,
 ) -> Result<Vec<u8>, FilmError> {
@@ -115,7 +115,7 @@ pub fn encode_layers(
         channels.extend(color(&format!("{name}."), mean));
         channels.extend(color(&format!("{name}.variance."), variance));
     }
-    channels.extend(others.iter().map(|(name, values)| floats(name, values.iter().copied())));
+    channels.extend(channels_by_name.iter().map(|(name, values)| floats(name, values.iter().copied())));
     let seconds = format!("{ATTRIBUTE_PREFIX}seconds");
     let attributes = provenance.attributes().into_iter().filter(|(name, _)| *name != seconds);
     let attributes = attributes.chain(texts.iter().cloned()).collect();
@@ -133,13 +133,13 @@ pub(super) fn encode_channels(
     texts: Vec<(String, String)>,
 ) -> Result<Vec<u8>, FilmError> {
     let names: Vec<Text> = channels.iter().map(|channel| channel.name.clone()).collect();
-    if let Some(name) = names.iter().find(|name| name.as_slice().len() > MOST_OF_NAME) {
-        return Err(failed(format!(
-            "the name of channel `{name}` has {} bytes, but the format allows {MOST_OF_NAME}; give the layer a shorter name",
+    if let Some(name) = names.iter().find(|name| name.as_slice().len() > MAX_NAME) {
+        return Err(write_error(format!(
+            "the name of channel `{name}` has {} bytes, but the format allows {MAX_NAME}; give the layer a shorter name",
             name.as_slice().len()
         )));
     }
-    let has_long_names = names.iter().any(|name| name.as_slice().len() > MOST_OF_SHORT_NAME);
+    let has_long_names = names.iter().any(|name| name.as_slice().len() > MAX_SHORT_NAME);
     let mut attributes = LayerAttributes { white_luminance: Some(1.0), ..LayerAttributes::default() };
     for (name, value) in texts {
         // UTF-8 as in OpenEXR; the crate's own conversion would refuse text outside of Latin-1.
@@ -159,17 +159,17 @@ pub(super) fn encode_channels(
     });
 
     let mut bytes = Cursor::new(Vec::new());
-    let written = match Threads::of(width as usize * height as usize) {
+    let written = match Threads::for_pixels(width as usize * height as usize) {
         Threads::One => file.write().non_parallel().to_buffered(&mut bytes),
         Threads::Many => file.write().to_buffered(&mut bytes),
     };
-    written.map_err(|e| failed(e.to_string()))?;
+    written.map_err(|e| write_error(e.to_string()))?;
     let mut bytes = bytes.into_inner();
     // The `exr` crate sets this flag from the attribute names alone, but other programs need it to read long channel names.
-    if let (true, Some(flags)) = (has_long_names, bytes.get_mut(FLAGS)) {
-        *flags |= LONG_NAMES;
+    if let (true, Some(flags)) = (has_long_names, bytes.get_mut(FLAGS_OFFSET)) {
+        *flags |= LONG_NAMES_FLAG;
     }
-    sort_attributes(&mut bytes).ok_or_else(|| failed("the header has an unknown form".into()))?;
+    sort_attributes(&mut bytes).ok_or_else(|| write_error("the header has an unknown form".into()))?;
     Ok(bytes)
 }
 
@@ -179,7 +179,7 @@ pub fn write(path: &Path, image: &FrameImage, provenance: &Provenance) -> Result
 }
 
 /// Returns the relative error of each pixel's block, row by row; [`UNLIT`] where `error` has none.
-pub fn errors(error: &FrameError, image: &FrameImage) -> Vec<f32> {
+pub fn block_error_plane(error: &FrameError, image: &FrameImage) -> Vec<f32> {
     let (width, height) = (image.color.width, image.color.height);
     let mut pixels = vec![UNLIT; width as usize * height as usize];
     for block in &error.blocks {
@@ -195,7 +195,7 @@ pub(super) fn floats(name: &str, values: impl Iterator<Item = f32>) -> AnyChanne
     AnyChannel::new(name, FlatSamples::F32(values.collect()))
 }
 
-pub(super) fn failed(cause: String) -> FilmError {
+pub(super) fn write_error(cause: String) -> FilmError {
     FilmError::Format { what: "writing EXR", cause }
 }
 

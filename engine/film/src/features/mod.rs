@@ -22,12 +22,12 @@
 //! | 8 each | pixels: for each tile, its first sample and one past the last |
 //! | rest | zstd frame. Sums: samples and hits of each pixel, numbers pixel by pixel, and for each kind the pixels' numbers of entries and the entries, ids ascending, with their samples. Pixels: tile by tile, the words of the pixel, one after the other |
 
-mod beside;
+mod aovs;
 mod piece;
 mod sums;
 mod tile;
 
-pub use beside::{BesidePiece, BesideTile};
+pub use aovs::{AovPiece, AovTile};
 pub use piece::{FeatureImage, FeaturePiece};
 pub use sums::FeatureSums;
 pub use tile::FeatureTile;
@@ -38,7 +38,7 @@ use crate::FilmError;
 pub const RANKS: usize = 6;
 
 /// Maximum number of numbers, and of kinds of ids.
-const MOST: [u32; 2] = [64, 8];
+const MAX_FEATURES: [u32; 2] = [64, 8];
 
 /// Number of values and of kinds of ids of a pixel.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -57,7 +57,7 @@ impl FeatureLayout {
     }
 
     fn check(self) -> Result<Self, FilmError> {
-        let fits = self.values <= MOST[0] && self.ids <= MOST[1];
+        let fits = self.values <= MAX_FEATURES[0] && self.ids <= MAX_FEATURES[1];
         fits.then_some(self).ok_or(FilmError::Corrupt("invalid number of features"))
     }
 }

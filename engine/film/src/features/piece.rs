@@ -3,7 +3,7 @@
 use super::sums::mean;
 use super::tile::VERSION;
 use super::{FeatureLayout, FeatureTile, RANKS};
-use crate::codec::{begin, finish, open, to_planes};
+use crate::codec::{finish, read_header, start_header, to_planes};
 use crate::{FilmError, SampleRange, Tiling};
 use std::collections::BTreeSet;
 use std::ops::Range;
@@ -56,7 +56,7 @@ impl FeaturePiece {
                 .pixels()
                 .zip(&sums.counts)
                 .map(|(pixel, [samples, hits])| {
-                    ranked(pixel, samples - hits).map(|[id, count]| (id, share(count, *samples)))
+                    rank_ids(pixel, samples - hits).map(|[id, count]| (id, share(count, *samples)))
                 })
                 .collect();
             for rank in 0..RANKS {
@@ -87,7 +87,7 @@ impl FeaturePiece {
         let FeatureLayout { values, ids } = self.layout;
         let Tiling { width, height, edge } = self.tiling;
         let [start, end] = [self.tiles.start, self.tiles.end].map(|tile| tile as u32);
-        let mut out = begin(MAGIC, VERSION);
+        let mut out = start_header(MAGIC, VERSION);
         let bounds = self.samples.iter().flat_map(|range| [range.start, range.end]);
         let words = [values, ids, width, height, edge, start, end].into_iter().chain(bounds);
         words.for_each(|word| out.extend_from_slice(&word.to_le_bytes()));
@@ -96,7 +96,7 @@ impl FeaturePiece {
 
     /// Decodes tiles; damage of any kind is an error.
     pub fn decode(bytes: &[u8]) -> Result<Self, FilmError> {
-        let mut reader = open(MAGIC, VERSION, bytes)?;
+        let mut reader = read_header(MAGIC, VERSION, bytes)?;
         let [values, ids] = reader.words()?;
         let layout = FeatureLayout { values, ids }.check()?;
         let (tiling, tiles) = reader.tiles()?;
@@ -110,7 +110,7 @@ impl FeaturePiece {
 
 /// Ranks the ids by their number of samples, in descending order; ties go to the lowest id. Missing entries are zeros.
 /// - `misses`: number of samples without a hit, whose id is 0.
-fn ranked(pixel: &[[u32; 2]], misses: u32) -> [[u32; 2]; RANKS] {
+fn rank_ids(pixel: &[[u32; 2]], misses: u32) -> [[u32; 2]; RANKS] {
     let mut sorted = pixel.to_vec();
     if misses > 0 {
         sorted.push([0, misses]);

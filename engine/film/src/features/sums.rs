@@ -7,7 +7,7 @@ const UNIT: f64 = (1u64 << 40) as f64;
 /// Largest absolute value.
 const LIMIT: f64 = (1u64 << 40) as f64;
 /// Largest term.
-pub(super) const MOST: i128 = 1 << 80;
+pub(super) const MAX_TERM: i128 = 1 << 80;
 
 /// Converts a number to a term: clamped to the limits, and 0 for NaN.
 #[inline]
@@ -83,7 +83,7 @@ pub struct FeatureSums {
     pub(super) values: Vec<i128>,
     pub(super) shares: Vec<Shares>,
     /// Ids of the current pixel.
-    open: Vec<Vec<[u32; 2]>>,
+    current_ids: Vec<Vec<[u32; 2]>>,
 }
 
 impl FeatureSums {
@@ -91,10 +91,10 @@ impl FeatureSums {
     pub fn new(layout: FeatureLayout) -> Self {
         let kinds = layout.ids as usize;
         let (shares, open) = (vec![Shares::default(); kinds], vec![Vec::new(); kinds]);
-        Self { layout, shares, open, ..Self::default() }
+        Self { layout, shares, current_ids: open, ..Self::default() }
     }
 
-    pub(super) fn of_parts(
+    pub(super) fn from_parts(
         layout: FeatureLayout,
         counts: Vec<[u32; 2]>,
         values: Vec<i128>,
@@ -114,7 +114,7 @@ impl FeatureSums {
         if self.shares.iter().all(|shares| shares.ends.len() == self.counts.len()) {
             return;
         }
-        for (shares, open) in self.shares.iter_mut().zip(&mut self.open) {
+        for (shares, open) in self.shares.iter_mut().zip(&mut self.current_ids) {
             shares.push(open);
             open.clear();
         }
@@ -122,18 +122,18 @@ impl FeatureSums {
 
     /// Adds a sample to the current pixel: the values and ids of the hit, as many as in the layout; `None`: no hit.
     #[inline]
-    pub fn add(&mut self, met: Option<(&[f64], &[u32])>) {
+    pub fn add(&mut self, hit: Option<(&[f64], &[u32])>) {
         let Some([samples, hits]) = self.counts.last_mut() else { return };
         *samples = samples.saturating_add(1);
-        let Some((values, ids)) = met else { return };
+        let Some((values, ids)) = hit else { return };
         *hits = hits.saturating_add(1);
         let first = self.values.len() - self.layout.values as usize;
         self.values[first..].iter_mut().zip(values).for_each(|(sum, value)| *sum += quantize(*value));
-        self.open.iter_mut().zip(ids).for_each(|(open, id)| add(open, *id, 1));
+        self.current_ids.iter_mut().zip(ids).for_each(|(open, id)| add(open, *id, 1));
     }
 
     /// Concatenates the pixels of several sums.
-    pub fn joined(layout: FeatureLayout, all: impl IntoIterator<Item = Self>) -> Self {
+    pub fn concat(layout: FeatureLayout, all: impl IntoIterator<Item = Self>) -> Self {
         let mut joined = Self::new(layout);
         for mut next in all {
             next.end_pixel();
@@ -164,7 +164,7 @@ mod tests {
         for (value, units) in [(0.5, 1i128 << 39), (-3.0, -3 << 40), (2f64.powi(-41), 1), (2f64.powi(-42), 0)] {
             assert_eq!(quantize(value), units, "{value}");
         }
-        assert_eq!((quantize(f64::INFINITY), quantize(-1e30), quantize(f64::NAN)), (MOST, -MOST, 0));
+        assert_eq!((quantize(f64::INFINITY), quantize(-1e30), quantize(f64::NAN)), (MAX_TERM, -MAX_TERM, 0));
         assert!((mean(quantize(-0.1) + quantize(0.3), 2) - 0.1).abs() <= 1.0 / UNIT);
         assert_eq!(mean(0, 0), 0.0);
     }

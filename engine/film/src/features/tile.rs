@@ -1,8 +1,8 @@
 //! Features of the samples of a tile.
 
-use super::sums::{MOST, Shares};
+use super::sums::{MAX_TERM, Shares};
 use super::{FeatureLayout, FeatureSums};
-use crate::codec::{begin, finish, from_planes, open, to_planes};
+use crate::codec::{finish, from_planes, read_header, start_header, to_planes};
 use crate::tile::MAX_TILE_PIXELS;
 use crate::{FilmError, Rect, SampleRange};
 use std::ops::Range;
@@ -53,11 +53,11 @@ impl FeatureTile {
         &self.sums
     }
 
-    /// Unites the parts of a tile: its samples from `begin` on. Parts may come in any order, and a repeated part counts once.
-    /// Samples before `begin` are left out.
+    /// Unites the parts of a tile: its samples from `start_header` on. Parts may come in any order, and a repeated part counts
+    /// once. Samples before `start_header` are left out.
     /// - errors: parts of different pixels or features, with a gap, or overlapping; no parts.
-    pub fn united(mut parts: Vec<Self>, begin: u32) -> Result<Self, FilmError> {
-        parts.retain(|part| part.samples.end > begin);
+    pub fn from_parts(mut parts: Vec<Self>, first_sample: u32) -> Result<Self, FilmError> {
+        parts.retain(|part| part.samples.end > first_sample);
         parts.sort_by_key(|part| part.samples);
         parts.dedup_by_key(|part| part.samples);
         let mut parts = parts.into_iter();
@@ -82,7 +82,7 @@ impl FeatureTile {
     pub fn encode(&self) -> Vec<u8> {
         let FeatureSums { layout, counts, values, shares, .. } = &self.sums;
         let Rect { x, y, width, height } = self.rect;
-        let mut out = begin(MAGIC, VERSION);
+        let mut out = start_header(MAGIC, VERSION);
         let head = [layout.values, layout.ids, x, y, width, height, self.samples.start, self.samples.end];
         let entries = shares.iter().map(|shares| shares.entries.len() as u32);
         head.into_iter().chain(entries).for_each(|word| out.extend_from_slice(&word.to_le_bytes()));
@@ -98,7 +98,7 @@ impl FeatureTile {
 
     /// Decodes features; damage of any kind is an error.
     pub fn decode(bytes: &[u8]) -> Result<Self, FilmError> {
-        let mut reader = open(MAGIC, VERSION, bytes)?;
+        let mut reader = read_header(MAGIC, VERSION, bytes)?;
         let [values, ids] = reader.words()?;
         let layout = FeatureLayout { values, ids }.check()?;
         let [x, y, width, height] = reader.words()?;
@@ -116,7 +116,7 @@ impl FeatureTile {
         }
         let numbers = area * values as usize;
         let size = 8 * area + 16 * numbers + entries.iter().map(|count| 4 * area + 8 * count).sum::<usize>();
-        let plain = reader.plain(size)?;
+        let plain = reader.decompress(size)?;
         let mut rest = &plain[..];
         let mut take = |size: usize| {
             let (taken, left) = rest.split_at(size);
@@ -132,7 +132,7 @@ impl FeatureTile {
             shares.push(kind.ok_or(FilmError::Corrupt("wrong number of ids"))?);
         }
         check(&counts, &sums, &shares, samples)?;
-        Ok(Self { rect, samples, sums: FeatureSums::of_parts(layout, counts, sums, shares) })
+        Ok(Self { rect, samples, sums: FeatureSums::from_parts(layout, counts, sums, shares) })
     }
 }
 
@@ -142,7 +142,7 @@ fn check(counts: &[[u32; 2]], values: &[i128], shares: &[Shares], samples: Sampl
         return Err(FilmError::Corrupt("more samples than its ranges hold"));
     }
     let numbers = (values.len() / counts.len().max(1)).max(1);
-    let most = |hits: u32| MOST.unsigned_abs() * u128::from(hits);
+    let most = |hits: u32| MAX_TERM.unsigned_abs() * u128::from(hits);
     let is_over = |(sums, [_, hits]): (&[i128], &[u32; 2])| sums.iter().any(|sum| sum.unsigned_abs() > most(*hits));
     if values.chunks(numbers).zip(counts).any(is_over) {
         return Err(FilmError::Corrupt("invalid features"));

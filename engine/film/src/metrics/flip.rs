@@ -34,13 +34,13 @@ const NEAR_WHITE: f64 = 0.85;
 pub fn hdr_flip(image: &Image, reference: &Image) -> f64 {
     let Some((start, stop)) = exposures(reference) else {
         // A black reference has no exposure range, so a single exposure is used.
-        return ldr_flip(&shown(image, 0.0), &shown(reference, 0.0)).mean();
+        return ldr_flip(&tone_map(image, 0.0), &tone_map(reference, 0.0)).mean();
     };
     let count = (stop - start).ceil().max(2.0);
     let mut worst: Option<Plane> = None;
     for i in 0..count as u32 {
         let exposure = start + f64::from(i) * (stop - start) / (count - 1.0);
-        let error = ldr_flip(&shown(image, exposure as f32), &shown(reference, exposure as f32));
+        let error = ldr_flip(&tone_map(image, exposure as f32), &tone_map(reference, exposure as f32));
         worst = Some(match worst {
             Some(worst) => worst.zip(&error, f32::max),
             None => error,
@@ -67,26 +67,26 @@ fn exposures(reference: &Image) -> Option<(f64, f64)> {
 }
 
 /// Linear display colors, 0..1.
-struct Shown {
+struct DisplayImage {
     width: u32,
     pixels: Vec<[f32; 3]>,
 }
 
 /// Applies the tone curve to the image at an exposure in stops.
-fn shown(image: &Image, exposure: f32) -> Shown {
+fn tone_map(image: &Image, exposure: f32) -> DisplayImage {
     let gain = pow(2.0, exposure);
     let [a, b, c, d, e] = ACES;
     let curve = |v: f32| {
         let x = (gain * v.max(0.0)).min(1e9);
         ((a * x * x + b * x) / (c * x * x + d * x + e)).clamp(0.0, 1.0)
     };
-    Shown { width: image.width, pixels: image.pixels.par_iter().map(|p| p.map(curve)).collect() }
+    DisplayImage { width: image.width, pixels: image.pixels.par_iter().map(|p| p.map(curve)).collect() }
 }
 
 /// Computes the error of each pixel, 0..1.
-fn ldr_flip(image: &Shown, reference: &Shown) -> Plane {
+fn ldr_flip(image: &DisplayImage, reference: &DisplayImage) -> Plane {
     let opponent = [image, reference].map(opponent);
-    let [color_a, color_b] = [0, 1].map(|i| perceived(&opponent[i]));
+    let [color_a, color_b] = [0, 1].map(|i| filter_contrast(&opponent[i]));
     let [features_a, features_b] = [0, 1].map(|i| features(&opponent[i][0]));
     let width = opponent[0][0].width;
     let most = pow(distance(hunt_lab([0.0, 1.0, 0.0]), hunt_lab([0.0, 0.0, 1.0])), COLOR_EXPONENT);
@@ -127,9 +127,9 @@ fn relative_xyz(rgb: [f32; 3]) -> [f32; 3] {
 }
 
 /// Converts to the linear opponent space Y Cx Cz.
-fn opponent(shown: &Shown) -> [Plane; 3] {
+fn opponent(image: &DisplayImage) -> [Plane; 3] {
     let axis = |f: fn([f32; 3]) -> f32| {
-        Plane::from_values(shown.width, shown.pixels.par_iter().map(|&p| f(relative_xyz(p))).collect())
+        Plane::from_values(image.width, image.pixels.par_iter().map(|&p| f(relative_xyz(p))).collect())
     };
     [axis(|v| 116.0 * v[1] - 16.0), axis(|v| 500.0 * (v[0] - v[1])), axis(|v| 200.0 * (v[1] - v[2]))]
 }
@@ -144,7 +144,7 @@ fn hunt_lab(rgb: [f32; 3]) -> [f32; 3] {
 }
 
 /// Filters the opponent planes for the viewing distance and returns them in Hunt-adjusted L*a*b*.
-fn perceived(planes: &[Plane; 3]) -> Vec<[f32; 3]> {
+fn filter_contrast(planes: &[Plane; 3]) -> Vec<[f32; 3]> {
     /// Sums of Gaussians `a sqrt(pi / b) exp(-pi^2 x^2 / b)`, x in degrees: (a, b) for the three axes.
     const SENSITIVITY: [&[(f64, f64)]; 3] = [&[(1.0, 0.0047)], &[(1.0, 0.0053)], &[(34.1, 0.04), (13.5, 0.025)]];
     let [y, cx, cz] = [0, 1, 2].map(|axis| filter_sum(&planes[axis], SENSITIVITY[axis]));
@@ -193,19 +193,19 @@ fn features(y: &Plane) -> [Plane; 2] {
         let gauss = |x: f64| double::exp(-x * x / (2.0 * deviation * deviation));
         (-radius..=radius).map(|i| f(f64::from(i), gauss(f64::from(i)))).collect()
     };
-    let blur = balanced(&over(&|_, g| g));
+    let blur = normalize_kernel(&over(&|_, g| g));
     let derivatives = [over(&|x, g| -x * g), over(&|x, g| (x * x / (deviation * deviation) - 1.0) * g)];
-    let normalised = y.zip(y, |v, _| (v + 16.0) / 116.0);
+    let normalized = y.zip(y, |v, _| (v + 16.0) / 116.0);
     derivatives.map(|derivative| {
-        let derivative = balanced(&derivative);
-        let along_x = normalised.filter(&derivative, &blur);
-        let along_y = normalised.filter(&blur, &derivative);
+        let derivative = normalize_kernel(&derivative);
+        let along_x = normalized.filter(&derivative, &blur);
+        let along_y = normalized.filter(&blur, &derivative);
         along_x.zip(&along_y, |a, b| (a * a + b * b).sqrt())
     })
 }
 
 /// Scales the positive weights of the kernel to the sum 1 and its negative ones to -1.
-fn balanced(kernel: &[f64]) -> Vec<f32> {
+fn normalize_kernel(kernel: &[f64]) -> Vec<f32> {
     let positive: f64 = kernel.iter().filter(|k| **k > 0.0).sum();
     let negative: f64 = -kernel.iter().filter(|k| **k < 0.0).sum::<f64>();
     kernel

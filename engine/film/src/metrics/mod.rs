@@ -36,7 +36,7 @@ pub struct Comparison {
     /// The pixel with the largest share of `relmse`.
     pub worst: WorstPixel,
     /// Pixels left out.
-    pub excluded: Excluded,
+    pub excluded: ExcludedPixels,
 }
 
 /// The pixel with the largest error.
@@ -56,7 +56,7 @@ pub struct WorstPixel {
 
 /// Pixels that a comparison left out.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct Excluded {
+pub struct ExcludedPixels {
     /// Pixels with a NaN or infinite component in the image.
     pub image: u64,
     /// Pixels with a NaN or infinite component in the reference.
@@ -67,7 +67,7 @@ pub struct Excluded {
 
 /// Compares `image` with `reference`.
 /// - errors: the sizes differ, or no pixel is finite in both.
-pub fn compare(image: &Image, reference: &Image) -> Result<Comparison, FilmError> {
+pub fn compare_images(image: &Image, reference: &Image) -> Result<Comparison, FilmError> {
     if (image.width, image.height) != (reference.width, reference.height) {
         return Err(FilmError::SizesDiffer {
             a_width: image.width,
@@ -76,8 +76,8 @@ pub fn compare(image: &Image, reference: &Image) -> Result<Comparison, FilmError
             b_height: reference.height,
         });
     }
-    let (image, reference, excluded) = finite(image, reference)?;
-    let sums = Sums::of(&image, &reference);
+    let (image, reference, excluded) = mask_non_finite(image, reference)?;
+    let sums = ErrorSums::from_images(&image, &reference);
     let n = 3.0 * (image.pixels.len() as u64 - excluded.pixels) as f64;
     let mse = sums.square / n;
     let curve = ToneCurve::auto([&reference]);
@@ -85,7 +85,7 @@ pub fn compare(image: &Image, reference: &Image) -> Result<Comparison, FilmError
         mse,
         relmse: sums.relative / n,
         psnr: if mse == 0.0 { f64::INFINITY } else { 10.0 * double::log10(sums.peak * sums.peak / mse) },
-        ssim: ssim::ssim(&displayed(&image, curve), &displayed(&reference, curve)),
+        ssim: ssim::ssim(&display_luma(&image, curve), &display_luma(&reference, curve)),
         flip: flip::hdr_flip(&image, &reference),
         mean_ratio: if sums.image == sums.reference { 1.0 } else { sums.image / sums.reference },
         worst: sums.worst,
@@ -95,8 +95,8 @@ pub fn compare(image: &Image, reference: &Image) -> Result<Comparison, FilmError
 
 /// Returns both images with the pixels that are not finite in either of them set to black in both, where they add nothing to any
 /// sum.
-fn finite(image: &Image, reference: &Image) -> Result<(Image, Image, Excluded), FilmError> {
-    let (mut a, mut r, mut excluded) = (image.clone(), reference.clone(), Excluded::default());
+fn mask_non_finite(image: &Image, reference: &Image) -> Result<(Image, Image, ExcludedPixels), FilmError> {
+    let (mut a, mut r, mut excluded) = (image.clone(), reference.clone(), ExcludedPixels::default());
     for (a, r) in a.pixels.iter_mut().zip(&mut r.pixels) {
         let bad = [&*a, &*r].map(|p| !p.iter().all(|v| v.is_finite()));
         excluded.image += u64::from(bad[0]);
@@ -112,7 +112,7 @@ fn finite(image: &Image, reference: &Image) -> Result<(Image, Image, Excluded), 
     Ok((a, r, excluded))
 }
 
-struct Sums {
+struct ErrorSums {
     square: f64,
     relative: f64,
     image: f64,
@@ -121,8 +121,8 @@ struct Sums {
     worst: WorstPixel,
 }
 
-impl Sums {
-    fn of(image: &Image, reference: &Image) -> Self {
+impl ErrorSums {
+    fn from_images(image: &Image, reference: &Image) -> Self {
         let worst = WorstPixel { x: 0, y: 0, value: [0.0; 3], reference: [0.0; 3], relative: -1.0 };
         let mut sums = Self { square: 0.0, relative: 0.0, image: 0.0, reference: 0.0, peak: 0.0, worst };
         for (at, (value, reference)) in image.pixels.iter().zip(&reference.pixels).enumerate() {
@@ -147,7 +147,7 @@ impl Sums {
 }
 
 /// Returns the Rec.709 luma of the displayed image, 0..1.
-fn displayed(image: &Image, curve: ToneCurve) -> Plane {
+fn display_luma(image: &Image, curve: ToneCurve) -> Plane {
     let luma = |p: &[f32; 3]| {
         let [r, g, b] = curve.display(*p);
         0.2126 * r + 0.7152 * g + 0.0722 * b

@@ -13,7 +13,7 @@ pub(super) fn ssim(a: &Plane, b: &Plane) -> f64 {
     let kernel = kernel();
     // The planes are extended by zeros and divided by the weight inside, which is a plane of ones filtered in the same way. Padding
     // with the nearest pixel would count border pixels several times.
-    let blur = |p: &Plane| framed(p).filter(&kernel, &kernel);
+    let blur = |p: &Plane| pad_with_zeros(p).filter(&kernel, &kernel);
     let ones = Plane { width: a.width, values: vec![1.0; a.values.len()] };
     let weight = blur(&ones);
     let means = [blur(a), blur(b)];
@@ -35,7 +35,7 @@ pub(super) fn ssim(a: &Plane, b: &Plane) -> f64 {
 }
 
 /// Surrounds the plane with a frame of zeros as wide as the window's radius.
-fn framed(plane: &Plane) -> Plane {
+fn pad_with_zeros(plane: &Plane) -> Plane {
     let radius = RADIUS as usize;
     let width = plane.width + 2 * radius;
     let mut values = vec![0.0; width * (plane.height() + 2 * radius)];

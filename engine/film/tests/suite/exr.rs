@@ -201,7 +201,7 @@ fn a_missing_file_is_named() {
 }
 
 /// Checks whether a file declares names of more than 31 bytes: bit 10 of the second word.
-fn says_long_names(file: &[u8]) -> bool {
+fn declares_long_names(file: &[u8]) -> bool {
     u32::from_le_bytes(file[4..8].try_into().unwrap()) & 0x400 != 0
 }
 
@@ -210,12 +210,12 @@ fn long_name_flag_is_set_exactly_when_a_channel_name_is_long() {
     let values = [1.0, 2.0];
     let file = |name: &str| {
         let channel = film_exr::NamedChannel { name, values: &values, precision: film_exr::Precision::Float };
-        film_exr::encode_named([2, 1], &[channel], &std::collections::BTreeMap::new())
+        film_exr::encode_named_channels([2, 1], &[channel], &std::collections::BTreeMap::new())
     };
     for length in 1..=255 {
         let name = "n".repeat(length);
         let bytes = file(&name).unwrap();
-        assert_eq!(says_long_names(&bytes), length > 31, "{length} bytes");
+        assert_eq!(declares_long_names(&bytes), length > 31, "{length} bytes");
         assert_eq!(bytes[4], 2, "the version");
         let (_, _, [back]) = film_exr::decode_channels(Cursor::new(&bytes), [name.as_str()]).unwrap();
         assert_eq!(back, values, "{length} bytes");
@@ -227,6 +227,6 @@ fn long_name_flag_is_set_exactly_when_a_channel_name_is_long() {
         let image = frame(4, 4);
         let layer = femc_film::LayerImage { name, color: image.albedo.clone(), variance: image.variance.clone() };
         let bytes = film_exr::encode_layers(&image, &[layer], &[], &[], &provenance()).unwrap();
-        assert_eq!(says_long_names(&bytes), is_long);
+        assert_eq!(declares_long_names(&bytes), is_long);
     }
 }

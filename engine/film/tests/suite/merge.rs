@@ -1,6 +1,6 @@
 //! Tests of the merge laws: the image is a function of the set of samples, whatever the order, the division and the repetitions.
 
-use femc_film::{BadKind, FilmError, Frame, Inserted, Rect, Sample, Tile, Tiling};
+use femc_film::{BadKind, FilmError, Frame, InsertOutcome, Rect, Sample, Tile, Tiling};
 use femc_math::{Rgb, hash};
 use proptest::prelude::*;
 
@@ -68,7 +68,7 @@ proptest! {
         let mut seen = vec![order[0]];
         for &i in &order[1..] {
             let part = if i % 2 == 0 { Tile::decode(&parts[i].encode()).unwrap() } else { parts[i].clone() };
-            let expected = if seen.contains(&i) { Inserted::Known } else { Inserted::New };
+            let expected = if seen.contains(&i) { InsertOutcome::Known } else { InsertOutcome::New };
             prop_assert_eq!(merged.merge(&part).unwrap(), expected);
             seen.push(i);
         }
@@ -212,8 +212,8 @@ proptest! {
         for (half, &end) in ends.iter().enumerate() {
             let counted = render(RECT, 0..end);
             for ((found, counted), whole) in merged.pixels().iter().zip(counted.pixels()).zip(whole.pixels()) {
-                prop_assert_eq!((found.color[half], found.count[half]), (counted.color[half], counted.count[half]));
-                prop_assert_eq!((found.luminance, found.drawn, found.peak), (whole.luminance, whole.drawn, whole.peak));
+                prop_assert_eq!((found.color[half], found.half_counts[half]), (counted.color[half], counted.half_counts[half]));
+                prop_assert_eq!((found.luminance, found.replicate_counts, found.peak), (whole.luminance, whole.replicate_counts, whole.peak));
                 prop_assert_eq!((found.depth, found.albedo, found.hits), (whole.depth, whole.albedo, whole.hits));
             }
         }
@@ -271,5 +271,5 @@ fn a_sum_out_of_range_is_reported() {
         tile.add(0, 0, i, &Sample { depth: 1e30, ..Sample::MISS });
         tile.add(1, 0, i, &Sample { color: Rgb::splat(femc_film::sample::MAX_RADIANCE), ..Sample::MISS });
     }
-    assert_eq!((tile.saturated(), tile.bad().total()), (1, 0));
+    assert_eq!((tile.saturated_pixels(), tile.bad().total()), (1, 0));
 }

@@ -1,8 +1,8 @@
 //! Tests of pieces of a frame: together they give the frame's own image, and damage of any kind is an error.
 
 use femc_film::{
-    BadSamples, Errors, FilmError, Frame, FrameError, FrameImage, Piece, Rect, Sample, SampleRange, Tile, TileErrors,
-    Tiling, pixel_digest,
+    BadSamples, ErrorStatistics, FilmError, Frame, FrameError, FrameImage, ImagePiece, Rect, Sample, SampleRange, Tile,
+    TileErrors, Tiling, pixel_digest,
 };
 use femc_math::{Rgb, hash};
 use proptest::prelude::*;
@@ -37,9 +37,9 @@ fn pieces_of_any_size_make_the_image_of_the_frame_to_the_bit() {
         let mut image = FrameImage::black(20, 16);
         let mut bad = BadSamples::default();
         for start in (0..6).step_by(size) {
-            let piece = Piece::of(&frame, start..(start + size).min(6)).unwrap();
+            let piece = ImagePiece::from_frame(&frame, start..(start + size).min(6)).unwrap();
             let bytes = piece.encode();
-            let piece = Piece::decode(&bytes).unwrap();
+            let piece = ImagePiece::decode(&bytes).unwrap();
             let samples: Vec<SampleRange> = piece.tiles().map(|_| (0..5).into()).collect();
             assert_eq!((piece.encode(), piece.samples()), (bytes, &samples[..]));
             bad.merge(piece.bad());
@@ -51,7 +51,12 @@ fn pieces_of_any_size_make_the_image_of_the_frame_to_the_bit() {
 
 /// Renders a frame whose tiles have different numbers of samples, in parts that these cuts make, through all codecs and in groups
 /// of `group` tiles. Returns the image, its bad samples, and the errors of the tiles.
-fn joined(counts: &[u32], cuts: &[u32], group: usize, is_late: bool) -> (FrameImage, BadSamples, Vec<TileErrors>) {
+fn render_in_parts(
+    counts: &[u32],
+    cuts: &[u32],
+    group: usize,
+    is_late: bool,
+) -> (FrameImage, BadSamples, Vec<TileErrors>) {
     let tiling = Tiling::new(40, 20, 16).unwrap();
     let mut frame = Frame::new(tiling);
     let mut parts = Vec::new();
@@ -70,12 +75,13 @@ fn joined(counts: &[u32], cuts: &[u32], group: usize, is_late: bool) -> (FrameIm
     let (mut image, mut bad, mut errors) = (FrameImage::black(40, 20), BadSamples::default(), Vec::new());
     for start in (0..6).step_by(group) {
         let tiles = start..(start + group).min(6);
-        let piece = Piece::decode(&Piece::of(&frame, tiles.clone()).unwrap().encode()).unwrap();
+        let piece = ImagePiece::decode(&ImagePiece::from_frame(&frame, tiles.clone()).unwrap().encode()).unwrap();
         let counted: Vec<u32> = piece.samples().iter().map(|range| range.len()).collect();
         assert_eq!(counted, counts[tiles.clone()]);
         image.put(&piece).unwrap();
         bad.merge(piece.bad());
-        let of = Errors::decode(&Errors::of(&frame, tiles.clone()).unwrap().encode()).unwrap();
+        let of =
+            ErrorStatistics::decode(&ErrorStatistics::from_frame(&frame, tiles.clone()).unwrap().encode()).unwrap();
         assert_eq!((of.tiling(), of.tiles()), (tiling, tiles));
         errors.extend(of.into_tiles());
     }
@@ -92,8 +98,8 @@ proptest! {
         group in 1usize..7,
         is_late in any::<bool>(),
     ) {
-        let whole = joined(&counts, &[], 6, false);
-        let (image, bad, errors) = joined(&counts, &cuts, group, is_late);
+        let whole = render_in_parts(&counts, &[], 6, false);
+        let (image, bad, errors) = render_in_parts(&counts, &cuts, group, is_late);
         prop_assert_eq!(&image.color, &whole.0.color);
         prop_assert_eq!(pixel_digest(&image.color), pixel_digest(&whole.0.color));
         prop_assert_eq!(format!("{:?}", (&image, bad, &errors)), format!("{:?}", (&whole.0, whole.1, &whole.2)));
@@ -111,8 +117,8 @@ proptest! {
 
 #[test]
 fn the_error_of_the_tiles_is_the_error_of_the_image() {
-    let (image, _, errors) = joined(&[4, 7, 32, 2, 16, 9], &[], 4, false);
-    let of_tiles = FrameError::of(errors.iter().flat_map(|tile| &tile.blocks).map(|it| it.block).collect());
+    let (image, _, errors) = render_in_parts(&[4, 7, 32, 2, 16, 9], &[], 4, false);
+    let of_tiles = FrameError::from_blocks(errors.iter().flat_map(|tile| &tile.blocks).map(|it| it.block).collect());
     assert_eq!(of_tiles, image.error());
     for half in 0..2 {
         assert!(
@@ -132,7 +138,7 @@ fn block(samples: std::ops::Range<u32>, v: impl Fn(u32, u32, u32) -> f32) -> Til
         all.add(x, y, i, &Sample { color: Rgb::splat(v(x, y, i)), ..Sample::MISS });
     }
     frame.insert(all).unwrap();
-    Errors::of(&frame, 0..1).unwrap().into_tiles().remove(0)
+    ErrorStatistics::from_frame(&frame, 0..1).unwrap().into_tiles().remove(0)
 }
 
 fn unit(x: u32, y: u32, i: u32, place: u64) -> f32 {
@@ -177,23 +183,25 @@ fn bounds_include_unseen_light_and_ignore_always_bad_pixels() {
 
 #[test]
 fn damaged_errors_are_refused() {
-    let bytes = Errors::of(&frame(), 2..3).unwrap().encode();
+    let bytes = ErrorStatistics::from_frame(&frame(), 2..3).unwrap().encode();
     for cut in 0..bytes.len() {
-        assert!(Errors::decode(&bytes[..cut]).is_err(), "cut at {cut}");
+        assert!(ErrorStatistics::decode(&bytes[..cut]).is_err(), "cut at {cut}");
     }
     for bit in 0..8 * bytes.len() {
         let mut damaged = bytes.clone();
         damaged[bit / 8] ^= 1 << (bit % 8);
-        assert!(Errors::decode(&damaged).is_err(), "bit {bit}");
+        assert!(ErrorStatistics::decode(&damaged).is_err(), "bit {bit}");
     }
-    assert!(Piece::decode(&bytes).is_err() && Tile::decode(&bytes).is_err());
+    assert!(ImagePiece::decode(&bytes).is_err() && Tile::decode(&bytes).is_err());
     // Correct checksums around wrong numbers.
     let words = [8u32, 8, 8, 0, 1, 0, 4, 0, 0, 7, 0, 4, u32::MAX];
     let forged = |words: &[u32], numbers: [f64; 7]| {
         let planes: Vec<u8> = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
         let payload = zstd::bulk::compress(&planes, 1).unwrap();
         let body: Vec<u8> = words.iter().flat_map(|w| w.to_le_bytes()).chain(payload).collect();
-        Errors::decode(&[b"FEMCERRS", &3u32.to_le_bytes()[..], &blake3::hash(&body).as_bytes()[..16], &body].concat())
+        ErrorStatistics::decode(
+            &[b"FEMCERRS", &3u32.to_le_bytes()[..], &blake3::hash(&body).as_bytes()[..16], &body].concat(),
+        )
     };
     assert!(forged(&words, [1.0, 0.5, 1.0, 1.5, 0.0, 0.0, 2.0]).is_ok());
     assert!(forged(&words, [1.0, f64::INFINITY, f64::INFINITY, 0.0, f64::INFINITY, 1.0, 1.0]).is_ok());
@@ -218,22 +226,32 @@ fn a_tile_that_is_not_whole_makes_no_piece() {
     let mut frame = Frame::new(tiling);
     let rects: Vec<Rect> = tiling.rects().collect();
     frame.insert(tile(rects[0], 0..4)).unwrap();
-    assert!(matches!(Piece::of(&frame, 0..2), Err(FilmError::Gap(rect)) if rect == rects[1]));
+    assert!(matches!(ImagePiece::from_frame(&frame, 0..2), Err(FilmError::Gap(rect)) if rect == rects[1]));
     frame.insert(tile(rects[1], 0..2)).unwrap();
-    assert_eq!(Piece::of(&frame, 0..2).unwrap().samples(), [(0..4).into(), (0..2).into()]);
+    assert_eq!(ImagePiece::from_frame(&frame, 0..2).unwrap().samples(), [(0..4).into(), (0..2).into()]);
     frame.insert(tile(rects[1], 2..4)).unwrap();
-    assert_eq!(Piece::of(&frame, 0..2).unwrap().samples(), [(0..4).into(); 2], "in whatever parts they came");
-    assert!(Piece::of(&frame, 0..1).is_ok() && Piece::of(&frame, 1..3).is_err());
+    assert_eq!(
+        ImagePiece::from_frame(&frame, 0..2).unwrap().samples(),
+        [(0..4).into(); 2],
+        "in whatever parts they came"
+    );
+    assert!(ImagePiece::from_frame(&frame, 0..1).is_ok() && ImagePiece::from_frame(&frame, 1..3).is_err());
     let mut frame = Frame::new(tiling);
     frame.insert(tile(rects[0], 0..2)).unwrap();
     frame.insert(tile(rects[0], 3..4)).unwrap();
-    assert!(Piece::of(&frame, 0..1).is_err() && Errors::of(&frame, 0..1).is_err(), "a gap");
-    assert!(Piece::of(&frame, 0..0).is_err() && Errors::of(&frame, 0..0).is_err(), "no tiles");
+    assert!(
+        ImagePiece::from_frame(&frame, 0..1).is_err() && ErrorStatistics::from_frame(&frame, 0..1).is_err(),
+        "a gap"
+    );
+    assert!(
+        ImagePiece::from_frame(&frame, 0..0).is_err() && ErrorStatistics::from_frame(&frame, 0..0).is_err(),
+        "no tiles"
+    );
 }
 
 #[test]
 fn a_piece_of_another_film_is_refused() {
-    let piece = Piece::of(&frame(), 0..6).unwrap();
+    let piece = ImagePiece::from_frame(&frame(), 0..6).unwrap();
     let mut other = FrameImage::black(16, 20);
     assert!(matches!(other.put(&piece), Err(FilmError::OtherPixels { .. })));
     assert_eq!(other, FrameImage::black(16, 20));
@@ -241,14 +259,14 @@ fn a_piece_of_another_film_is_refused() {
 
 #[test]
 fn every_cut_and_every_flipped_bit_is_an_error() {
-    let bytes = Piece::of(&frame(), 2..3).unwrap().encode();
+    let bytes = ImagePiece::from_frame(&frame(), 2..3).unwrap().encode();
     for cut in 0..bytes.len() {
-        assert!(Piece::decode(&bytes[..cut]).is_err(), "cut at {cut}");
+        assert!(ImagePiece::decode(&bytes[..cut]).is_err(), "cut at {cut}");
     }
     for bit in 0..8 * bytes.len() {
         let mut damaged = bytes.clone();
         damaged[bit / 8] ^= 1 << (bit % 8);
-        assert!(Piece::decode(&damaged).is_err(), "bit {bit}");
+        assert!(ImagePiece::decode(&damaged).is_err(), "bit {bit}");
     }
     assert!(Tile::decode(&bytes).is_err());
 }

@@ -1,6 +1,6 @@
 //! Tests of the laws of thumbnails and levels: they are functions of the set of samples, whatever the division.
 
-use femc_film::{Frame, Image, Levels, Rect, Sample, Tile, Tiling, ToneCurve};
+use femc_film::{Frame, Image, LuminanceLevels, Rect, Sample, Tile, Tiling, ToneCurve};
 use femc_math::{Rgb, hash};
 
 const FILM: Tiling = Tiling { width: 53, height: 37, edge: 16 };
@@ -26,7 +26,7 @@ fn render(rect: Rect, samples: std::ops::Range<u32>) -> Tile {
 /// Makes the thumbnails of tiles that are divided at `cuts`, put together backwards and through their bytes.
 fn thumbnails(edge: u32, cuts: &[u32]) -> Frame {
     let tiling = Tiling { edge, ..FILM };
-    let mut small = Frame::new(tiling.of_thumbnails().unwrap());
+    let mut small = Frame::new(tiling.thumbnail_tiling().unwrap());
     for cut in cuts.windows(2).rev() {
         for rect in tiling.rects() {
             let thumbnail = render(rect, cut[0]..cut[1]).thumbnail();
@@ -52,28 +52,28 @@ fn part_thumbnails_of_a_tile_sum_to_its_own_for_any_cut() {
     let good = |x: u32, y: u32| (0..12).filter(|&index| draw(x, y, index).fault().is_none()).count() as u32;
     let rect = Rect { x: 0, y: 0, width: FILM.width, height: FILM.height };
     assert_eq!(counted, rect.pixels().map(|(x, y)| good(x, y)).sum::<u32>());
-    assert_eq!(Tiling { edge: 12, ..FILM }.of_thumbnails(), None);
+    assert_eq!(Tiling { edge: 12, ..FILM }.thumbnail_tiling(), None);
 }
 
 #[test]
 fn levels_do_not_depend_on_the_tiles_and_add_up_in_any_order() {
-    let whole = Levels::of(&thumbnails(16, &[0, 12]));
+    let whole = LuminanceLevels::from_thumbnails(&thumbnails(16, &[0, 12]));
     assert_eq!(whole.blocks(), 7 * 5);
-    assert_eq!(whole.lit().map(|(_, count)| count).sum::<u64>(), 7 * 4, "the lowest row is black");
+    assert_eq!(whole.lit_bins().map(|(_, count)| count).sum::<u64>(), 7 * 4, "the lowest row is black");
     for edge in [8, 24, 64] {
-        assert_eq!(Levels::of(&thumbnails(edge, &[0, 5, 12])), whole, "tiles of {edge}");
+        assert_eq!(LuminanceLevels::from_thumbnails(&thumbnails(edge, &[0, 5, 12])), whole, "tiles of {edge}");
     }
-    let other = Levels::of(&thumbnails(16, &[0, 1]));
-    let sum = |a: &Levels, b: &Levels| {
+    let other = LuminanceLevels::from_thumbnails(&thumbnails(16, &[0, 1]));
+    let sum = |a: &LuminanceLevels, b: &LuminanceLevels| {
         let mut sum = a.clone();
         sum.merge(b);
         sum
     };
     assert_eq!(sum(&whole, &other), sum(&other, &whole));
-    assert_eq!(sum(&whole, &Levels::default()), whole);
+    assert_eq!(sum(&whole, &LuminanceLevels::default()), whole);
     let bytes = whole.encode();
-    assert_eq!(Levels::decode(&bytes).unwrap(), whole);
-    assert!((0..bytes.len()).all(|end| Levels::decode(&bytes[..end]).is_err()));
+    assert_eq!(LuminanceLevels::decode(&bytes).unwrap(), whole);
+    assert!((0..bytes.len()).all(|end| LuminanceLevels::decode(&bytes[..end]).is_err()));
 }
 
 #[test]
@@ -83,10 +83,11 @@ fn image_levels_equal_thumbnail_levels_up_to_rounding() {
         frame.insert(render(rect, 0..12)).unwrap();
     }
     let image = frame.resolve().color;
-    let [of_image, of_sums] = [Levels::of_image(&image), Levels::of(&thumbnails(16, &[0, 12]))];
-    let lit = |levels: &Levels| levels.lit().map(|(_, count)| count).sum::<u64>();
+    let [of_image, of_sums] =
+        [LuminanceLevels::from_image(&image), LuminanceLevels::from_thumbnails(&thumbnails(16, &[0, 12]))];
+    let lit = |levels: &LuminanceLevels| levels.lit_bins().map(|(_, count)| count).sum::<u64>();
     assert_eq!((of_image.blocks(), lit(&of_image)), (of_sums.blocks(), lit(&of_sums)));
-    let [a, b] = [&of_image, &of_sums].map(|levels| femc_math::elementary::ln(ToneCurve::of_levels(levels).exposure));
+    let [a, b] = [&of_image, &of_sums].map(|levels| femc_math::elementary::ln(ToneCurve::from_levels(levels).exposure));
     // Means of pixels weight every pixel equally; sums weight every good sample equally.
     assert!((a - b).abs() < 0.1, "{a}, {b}");
 }
@@ -98,9 +99,10 @@ fn level_exposure_is_within_half_a_bin_of_block_exposure() {
     for samples in [1, 3, 12] {
         let small = thumbnails(16, &[0, samples]);
         let blocks: Image = small.resolve().color;
-        let [exact, counted] = [ToneCurve::auto([&blocks]), ToneCurve::of_levels(&Levels::of(&small))]
-            .map(|curve| femc_math::elementary::ln(curve.exposure));
+        let [exact, counted] =
+            [ToneCurve::auto([&blocks]), ToneCurve::from_levels(&LuminanceLevels::from_thumbnails(&small))]
+                .map(|curve| femc_math::elementary::ln(curve.exposure));
         assert!((exact - counted).abs() <= most, "{exact}, {counted} of {samples} samples");
     }
-    assert_eq!(ToneCurve::of_levels(&Levels::default()).exposure, 1.0);
+    assert_eq!(ToneCurve::from_levels(&LuminanceLevels::default()).exposure, 1.0);
 }

@@ -1,8 +1,8 @@
 //! Tests of the leaves of a bottom-level tree: blocks of eight triangles, and shapes.
 
 use super::{
-    probe::Probe,
-    walk::{self, AnyLeaf, NearestLeaf},
+    local_ray::LocalRay,
+    traversal::{self, AnyLeaf, NearestLeaf},
 };
 use crate::{
     Hit,
@@ -14,20 +14,20 @@ use femc_simd::{Simd, Vector};
 
 /// The closest hit so far.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Best {
+pub(crate) struct ClosestHit {
     pub t: f32,
     pub primitive: u32,
     pub u: f32,
     pub v: f32,
     /// Primitives below this index win at equal `t`.
-    pub tie: u32,
+    pub tie_limit: u32,
 }
 
-impl Best {
+impl ClosestHit {
     /// Starts without a hit. Only hits before `t_max` count.
     #[inline(always)]
-    pub fn before(t_max: f32) -> Self {
-        Self { t: t_max, primitive: u32::MAX, u: 0.0, v: 0.0, tie: 0 }
+    pub fn new(t_max: f32) -> Self {
+        Self { t: t_max, primitive: u32::MAX, u: 0.0, v: 0.0, tie_limit: 0 }
     }
 
     /// Returns the hit, in `instance`.
@@ -38,16 +38,16 @@ impl Best {
 
     #[inline(always)]
     fn admits(&self, t: f32, primitive: u32) -> bool {
-        t < self.t || (t == self.t && primitive < self.tie)
+        t < self.t || (t == self.t && primitive < self.tie_limit)
     }
 }
 
 /// Improves `best` with the closest hit in `blas`. Returns whether there was one.
 #[inline(always)]
-pub(crate) fn blas_closest<S: Simd>(simd: S, blas: &Blas, probe: &Probe, best: &mut Best) -> bool {
+pub(crate) fn blas_closest<S: Simd>(simd: S, blas: &Blas, ray: &LocalRay, best: &mut ClosestHit) -> bool {
     let before = best.primitive;
     best.primitive = u32::MAX;
-    walk::nearest_first(simd, &blas.tree, probe, best.t, &mut Closest { simd, blas, probe, best });
+    traversal::traverse_nearest_first(simd, &blas.tree, ray, best.t, &mut ClosestVisitor { simd, blas, ray, best });
     let improved = best.primitive != u32::MAX;
     if !improved {
         best.primitive = before;
@@ -57,54 +57,54 @@ pub(crate) fn blas_closest<S: Simd>(simd: S, blas: &Blas, probe: &Probe, best: &
 
 /// Returns whether anything in `blas` is hit before `t_max`.
 #[inline(always)]
-pub(crate) fn blas_occluded<S: Simd>(simd: S, blas: &Blas, probe: &Probe, t_max: f32) -> bool {
-    walk::any(simd, &blas.tree, probe, t_max, &mut Occluded { simd, blas, probe, t_max })
+pub(crate) fn blas_occluded<S: Simd>(simd: S, blas: &Blas, ray: &LocalRay, t_max: f32) -> bool {
+    traversal::traverse_any(simd, &blas.tree, ray, t_max, &mut OcclusionVisitor { simd, blas, ray, t_max })
 }
 
-struct Closest<'a, S> {
+struct ClosestVisitor<'a, S> {
     simd: S,
     blas: &'a Blas,
-    probe: &'a Probe,
-    best: &'a mut Best,
+    ray: &'a LocalRay,
+    best: &'a mut ClosestHit,
 }
 
-impl<S: Simd> NearestLeaf for Closest<'_, S> {
+impl<S: Simd> NearestLeaf for ClosestVisitor<'_, S> {
     #[inline(always)]
     fn visit(&mut self, leaf: Child) -> f32 {
         if leaf.is_second_kind() {
             let shape = &self.blas.shapes[leaf.index()];
-            if let Some(t) = shape_distance(shape, self.probe, self.best.t)
+            if let Some(t) = shape_distance(shape, self.ray, self.best.t)
                 && self.best.admits(t, shape.primitive)
             {
-                *self.best = Best { t, primitive: shape.primitive, u: 0.0, v: 0.0, tie: shape.primitive };
+                *self.best = ClosestHit { t, primitive: shape.primitive, u: 0.0, v: 0.0, tie_limit: shape.primitive };
             }
         } else {
             let block = &self.blas.blocks[leaf.index()];
-            if let Some(found) = Crossing::find(self.simd, block, self.probe, self.best.t) {
-                found.improve(block, self.probe, self.best);
+            if let Some(found) = BlockCrossings::find(self.simd, block, self.ray, self.best.t) {
+                found.update_closest(block, self.ray, self.best);
             }
         }
         self.best.t
     }
 }
 
-struct Occluded<'a, S> {
+struct OcclusionVisitor<'a, S> {
     simd: S,
     blas: &'a Blas,
-    probe: &'a Probe,
+    ray: &'a LocalRay,
     t_max: f32,
 }
 
-impl<S: Simd> AnyLeaf for Occluded<'_, S> {
+impl<S: Simd> AnyLeaf for OcclusionVisitor<'_, S> {
     #[inline(always)]
     fn visit(&mut self, leaf: Child) -> bool {
         if leaf.is_second_kind() {
             let shape = &self.blas.shapes[leaf.index()];
-            shape_distance(shape, self.probe, self.t_max).is_some_and(|t| t < self.t_max)
+            shape_distance(shape, self.ray, self.t_max).is_some_and(|t| t < self.t_max)
         } else {
             let block = &self.blas.blocks[leaf.index()];
-            match Crossing::find(self.simd, block, self.probe, self.t_max) {
-                Some(found) => found.before(self.simd, self.t_max),
+            match BlockCrossings::find(self.simd, block, self.ray, self.t_max) {
+                Some(found) => found.any_before(self.simd, self.t_max),
                 None => false,
             }
         }
@@ -113,21 +113,21 @@ impl<S: Simd> AnyLeaf for Occluded<'_, S> {
 
 /// Returns the distance of the first valid crossing, at most `t_max`.
 #[inline(never)]
-fn shape_distance(shape: &Shape, probe: &Probe, t_max: f32) -> Option<f32> {
+fn shape_distance(shape: &Shape, ray: &LocalRay, t_max: f32) -> Option<f32> {
     // The end is extended so that ties are found; the caller compares in f32.
     let span = Span { from: 0.0, to: f64::from(t_max) * (1.0 + 1e-7) };
-    let crossings = shape.crossings(probe.mirrored);
-    let t = shape.quadric.intersect(probe.origin.as_dvec3(), probe.dir.as_dvec3(), span, crossings)?;
+    let crossings = shape.crossings(ray.mirrored);
+    let t = shape.quadric.intersect(ray.origin.as_dvec3(), ray.dir.as_dvec3(), span, crossings)?;
     Some(t as f32).filter(|&t| t > 0.0 && t <= t_max)
 }
 
 /// Ray data of the watertight test: the permuted origin, and the shear.
-struct Frame<V> {
+struct ShearFrame<V> {
     origin: [V; 3],
     shear: [V; 2],
 }
 
-impl<V: Vector> Frame<V> {
+impl<V: Vector> ShearFrame<V> {
     /// Returns corner `i` of all triangles relative to the ray's origin, and its sheared coordinates. This is a function and not a
     /// closure, because closures are not compiled for the caller's instruction set unless they are inlined.
     #[inline(always)]
@@ -147,7 +147,7 @@ impl<V: Vector> Frame<V> {
 }
 
 /// Triangles of a block that the ray crosses, at positive distances up to the limit, from a side from which they are visible.
-struct Crossing<V> {
+struct BlockCrossings<V> {
     mask: u32,
     /// Lanes with an edge function that is 0 in f32.
     on_edge: u32,
@@ -156,7 +156,7 @@ struct Crossing<V> {
     edges: [V; 3],
 }
 
-impl<V: Vector> Crossing<V> {
+impl<V: Vector> BlockCrossings<V> {
     /// Tests eight triangles with the watertight test (\[woop2013\]).
     ///
     /// A sum of two rounded products has the exact sign or is 0, and the neighbor computes the same sum with the opposite sign. If
@@ -164,13 +164,13 @@ impl<V: Vector> Crossing<V> {
     /// from the edge functions. Its sign is then that of `normal . (vertex - origin)` over `normal . dir`, which error bounds can
     /// guarantee even for grazing rays.
     #[inline(always)]
-    fn find<S: Simd<V = V>>(simd: S, block: &Block, probe: &Probe, t_max: f32) -> Option<Self> {
-        let [kx, ky, kz] = probe.axes;
-        let (origin, dir) = (probe.origin.to_array(), probe.dir.to_array());
+    fn find<S: Simd<V = V>>(simd: S, block: &Block, ray: &LocalRay, t_max: f32) -> Option<Self> {
+        let [kx, ky, kz] = ray.axes;
+        let (origin, dir) = (ray.origin.to_array(), ray.dir.to_array());
         let (rx, ry, rz) = (&block.rows[kx], &block.rows[ky], &block.rows[kz]);
         let (ox, oy, oz) = (simd.splat(origin[kx]), simd.splat(origin[ky]), simd.splat(origin[kz]));
-        let (sx, sy) = (simd.splat(probe.shear[0]), simd.splat(probe.shear[1]));
-        let frame = Frame { origin: [ox, oy, oz], shear: [sx, sy] };
+        let (sx, sy) = (simd.splat(ray.shear[0]), simd.splat(ray.shear[1]));
+        let frame = ShearFrame { origin: [ox, oy, oz], shear: [sx, sy] };
         let (a, ax, ay) = frame.corner(simd, rx, ry, rz, 0);
         let (_, bx, by) = frame.corner(simd, rx, ry, rz, 1);
         let (_, cx, cy) = frame.corner(simd, rx, ry, rz, 2);
@@ -193,24 +193,24 @@ impl<V: Vector> Crossing<V> {
             return None;
         }
         // A mirrored frame swaps the sides.
-        let from_behind = if probe.mirrored { slope.lt(zero).signs() } else { zero.lt(slope).signs() };
+        let from_behind = if ray.mirrored { slope.lt(zero).signs() } else { zero.lt(slope).signs() };
         mask &= !(block.culled & from_behind);
         let edges = [u, v, w];
         let on_edge = (least.equal(zero) | greatest.equal(zero)).signs() & mask;
         if on_edge != 0 {
-            mask = without_missed(block, probe, mask, on_edge);
+            mask = remove_missed_lanes(block, ray, mask, on_edge);
         }
         (mask != 0).then_some(Self { mask, on_edge, t, edges })
     }
 
     #[inline(always)]
-    fn before<S: Simd<V = V>>(&self, simd: S, t_max: f32) -> bool {
+    fn any_before<S: Simd<V = V>>(&self, simd: S, t_max: f32) -> bool {
         self.t.lt(simd.splat(t_max)).signs() & self.mask != 0
     }
 
     /// Updates `best` with the nearest crossing. Among equally near ones, the lowest primitive wins.
     #[inline(always)]
-    fn improve(&self, block: &Block, probe: &Probe, best: &mut Best) {
+    fn update_closest(&self, block: &Block, ray: &LocalRay, best: &mut ClosestHit) {
         let t = self.t.lanes().0;
         let mut taken = None;
         let mut mask = self.mask;
@@ -219,12 +219,12 @@ impl<V: Vector> Crossing<V> {
             mask &= mask - 1;
             let primitive = block.primitives[lane];
             if best.admits(t[lane], primitive) {
-                *best = Best { t: t[lane], primitive, tie: primitive, ..*best };
+                *best = ClosestHit { t: t[lane], primitive, tie_limit: primitive, ..*best };
                 taken = Some(lane);
             }
         }
         let Some(lane) = taken else { return };
-        let exact = if self.on_edge >> lane & 1 == 1 { exact_edges(block, probe, lane) } else { None };
+        let exact = if self.on_edge >> lane & 1 == 1 { exact_edges(block, ray, lane) } else { None };
         let [u, v, w] = match exact {
             Some(edges) => edges,
             None => {
@@ -240,23 +240,23 @@ impl<V: Vector> Crossing<V> {
 /// Returns the mask without the lanes of `on_edge` that f64 edge functions find outside.
 #[cold]
 #[inline(never)]
-fn without_missed(block: &Block, probe: &Probe, mask: u32, on_edge: u32) -> u32 {
+fn remove_missed_lanes(block: &Block, ray: &LocalRay, mask: u32, on_edge: u32) -> u32 {
     (0..WIDTH)
         .filter(|lane| on_edge >> lane & 1 == 1)
-        .fold(mask, |mask, lane| if exact_edges(block, probe, lane).is_some() { mask } else { mask & !(1 << lane) })
+        .fold(mask, |mask, lane| if exact_edges(block, ray, lane).is_some() { mask } else { mask & !(1 << lane) })
 }
 
 /// Returns the edge functions of one lane with exact products, if the ray is inside or on the edge and the triangle is not seen
 /// edge-on.
 #[cold]
 #[inline(never)]
-fn exact_edges(block: &Block, probe: &Probe, lane: usize) -> Option<[f32; 3]> {
-    let [kx, ky, kz] = probe.axes;
-    let origin = probe.origin.to_array();
+fn exact_edges(block: &Block, ray: &LocalRay, lane: usize) -> Option<[f32; 3]> {
+    let [kx, ky, kz] = ray.axes;
+    let origin = ray.origin.to_array();
     let corner = |i: usize| {
         let at = |k: usize| block.rows[k][i].0[lane] - origin[k];
         let z = at(kz);
-        (f64::from(at(kx) - probe.shear[0] * z), f64::from(at(ky) - probe.shear[1] * z))
+        (f64::from(at(kx) - ray.shear[0] * z), f64::from(at(ky) - ray.shear[1] * z))
     };
     let ((ax, ay), (bx, by), (cx, cy)) = (corner(0), corner(1), corner(2));
     let edges = [cx * by - cy * bx, ax * cy - ay * cx, bx * ay - by * ax];

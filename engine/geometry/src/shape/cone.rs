@@ -1,4 +1,4 @@
-use super::{Crossings, Span, SurfacePoint, turn_about};
+use super::{CrossingFilter, NearestPoint, Span, turn_about};
 use femc_math::glam::{DVec3, Vec3A};
 
 /// An open truncated cone: distance from the axis = `radius + slope z` for z in [0, `height`].
@@ -22,7 +22,7 @@ impl Cone {
     /// Returns the first crossing in `span`. The quadratic is taken about the ray's point closest to the middle of the axis, so
     /// that distant rays keep their accuracy.
     #[inline]
-    pub fn intersect(&self, origin: DVec3, dir: DVec3, span: Span, crossings: Crossings) -> Option<f64> {
+    pub fn intersect(&self, origin: DVec3, dir: DVec3, span: Span, crossings: CrossingFilter) -> Option<f64> {
         let from_middle = self.start + self.axis * (0.5 * self.height) - origin;
         let shift = from_middle.dot(dir) / dir.length_squared();
         let p = origin + dir * shift - self.start;
@@ -43,16 +43,16 @@ impl Cone {
         [near, far].into_iter().find_map(|t| {
             let height = z + t * dz;
             let inside = (0.0..=self.height).contains(&height);
-            (inside && span.holds(t + shift) && crossings.admit(a * t + b)).then_some(t + shift)
+            (inside && span.contains(t + shift) && crossings.admits(a * t + b)).then_some(t + shift)
         })
     }
 
-    pub fn nearest(&self, p: DVec3) -> SurfacePoint {
+    pub fn nearest(&self, p: DVec3) -> NearestPoint {
         let q = p - self.start;
         let z = q.dot(self.axis).clamp(0.0, self.height);
         let across =
             (q - self.axis * q.dot(self.axis)).try_normalize().unwrap_or_else(|| self.axis.any_orthonormal_vector());
-        SurfacePoint {
+        NearestPoint {
             position: self.start + self.axis * z + across * (self.radius + self.slope * z),
             normal: (across - self.axis * self.slope).normalize(),
             uv: [turn_about(self.axis, across), z / self.height],

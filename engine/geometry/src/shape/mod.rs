@@ -78,7 +78,7 @@ pub enum Quadric {
 
 /// Crossings of a surface that count.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Crossings {
+pub(crate) enum CrossingFilter {
     /// Crossings in both directions.
     All,
     /// Only crossings from the outer side (for a ring: against its normal).
@@ -87,10 +87,10 @@ pub(crate) enum Crossings {
     Leaving,
 }
 
-impl Crossings {
+impl CrossingFilter {
     /// Returns whether a crossing counts, given the derivative along the ray of a function that increases outward.
     #[inline]
-    fn admit(self, outward_slope: f64) -> bool {
+    fn admits(self, outward_slope: f64) -> bool {
         match self {
             Self::All => true,
             Self::Entering => outward_slope < 0.0,
@@ -100,7 +100,7 @@ impl Crossings {
 }
 
 /// The surface point closest to a given point.
-pub(crate) struct SurfacePoint {
+pub(crate) struct NearestPoint {
     pub position: DVec3,
     /// Unit normal of the front side.
     pub normal: DVec3,
@@ -116,7 +116,7 @@ pub(crate) struct Span {
 
 impl Span {
     #[inline]
-    fn holds(&self, t: f64) -> bool {
+    fn contains(&self, t: f64) -> bool {
         t > self.from && t < self.to
     }
 }
@@ -171,7 +171,7 @@ impl Quadric {
 
     /// Returns the smallest ray parameter in `span` at which `origin + t dir` crosses the surface. `dir` need not be unit.
     #[inline]
-    pub(crate) fn intersect(&self, origin: DVec3, dir: DVec3, span: Span, crossings: Crossings) -> Option<f64> {
+    pub(crate) fn intersect(&self, origin: DVec3, dir: DVec3, span: Span, crossings: CrossingFilter) -> Option<f64> {
         match *self {
             Self::Sphere { center, radius, .. } => {
                 sphere::intersect(origin - center.as_dvec3(), dir, f64::from(radius), span, crossings)
@@ -261,7 +261,7 @@ impl Quadric {
     }
 
     /// Returns the second parameter below which a share of the area lies: the inverse of [`Self::share_below`].
-    pub fn at_share(&self, share: f64) -> f64 {
+    pub fn parameter_at_share(&self, share: f64) -> f64 {
         let (mut low, mut high) = (0.0, 1.0);
         // The share increases with the parameter. The remaining error is a third of a step of bisection in double precision.
         for _ in 0..52 {
@@ -272,12 +272,12 @@ impl Quadric {
     }
 
     /// Returns the surface point closest to `p`, which must be near the surface.
-    pub(crate) fn nearest(&self, p: DVec3) -> SurfacePoint {
+    pub(crate) fn nearest(&self, p: DVec3) -> NearestPoint {
         let (mut point, facing) = match *self {
             Self::Sphere { center, radius, facing } => {
                 let n = (p - center.as_dvec3()).try_normalize().unwrap_or(DVec3::Z);
                 let uv = [turn(n.y, n.x), 2.0 * turn((n.x * n.x + n.y * n.y).sqrt(), n.z)];
-                (SurfacePoint { position: center.as_dvec3() + n * f64::from(radius), normal: n, uv }, facing)
+                (NearestPoint { position: center.as_dvec3() + n * f64::from(radius), normal: n, uv }, facing)
             }
             Self::Cone { start, end, start_radius, end_radius, facing } => {
                 (cone::Cone::new(start, end, start_radius, end_radius).nearest(p), facing)

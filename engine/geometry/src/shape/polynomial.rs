@@ -3,12 +3,12 @@
 
 /// At most three ascending numbers.
 #[derive(Clone, Copy, Default)]
-pub(super) struct Few {
+pub(super) struct CubicRoots {
     values: [f64; 3],
     count: usize,
 }
 
-impl Few {
+impl CubicRoots {
     fn push(&mut self, x: f64) {
         self.values[self.count] = x;
         self.count += 1;
@@ -20,9 +20,9 @@ impl Few {
 }
 
 /// Returns the roots with a change of sign of c0 + c1 x + c2 x^2 + c3 x^3 in (`lo`, `hi`), ascending.
-pub(super) fn cubic_roots_between(c: &[f64; 4], lo: f64, hi: f64) -> Few {
+pub(super) fn cubic_roots_between(c: &[f64; 4], lo: f64, hi: f64) -> CubicRoots {
     let f = |x: f64| ((c[3] * x + c[2]) * x + c[1]) * x + c[0];
-    let mut roots = Few::default();
+    let mut roots = CubicRoots::default();
     let mut from = lo;
     for to in quadratic_roots(c[1], c[2], 3.0 * c[3]).into_iter().chain([hi]) {
         let to = to.clamp(lo, hi);

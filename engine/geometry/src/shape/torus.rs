@@ -1,4 +1,4 @@
-use super::{Crossings, Span, SurfacePoint, polynomial, turn, turn_about};
+use super::{CrossingFilter, NearestPoint, Span, polynomial, turn, turn_about};
 use femc_math::glam::DVec3;
 
 /// A torus about 0: f(p) = (|p|^2 + R^2 - r^2)^2 - 4 R^2 |p - (p . axis) axis|^2, negative in the tube.
@@ -19,7 +19,7 @@ impl Torus {
     /// Returns the first crossing in `span`. The quartic's critical points (roots of its cubic derivative) cut the ray into pieces
     /// on which f is monotone. A piece contains a crossing exactly when f changes its sign over it. The sign is that of f itself
     /// and not of the expanded polynomial, so the side of the surface on which the ray starts is never in doubt.
-    pub fn intersect(&self, origin: DVec3, dir: DVec3, span: Span, crossings: Crossings) -> Option<f64> {
+    pub fn intersect(&self, origin: DVec3, dir: DVec3, span: Span, crossings: CrossingFilter) -> Option<f64> {
         let speed = dir.length();
         let d = dir / speed;
         // Arc length s from the point of closest approach to the center.
@@ -50,9 +50,9 @@ impl Torus {
         let mut f_lo = f(lo);
         for hi in critical.iter().copied().chain([end]) {
             let f_hi = f(hi);
-            if (f_lo < 0.0) != (f_hi < 0.0) && crossings.admit(f_hi - f_lo) {
+            if (f_lo < 0.0) != (f_hi < 0.0) && crossings.admits(f_hi - f_lo) {
                 let t = (polynomial::bracketed_root(&f, lo, hi) + shift) / speed;
-                if span.holds(t) {
+                if span.contains(t) {
                     return Some(t);
                 }
             }
@@ -61,13 +61,13 @@ impl Torus {
         None
     }
 
-    pub fn nearest(&self, p: DVec3, center: DVec3) -> SurfacePoint {
+    pub fn nearest(&self, p: DVec3, center: DVec3) -> NearestPoint {
         let q = p - center;
         let z = q.dot(self.axis);
         let flat = q - self.axis * z;
         let outward = flat.try_normalize().unwrap_or_else(|| self.axis.any_orthonormal_vector());
         let n = (q - outward * self.major).try_normalize().unwrap_or(outward);
-        SurfacePoint {
+        NearestPoint {
             position: center + outward * self.major + n * self.minor,
             normal: n,
             uv: [turn_about(self.axis, outward), turn(z, flat.length() - self.major)],

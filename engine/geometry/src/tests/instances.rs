@@ -1,5 +1,5 @@
 use super::*;
-use crate::{Facing, Quadric, offset_origin, segment};
+use crate::{Facing, Quadric, offset_origin, shadow_segment};
 use femc_math::glam::{Quat, Vec3};
 
 fn random_pose(random: &mut Random, mirrored: bool) -> Affine3A {
@@ -21,7 +21,7 @@ fn an_instance_is_hit_where_its_transformed_copy_is() {
             .iter()
             .map(|t| TriangleInput { vertices: t.vertices.map(|v| pose.transform_point3a(v)), cull: t.cull })
             .collect();
-        let (instance, copy) = (placed(triangles, vec![], pose), world(copy, vec![]));
+        let (instance, copy) = (placed_world(triangles, vec![], pose), world(copy, vec![]));
         let (mut hits, mut differ) = (0, 0);
         for _ in 0..20_000 {
             let ray = ray_at(&mut random, &copy.bounds());
@@ -53,7 +53,7 @@ fn a_ray_that_leaves_an_instance_does_not_hit_the_same_surface() {
         } else {
             (vec![triangle(random.point(1.0), random.point(1.0), random.point(1.0))], vec![])
         };
-        let world = placed(triangles, shapes, pose);
+        let world = placed_world(triangles, shapes, pose);
         for _ in 0..4 {
             let ray = ray_at(&mut random, &world.bounds());
             let Some(hit) = world.intersect(&ray) else { continue };
@@ -72,7 +72,7 @@ fn a_ray_that_leaves_an_instance_does_not_hit_the_same_surface() {
             let start = offset_origin(at.position, at.error, at.normal, dir);
             assert_eq!(world.intersect(&Ray::new(start, dir)), None, "{at:?} {dir:?}");
             let light = ray.origin;
-            let shadow = segment((light, Vec3A::ZERO, Vec3A::ZERO), (at.position, at.error, at.normal), 0.0);
+            let shadow = shadow_segment((light, Vec3A::ZERO, Vec3A::ZERO), (at.position, at.error, at.normal), 0.0);
             assert!(!world.occluded(&shadow), "{at:?} {shadow:?}");
             tested += 1;
         }

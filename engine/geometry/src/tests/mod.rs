@@ -1,9 +1,9 @@
 //! Tests of the whole crate. Seeds are fixed; random scenes come from [`Random`].
 
 mod instances;
+mod portable;
 mod shapes;
 mod triangles;
-mod twins;
 
 use crate::{Aabb, Blas, Cull, InstanceInput, Pose, Ray, ShapeInput, TriangleInput, World};
 use femc_math::{
@@ -51,10 +51,10 @@ pub fn triangle(a: Vec3A, b: Vec3A, c: Vec3A) -> TriangleInput {
 
 /// Returns a world of one group with the identity as its pose.
 pub fn world(triangles: Vec<TriangleInput>, shapes: Vec<ShapeInput>) -> World {
-    placed(triangles, shapes, Affine3A::IDENTITY)
+    placed_world(triangles, shapes, Affine3A::IDENTITY)
 }
 
-pub fn placed(triangles: Vec<TriangleInput>, shapes: Vec<ShapeInput>, pose: Affine3A) -> World {
+pub fn placed_world(triangles: Vec<TriangleInput>, shapes: Vec<ShapeInput>, pose: Affine3A) -> World {
     let blas = Arc::new(Blas::build(triangles, shapes));
     World::build(vec![InstanceInput { blas, pose: Pose::Fixed(pose) }])
 }

@@ -20,7 +20,7 @@ fn quadrics(random: &mut Random, scale: f32) -> Vec<Quadric> {
 
 /// Returns a function that is negative inside, positive outside, and approximates the distance near the surface. It is zero for a
 /// ring.
-fn outside(quadric: &Quadric, p: DVec3) -> f64 {
+fn signed_distance(quadric: &Quadric, p: DVec3) -> f64 {
     let axial = |origin: Vec3A, axis: DVec3| {
         let q = p - origin.as_dvec3();
         let z = q.dot(axis);
@@ -46,7 +46,7 @@ fn outside(quadric: &Quadric, p: DVec3) -> f64 {
 /// Returns the distances at which the ray crosses the surface, by stepping and bisection.
 fn crossings(quadric: &Quadric, ray: &Ray, reach: f64) -> Vec<f64> {
     let (o, d) = (ray.origin.as_dvec3(), ray.dir.as_dvec3());
-    let at = |t: f64| outside(quadric, o + d * t);
+    let at = |t: f64| signed_distance(quadric, o + d * t);
     let steps = 4000;
     let mut found = Vec::new();
     for i in 0..steps {
@@ -92,14 +92,14 @@ fn shapes_are_hit_where_stepping_along_the_ray_finds_them() {
                         hits += 1;
                         assert!((f64::from(hit.t) - t).abs() < 1e-5 * (1.0 + t), "{quadric:?} {ray:?} {t} {hit:?}");
                         let p = world.interaction(&ray, &hit).position.as_dvec3();
-                        assert!(outside(&quadric, p).abs() < 1e-5);
+                        assert!(signed_distance(&quadric, p).abs() < 1e-5);
                         assert!((0.0..=1.0).contains(&hit.u) && (0.0..=1.0).contains(&hit.v));
                     }
                     (None, None) => {}
                     // Stepping misses anything thinner than a step; such a chord must be short.
                     (Some(hit), None) => {
                         let p = (ray.origin + ray.dir * (hit.t + 0.004)).as_dvec3();
-                        assert!(outside(&quadric, p).abs() < 0.02, "{quadric:?} {ray:?} {hit:?}");
+                        assert!(signed_distance(&quadric, p).abs() < 0.02, "{quadric:?} {ray:?} {hit:?}");
                     }
                     (None, Some(t)) => panic!("missed at {t}: {quadric:?} {ray:?}"),
                 }
@@ -133,7 +133,7 @@ fn normals_face_front_and_positions_are_within_the_error_bound() {
                 let at = world.interaction(&ray, &hit);
                 assert!((at.normal.length() - 1.0).abs() < 1e-5);
                 assert!(at.normal.dot(ray.dir) < 1e-3, "one-sided, so seen from the front: {quadric:?} {at:?}");
-                let distance = outside(&quadric, at.position.as_dvec3()).abs();
+                let distance = signed_distance(&quadric, at.position.as_dvec3()).abs();
                 assert!(
                     distance <= 1.001 * f64::from(at.normal.abs().dot(at.error)),
                     "{quadric:?} {distance:e} {at:?}"
@@ -175,8 +175,12 @@ fn a_ray_that_leaves_a_convex_shape_outward_never_hits_it_again() {
                     let chord = if kind == 0 { side.abs() * scale * 0.2 } else { 0.0 };
                     assert!(again.t >= chord && again.t > 0.0, "{quadric:?} {at:?} {dir:?} {again:?}");
                     let far = start.as_dvec3() + dir.as_dvec3() * (0.5 * f64::from(again.t));
-                    let starts_outside = outside(&quadric, start.as_dvec3()) > 0.0;
-                    assert_eq!(outside(&quadric, far) > 0.0, starts_outside, "crossed a surface unseen: {quadric:?}");
+                    let starts_outside = signed_distance(&quadric, start.as_dvec3()) > 0.0;
+                    assert_eq!(
+                        signed_distance(&quadric, far) > 0.0,
+                        starts_outside,
+                        "crossed a surface unseen: {quadric:?}"
+                    );
                 }
             }
         }
@@ -251,11 +255,11 @@ fn parameters_name_the_point_that_has_them() {
                     found.uv
                 );
                 let share = quadric.share_below(uv[1]);
-                assert!((quadric.at_share(share) - uv[1]).abs() < 1e-9);
+                assert!((quadric.parameter_at_share(share) - uv[1]).abs() < 1e-9);
             }
             // A step of the share covers that share of the area at any position.
             for share in [0.1, 0.3, 0.8] {
-                let area = patch(&quadric, share, 1e-4);
+                let area = band_area(&quadric, share, 1e-4);
                 assert!((area / (quadric.area() * 1e-4) - 1.0).abs() < 1e-3, "{quadric:?}");
             }
         }
@@ -263,8 +267,8 @@ fn parameters_name_the_point_that_has_them() {
 }
 
 /// Returns the area of a band around a share of the area.
-fn patch(quadric: &Quadric, share: f64, width: f64) -> f64 {
-    let at = |u: f64, share: f64| quadric.point_at([u, quadric.at_share(share.clamp(0.0, 1.0))]).0;
+fn band_area(quadric: &Quadric, share: f64, width: f64) -> f64 {
+    let at = |u: f64, share: f64| quadric.point_at([u, quadric.parameter_at_share(share.clamp(0.0, 1.0))]).0;
     let step = 1e-4;
     let along = (at(step, share) - at(0.0, share)) / step;
     let across = at(0.0, share + 0.5 * width) - at(0.0, share - 0.5 * width);

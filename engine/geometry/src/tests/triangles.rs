@@ -1,5 +1,5 @@
 use super::*;
-use crate::{Hit, offset_origin, segment};
+use crate::{Hit, offset_origin, shadow_segment};
 
 /// Returns the closest hit by testing every triangle in f64.
 fn brute_force(triangles: &[TriangleInput], ray: &Ray) -> Option<(f64, usize)> {
@@ -171,7 +171,7 @@ fn a_segment_between_two_triangles_is_hit_by_neither() {
         if pa.normal == Vec3A::ZERO || pb.normal == Vec3A::ZERO {
             continue;
         }
-        let ray = segment((pa.position, pa.error, pa.normal), (pb.position, pb.error, pb.normal), 0.0);
+        let ray = shadow_segment((pa.position, pa.error, pa.normal), (pb.position, pb.error, pb.normal), 0.0);
         assert!(!world_of(a).occluded(&ray), "{a:?} {b:?} {ray:?}");
         assert!(!world_of(b).occluded(&ray), "{a:?} {b:?} {ray:?}");
     }

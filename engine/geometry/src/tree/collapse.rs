@@ -11,7 +11,7 @@ pub(crate) trait LeafRule {
     /// Returns whether primitives `a` and `b` may lie in one leaf (an equivalence relation).
     fn may_share(&self, a: u32, b: u32) -> bool;
     /// Returns the maximum number of primitives in a leaf that contains primitive `a`.
-    fn most(&self, a: u32) -> usize;
+    fn max_primitives(&self, a: u32) -> usize;
     /// Returns the cost of testing a leaf of `count` primitives like `a`.
     fn cost(&self, a: u32, count: usize) -> f32;
     /// Creates a leaf of `primitives`.
@@ -81,7 +81,7 @@ impl Choice {
         };
         let count = (l.shareable + r.shareable) as usize;
         let may_share = l.shareable > 0 && r.shareable > 0 && rule.may_share(l.sample, r.sample);
-        let shareable = if may_share && count <= rule.most(l.sample) { count as u32 } else { 0 };
+        let shareable = if may_share && count <= rule.max_primitives(l.sample) { count as u32 } else { 0 };
         let (below, left) = distribute(WIDTH);
         let mut choice =
             Self { cost: [below + area; WIDTH - 1], left: [0; WIDTH - 1], shareable, sample: l.sample, is_leaf: false };

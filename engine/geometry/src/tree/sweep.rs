@@ -10,7 +10,7 @@ use crate::Aabb;
 /// Minimum size of ranges that are split in parallel.
 const PARALLEL: usize = 4096;
 /// Depth below which ranges are halved. Otherwise nested boxes, each slightly larger than the last, would make a chain.
-const DEEPEST: u32 = 48;
+const MAX_SWEEP_DEPTH: u32 = 48;
 
 /// A node. An inner node has its children at `first` and `first + 1`; a leaf contains primitive `first`.
 #[derive(Clone, Copy, Debug)]
@@ -27,14 +27,14 @@ pub(super) fn build(boxes: &[Aabb]) -> Vec<BinaryNode> {
 
 /// Builds a tree of minimum depth.
 pub(super) fn build_balanced(boxes: &[Aabb]) -> Vec<BinaryNode> {
-    build_from(boxes, DEEPEST)
+    build_from(boxes, MAX_SWEEP_DEPTH)
 }
 
 fn build_from(boxes: &[Aabb], depth: u32) -> Vec<BinaryNode> {
     let order = |axis: usize| {
         let mut order: Vec<u32> = (0..boxes.len() as u32).collect();
         let keys: Vec<f32> = boxes.iter().map(|b| b.center()[axis]).collect();
-        order.sort_unstable_by(|&a, &b| before(&keys, a, b));
+        order.sort_unstable_by(|&a, &b| compare_keys(&keys, a, b));
         order
     };
     let (mut x, (mut y, mut z)) = if boxes.len() < PARALLEL {
@@ -45,22 +45,22 @@ fn build_from(boxes: &[Aabb], depth: u32) -> Vec<BinaryNode> {
     let unset = BinaryNode { bounds: Aabb::EMPTY, first: 0, is_leaf: true };
     let mut nodes = vec![unset; (2 * boxes.len()).saturating_sub(1)];
     if let Some((root, below)) = nodes.split_first_mut() {
-        Range { boxes, orders: [&mut x, &mut y, &mut z] }.split(root, below, 1, depth);
+        PrimitiveRange { boxes, orders: [&mut x, &mut y, &mut z] }.split(root, below, 1, depth);
     }
     nodes
 }
 
-fn before(keys: &[f32], a: u32, b: u32) -> std::cmp::Ordering {
+fn compare_keys(keys: &[f32], a: u32, b: u32) -> std::cmp::Ordering {
     keys[a as usize].total_cmp(&keys[b as usize]).then(a.cmp(&b))
 }
 
 /// A range of primitives, sorted by their centroids along each axis.
-struct Range<'a> {
+struct PrimitiveRange<'a> {
     boxes: &'a [Aabb],
     orders: [&'a mut [u32]; 3],
 }
 
-impl Range<'_> {
+impl PrimitiveRange<'_> {
     /// Builds the subtree of this range: its root in `node`, the other 2 n - 2 nodes in `below`, whose first element is node number
     /// `first`.
     fn split(self, node: &mut BinaryNode, below: &mut [BinaryNode], first: u32, depth: u32) {
@@ -71,7 +71,7 @@ impl Range<'_> {
             return;
         }
         *node = BinaryNode { bounds, first, is_leaf: false };
-        let best = if depth < DEEPEST { self.cheapest() } else { None };
+        let best = if depth < MAX_SWEEP_DEPTH { self.cheapest_split() } else { None };
         let (axis, left) = best.unwrap_or_else(|| (bounds.size().max_position(), count / 2));
         let (low, high) = self.partition(axis, left);
         let [low_node, high_node, rest @ ..] = below else { unreachable!("n > 1 primitives have 2 n - 2 nodes below") };
@@ -89,7 +89,7 @@ impl Range<'_> {
     }
 
     /// Returns the axis and the number of primitives on the left of the cheapest split, if a split is cheaper than none.
-    fn cheapest(&self) -> Option<(usize, usize)> {
+    fn cheapest_split(&self) -> Option<(usize, usize)> {
         let count = self.orders[0].len();
         let mut above = vec![0.0f32; count];
         let (mut least, mut best) = (f32::INFINITY, None);
@@ -115,7 +115,7 @@ impl Range<'_> {
     }
 }
 
-impl<'a> Range<'a> {
+impl<'a> PrimitiveRange<'a> {
     /// Returns the first `left` primitives along `axis`, and the others, each sorted along all axes.
     fn partition(self, axis: usize, left: usize) -> (Self, Self) {
         let pivot = self.orders[axis][left];
@@ -139,6 +139,6 @@ impl<'a> Range<'a> {
             order[kept..].copy_from_slice(&spare);
             order.split_at_mut(left)
         });
-        (Range { boxes, orders: [x.0, y.0, z.0] }, Range { boxes, orders: [x.1, y.1, z.1] })
+        (PrimitiveRange { boxes, orders: [x.0, y.0, z.0] }, PrimitiveRange { boxes, orders: [x.1, y.1, z.1] })
     }
 }

@@ -203,12 +203,12 @@ fn encode(rng: &mut Rng, bytes: Vec<u8>) -> Vec<u8> {
 pub fn mutate(rng: &mut Rng) -> BTreeMap<String, Vec<u8>> {
     let mut scene = rng.pick(SCENES).as_bytes().to_vec();
     if rng.below(4) == 0 {
-        scene = soup(rng).into_bytes();
+        scene = random_words(rng).into_bytes();
     }
     let mut lamp = rng.pick(LAMPS).as_bytes().to_vec();
     for _ in 0..rng.below(6) {
         let text = if rng.below(3) == 0 { &mut lamp } else { &mut scene };
-        change(rng, text);
+        mutate_text(rng, text);
     }
     match rng.below(6) {
         // Nothing before the photometry can fail.
@@ -219,12 +219,12 @@ pub fn mutate(rng: &mut Rng) -> BTreeMap<String, Vec<u8>> {
     }
     let mut bend = b"1 2 0 90 1 .5".to_vec();
     if rng.below(8) == 0 {
-        change(rng, &mut bend);
+        mutate_text(rng, &mut bend);
     }
     let mut encoded = [scene, lamp, bend].map(|text| encode(rng, text));
     if rng.below(8) == 0 {
         let which = rng.below(3);
-        change(rng, &mut encoded[which]);
+        mutate_text(rng, &mut encoded[which]);
     }
     let [scene, lamp, bend] = encoded;
     BTreeMap::from([
@@ -237,7 +237,7 @@ pub fn mutate(rng: &mut Rng) -> BTreeMap<String, Vec<u8>> {
 }
 
 /// Returns lines of random words.
-pub fn soup(rng: &mut Rng) -> String {
+pub fn random_words(rng: &mut Rng) -> String {
     let mut text = String::from("v a =\nv b =\np 1 0 0\nn 0 0 1\nc warm =\nmedium fog =\npath drive = linear\nkey 0\n");
     for _ in 0..rng.below(30) {
         for _ in 0..1 + rng.below(8) {
@@ -250,7 +250,7 @@ pub fn soup(rng: &mut Rng) -> String {
     text
 }
 
-fn change(rng: &mut Rng, text: &mut Vec<u8>) {
+fn mutate_text(rng: &mut Rng, text: &mut Vec<u8>) {
     let at = rng.below(text.len());
     match rng.below(7) {
         0 if !text.is_empty() => text[at] ^= 1 << rng.below(8),

@@ -1,21 +1,21 @@
 //! Advice of errors: the parts of their messages that depend on the case.
 
-use super::Kind;
+use super::EntityKind;
 
 /// Returns example lines that define a name.
-fn definition(kind: Kind, name: &str) -> String {
+fn definition(kind: EntityKind, name: &str) -> String {
     match kind {
-        Kind::Vertex => format!("`v {name} =` and `p x y z`"),
-        Kind::Color => format!("`c {name} =` and `crgb r g b`"),
-        Kind::Material => format!("`m {name} =` and `rd r`"),
-        Kind::Camera => format!("`camera {name} =`, `origin x y z` and `target x y z`"),
-        Kind::Medium => format!("`medium {name} =` and `sigma_s s`"),
-        Kind::Path => format!("`path {name} = linear` and `key t`"),
+        EntityKind::Vertex => format!("`v {name} =` and `p x y z`"),
+        EntityKind::Color => format!("`c {name} =` and `crgb r g b`"),
+        EntityKind::Material => format!("`m {name} =` and `rd r`"),
+        EntityKind::Camera => format!("`camera {name} =`, `origin x y z` and `target x y z`"),
+        EntityKind::Medium => format!("`medium {name} =` and `sigma_s s`"),
+        EntityKind::Path => format!("`path {name} = linear` and `key t`"),
     }
 }
 
 /// Returns advice on an undefined name.
-pub(super) fn undefined_advice(kind: Kind, name: &str, nearest: &[String]) -> String {
+pub(super) fn undefined_advice(kind: EntityKind, name: &str, nearest: &[String]) -> String {
     let definition = definition(kind, name);
     match nearest {
         [] => format!("define it before this line: {definition}"),

@@ -16,7 +16,7 @@ mod hints;
 mod numbers;
 mod opening;
 
-use crate::{Fault, ImportError, Position};
+use crate::{ImportError, ImportFault, Position};
 use commas::read_numbers;
 use femc_scene::{Location, Photometry};
 use fields::{Fields, MAX_ANGLES};
@@ -26,7 +26,7 @@ use std::{borrow::Cow, sync::Arc};
 
 /// A photometric file as read.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Luminaire {
+pub(crate) struct PhotometricFile {
     /// Photometry, without its location in a scene.
     pub photometry: Photometry,
     /// Dependence of the lamp's output on the luminaire's tilt.
@@ -34,7 +34,7 @@ pub(crate) struct Luminaire {
     /// Warnings and notes about the data.
     pub remarks: Remarks,
     /// Hint that the file may be normalized to 1000 lm, for a lamp that no scene scales.
-    pub normalized: Option<Remark>,
+    pub normalization_hint: Option<Remark>,
 }
 
 /// A position and a sentence.
@@ -48,12 +48,12 @@ pub(crate) struct Remarks {
 }
 
 impl Remarks {
-    fn warn(&mut self, at: Position, what: impl Into<Cow<'static, str>>) {
-        self.warnings.push((at, what.into()));
+    fn warn(&mut self, at: Position, text: impl Into<Cow<'static, str>>) {
+        self.warnings.push((at, text.into()));
     }
 
-    fn note(&mut self, at: Position, what: impl Into<Cow<'static, str>>) {
-        self.notes.push((at, what.into()));
+    fn note(&mut self, at: Position, text: impl Into<Cow<'static, str>>) {
+        self.notes.push((at, text.into()));
     }
 
     fn append(&mut self, mut other: Self) {
@@ -87,10 +87,14 @@ impl Tilt {
 }
 
 /// Path and text of a file named in the text.
-pub(crate) type Named = Result<(String, Arc<Vec<u8>>), Fault>;
+pub(crate) type NamedFile = Result<(String, Arc<Vec<u8>>), ImportFault>;
 
 /// Parses the decoded text of a file. `open` returns the tilt file that the text names.
-pub(crate) fn parse(path: &str, text: &[u8], open: &mut dyn FnMut(&str) -> Named) -> Result<Luminaire, ImportError> {
+pub(crate) fn parse(
+    path: &str,
+    text: &[u8],
+    open: &mut dyn FnMut(&str) -> NamedFile,
+) -> Result<PhotometricFile, ImportError> {
     let mut remarks = Remarks::default();
     let header = Header::read(path, text, &mut remarks)?;
     let included = header.tilt.eq_ignore_ascii_case("INCLUDE");
@@ -98,8 +102,11 @@ pub(crate) fn parse(path: &str, text: &[u8], open: &mut dyn FnMut(&str) -> Named
         name if included || name.eq_ignore_ascii_case("NONE") => None,
         "" => {
             let (path, reason) = (path.to_owned(), "`TILT=` has no value".into());
-            let fault =
-                Fault::BadFile { path, reason, advice: "write `TILT=NONE`, `TILT=INCLUDE` or the name of a file" };
+            let fault = ImportFault::BadFile {
+                path,
+                reason,
+                advice: "write `TILT=NONE`, `TILT=INCLUDE` or the name of a file",
+            };
             return Err(ImportError::new(header.tilt_at, fault));
         }
         name => {
@@ -123,15 +130,20 @@ pub(crate) fn parse(path: &str, text: &[u8], open: &mut dyn FnMut(&str) -> Named
     let lumens = flux::lumens(&photometry);
     remarks.warnings.extend(hints::no_light(&fields, lumens));
     remarks.notes.extend(hints::more_than_lamps(&fields, lumens));
-    let normalized = hints::normalized(&fields, lumens);
-    Ok(Luminaire { photometry, tilt: included_tilt.or(named_tilt), remarks, normalized })
+    let normalization_hint = hints::normalization_hint(&fields, lumens);
+    Ok(PhotometricFile { photometry, tilt: included_tilt.or(named_tilt), remarks, normalization_hint })
 }
 
 fn tilt(numbers: &mut Numbers<'_>) -> Result<Tilt, ImportError> {
-    numbers.whole("lamp-to-luminaire geometry", 1.0, 3.0, "1, 2 or 3")?;
-    let count = numbers.whole("number of tilt angles", 1.0, MAX_ANGLES, "a whole number in [1, 100000]")?;
-    let angles =
-        numbers.ascending(count, "tilt angle", -180.0, 180.0, "in [-180, 180] and greater than the previous angle")?;
+    numbers.whole_number("lamp-to-luminaire geometry", 1.0, 3.0, "1, 2 or 3")?;
+    let count = numbers.whole_number("number of tilt angles", 1.0, MAX_ANGLES, "a whole number in [1, 100000]")?;
+    let angles = numbers.ascending_numbers(
+        count,
+        "tilt angle",
+        -180.0,
+        180.0,
+        "in [-180, 180] and greater than the previous angle",
+    )?;
     let factors =
         (0..count).map(|_| numbers.number_in("tilt factor", ">= 0", |x| x >= 0.0)).collect::<Result<_, _>>()?;
     Ok(Tilt { angles, factors })
@@ -167,12 +179,12 @@ fn intensities(
         let value = numbers.number("intensity (cd)")? * factor;
         if !value.is_finite() {
             return Err(ImportError::new(
-                numbers.here(),
-                Fault::NotFinite { what: "intensity (cd) multiplied by its factors" },
+                numbers.position(),
+                ImportFault::NotFinite { what: "intensity (cd) multiplied by its factors" },
             ));
         }
         if value < 0.0 {
-            negative.get_or_insert_with(|| numbers.here());
+            negative.get_or_insert_with(|| numbers.position());
         }
         candela.push(value.max(0.0));
     }

@@ -1,11 +1,11 @@
 //! Reader of EXR: selects the color channels and places them in the picture.
 
 use super::{
-    Opened, Role, Source,
+    ImageFile, RawImage, Role,
     primaries::{Chromaticities, Matrix},
     printable,
 };
-use crate::Fault;
+use crate::ImportFault;
 use exr::{
     compression::Compression,
     meta::{MetaData, header::Header},
@@ -22,7 +22,7 @@ const NAMED: usize = 8;
 
 /// Names of the color channels.
 #[derive(Clone, Debug, PartialEq)]
-struct Picked {
+struct SelectedChannels {
     /// Red, green and blue; for gray images, the gray channel three times.
     names: [String; 3],
     alpha: String,
@@ -30,48 +30,49 @@ struct Picked {
     layer: Option<String>,
 }
 
-pub(super) fn open(source: &Source<'_>) -> Result<Opened, Fault> {
-    let bytes = source.bytes;
+pub(super) fn open(file: &ImageFile<'_>) -> Result<RawImage, ImportFault> {
+    let bytes = file.bytes;
     if bytes.get(5).is_some_and(|flags| flags & 0x08 != 0) {
-        return Err(source.advised("the file holds deep data", "flatten it to one color per pixel"));
+        return Err(file.bad_file_with_advice("the file holds deep data", "flatten it to one color per pixel"));
     }
     let meta =
-        MetaData::read_from_buffered(Cursor::new(bytes), false).map_err(|error| source.bad(error.to_string()))?;
+        MetaData::read_from_buffered(Cursor::new(bytes), false).map_err(|error| file.bad_file(error.to_string()))?;
     for header in &meta.headers {
-        source.check_size(header.layer_size.width(), header.layer_size.height())?;
+        file.check_size(header.layer_size.width(), header.layer_size.height())?;
         if matches!(header.compression, Compression::DWAA(_) | Compression::DWAB(_)) {
-            return Err(source
-                .bad("the file is compressed with DWA, which decodes to different values on different processors"));
+            return Err(file.bad_file(
+                "the file is compressed with DWA, which decodes to different values on different processors",
+            ));
         }
         if header.channels.list.iter().any(|channel| channel.sampling != exr_prelude::Vec2(1, 1)) {
             let names = channel_names(header);
-            let names = listed(names.iter().map(String::as_str));
+            let names = list_names(names.iter().map(String::as_str));
             let reason = format!("the channels {names} are subsampled (luminance and chroma)");
-            return Err(source.advised(reason, "save it again with the channels R G B"));
+            return Err(file.bad_file_with_advice(reason, "save it again with the channels R G B"));
         }
     }
     let parts: Vec<Vec<String>> = meta.headers.iter().map(channel_names).collect();
-    let (part, picked) = pick(&parts, source.role).ok_or_else(|| {
-        let names = listed(parts.iter().flatten().map(String::as_str));
-        let wanted = match source.role {
+    let (part, selected) = select_channels(&parts, file.role).ok_or_else(|| {
+        let names = list_names(parts.iter().flatten().map(String::as_str));
+        let wanted = match file.role {
             Role::Color => "R G B, or Y for gray, without a layer (`R`, `.R`) or in a single one (`NAME.R`)",
             Role::Normals => "R G B, without a layer (`R`, `.R`) or in a single one (`NAME.R`)",
         };
-        source.advised(
+        file.bad_file_with_advice(
             format!("the file has the channels {names}; expected {wanted}"),
             "save it again with these channels",
         )
     })?;
     let header = &meta.headers[part];
     let mut remarks = Vec::new();
-    let (data, is_opaque) = read(source, &picked)?;
+    let (data, is_opaque) = read_pixels(file, &selected)?;
     if !is_opaque {
         remarks.push("alpha is not used: colors stay premultiplied".to_owned());
     }
-    remarks.extend(unused(header, &meta.headers, &picked));
-    let to_rec709 = primaries(header, source.role, &picked, &mut remarks);
-    let (width, height, pixels) = placed(source, header, data, &mut remarks)?;
-    Ok(Opened { width, height, pixels, to_rec709, remarks })
+    remarks.extend(unused_remarks(header, &meta.headers, &selected));
+    let to_rec709 = primaries(header, file.role, &selected, &mut remarks);
+    let (width, height, pixels) = place_in_display_window(file, header, data, &mut remarks)?;
+    Ok(RawImage { width, height, pixels, to_rec709, remarks })
 }
 
 fn channel_names(header: &Header) -> Vec<String> {
@@ -79,7 +80,7 @@ fn channel_names(header: &Header) -> Vec<String> {
 }
 
 /// Lists the names of some channels and the number of the rest.
-fn listed<'n>(names: impl Iterator<Item = &'n str> + Clone) -> String {
+fn list_names<'n>(names: impl Iterator<Item = &'n str> + Clone) -> String {
     let shown: Vec<String> = names.clone().take(NAMED).map(|name| format!("`{}`", printable(name))).collect();
     let more = names.count().saturating_sub(NAMED);
     let more = if more > 0 { format!(" and {more} more") } else { String::new() };
@@ -88,27 +89,29 @@ fn listed<'n>(names: impl Iterator<Item = &'n str> + Clone) -> String {
 
 /// Selects the part and the channels to read: names without a layer, names that begin with a dot, or those of the file's only layer
 /// with colors.
-fn pick(parts: &[Vec<String>], role: Role) -> Option<(usize, Picked)> {
+fn select_channels(parts: &[Vec<String>], role: Role) -> Option<(usize, SelectedChannels)> {
     for prefix in ["", "."] {
-        let found = parts.iter().enumerate().find_map(|(i, names)| Some((i, pick_in(names, prefix, role)?)));
+        let found = parts.iter().enumerate().find_map(|(i, names)| Some((i, select_in_layer(names, prefix, role)?)));
         if found.is_some() {
             return found;
         }
     }
-    let mut found: Vec<(usize, Picked)> = Vec::new();
+    let mut found: Vec<(usize, SelectedChannels)> = Vec::new();
     for (i, names) in parts.iter().enumerate() {
         let layers: std::collections::BTreeSet<&str> =
             names.iter().filter_map(|name| name.rfind('.').map(|dot| &name[..=dot])).collect();
         for prefix in layers.into_iter().filter(|prefix| *prefix != ".") {
             let layer = Some(prefix[..prefix.len() - 1].to_owned());
-            found.extend(pick_in(names, prefix, role).map(|picked| (i, Picked { layer, ..picked })));
+            found.extend(
+                select_in_layer(names, prefix, role).map(|selected| (i, SelectedChannels { layer, ..selected })),
+            );
         }
     }
     if found.len() == 1 { found.pop() } else { None }
 }
 
 /// Returns the color channels whose names begin with `prefix`.
-fn pick_in(names: &[String], prefix: &str, role: Role) -> Option<Picked> {
+fn select_in_layer(names: &[String], prefix: &str, role: Role) -> Option<SelectedChannels> {
     let named = |wanted: &str| {
         let is = |name: &&String, exact: bool| {
             let rest = name.strip_prefix(prefix);
@@ -118,25 +121,25 @@ fn pick_in(names: &[String], prefix: &str, role: Role) -> Option<Picked> {
     };
     let alpha = named("A").cloned().unwrap_or_else(|| format!("{prefix}A"));
     if let (Some(r), Some(g), Some(b)) = (named("R"), named("G"), named("B")) {
-        return Some(Picked { names: [r, g, b].map(Clone::clone), alpha, layer: None });
+        return Some(SelectedChannels { names: [r, g, b].map(Clone::clone), alpha, layer: None });
     }
     let y = named("Y").filter(|_| role == Role::Color)?;
     // Y beside chroma channels is not gray, and beside X it is a coordinate.
     let is_gray = ["RY", "BY", "X"].iter().all(|other| named(other).is_none());
-    is_gray.then(|| Picked { names: [y, y, y].map(Clone::clone), alpha, layer: None })
+    is_gray.then(|| SelectedChannels { names: [y, y, y].map(Clone::clone), alpha, layer: None })
 }
 
 /// A width and its pixels.
-type Data = (usize, Vec<[f32; 3]>);
+type PixelData = (usize, Vec<[f32; 3]>);
 
 /// Reads the pixels of the data window. Also returns whether all of them are opaque.
-fn read(source: &Source<'_>, picked: &Picked) -> Result<(Data, bool), Fault> {
-    let fault = |error: exr::error::Error| source.bad(error.to_string());
+fn read_pixels(file: &ImageFile<'_>, selected: &SelectedChannels) -> Result<(PixelData, bool), ImportFault> {
+    let fault = |error: exr::error::Error| file.bad_file(error.to_string());
     let reader = exr_prelude::read().no_deep_data().largest_resolution_level();
-    let input = Cursor::new(source.bytes);
-    let [r, g, b] = picked.names.each_ref().map(String::as_str);
+    let input = Cursor::new(file.bytes);
+    let [r, g, b] = selected.names.each_ref().map(String::as_str);
     let storage = if r == g {
-        let channels = reader.specific_channels().required(r).optional(picked.alpha.as_str(), 1.0f32);
+        let channels = reader.specific_channels().required(r).optional(selected.alpha.as_str(), 1.0f32);
         let layer = channels.collect_pixels(
             |size, _: &_| Storage::new(size),
             |storage: &mut Storage, at, (y, a): (f32, f32)| storage.set(at, [y; 3], a),
@@ -145,7 +148,7 @@ fn read(source: &Source<'_>, picked: &Picked) -> Result<(Data, bool), Fault> {
         image.map_err(fault)?.layer_data.channel_data.pixels
     } else {
         let channels = reader.specific_channels().required(r).required(g).required(b);
-        let layer = channels.optional(picked.alpha.as_str(), 1.0f32).collect_pixels(
+        let layer = channels.optional(selected.alpha.as_str(), 1.0f32).collect_pixels(
             |size, _: &_| Storage::new(size),
             |storage: &mut Storage, at, (r, g, b, a): (f32, f32, f32, f32)| storage.set(at, [r, g, b], a),
         );
@@ -175,7 +178,7 @@ impl Storage {
 }
 
 /// Returns remarks on the data and attributes of the file that are not used.
-fn unused(header: &Header, parts: &[Header], picked: &Picked) -> Vec<String> {
+fn unused_remarks(header: &Header, parts: &[Header], selected: &SelectedChannels) -> Vec<String> {
     let mut remarks = Vec::new();
     if parts.len() > 1 {
         let name = header
@@ -185,16 +188,16 @@ fn unused(header: &Header, parts: &[Header], picked: &Picked) -> Vec<String> {
             .map_or_else(String::new, |name| format!(", `{}`", printable(&name.to_string())));
         remarks.push(format!("the file has {} parts: only one is read{name}", parts.len()));
     }
-    if let Some(layer) = &picked.layer {
+    if let Some(layer) = &selected.layer {
         remarks.push(format!("the only layer with colors is read: `{}`", printable(layer)));
     }
     let names = channel_names(header);
     let others: Vec<&str> = names.iter().map(String::as_str).collect();
     let others =
-        others.into_iter().filter(|name| *name != picked.alpha && !picked.names.iter().any(|used| used == name));
+        others.into_iter().filter(|name| *name != selected.alpha && !selected.names.iter().any(|used| used == name));
     let others: Vec<&str> = others.collect();
     if !others.is_empty() {
-        remarks.push(format!("channels that are not used: {}", listed(others.into_iter())));
+        remarks.push(format!("channels that are not used: {}", list_names(others.into_iter())));
     }
     let own = &header.own_attributes;
     if let Some(white) = own.white_luminance.filter(|&white| white != 1.0) {
@@ -217,9 +220,9 @@ fn unused(header: &Header, parts: &[Header], picked: &Picked) -> Vec<String> {
 }
 
 /// Returns the matrix from the file's primaries to Rec.709.
-fn primaries(header: &Header, role: Role, picked: &Picked, remarks: &mut Vec<String>) -> Option<Matrix> {
+fn primaries(header: &Header, role: Role, selected: &SelectedChannels, remarks: &mut Vec<String>) -> Option<Matrix> {
     let stated = header.shared_attributes.chromaticities?;
-    if role == Role::Normals || picked.names[0] == picked.names[1] {
+    if role == Role::Normals || selected.names[0] == selected.names[1] {
         return None;
     }
     let xy = |v: exr_prelude::Vec2<f32>| [f64::from(v.x()), f64::from(v.y())];
@@ -232,14 +235,14 @@ fn primaries(header: &Header, role: Role, picked: &Picked, remarks: &mut Vec<Str
 
 /// Places the data window into the display window. Pixels outside the data window are black, and data outside the display window is
 /// dropped.
-fn placed(
-    source: &Source<'_>,
+fn place_in_display_window(
+    file: &ImageFile<'_>,
     header: &Header,
-    (data_width, data): Data,
+    (data_width, data): PixelData,
     remarks: &mut Vec<String>,
-) -> Result<(u32, u32, Vec<[f32; 3]>), Fault> {
+) -> Result<(u32, u32, Vec<[f32; 3]>), ImportFault> {
     let display = header.shared_attributes.display_window;
-    let (width, height) = source.check_size(display.size.width(), display.size.height())?;
+    let (width, height) = file.check_size(display.size.width(), display.size.height())?;
     let offset = |data: i32, display: i32| i64::from(data) - i64::from(display);
     let position = header.own_attributes.layer_position;
     let (left, top) = (offset(position.x(), display.position.x()), offset(position.y(), display.position.y()));
@@ -250,7 +253,7 @@ fn placed(
     if area > FREE_AREA && area / data.len() > MOST_EMPTY {
         let reason =
             format!("the display window of {width} x {height} pixels has data in less than 1/{MOST_EMPTY} of its area");
-        return Err(source.advised(reason, "crop the image to its data"));
+        return Err(file.bad_file_with_advice(reason, "crop the image to its data"));
     }
     let mut pixels = vec![[0.0; 3]; area];
     let mut is_empty = true;

@@ -1,7 +1,7 @@
 //! Reader of JPEG: interprets values by the segments before the first scan.
 
-use super::{Opened, Role, Source, exif::Exif, icc, transfer::Transfer};
-use crate::Fault;
+use super::{ImageFile, RawImage, Role, exif::Exif, icc, transfer::Transfer};
+use crate::ImportFault;
 use zune_jpeg::JpegDecoder;
 use zune_jpeg::zune_core::bytestream::ZCursor;
 use zune_jpeg::zune_core::colorspace::ColorSpace;
@@ -9,7 +9,7 @@ use zune_jpeg::zune_core::options::DecoderOptions;
 
 /// Pixel properties in a file's segments.
 #[derive(Debug, Default)]
-struct Stated {
+struct JpegHeader {
     /// Number of components.
     components: u8,
     /// Whether the components are named `R`, `G`, `B`.
@@ -23,28 +23,28 @@ struct Stated {
     has_more_pictures: bool,
 }
 
-pub(super) fn open(source: &Source<'_>) -> Result<Opened, Fault> {
+pub(super) fn open(file: &ImageFile<'_>) -> Result<RawImage, ImportFault> {
     let most = usize::from(u16::MAX);
     let options =
         DecoderOptions::default().set_max_width(most).set_max_height(most).jpeg_set_out_colorspace(ColorSpace::RGB);
-    let mut decoder = JpegDecoder::new_with_options(ZCursor::new(source.bytes), options);
-    decoder.decode_headers().map_err(|error| source.bad(error.to_string()))?;
-    let (width, height) = decoder.dimensions().ok_or_else(|| source.bad("the header has no image size"))?;
-    let (width, height) = source.check_size(width, height)?;
-    let stated = Stated::read(source.bytes);
-    if !matches!(stated.components, 1 | 3 | 4) {
-        return Err(source.bad(format!("the image has {} components; 1, 3 or 4 are supported", stated.components)));
+    let mut decoder = JpegDecoder::new_with_options(ZCursor::new(file.bytes), options);
+    decoder.decode_headers().map_err(|error| file.bad_file(error.to_string()))?;
+    let (width, height) = decoder.dimensions().ok_or_else(|| file.bad_file("the header has no image size"))?;
+    let (width, height) = file.check_size(width, height)?;
+    let header = JpegHeader::read(file.bytes);
+    if !matches!(header.components, 1 | 3 | 4) {
+        return Err(file.bad_file(format!("the image has {} components; 1, 3 or 4 are supported", header.components)));
     }
-    let values = decoder.decode().map_err(|error| source.bad(error.to_string()))?;
-    let table = Transfer::Srgb.byte_table(source.role);
+    let values = decoder.decode().map_err(|error| file.bad_file(error.to_string()))?;
+    let table = Transfer::Srgb.byte_table(file.role);
     let pixels = values.chunks_exact(3).map(|p| [0, 1, 2].map(|i| table[usize::from(p[i])])).collect();
-    let remarks = stated.remarks(source.role == Role::Color);
-    Ok(Opened { width, height, pixels, to_rec709: None, remarks })
+    let remarks = header.remarks(file.role == Role::Color);
+    Ok(RawImage { width, height, pixels, to_rec709: None, remarks })
 }
 
-impl Stated {
+impl JpegHeader {
     fn read(bytes: &[u8]) -> Self {
-        let mut stated = Self::default();
+        let mut header = Self::default();
         let mut rest = bytes.get(2..).unwrap_or_default();
         while let [0xff, marker, tail @ ..] = rest {
             // Fill bytes, and markers without a length.
@@ -63,13 +63,13 @@ impl Stated {
             let Some((length, _)) = tail.split_first_chunk::<2>() else { break };
             let length = usize::from(u16::from_be_bytes(*length));
             let (Some(data), Some(after)) = (tail.get(2..length), tail.get(length..)) else { break };
-            stated.take(*marker, data);
+            header.read_segment(*marker, data);
             rest = after;
         }
-        stated
+        header
     }
 
-    fn take(&mut self, marker: u8, data: &[u8]) {
+    fn read_segment(&mut self, marker: u8, data: &[u8]) {
         match marker {
             0xc0..=0xcf if !matches!(marker, 0xc4 | 0xc8 | 0xcc) => {
                 self.components = data.get(5).copied().unwrap_or(0);

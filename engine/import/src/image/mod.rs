@@ -14,7 +14,7 @@ mod png;
 mod primaries;
 mod transfer;
 
-use crate::Fault;
+use crate::ImportFault;
 use femc_scene::Image;
 use primaries::Matrix;
 
@@ -36,19 +36,19 @@ pub(crate) enum Role {
 
 /// A decoded image and its remarks.
 #[derive(Debug)]
-pub(crate) struct Decoded {
+pub(crate) struct DecodedImage {
     pub image: Image,
     /// Header fields that are not used, and values that were changed.
     pub remarks: Vec<String>,
 }
 
 /// Returns the memory of a decoded image, bytes.
-pub(crate) fn memory(width: u32, height: u32) -> u64 {
+pub(crate) fn memory_size(width: u32, height: u32) -> u64 {
     u64::from(width) * u64::from(height) * 12
 }
 
 /// A file while it is decoded.
-struct Source<'b> {
+struct ImageFile<'b> {
     path: &'b str,
     bytes: &'b [u8],
     role: Role,
@@ -57,7 +57,7 @@ struct Source<'b> {
 }
 
 /// Values of a file. Colors are linear, in the file's primaries.
-struct Opened {
+struct RawImage {
     width: u32,
     height: u32,
     pixels: Vec<[f32; 3]>,
@@ -66,43 +66,45 @@ struct Opened {
     remarks: Vec<String>,
 }
 
-impl Source<'_> {
+impl ImageFile<'_> {
     /// Returns the fault of a file that cannot be used.
-    fn bad(&self, reason: impl Into<String>) -> Fault {
-        self.advised(reason, "save it again as PNG, JPEG or EXR")
+    fn bad_file(&self, reason: impl Into<String>) -> ImportFault {
+        self.bad_file_with_advice(reason, "save it again as PNG, JPEG or EXR")
     }
 
-    fn advised(&self, reason: impl Into<String>, advice: &'static str) -> Fault {
-        Fault::BadFile { path: self.path.to_owned(), reason: reason.into(), advice }
+    fn bad_file_with_advice(&self, reason: impl Into<String>, advice: &'static str) -> ImportFault {
+        ImportFault::BadFile { path: self.path.to_owned(), reason: reason.into(), advice }
     }
 
     /// Checks that an image of this size fits the limits.
-    fn check_size(&self, width: usize, height: usize) -> Result<(u32, u32), Fault> {
+    fn check_size(&self, width: usize, height: usize) -> Result<(u32, u32), ImportFault> {
         let side = |n: usize| u32::try_from(n).ok().filter(|n| (1..=MAX_SIDE).contains(n));
         let (Some(w), Some(h)) = (side(width), side(height)) else {
             return Err(
-                self.bad(format!("the image has {width} x {height} pixels; each side must have 1 to {MAX_SIDE}"))
+                self.bad_file(format!("the image has {width} x {height} pixels; each side must have 1 to {MAX_SIDE}"))
             );
         };
-        if self.used.saturating_add(memory(w, h)) > MAX_MEMORY {
-            return Err(self.bad(format!("with this image, the images of the scene take more than {MAX_MEMORY} bytes")));
+        if self.used.saturating_add(memory_size(w, h)) > MAX_MEMORY {
+            return Err(
+                self.bad_file(format!("with this image, the images of the scene take more than {MAX_MEMORY} bytes"))
+            );
         }
         Ok((w, h))
     }
 }
 
 /// Decodes a file. `used` is the memory used by other images, bytes.
-pub(crate) fn decode(path: &str, bytes: &[u8], role: Role, used: u64) -> Result<Decoded, Fault> {
-    let source = Source { path, bytes, role, used };
-    let opened = match bytes {
-        [0x89, b'P', b'N', b'G', ..] => png::open(&source)?,
-        [0xff, 0xd8, ..] => jpeg::open(&source)?,
-        [0x76, 0x2f, 0x31, 0x01, ..] => exr::open(&source)?,
-        _ => return Err(source.bad("the file is not a PNG, JPEG or EXR image")),
+pub(crate) fn decode(path: &str, bytes: &[u8], role: Role, used: u64) -> Result<DecodedImage, ImportFault> {
+    let file = ImageFile { path, bytes, role, used };
+    let raw = match bytes {
+        [0x89, b'P', b'N', b'G', ..] => png::open(&file)?,
+        [0xff, 0xd8, ..] => jpeg::open(&file)?,
+        [0x76, 0x2f, 0x31, 0x01, ..] => exr::open(&file)?,
+        _ => return Err(file.bad_file("the file is not a PNG, JPEG or EXR image")),
     };
-    let Opened { width, height, mut pixels, to_rec709, mut remarks } = opened;
+    let RawImage { width, height, mut pixels, to_rec709, mut remarks } = raw;
     if !pixels.iter().flatten().all(|x| x.is_finite()) {
-        return Err(source.bad("the image has pixels that are not finite"));
+        return Err(file.bad_file("the image has pixels that are not finite"));
     }
     if role == Role::Color {
         let (outside, what) = match to_rec709 {
@@ -124,11 +126,11 @@ pub(crate) fn decode(path: &str, bytes: &[u8], role: Role, used: u64) -> Result<
         pixels.iter_mut().flatten().for_each(|x| *x = 2.0 * *x - 1.0);
     }
     let image = Image { path: path.to_owned(), width, height, pixels };
-    Ok(Decoded { image, remarks })
+    Ok(DecodedImage { image, remarks })
 }
 
 /// Returns red, green and blue of a pixel with 1 to 4 channels; gray is repeated.
-fn spread(channels: usize, at: impl Fn(usize) -> f32) -> [f32; 3] {
+fn rgb_of_channels(channels: usize, at: impl Fn(usize) -> f32) -> [f32; 3] {
     if channels < 3 { [at(0); 3] } else { [at(0), at(1), at(2)] }
 }
 

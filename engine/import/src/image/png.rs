@@ -2,14 +2,14 @@
 //! iCCP, sRGB, then gAMA and cHRM.
 
 use super::{
-    Opened, Role, Source,
+    ImageFile, RawImage, Role,
     exif::Exif,
     icc,
     primaries::{Chromaticities, Matrix},
-    printable, spread,
+    printable, rgb_of_channels,
     transfer::Transfer,
 };
-use crate::Fault;
+use crate::ImportFault;
 use std::io::Cursor;
 
 /// The gAMA value that stands for sRGB, and the tolerance for rounded digits (1 %).
@@ -17,7 +17,7 @@ const SRGB_GAMMA: [u32; 2] = [45_455, 455];
 
 /// Properties of the values in a file's chunks.
 #[derive(Debug, Default, PartialEq)]
-struct Stated {
+struct PngHeader {
     /// Primaries, transfer function, matrix and range by ITU-T H.273.
     cicp: Option<[u8; 4]>,
     /// Name of the color profile.
@@ -32,38 +32,38 @@ struct Stated {
     damaged: Vec<String>,
 }
 
-pub(super) fn open(source: &Source<'_>) -> Result<Opened, Fault> {
-    let fault = |error: png::DecodingError| source.bad(error.to_string());
-    let mut decoder = png::Decoder::new(Cursor::new(source.bytes));
+pub(super) fn open(file: &ImageFile<'_>) -> Result<RawImage, ImportFault> {
+    let fault = |error: png::DecodingError| file.bad_file(error.to_string());
+    let mut decoder = png::Decoder::new(Cursor::new(file.bytes));
     // Palettes and depths below 8 bits are expanded to whole bytes; 16 bits stay.
     decoder.set_transformations(png::Transformations::EXPAND);
     let mut reader = decoder.read_info().map_err(fault)?;
-    let (width, height) = source.check_size(reader.info().width as usize, reader.info().height as usize)?;
+    let (width, height) = file.check_size(reader.info().width as usize, reader.info().height as usize)?;
     let (color, depth) = reader.output_color_type();
-    let size = reader.output_buffer_size().ok_or_else(|| source.bad("the image is too large for this machine"))?;
-    let mut stated = Stated::read(source.bytes);
+    let size = reader.output_buffer_size().ok_or_else(|| file.bad_file("the image is too large for this machine"))?;
+    let mut header = PngHeader::read(file.bytes);
     if let Some(profile) = reader.info().icc_profile.as_deref().and_then(icc::description) {
-        stated.profile = Some(profile);
+        header.profile = Some(profile);
     }
     let mut values = vec![0; size];
     reader.next_frame(&mut values).map_err(fault)?;
 
-    let is_color = source.role == Role::Color;
-    let mut remarks = stated.exif.remarks(is_color, true);
-    if stated.animated {
+    let is_color = file.role == Role::Color;
+    let mut remarks = header.exif.remarks(is_color, true);
+    if header.animated {
         remarks.push("animation is not used: the texture is the still image of the file".to_owned());
     }
-    let meaning = match source.role {
-        Role::Color => stated.meaning(source)?,
-        Role::Normals => Meaning::default(),
+    let interpretation = match file.role {
+        Role::Color => header.interpretation(file)?,
+        Role::Normals => ColorInterpretation::default(),
     };
     let is_gray = color.samples() < 3;
-    remarks.extend(meaning.remarks);
+    remarks.extend(interpretation.remarks);
     let channels = color.samples();
     let bytes = if depth == png::BitDepth::Sixteen { 2 } else { 1 };
     let most = if bytes == 2 { f64::from(u16::MAX) } else { f64::from(u8::MAX) };
     let table: Vec<f32> = (0..=most as u32)
-        .map(|value| meaning.transfer.value(meaning.range.of(f64::from(value), most), source.role))
+        .map(|value| interpretation.transfer.value(interpretation.range.normalize(f64::from(value), most), file.role))
         .collect();
     let number = |pixel: &[u8], i: usize| match bytes {
         1 => usize::from(pixel[i]),
@@ -73,20 +73,20 @@ pub(super) fn open(source: &Source<'_>) -> Result<Opened, Fault> {
     if channels % 2 == 0 && pixels.clone().any(|pixel| number(pixel, channels - 1) < most as usize) {
         remarks.push("alpha is not used: transparent pixels keep their color".to_owned());
     }
-    let pixels = pixels.map(|pixel| spread(channels, |i| table[number(pixel, i)])).collect();
-    let to_rec709 = if is_gray { None } else { meaning.to_rec709 };
-    Ok(Opened { width, height, pixels, to_rec709, remarks })
+    let pixels = pixels.map(|pixel| rgb_of_channels(channels, |i| table[number(pixel, i)])).collect();
+    let to_rec709 = if is_gray { None } else { interpretation.to_rec709 };
+    Ok(RawImage { width, height, pixels, to_rec709, remarks })
 }
 
 /// Interpretation of a file's values.
-struct Meaning {
+struct ColorInterpretation {
     transfer: Transfer,
     range: Range,
     to_rec709: Option<Matrix>,
     remarks: Vec<String>,
 }
 
-impl Default for Meaning {
+impl Default for ColorInterpretation {
     fn default() -> Self {
         Self { transfer: Transfer::Srgb, range: Range::Full, to_rec709: None, remarks: Vec::new() }
     }
@@ -103,7 +103,7 @@ enum Range {
 
 impl Range {
     /// Maps a value of `0..=most` to [0, 1].
-    fn of(self, value: f64, most: f64) -> f64 {
+    fn normalize(self, value: f64, most: f64) -> f64 {
         match self {
             Self::Full => value / most,
             Self::Narrow => {
@@ -114,29 +114,29 @@ impl Range {
     }
 }
 
-impl Stated {
+impl PngHeader {
     fn read(bytes: &[u8]) -> Self {
-        let mut stated = Self::default();
+        let mut header = Self::default();
         let mut rest = bytes.get(8..).unwrap_or_default();
         let mut before_pixels = true;
         while let Some((kind, data, is_sound)) = next_chunk(&mut rest) {
             let is_color = matches!(kind, b"cICP" | b"iCCP" | b"sRGB" | b"gAMA" | b"cHRM");
             match kind {
                 b"IDAT" => before_pixels = false,
-                b"acTL" => stated.animated = true,
-                b"eXIf" if is_sound => stated.exif = Exif::read(data),
-                _ if is_color && !(is_sound && before_pixels && stated.take(kind, data)) => {
+                b"acTL" => header.animated = true,
+                b"eXIf" if is_sound => header.exif = Exif::read(data),
+                _ if is_color && !(is_sound && before_pixels && header.read_color_chunk(kind, data)) => {
                     let name = String::from_utf8_lossy(kind);
-                    stated.damaged.push(format!("chunk {name} is damaged or misplaced: it is not used"));
+                    header.damaged.push(format!("chunk {name} is damaged or misplaced: it is not used"));
                 }
                 _ => {}
             }
         }
-        stated
+        header
     }
 
     /// Reads a color chunk. Returns false if it contains nothing that can be used.
-    fn take(&mut self, kind: &[u8; 4], data: &[u8]) -> bool {
+    fn read_color_chunk(&mut self, kind: &[u8; 4], data: &[u8]) -> bool {
         let number = |i: usize| {
             let four = data.get(4 * i..4 * i + 4)?;
             Some(u32::from_be_bytes(four.try_into().ok()?))
@@ -161,40 +161,41 @@ impl Stated {
     }
 
     /// Returns the interpretation of color values, by the chunk with the highest precedence.
-    fn meaning(&self, source: &Source<'_>) -> Result<Meaning, Fault> {
-        let mut meaning = Meaning { remarks: self.damaged.clone(), ..Meaning::default() };
+    fn interpretation(&self, file: &ImageFile<'_>) -> Result<ColorInterpretation, ImportFault> {
+        let mut interpretation =
+            ColorInterpretation { remarks: self.damaged.clone(), ..ColorInterpretation::default() };
         if let Some([primaries, transfer, _, range]) = self.cicp {
-            meaning.transfer = cicp_transfer(transfer, source, &mut meaning.remarks)?;
-            meaning.range = if range == 1 { Range::Full } else { Range::Narrow };
+            interpretation.transfer = cicp_transfer(transfer, file, &mut interpretation.remarks)?;
+            interpretation.range = if range == 1 { Range::Full } else { Range::Narrow };
             match cicp_primaries(primaries) {
-                Some(primaries) => meaning.set_primaries(primaries),
-                None => meaning.remarks.push(format!("primaries {primaries} of cICP are treated as Rec.709")),
+                Some(primaries) => interpretation.set_primaries(primaries),
+                None => interpretation.remarks.push(format!("primaries {primaries} of cICP are treated as Rec.709")),
             }
-            return Ok(meaning);
+            return Ok(interpretation);
         }
         let is_srgb = match &self.profile {
             Some(name) if icc::is_srgb(name) => true,
             Some(name) => {
                 let instead = if self.gamma.is_some() && !self.srgb { "gAMA and cHRM say" } else { "sRGB" };
-                meaning.remarks.extend(icc::remark(name, instead));
+                interpretation.remarks.extend(icc::remark(name, instead));
                 self.srgb
             }
             None => self.srgb,
         };
         if is_srgb {
-            return Ok(meaning);
+            return Ok(interpretation);
         }
         if let Some(gamma) = self.gamma.filter(|gamma| gamma.abs_diff(SRGB_GAMMA[0]) > SRGB_GAMMA[1]) {
-            meaning.transfer = Transfer::Power(1e5 / f64::from(gamma));
+            interpretation.transfer = Transfer::Power(1e5 / f64::from(gamma));
         }
         if let Some(chromaticities) = self.chromaticities {
-            meaning.set_primaries(chromaticities);
+            interpretation.set_primaries(chromaticities);
         }
-        Ok(meaning)
+        Ok(interpretation)
     }
 }
 
-impl Meaning {
+impl ColorInterpretation {
     fn set_primaries(&mut self, chromaticities: Chromaticities) {
         match Matrix::to_rec709(chromaticities) {
             Ok(matrix) => self.to_rec709 = matrix,
@@ -204,7 +205,7 @@ impl Meaning {
 }
 
 /// Returns the transfer function of a code of ITU-T H.273.
-fn cicp_transfer(code: u8, source: &Source<'_>, remarks: &mut Vec<String>) -> Result<Transfer, Fault> {
+fn cicp_transfer(code: u8, file: &ImageFile<'_>, remarks: &mut Vec<String>) -> Result<Transfer, ImportFault> {
     let name = match code {
         1 | 6 | 14 | 15 => return Ok(Transfer::Bt709),
         4 => return Ok(Transfer::Power(2.2)),
@@ -220,7 +221,7 @@ fn cicp_transfer(code: u8, source: &Source<'_>, remarks: &mut Vec<String>) -> Re
         _ => "",
     };
     let reason = format!("transfer function {code}{name} of cICP is not supported");
-    Err(source.advised(reason, "save it again as EXR, or as PNG with sRGB or linear values"))
+    Err(file.bad_file_with_advice(reason, "save it again as EXR, or as PNG with sRGB or linear values"))
 }
 
 /// Returns the primaries of a code of ITU-T H.273.

@@ -20,7 +20,7 @@ pub(super) struct Matrix([[f64; 3]; 3]);
 impl Matrix {
     /// Returns the map from the primaries of a file to Rec.709. Returns `Ok(None)` if they are those of Rec.709, and an error if
     /// they span no color space.
-    pub fn to_rec709(from: Chromaticities) -> Result<Option<Self>, Degenerate> {
+    pub fn to_rec709(from: Chromaticities) -> Result<Option<Self>, DegeneratePrimaries> {
         let near = |a: [f64; 2], b: [f64; 2]| (0..2).all(|k| (a[k] - b[k]).abs() <= DIGITS);
         if (0..4).all(|i| near(from[i], REC709[i])) {
             return Ok(None);
@@ -34,7 +34,7 @@ impl Matrix {
         }
         let adapted = product(&inverse(&BRADFORD)?, &adapt);
         let whole = product(&inverse(&target)?, &product(&adapted, &source));
-        if whole.iter().flatten().all(|x| x.abs() < 1e6) { Ok(Some(Self(whole))) } else { Err(Degenerate) }
+        if whole.iter().flatten().all(|x| x.abs() < 1e6) { Ok(Some(Self(whole))) } else { Err(DegeneratePrimaries) }
     }
 
     /// Returns the color in Rec.709.
@@ -45,7 +45,7 @@ impl Matrix {
 
 /// Error for primaries that span no color space.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Degenerate;
+pub(super) struct DegeneratePrimaries;
 
 /// Returns XYZ of a chromaticity at luminance 1.
 fn xyz([x, y]: [f64; 2]) -> [f64; 3] {
@@ -53,13 +53,13 @@ fn xyz([x, y]: [f64; 2]) -> [f64; 3] {
 }
 
 /// Returns the map from colors of these primaries to XYZ; (1, 1, 1) has the chromaticity of white.
-fn to_xyz([red, green, blue, white]: Chromaticities) -> Result<[[f64; 3]; 3], Degenerate> {
+fn to_xyz([red, green, blue, white]: Chromaticities) -> Result<[[f64; 3]; 3], DegeneratePrimaries> {
     let sum_one = |[x, y]: [f64; 2]| [x, y, 1.0 - x - y];
     let columns = [red, green, blue].map(sum_one);
     let rows: [[f64; 3]; 3] = std::array::from_fn(|k| columns.map(|column| column[k]));
     let scale = times(&inverse(&rows)?, xyz(white));
     let sound = white[1] > 0.0 && scale.iter().all(|x| x.is_finite() && *x != 0.0);
-    if sound { Ok(rows.map(|row| [0, 1, 2].map(|k| row[k] * scale[k]))) } else { Err(Degenerate) }
+    if sound { Ok(rows.map(|row| [0, 1, 2].map(|k| row[k] * scale[k]))) } else { Err(DegeneratePrimaries) }
 }
 
 fn times(matrix: &[[f64; 3]; 3], v: [f64; 3]) -> [f64; 3] {
@@ -70,7 +70,7 @@ fn product(a: &[[f64; 3]; 3], b: &[[f64; 3]; 3]) -> [[f64; 3]; 3] {
     a.map(|row| std::array::from_fn(|j| (0..3).map(|k| row[k] * b[k][j]).sum()))
 }
 
-fn inverse(m: &[[f64; 3]; 3]) -> Result<[[f64; 3]; 3], Degenerate> {
+fn inverse(m: &[[f64; 3]; 3]) -> Result<[[f64; 3]; 3], DegeneratePrimaries> {
     // Rows of cofactors. Cyclic indices give the signs.
     let cofactor = |i: usize, j: usize| {
         let (a, b, c, d) = ((i + 1) % 3, (i + 2) % 3, (j + 1) % 3, (j + 2) % 3);
@@ -78,7 +78,7 @@ fn inverse(m: &[[f64; 3]; 3]) -> Result<[[f64; 3]; 3], Degenerate> {
     };
     let determinant: f64 = (0..3).map(|j| m[0][j] * cofactor(0, j)).sum();
     if determinant.abs() < 1e-9 || !determinant.is_finite() {
-        return Err(Degenerate);
+        return Err(DegeneratePrimaries);
     }
     Ok(std::array::from_fn(|i| std::array::from_fn(|j| cofactor(j, i) / determinant)))
 }
@@ -112,7 +112,7 @@ mod tests {
             [[0.3, 0.3], [0.3, 0.3], [0.1, 0.1], [0.3, 0.3]],
             [[0.6, 0.3], [0.3, 0.6], [0.1, 0.1], [0.3, 0.0]],
         ] {
-            assert_eq!(Matrix::to_rec709(bad), Err(Degenerate), "{bad:?}");
+            assert_eq!(Matrix::to_rec709(bad), Err(DegeneratePrimaries), "{bad:?}");
         }
     }
 }

@@ -1,17 +1,17 @@
 //! Tests that one import lists all errors of a scene, and none that only follows from another one.
 
 use crate::{broken::TABLE, common::bundle};
-use femc_import::{Fault, ImportErrors, MAX_ERRORS, load, load_or_list};
+use femc_import::{ImportErrors, ImportFault, MAX_ERRORS, load_scene, load_scene_or_all_errors};
 use proptest::prelude::*;
 
 /// Returns the errors of the scene `t.mgf` beside these files.
 fn errors(text: &str, files: &[(&str, &str)]) -> ImportErrors {
     let files = [&[("t.mgf", text)][..], files].concat();
-    load_or_list(&bundle(&files), "t.mgf").expect_err("a scene with errors")
+    load_scene_or_all_errors(&bundle(&files), "t.mgf").expect_err("a scene with errors")
 }
 
 /// Returns the positions of the errors of a scene, `line:column`.
-fn places(text: &str) -> Vec<String> {
+fn positions(text: &str) -> Vec<String> {
     errors(text, &[]).errors.iter().map(|error| format!("{}:{}", error.at.line, error.at.column)).collect()
 }
 
@@ -55,7 +55,7 @@ const PIECES: &[&str] = &[
 ];
 
 /// Returns the line of each planted error.
-fn planted(text: &str) -> Vec<u32> {
+fn planted_lines(text: &str) -> Vec<u32> {
     let count = |line: &str| line.len() - line.trim_start_matches('!').len();
     (1..).zip(text.lines()).flat_map(|(n, line)| std::iter::repeat_n(n, count(line))).collect()
 }
@@ -75,7 +75,7 @@ proptest! {
             text.push_str(&piece.replace('#', &format!("{n}")));
             text.push('\n');
         }
-        let planted = planted(&text);
+        let planted = planted_lines(&text);
         let text = text.replace('!', "");
         let listed = errors(&text, &[("bad.ies", "no photometry")]);
         let lines: Vec<u32> = listed.errors.iter().filter(|error| error.at.file == "t.mgf").map(|error| error.at.line).collect();
@@ -93,7 +93,7 @@ proptest! {
 fn each_piece_lists_its_errors_including_that_of_a_plain_import() {
     for piece in PIECES {
         let text = format!("medium gas =\nsigma_s 1\nv a =\nv b =\n\tp 1 0 0\n{}", piece.replace('#', "7"));
-        let planted = planted(&text);
+        let planted = planted_lines(&text);
         let text = text.replace('!', "");
         let listed = errors(&text, &[("bad.ies", "no photometry")]);
         let lines: Vec<u32> = listed.errors.iter().map(|error| error.at.line).collect();
@@ -101,7 +101,7 @@ fn each_piece_lists_its_errors_including_that_of_a_plain_import() {
             assert_eq!(lines, planted, "{text}\n{:#?}", listed.errors);
         }
         assert!(listed.complete);
-        let first = load(&bundle(&[("t.mgf", &text), ("bad.ies", "no photometry")]), "t.mgf").unwrap_err();
+        let first = load_scene(&bundle(&[("t.mgf", &text), ("bad.ies", "no photometry")]), "t.mgf").unwrap_err();
         assert!(listed.errors.contains(&first), "{first}");
     }
 }
@@ -129,7 +129,7 @@ fn all_undefined_materials_are_named_once_with_their_definition() {
     let text = "v a =\nm oak\nsph a 1\nm slate\nsph a 1\nm oak\nsph a 1\nm wool\nf a a x a y\n";
     let listed = errors(text, &[]);
     let said: Vec<String> = listed.errors.iter().map(ToString::to_string).collect();
-    assert_eq!(places(text), ["2:3", "4:3", "8:3", "9:7", "9:11"]);
+    assert_eq!(positions(text), ["2:3", "4:3", "8:3", "9:7", "9:11"]);
     for (line, name) in said.iter().zip(["oak", "slate", "wool"]) {
         assert!(line.contains(&format!("undefined material `{name}`; define it before this line")), "{line}");
         assert!(line.contains(&format!("`m {name} =` and `rd r`")), "{line}");
@@ -139,14 +139,14 @@ fn all_undefined_materials_are_named_once_with_their_definition() {
 #[test]
 fn late_definition_is_an_error_only_at_the_first_use() {
     let text = "v a =\nm oak\nsph a 1\nm oak =\n\trd .5\nm oak\nxf -path p\nxf\npath p = linear\nkey 0\nring x 1 2\nv x =\nring x 1 2\n";
-    assert_eq!(places(text), ["2:3", "7:10", "11:6", "13:6"]);
+    assert_eq!(positions(text), ["2:3", "7:10", "11:6", "13:6"]);
 }
 
 #[test]
 fn names_that_a_skipped_include_may_define_are_no_errors() {
     let text =
         "i lost.mgf\nm oak\n\trd 2\nf a b c\nfov 40\nsigma_s 1\nkey 0\ncamera main\n\torigin 0 0 0\ni lost.mgf\n";
-    assert_eq!(places(text), ["1:3", "3:5"]);
+    assert_eq!(positions(text), ["1:3", "3:5"]);
 }
 
 #[test]
@@ -161,6 +161,6 @@ fn error_list_ends_at_100_errors_or_the_memory_limit() {
     let listed = errors(&"rd 2\n".repeat(MAX_ERRORS + 50), &[]);
     assert_eq!((listed.errors.len(), listed.complete), (MAX_ERRORS, false));
     let listed = errors("v a =\nrd 2\nxf -a 1e8 -t 1 0 0\nsph a 1\nsph a 1\nxf\nrd 2\n", &[]);
-    assert!(matches!(*listed.errors[1].fault, Fault::TooManyPrimitives { .. }), "{listed:#?}");
+    assert!(matches!(*listed.errors[1].fault, ImportFault::TooManyPrimitives { .. }), "{listed:#?}");
     assert_eq!((listed.errors.len(), listed.complete), (2, false));
 }

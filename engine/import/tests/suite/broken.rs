@@ -179,7 +179,7 @@ fn each_broken_scene_gives_its_error() {
 
 #[test]
 fn the_missing_scene_itself_is_an_error_without_a_line() {
-    let error = femc_import::load_path(std::path::Path::new("no/such/scene.mgf")).unwrap_err();
+    let error = femc_import::load_scene_file(std::path::Path::new("no/such/scene.mgf")).unwrap_err();
     assert!(error.to_string().starts_with("scene.mgf: cannot read"), "{error}");
 }
 
@@ -214,9 +214,9 @@ fn doubling_includes_are_stopped_by_the_included_file_limit() {
 }
 
 /// Files that claim a huge size, and fail the test if they are read.
-struct Huge;
+struct HugeFile;
 
-impl femc_import::Files for Huge {
+impl femc_import::FileSource for HugeFile {
     fn size(&self, _: &str) -> std::io::Result<u64> {
         Ok(300 << 20)
     }
@@ -227,7 +227,7 @@ impl femc_import::Files for Huge {
 
 #[test]
 fn a_file_beyond_the_limit_is_refused_before_it_is_read() {
-    let error = femc_import::load(&Huge, "t.mgf").unwrap_err();
+    let error = femc_import::load_scene(&HugeFile, "t.mgf").unwrap_err();
     assert!(error.to_string().contains("has 314572800 bytes; the limit for text files is 268435456"), "{error}");
 }
 

@@ -21,11 +21,11 @@ fn material<'s>(scene: &'s Scene, name: &str) -> &'s Material {
 fn default_color_is_white_and_materials_capture_the_current_one() {
     let scene = scene("m a =\nrd .4\nc\ncrgb 1 0 0\nrs .3 .1\nc\ncrgb 0 1 0\nm b = a\ntd .2");
     let (a, b) = (material(&scene, "a"), material(&scene, "b"));
-    assert_eq!(a.rd, Tinted { amount: 0.4, color: [1.0; 3] });
-    assert_eq!((a.rs, a.rs_alpha), (Tinted { amount: 0.3, color: [1.0, 0.0, 0.0] }, 0.1));
+    assert_eq!(a.rd, TintedScalar { amount: 0.4, color: [1.0; 3] });
+    assert_eq!((a.rs, a.rs_alpha), (TintedScalar { amount: 0.3, color: [1.0, 0.0, 0.0] }, 0.1));
     assert_eq!((b.rd, b.rs), (a.rd, a.rs), "the template's values");
     assert_eq!(b.td.color, [0.0, 1.0, 0.0]);
-    assert_eq!(a.td, Tinted::default(), "a template is not changed by its copies");
+    assert_eq!(a.td, TintedScalar::default(), "a template is not changed by its copies");
 }
 
 #[test]
@@ -98,7 +98,7 @@ fn a_sum_above_one_is_scaled_to_one_whatever_it_is() {
     let raw = scene("c\ncrgb .5 .05 .04\nm paint =\nrd 1\nc\ncrgb 1 1 1\nrs .05 .1");
     assert_eq!(raw.materials[0].rd.amount, 1.0, "a raw colour counts by its luminance");
     let raw = try_scene("c\ncrgb 2 2 2\nm a =\nrd .9").unwrap();
-    assert!((raw.scene.materials[0].rd.luminous() - 1.0).abs() < 1e-6 && raw.warnings.len() == 1);
+    assert!((raw.scene.materials[0].rd.photometric_amount() - 1.0).abs() < 1e-6 && raw.warnings.len() == 1);
     scene("m ok =\nrd .8\nrs .5 0\nrd .5");
 }
 
@@ -237,7 +237,7 @@ fn an_unknown_entity_is_said_once_a_name() {
 #[test]
 fn names_that_are_no_utf8_text_are_names() {
     let bundle = femc_import::Bundle([("t.mgf".to_owned(), b"m \xff\xfe =\nrd .5\nm \xff\xfe\n".to_vec())].into());
-    assert_eq!(femc_import::load(&bundle, "t.mgf").unwrap().scene.materials.len(), 1);
+    assert_eq!(femc_import::load_scene(&bundle, "t.mgf").unwrap().scene.materials.len(), 1);
 }
 
 #[test]
@@ -304,7 +304,7 @@ fn texture_coordinates_and_maps_arrive() {
     let mut white = Vec::new();
     png::Encoder::new(&mut white, 1, 1).write_header().and_then(|mut w| w.write_image_data(&[255])).unwrap();
     bundle.0.insert("p.png".into(), white);
-    let loaded = femc_import::load(&bundle, "t.mgf").unwrap();
+    let loaded = femc_import::load_scene(&bundle, "t.mgf").unwrap();
     let m = &loaded.scene.materials[0];
     assert_eq!((m.map_rd, m.map_ed, m.map_n), (Some(ImageId(0)), Some(ImageId(0)), Some(ImageId(1))));
     assert_eq!(loaded.scene.images[0].pixels, [[1.0; 3]]);

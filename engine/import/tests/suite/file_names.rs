@@ -1,13 +1,13 @@
 //! Tests of file names: quotes, blanks, and names similar to those of files.
 
 use crate::common::{bundle, try_files};
-use femc_import::{Bundle, Fault, Files, Loaded, load_or_list};
+use femc_import::{Bundle, FileSource, ImportFault, LoadedScene, load_scene_or_all_errors};
 use std::{cell::Cell, io};
 
 const LAMP: &str = "TILT=NONE\n1 1 1 3 1 1 2 0 0 0 1 1 1 0 45 90 0 5 5 5\n";
 const FLOOR: &str = "v f =\nsph f 1\n";
 
-fn with(text: &str) -> Result<Loaded, String> {
+fn load_with_files(text: &str) -> Result<LoadedScene, String> {
     let files = [
         ("t.mgf", text),
         ("my lamp.ies", LAMP),
@@ -32,7 +32,7 @@ fn a_quoted_file_name_may_hold_blanks_and_anything_but_a_quote() {
         ("ies \"Plain.ies\"\r", "Plain.ies"),
         ("ies \\\n\"my lamp.ies\" \\\n-m 2", "my lamp.ies"),
     ] {
-        let loaded = with(line).unwrap_or_else(|error| panic!("{line}: {error}"));
+        let loaded = load_with_files(line).unwrap_or_else(|error| panic!("{line}: {error}"));
         assert_eq!(loaded.files[1], file);
         assert!(loaded.warnings.is_empty(), "{:?}", loaded.warnings);
     }
@@ -41,7 +41,7 @@ fn a_quoted_file_name_may_hold_blanks_and_anything_but_a_quote() {
 #[test]
 fn quotes_elsewhere_are_letters_of_a_name() {
     let text = "m we\"ird =\n\trd .5\nm 'Neutral.8' =\nm \"both\" =\nc \"red =\nv \"a\" =\no \"hall\"\nm we\"ird\nsph \"a\" 1\nm 'Neutral.8'\nm \"both\"\no\n";
-    let scene = with(text).unwrap().scene;
+    let scene = load_with_files(text).unwrap().scene;
     let names: Vec<&str> = scene.materials.iter().map(|material| &*material.name).collect();
     assert_eq!(names, ["we\"ird", "'Neutral.8'", "\"both\""]);
     assert_eq!(scene.objects[0].name, "\"hall\"");
@@ -59,7 +59,7 @@ fn a_fault_of_quotes_is_named_at_its_place() {
         ("i \"\"", "t.mgf:1:3: `` is not a portable path: it names a folder"),
         ("ies \"lost lamp.ies\"", "t.mgf:1:5: cannot read `lost lamp.ies`"),
     ] {
-        let error = with(line).unwrap_err();
+        let error = load_with_files(line).unwrap_err();
         assert!(error.starts_with(says), "{line}: {error}");
     }
 }
@@ -83,12 +83,12 @@ fn a_name_with_blanks_and_no_quotes_says_how_to_write_it() {
         ),
         ("map_rd a b c.png", "`map_rd \"a b c.png\"`"),
     ] {
-        let error = with(line).unwrap_err();
+        let error = load_with_files(line).unwrap_err();
         let column = line.find(' ').unwrap() + 2;
         assert!(error.starts_with(&format!("t.mgf:1:{column}: ")) && error.contains(says), "{line}: {error}");
     }
     // A word that could be an option is one if the file exists.
-    assert!(with("ies Plain.ies -ty 2").unwrap_err().contains("found `-ty`"));
+    assert!(load_with_files("ies Plain.ies -ty 2").unwrap_err().contains("found `-ty`"));
 }
 
 #[test]
@@ -101,14 +101,14 @@ fn a_name_that_is_nearly_that_of_a_file_names_the_file() {
         ("ies \"my lamp.ies \"", "`\"my lamp.ies\"`"),
         ("i parts/Old_Floor.mgf", "`\"old floor.mgf\"`"),
     ] {
-        let error = with(line).unwrap_err();
+        let error = load_with_files(line).unwrap_err();
         assert!(
             error.contains("cannot read ") && error.ends_with(&format!("did you mean {near} in the same folder?")),
             "{line}: {error}"
         );
     }
     let error = try_files(&[("t.mgf", "map_rd lost.png")]).unwrap_err();
-    assert!(matches!(&*error.fault, Fault::Unreadable { near: None, .. }), "{error}");
+    assert!(matches!(&*error.fault, ImportFault::Unreadable { near: None, .. }), "{error}");
 }
 
 /// Names in a file are relative to its own folder.
@@ -127,7 +127,7 @@ fn a_near_name_has_no_folder() {
             ("house/maps/tile.png", ""),
         ];
         let error = try_files(&files).unwrap_err();
-        assert!(matches!(&*error.fault, Fault::Unreadable { near: Some(name), .. } if name == near), "{error:?}");
+        assert!(matches!(&*error.fault, ImportFault::Unreadable { near: Some(name), .. } if name == near), "{error:?}");
         let error = error.to_string();
         assert!(error.starts_with(&format!("house/room.mgf:1:8: cannot read `{path}`")), "{error}");
         assert!(error.ends_with(&format!("; did you mean `{near}` in the same folder?")), "{error}");
@@ -135,9 +135,9 @@ fn a_near_name_has_no_folder() {
 }
 
 /// Files that count lookups.
-struct Counted(Bundle, Cell<usize>);
+struct CountingFiles(Bundle, Cell<usize>);
 
-impl Files for Counted {
+impl FileSource for CountingFiles {
     fn size(&self, path: &str) -> io::Result<u64> {
         self.1.set(self.1.get() + 1);
         self.0.size(path)
@@ -152,8 +152,8 @@ impl Files for Counted {
 fn a_missing_file_is_looked_up_at_its_first_use_alone() {
     let lookups = |lines: usize| {
         let text = "i lost.mgf -t 1 2 3\nies lost.ies -m 2 -rz 5\n".repeat(lines);
-        let files = Counted(bundle(&[("t.mgf", &text)]), Cell::new(0));
-        assert_eq!(load_or_list(&files, "t.mgf").unwrap_err().errors.len(), 2);
+        let files = CountingFiles(bundle(&[("t.mgf", &text)]), Cell::new(0));
+        assert_eq!(load_scene_or_all_errors(&files, "t.mgf").unwrap_err().errors.len(), 2);
         files.1.get()
     };
     assert_eq!(lookups(1), lookups(50));
@@ -166,7 +166,7 @@ fn folder_suggests_its_file_names_and_none_outside_the_root() {
     std::fs::write(root.path().join("Lamp.ies"), LAMP).unwrap();
     let load = |text: &str| {
         std::fs::write(root.path().join("in/t.mgf"), text).unwrap();
-        let path = femc_import::ScenePath::below(&root.path().join("in"), &root.path().join("in/t.mgf")).unwrap();
+        let path = femc_import::ScenePath::with_root(&root.path().join("in"), &root.path().join("in/t.mgf")).unwrap();
         path.load().unwrap_err().to_string()
     };
     std::fs::write(root.path().join("in/My Lamp.ies"), LAMP).unwrap();

@@ -3,8 +3,8 @@
 #[path = "../../examples/corpus/mod.rs"]
 mod corpus;
 
-use corpus::{Rng, mutate, soup};
-use femc_import::{Bundle, Loaded, load, load_or_list};
+use corpus::{Rng, mutate, random_words};
+use femc_import::{Bundle, LoadedScene, load_scene, load_scene_or_all_errors};
 use femc_scene::{Scene, Shape};
 use proptest::prelude::*;
 
@@ -34,10 +34,10 @@ fn check(scene: &Scene) {
 }
 
 fn import(bundle: &Bundle) {
-    match load_or_list(bundle, "t.mgf") {
-        Ok(Loaded { scene, .. }) => check(&scene),
+    match load_scene_or_all_errors(bundle, "t.mgf") {
+        Ok(LoadedScene { scene, .. }) => check(&scene),
         Err(listed) => {
-            let error = load(bundle, "t.mgf").expect_err("the first error");
+            let error = load_scene(bundle, "t.mgf").expect_err("the first error");
             assert!(listed.errors.contains(&error) || !listed.complete, "{error}\n{listed:#?}");
         }
     }
@@ -53,7 +53,7 @@ proptest! {
 
     #[test]
     fn soups_of_words_end_in_a_scene_or_an_error(seed: u64) {
-        import(&Bundle([("t.mgf".to_owned(), soup(&mut Rng::new(seed)).into_bytes())].into()));
+        import(&Bundle([("t.mgf".to_owned(), random_words(&mut Rng::new(seed)).into_bytes())].into()));
     }
 
     #[test]

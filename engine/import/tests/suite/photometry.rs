@@ -1,7 +1,7 @@
 //! Tests of photometric files and scenes in every edition, encoding and spacing.
 
 use crate::common::{try_files, try_scene};
-use femc_import::{Bundle, Loaded, load};
+use femc_import::{Bundle, LoadedScene, load_scene};
 use femc_scene::Photometry;
 use proptest::prelude::*;
 use std::collections::BTreeMap;
@@ -37,16 +37,16 @@ fn encode(text: &str, encoding: Encoding) -> Vec<u8> {
 }
 
 /// Imports a scene of one lamp whose file has these bytes.
-fn lamp(bytes: &[u8]) -> Result<Loaded, String> {
+fn lamp(bytes: &[u8]) -> Result<LoadedScene, String> {
     let files = [("t.mgf", &b"ies lamp.ies -t 0 0 3\n"[..]), ("lamp.ies", bytes)];
     let files: BTreeMap<String, Vec<u8>> = files.map(|(name, bytes)| (name.to_owned(), bytes.to_vec())).into();
-    load(&Bundle(files), "t.mgf").map_err(|error| error.to_string())
+    load_scene(&Bundle(files), "t.mgf").map_err(|error| error.to_string())
 }
 
 /// Returns photometry and remarks of a lamp.
 fn read(bytes: &[u8]) -> Result<(Photometry, Vec<String>), String> {
     let loaded = lamp(bytes)?;
-    let words = loaded.warnings.iter().chain(&loaded.notes).map(|said| said.oddity.to_string()).collect();
+    let words = loaded.warnings.iter().chain(&loaded.notes).map(|said| said.kind.to_string()).collect();
     Ok((loaded.scene.photometry[0].clone(), words))
 }
 
@@ -60,7 +60,7 @@ struct File {
 }
 
 impl File {
-    fn written(&self, separators: &[&str]) -> String {
+    fn to_text(&self, separators: &[&str]) -> String {
         let mut text = self.head.clone();
         for (i, number) in self.numbers.iter().enumerate() {
             if i > 0 {
@@ -140,9 +140,9 @@ proptest! {
         line_end in prop::sample::select(&["\n", "\r\n", "\r", "\r\r\n"][..]),
         tail in prop::sample::select(&["", "\n", "END\n", "\n\0\0\x1a", "\x1a\0\0"][..]),
     ) {
-        let plain = read(file.written(&[" "]).as_bytes()).unwrap();
+        let plain = read(file.to_text(&[" "]).as_bytes()).unwrap();
         let head = file.head.replace('\n', line_end);
-        let text = File { head, ..file }.written(&separators) + tail;
+        let text = File { head, ..file }.to_text(&separators) + tail;
         prop_assert_eq!(read(&encode(&text, encoding)), Ok(plain), "{:?}", text);
     }
 
@@ -168,7 +168,7 @@ proptest! {
             Corruption::BareDecimalComma => corrupt.numbers[at] = format!(" ,{digit}"),
         }
         for separators in [&separators[..], &[" "]] {
-            let text = corrupt.written(separators);
+            let text = corrupt.to_text(separators);
             prop_assert!(read(text.as_bytes()).is_err(), "{:?} at {}: {:?}", corruption, at, text);
         }
     }
@@ -183,7 +183,7 @@ fn scene_is_equal_in_every_encoding_and_line_ending() {
     for line_end in ["\n", "\r\n", "\r", "\r\r\n"] {
         for encoding in ENCODINGS {
             let bytes = encode(&SCENE.replace('\n', line_end), encoding);
-            let loaded = load(&Bundle([("t.mgf".to_owned(), bytes)].into()), "t.mgf").unwrap();
+            let loaded = load_scene(&Bundle([("t.mgf".to_owned(), bytes)].into()), "t.mgf").unwrap();
             assert_eq!(loaded.scene.digest(), expected.scene.digest(), "{encoding:?} {line_end:?}");
             assert!(loaded.warnings.is_empty(), "{encoding:?} {line_end:?}: {:?}", loaded.warnings);
         }
@@ -196,7 +196,7 @@ fn faults_name_their_line_whatever_ends_the_lines() {
     for line_end in ["\n", "\r\n", "\r", "\r\r\n"] {
         for encoding in ENCODINGS {
             let bytes = encode(&text.replace('\n', line_end), encoding);
-            let error = load(&Bundle([("t.mgf".to_owned(), bytes)].into()), "t.mgf").unwrap_err();
+            let error = load_scene(&Bundle([("t.mgf".to_owned(), bytes)].into()), "t.mgf").unwrap_err();
             assert_eq!(error.at.to_string(), "t.mgf:5:5", "{encoding:?} {line_end:?}: {error}");
         }
     }
@@ -217,7 +217,7 @@ fn files_that_are_not_text_are_refused_where_they_are_named() {
     let files =
         |scene: &[u8]| Bundle([("t.mgf".to_owned(), scene.to_vec()), ("a.png".to_owned(), image.clone())].into());
     for (scene, at) in [(&b"\ni a.png"[..], "t.mgf:2:3"), (b"ies a.png", "t.mgf:1:5"), (&image, "t.mgf")] {
-        let error = load(&files(scene), "t.mgf").unwrap_err();
+        let error = load_scene(&files(scene), "t.mgf").unwrap_err();
         assert_eq!(error.at.to_string(), at);
         assert!(error.to_string().contains("zero byte in line 3, so it is not a text file"), "{error}");
     }
@@ -229,7 +229,7 @@ fn a_lamp_that_is_scaled_has_no_hint_of_1000_lumens() {
     let notes = |scene: &str| {
         let loaded = try_files(&[("t.mgf", scene), ("a.ies", text)]).unwrap();
         assert!(loaded.warnings.is_empty(), "{:?}", loaded.warnings);
-        let hints: Vec<_> = loaded.notes.iter().filter(|note| note.oddity.kind() == "photometry").cloned().collect();
+        let hints: Vec<_> = loaded.notes.iter().filter(|note| note.kind.code() == "photometry").cloned().collect();
         hints.iter().map(|note| note.to_string()).collect::<Vec<_>>()
     };
     assert!(notes("ies a.ies -m 2.5 -t 0 0 1").is_empty());

@@ -1,7 +1,7 @@
 //! Tests of scenes that are not part of the project, in `../shared`; skipped if that folder is missing.
 
-use femc_import::{Bundle, Disk, Loaded, load, load_path};
-use femc_require::shared;
+use femc_import::{Bundle, DiskFolder, LoadedScene, load_scene, load_scene_file};
+use femc_require::shared_folder;
 use femc_scene::Opening;
 use std::path::{Path, PathBuf};
 
@@ -19,8 +19,8 @@ fn scenes(folder: &Path) -> Vec<PathBuf> {
     found
 }
 
-fn load_or_say(path: &Path) -> Loaded {
-    let loaded = load_path(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+fn load_and_print(path: &Path) -> LoadedScene {
+    let loaded = load_scene_file(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
     let scene = &loaded.scene;
     let faces: usize = scene.groups.iter().map(|group| group.faces.len()).sum();
     let quadrics: usize = scene.groups.iter().map(|group| group.quadrics.len()).sum();
@@ -39,9 +39,9 @@ fn load_or_say(path: &Path) -> Loaded {
 
 #[test]
 fn reference_scenes_load_whole() {
-    let Some(folder) = shared("refs") else { return };
+    let Some(folder) = shared_folder("refs") else { return };
     for path in scenes(&folder) {
-        let Loaded { scene, warnings, .. } = load_or_say(&path);
+        let LoadedScene { scene, warnings, .. } = load_and_print(&path);
         assert!(warnings.is_empty(), "{warnings:?}");
         assert_eq!(scene.cameras.len(), 1);
         let faces = std::fs::read_to_string(&path).unwrap().lines().filter(|line| line.starts_with("f ")).count();
@@ -52,19 +52,19 @@ fn reference_scenes_load_whole() {
 
 #[test]
 fn real_scenes_load_without_an_error() {
-    let Some(folder) = shared("scenes-real") else { return };
+    let Some(folder) = shared_folder("scenes-real") else { return };
     for path in scenes(&folder) {
-        let Loaded { scene, .. } = load_or_say(&path);
+        let LoadedScene { scene, .. } = load_and_print(&path);
         assert!(scene.groups.iter().any(|group| !group.faces.is_empty()));
     }
 }
 
 #[test]
 fn a_real_photometric_file_reads_without_a_remark() {
-    let Some(folder) = shared("scenes-real") else { return };
-    let mut bundle = Bundle::gather(&Disk::new(&folder), &["examp1.ies".into()]).unwrap();
+    let Some(folder) = shared_folder("scenes-real") else { return };
+    let mut bundle = Bundle::from_files(&DiskFolder::new(&folder), &["examp1.ies".into()]).unwrap();
     bundle.0.insert("t.mgf".into(), b"ies examp1.ies\n".to_vec());
-    let Loaded { scene, warnings, .. } = load(&bundle, "t.mgf").unwrap();
+    let LoadedScene { scene, warnings, .. } = load_scene(&bundle, "t.mgf").unwrap();
     assert!(warnings.is_empty(), "{warnings:?}");
     let photometry = &scene.photometry[0];
     assert_eq!((photometry.vertical.len(), photometry.horizontal.len()), (73, 5));

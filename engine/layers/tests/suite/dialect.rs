@@ -93,34 +93,34 @@ fn other_renderers_dialects_keep_their_meaning_or_are_refused() {
                     assert!(found.is_ok(), "{text}: {found:?}");
                     continue;
                 }
-                assert_eq!(normal(found.as_ref().unwrap_or_else(|e| panic!("{text}: {e}"))), normal(&other_of(other)));
+                assert_eq!(normal(found.as_ref().unwrap_or_else(|e| panic!("{text}: {e}"))), normal(&parse(other)));
             }
             Refused(at, advice) => {
                 let error = found.map(|it| panic!("{text} is read as {it:?}")).unwrap_or_else(|error| error);
-                assert_eq!(error.at, *at, "{text}: {error}");
+                assert_eq!(error.position, *at, "{text}: {error}");
                 assert!(error.to_string().contains(advice), "{text}: {error}");
             }
         }
     }
 }
 
-fn other_of(text: &str) -> Expression {
+fn parse(text: &str) -> Expression {
     Expression::parse(text).unwrap_or_else(|e| panic!("{text}: {e}"))
 }
 
 /// Formats the tree with nested sequences joined and every event as its matching kinds and labels.
 fn normal(expression: &Expression) -> String {
     fn walk(node: &femc_layers::Node) -> String {
-        use femc_layers::Node::{Any, Choice, Event, Maybe, Sequence, Some};
+        use femc_layers::Node::{Choice, Event, OneOrMore, Optional, Sequence, ZeroOrMore};
         match node {
             Event(event) => {
                 format!("{:?} {:?};", event.kinds().collect::<Vec<_>>(), event.labels().collect::<Vec<_>>())
             }
             Sequence(all) => all.iter().map(walk).collect(),
             Choice(all) => format!("({})", all.iter().map(walk).collect::<Vec<_>>().join("|")),
-            Any(node) => format!("({})*", walk(node)),
-            Some(node) => format!("({})+", walk(node)),
-            Maybe(node) => format!("({})?", walk(node)),
+            ZeroOrMore(node) => format!("({})*", walk(node)),
+            OneOrMore(node) => format!("({})+", walk(node)),
+            Optional(node) => format!("({})?", walk(node)),
         }
     }
     walk(expression.node())
@@ -130,7 +130,7 @@ fn normal(expression: &Expression) -> String {
 fn prefixed_layer_error_points_into_the_text_as_typed() {
     let error = "t=lpe:C<RX>L".parse::<femc_layers::Layer>().unwrap_err();
     let LayerError::Expression { cause, .. } = &error else { panic!("{error}") };
-    assert_eq!((cause.at, cause.expression.as_str()), (7, "lpe:C<RX>L"));
+    assert_eq!((cause.position, cause.expression.as_str()), (7, "lpe:C<RX>L"));
     let text = error.to_string();
     let lines: Vec<&str> = text.lines().collect();
     assert_eq!(lines[1].find('X'), lines[2].find('^'), "{text}");

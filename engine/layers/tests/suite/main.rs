@@ -3,30 +3,31 @@
 mod dialect;
 
 use femc_layers::{
-    Automaton, DEAD, Expression, Kind, LabelSet, Layer, LayerError, NO_LAYERS, Node, Preset, Symbol, Vocabulary,
+    Automaton, DEAD_STATE, EventKind, Expression, LabelSet, Layer, LayerError, NO_LAYERS, Node, Preset, Symbol,
+    Vocabulary,
 };
 use proptest::prelude::*;
 
 /// A path: each event with the name of the thing where it happens.
-type Word = Vec<(Kind, &'static str)>;
+type Word = Vec<(EventKind, &'static str)>;
 
 /// Remaining part of an expression after some events.
 #[derive(Clone, Debug)]
-enum Rest {
+enum Remainder {
     Never,
     Done,
     Node(Node),
-    Then(Box<Rest>, Box<Rest>),
-    Either(Vec<Rest>),
+    Then(Box<Remainder>, Box<Remainder>),
+    Either(Vec<Remainder>),
 }
 
-fn may_end(rest: &Rest) -> bool {
+fn may_end(rest: &Remainder) -> bool {
     match rest {
-        Rest::Never => false,
-        Rest::Done => true,
-        Rest::Node(node) => is_nullable(node),
-        Rest::Then(one, other) => may_end(one) && may_end(other),
-        Rest::Either(all) => all.iter().any(may_end),
+        Remainder::Never => false,
+        Remainder::Done => true,
+        Remainder::Node(node) => is_nullable(node),
+        Remainder::Then(one, other) => may_end(one) && may_end(other),
+        Remainder::Either(all) => all.iter().any(may_end),
     }
 }
 
@@ -35,52 +36,58 @@ fn is_nullable(node: &Node) -> bool {
         Node::Event(_) => false,
         Node::Sequence(nodes) => nodes.iter().all(is_nullable),
         Node::Choice(nodes) => nodes.iter().any(is_nullable),
-        Node::Some(node) => is_nullable(node),
-        Node::Any(_) | Node::Maybe(_) => true,
+        Node::OneOrMore(node) => is_nullable(node),
+        Node::ZeroOrMore(_) | Node::Optional(_) => true,
     }
 }
 
-fn then(one: Rest, other: Rest) -> Rest {
+fn then(one: Remainder, other: Remainder) -> Remainder {
     match (one, other) {
-        (Rest::Never, _) | (_, Rest::Never) => Rest::Never,
-        (Rest::Done, other) => other,
-        (one, Rest::Done) => one,
-        (one, other) => Rest::Then(Box::new(one), Box::new(other)),
+        (Remainder::Never, _) | (_, Remainder::Never) => Remainder::Never,
+        (Remainder::Done, other) => other,
+        (one, Remainder::Done) => one,
+        (one, other) => Remainder::Then(Box::new(one), Box::new(other)),
     }
 }
 
-fn derivative(rest: &Rest, event: (Kind, &str)) -> Rest {
+fn derivative(rest: &Remainder, event: (EventKind, &str)) -> Remainder {
     match rest {
-        Rest::Never | Rest::Done => Rest::Never,
-        Rest::Node(node) => of_node(node, event),
-        Rest::Then(one, other) => {
+        Remainder::Never | Remainder::Done => Remainder::Never,
+        Remainder::Node(node) => node_derivative(node, event),
+        Remainder::Then(one, other) => {
             let through = then(derivative(one, event), (**other).clone());
-            if may_end(one) { Rest::Either(vec![through, derivative(other, event)]) } else { through }
+            if may_end(one) { Remainder::Either(vec![through, derivative(other, event)]) } else { through }
         }
-        Rest::Either(all) => Rest::Either(all.iter().map(|one| derivative(one, event)).collect()),
+        Remainder::Either(all) => Remainder::Either(all.iter().map(|one| derivative(one, event)).collect()),
     }
 }
 
-fn of_node(node: &Node, (kind, name): (Kind, &str)) -> Rest {
+fn node_derivative(node: &Node, (kind, name): (EventKind, &str)) -> Remainder {
     match node {
-        Node::Event(event) if event.fits(kind, |label| label == name) => Rest::Done,
-        Node::Event(_) => Rest::Never,
-        Node::Choice(nodes) => Rest::Either(nodes.iter().map(|node| of_node(node, (kind, name))).collect()),
-        Node::Maybe(node) => of_node(node, (kind, name)),
-        Node::Any(inner) | Node::Some(inner) => {
-            then(of_node(inner, (kind, name)), Rest::Node(Node::Any(inner.clone())))
+        Node::Event(event) if event.matches(kind, |label| label == name) => Remainder::Done,
+        Node::Event(_) => Remainder::Never,
+        Node::Choice(nodes) => {
+            Remainder::Either(nodes.iter().map(|node| node_derivative(node, (kind, name))).collect())
+        }
+        Node::Optional(node) => node_derivative(node, (kind, name)),
+        Node::ZeroOrMore(inner) | Node::OneOrMore(inner) => {
+            then(node_derivative(inner, (kind, name)), Remainder::Node(Node::ZeroOrMore(inner.clone())))
         }
         Node::Sequence(nodes) => {
-            let Some((first, others)) = nodes.split_first() else { return Rest::Never };
-            let others = Rest::Node(Node::Sequence(others.to_vec()));
-            let through = then(of_node(first, (kind, name)), others.clone());
-            if is_nullable(first) { Rest::Either(vec![through, derivative(&others, (kind, name))]) } else { through }
+            let Some((first, others)) = nodes.split_first() else { return Remainder::Never };
+            let others = Remainder::Node(Node::Sequence(others.to_vec()));
+            let through = then(node_derivative(first, (kind, name)), others.clone());
+            if is_nullable(first) {
+                Remainder::Either(vec![through, derivative(&others, (kind, name))])
+            } else {
+                through
+            }
         }
     }
 }
 
-fn fits(expression: &Expression, word: &Word) -> bool {
-    let mut rest = derivative(&Rest::Node(expression.node().clone()), (Kind::Camera, ""));
+fn matches_word(expression: &Expression, word: &Word) -> bool {
+    let mut rest = derivative(&Remainder::Node(expression.node().clone()), (EventKind::Camera, ""));
     for event in word {
         rest = derivative(&rest, *event);
     }
@@ -91,15 +98,15 @@ const NAMES: [&str; 3] = ["", "a", "b"];
 
 fn automaton(layers: &[Layer]) -> (Automaton, Vocabulary) {
     let vocabulary = Automaton::vocabulary(layers).unwrap();
-    let sets: Vec<LabelSet> = NAMES.iter().map(|name| vocabulary.set(&[*name])).collect();
+    let sets: Vec<LabelSet> = NAMES.iter().map(|name| vocabulary.label_set(&[*name])).collect();
     (Automaton::new(layers, &vocabulary, sets).unwrap(), vocabulary)
 }
 
 fn accepted((automaton, vocabulary): &(Automaton, Vocabulary), word: &Word) -> u64 {
     let state = word.iter().fold(automaton.start(), |state, (kind, name)| {
-        automaton.next(state, automaton.labels(vocabulary.set(&[*name])).unwrap().event(*kind))
+        automaton.next(state, automaton.label_offset(vocabulary.label_set(&[*name])).unwrap().symbol(*kind))
     });
-    automaton.layers()[usize::from(automaton.takers(state, Symbol::NONE))]
+    automaton.layer_sets()[usize::from(automaton.accepting_layers(state, Symbol::NONE))]
 }
 
 fn events() -> impl Strategy<Value = String> {
@@ -144,8 +151,8 @@ fn expressions() -> impl Strategy<Value = String> {
 }
 
 fn words() -> impl Strategy<Value = Word> {
-    let scattered = (prop::sample::select(Kind::ALL[1..8].to_vec()), prop::sample::select(NAMES.to_vec()));
-    let source = (prop::sample::select(Kind::ALL[8..].to_vec()), prop::sample::select(NAMES.to_vec()));
+    let scattered = (prop::sample::select(EventKind::ALL[1..8].to_vec()), prop::sample::select(NAMES.to_vec()));
+    let source = (prop::sample::select(EventKind::ALL[8..].to_vec()), prop::sample::select(NAMES.to_vec()));
     (prop::collection::vec(scattered, 0..7), source).prop_map(|(mut word, source)| {
         word.push(source);
         word
@@ -165,7 +172,7 @@ proptest! {
         let automaton = automaton(&layers);
         let expressions: Vec<Expression> = layers.iter().map(|layer| layer.parse().unwrap()).collect();
         for word in &words {
-            let expected = expressions.iter().enumerate().fold(0, |all, (n, it)| all | u64::from(fits(it, word)) << n);
+            let expected = expressions.iter().enumerate().fold(0, |all, (n, it)| all | u64::from(matches_word(it, word)) << n);
             prop_assert_eq!(accepted(&automaton, word), expected, "{:?} of {:?}", word, texts);
         }
     }
@@ -173,7 +180,7 @@ proptest! {
     #[test]
     fn no_text_makes_the_parser_panic_and_faults_lie_within_it(text in "[CRTVDGSLOB.*+?|()\\[\\]^<>' ax\u{e4}]{0,24}") {
         if let Err(error) = Expression::parse(&text) {
-            prop_assert!(error.at <= text.chars().count());
+            prop_assert!(error.position <= text.chars().count());
             prop_assert!(error.to_string().lines().count() == 3);
         }
     }
@@ -186,7 +193,10 @@ fn no_two_states_of_the_automaton_take_the_same_paths() {
     let (automaton, _) = automaton(&layers);
     // The dead state, the state before the lamp, and the state after it.
     assert_eq!(automaton.states(), 3);
-    assert_eq!((automaton.takers(DEAD, Symbol::NONE), automaton.layers()), (NO_LAYERS, &[0, 0b11][..]));
+    assert_eq!(
+        (automaton.accepting_layers(DEAD_STATE, Symbol::NONE), automaton.layer_sets()),
+        (NO_LAYERS, &[0, 0b11][..])
+    );
     assert_eq!(automaton.next(automaton.start(), Symbol::NONE), automaton.start());
 }
 
@@ -211,11 +221,11 @@ fn lamps_partition_light_and_object_labels_cover_their_contents() {
     let layers = Preset::Lamps.layers(["a", "b"]).unwrap();
     let automaton = automaton(&layers);
     for (name, layers) in [("a", 1), ("b", 2), ("", 0)] {
-        let word = vec![(Kind::ReflectedGlossy, "b"), (Kind::Volume, ""), (Kind::Light, name)];
+        let word = vec![(EventKind::ReflectedGlossy, "b"), (EventKind::Volume, ""), (EventKind::Light, name)];
         assert_eq!(accepted(&automaton, &word), layers, "{name}");
     }
-    let vocabulary = Vocabulary::of(["room", "room.desk"]).unwrap();
-    let has = |name: &str| ["room", "room.desk"].map(|label| vocabulary.has(vocabulary.set(&[name]), label));
+    let vocabulary = Vocabulary::from_labels(["room", "room.desk"]).unwrap();
+    let has = |name: &str| ["room", "room.desk"].map(|label| vocabulary.contains(vocabulary.label_set(&[name]), label));
     assert_eq!(
         [has("room.desk.lamp"), has("room.deskx"), has("rooms"), has("x.room")],
         [[true, true], [true, false], [false, false], [false, false]]
@@ -229,5 +239,5 @@ fn layers_that_would_take_too_many_states_are_refused() {
     let layers = [Layer::new("deep", format!("C.*D{tail}"))];
     let vocabulary = Automaton::vocabulary(&layers).unwrap();
     let outcome = Automaton::new(&layers, &vocabulary, [LabelSet::default()]);
-    assert_eq!(outcome, Err(LayerError::Complex(65535)));
+    assert_eq!(outcome, Err(LayerError::TooManyStates(65535)));
 }

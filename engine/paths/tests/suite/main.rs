@@ -1,11 +1,11 @@
 //! Tests of the invariants of light statistics, on synthetic paths that are a function of only their keys, like those of a
 //! renderer.
 
-mod bytes;
-mod causes;
+mod bottlenecks;
+mod codec;
 mod frames;
-mod laws;
+mod invariants;
 mod plants;
-mod questions;
-mod reduction;
-mod world;
+mod queries;
+mod representatives;
+mod synthetic;

@@ -5,7 +5,9 @@
 //! counts), but never too small. So a layer that is reported here has no light in any frame.
 
 use crate::settings::Settings;
-use femc_layers::{Darkness, Event, Expression, Kind, LabelSet, Vocabulary, darkness, parse_all, spelled};
+use femc_layers::{
+    EventKind, EventPattern, Expression, LabelSet, UnlitReason, Vocabulary, format_kinds, parse_layers, unlit_reason,
+};
 use femc_scattering::microfacet::SMOOTH_ALPHA;
 use femc_scene::objects::hidden_objects;
 use femc_scene::{Material, MediumId, ObjectId, Scene, Sides};
@@ -29,60 +31,62 @@ impl fmt::Display for DarkLayer {
 
 /// Returns the layers of the settings that stay black in every frame of the scene. Overrides must be applied.
 pub fn dark_layers(scene: &Scene, settings: &Settings) -> Vec<DarkLayer> {
-    let Ok(expressions) = parse_all(&settings.layers) else { return Vec::new() };
+    let Ok(expressions) = parse_layers(&settings.layers) else { return Vec::new() };
     let longest = (settings.max_depth > 0).then_some(settings.max_depth as usize);
-    let makers = Makers::of(scene);
+    let sources = EventSources::new(scene);
     let dark = settings.layers.iter().zip(&expressions).filter_map(|(layer, expression)| {
-        let reason = reason(&makers, expression, longest)?;
+        let reason = dark_reason(&sources, expression, longest)?;
         Some(DarkLayer { layer: layer.name.clone(), reason })
     });
     dark.collect()
 }
 
-fn reason(makers: &Makers<'_>, expression: &Expression, longest: Option<usize>) -> Option<String> {
+fn dark_reason(sources: &EventSources<'_>, expression: &Expression, longest: Option<usize>) -> Option<String> {
     let events = expression.events();
-    let vocabulary = Vocabulary::of(events.iter().flat_map(|event| event.labels()))?;
-    let made = makers.symbols(&vocabulary);
-    Some(match darkness(expression, &vocabulary, &made, longest)? {
-        Darkness::NoCamera => "a path begins at the camera; begin the expression with `C`".into(),
-        Darkness::NoSource => {
+    let vocabulary = Vocabulary::from_labels(events.iter().flat_map(|event| event.labels()))?;
+    let made = sources.events(&vocabulary);
+    Some(match unlit_reason(expression, &vocabulary, &made, longest)? {
+        UnlitReason::NoCamera => "a path begins at the camera; begin the expression with `C`".into(),
+        UnlitReason::NoSource => {
             "a path ends at its only light source; end the expression with `L`, `[LOB]` or `.*`".into()
         }
-        Darkness::TooLong(segments) => format!(
+        UnlitReason::TooLong(segments) => format!(
             "its shortest path has {segments} segments, and --max-depth allows {}; raise --max-depth",
             longest.unwrap_or_default()
         ),
-        Darkness::Missing(missing) => {
-            let reasons: Vec<String> = missing.iter().map(|event| lack(event, &vocabulary, &made)).collect();
+        UnlitReason::Missing(missing) => {
+            let reasons: Vec<String> =
+                missing.iter().map(|event| describe_missing(event, &vocabulary, &made)).collect();
             reasons.join("; ")
         }
     })
 }
 
 /// Describes that nothing makes an event, and suggests alternatives.
-fn lack(event: &Event, vocabulary: &Vocabulary, made: &BTreeSet<(Kind, LabelSet)>) -> String {
-    use Kind::{
+fn describe_missing(event: &EventPattern, vocabulary: &Vocabulary, made: &BTreeSet<(EventKind, LabelSet)>) -> String {
+    use EventKind::{
         Background, Light, Object, ReflectedDiffuse, ReflectedGlossy, ReflectedSpecular, TransmittedDiffuse,
         TransmittedGlossy, TransmittedSpecular, Volume,
     };
-    let is_labelled = event.labels().next().is_some();
+    let is_labeled = event.labels().next().is_some();
     // Kinds of events made by the named things, or by anything if the event has no names.
-    let any = event.of_any_kind();
-    let of_named = |(_, set): &&(Kind, LabelSet)| !is_labelled || any.fits(Light, |label| vocabulary.has(*set, label));
-    let there: BTreeSet<Kind> = made.iter().filter(of_named).map(|(kind, _)| *kind).collect();
-    let kinds: BTreeSet<Kind> = event.kinds().filter(|kind| *kind != Kind::Camera).collect();
+    let any = event.with_any_kind();
+    let of_named =
+        |(_, set): &&(EventKind, LabelSet)| !is_labeled || any.matches(Light, |label| vocabulary.contains(*set, label));
+    let there: BTreeSet<EventKind> = made.iter().filter(of_named).map(|(kind, _)| *kind).collect();
+    let kinds: BTreeSet<EventKind> = event.kinds().filter(|kind| *kind != EventKind::Camera).collect();
     let has = |kind| there.contains(&kind);
     let wants = |kind| kinds.contains(&kind);
     let maker = match kinds.iter().all(|kind| kind.is_source()) {
-        _ if is_labelled => "nothing",
+        _ if is_labeled => "nothing",
         true if kinds.len() == 1 && wants(Background) => "no scene",
         true if kinds.len() == 1 && wants(Object) => "no medium of the scene",
         true => "nothing in the scene",
         false if kinds.len() == 1 && wants(Volume) => "no medium of the scene",
         false => "no surface of the scene",
     };
-    let mut text = format!("{maker} makes the event `{}`", spelled(kinds.iter().copied()));
-    text += &event.place();
+    let mut text = format!("{maker} makes the event `{}`", format_kinds(kinds.iter().copied()));
+    text += &event.label_phrase();
     let meaning = match () {
         () if wants(Volume) && kinds.len() == 1 => " (scattering in a medium)",
         () if wants(Object) && kinds.len() == 1 => " (a medium that glows)",
@@ -110,19 +114,19 @@ fn lack(event: &Event, vocabulary: &Vocabulary, made: &BTreeSet<(Kind, LabelSet)
         text += "; lamps are `L`: write `L`, or `[LOB]` for all sources";
     } else if is_source && has(Object) && !wants(Object) {
         text += "; media that glow are `O`: write `O`, or `[LOB]` for all sources";
-    } else if is_labelled && !there.is_empty() {
-        text += &format!("; the events there are `{}`", spelled(there));
+    } else if is_labeled && !there.is_empty() {
+        text += &format!("; the events there are `{}`", format_kinds(there));
     }
     text
 }
 
 /// Sources of events in a scene.
-struct Makers<'a> {
+struct EventSources<'a> {
     scene: &'a Scene,
     /// Objects and materials of surfaces that are shown at some time.
     surfaces: BTreeSet<(Option<ObjectId>, usize)>,
     /// Kinds of scattering by material, and whether it emits.
-    scattering: Vec<Vec<Kind>>,
+    scattering: Vec<Vec<EventKind>>,
     emits: Vec<bool>,
     /// Media that are placed.
     media: BTreeSet<MediumId>,
@@ -130,8 +134,8 @@ struct Makers<'a> {
     luminaires: BTreeSet<(Option<ObjectId>, usize)>,
 }
 
-impl<'a> Makers<'a> {
-    fn of(scene: &'a Scene) -> Self {
+impl<'a> EventSources<'a> {
+    fn new(scene: &'a Scene) -> Self {
         let (hidden, blinking) = (hidden_objects(&scene.objects), scene.blinking_objects());
         let at = |all: &[bool], object: ObjectId| all.get(object.index()).copied().unwrap_or(false);
         let is_shown =
@@ -146,8 +150,8 @@ impl<'a> Makers<'a> {
         let inside = surfaces.iter().filter_map(|(_, material)| scene.materials.get(*material)?.inside);
         Self {
             scene,
-            scattering: scene.materials.iter().map(|material| kinds_of(scene, material)).collect(),
-            emits: scene.materials.iter().map(|it| largest(scene, it, "ed", it.ed.amount) > 0.0).collect(),
+            scattering: scene.materials.iter().map(|material| scattering_kinds(scene, material)).collect(),
+            emits: scene.materials.iter().map(|it| largest_value(scene, it, "ed", it.ed.amount) > 0.0).collect(),
             media: scene.regions.iter().map(|region| region.medium).chain(inside).collect(),
             luminaires: luminaires.collect(),
             surfaces,
@@ -155,19 +159,19 @@ impl<'a> Makers<'a> {
     }
 
     /// Returns all events, with the labels of their makers.
-    fn symbols(&self, vocabulary: &Vocabulary) -> BTreeSet<(Kind, LabelSet)> {
+    fn events(&self, vocabulary: &Vocabulary) -> BTreeSet<(EventKind, LabelSet)> {
         let scene = self.scene;
         let object =
             |object: Option<ObjectId>| object.and_then(|it| scene.objects.get(it.index())).map_or("", |it| &it.name);
         let lamp = |of: Option<ObjectId>, kind: &str| {
             let of = object(of);
-            (Kind::Light, vocabulary.set(&[of, kind, &format!("{of}/{kind}")]))
+            (EventKind::Light, vocabulary.label_set(&[of, kind, &format!("{of}/{kind}")]))
         };
         let mut all = BTreeSet::new();
         for &(of, number) in &self.surfaces {
             let Some(material) = scene.materials.get(number) else { continue };
             // As in the recorder: the labels of the object and of the material.
-            let labels = vocabulary.set(&[object(of)]).union(vocabulary.set(&[&material.name]));
+            let labels = vocabulary.label_set(&[object(of)]).union(vocabulary.label_set(&[&material.name]));
             all.extend(self.scattering[number].iter().map(|kind| (*kind, labels)));
             if self.emits[number] {
                 all.insert(lamp(of, &material.name));
@@ -178,29 +182,29 @@ impl<'a> Makers<'a> {
         }
         for id in &self.media {
             let Some(medium) = scene.media.get(id.index()) else { continue };
-            let labels = vocabulary.set(&[&medium.name]);
+            let labels = vocabulary.label_set(&[&medium.name]);
             let entity = format!("medium.{}", medium.name);
-            let most = |field: &str, now: f64| scene.largest(&entity, field, now);
-            all.extend((most("sigma_s", medium.sigma_s) > 0.0).then_some((Kind::Volume, labels)));
-            all.extend((most("glow", medium.glow) > 0.0).then_some((Kind::Object, labels)));
+            let most = |field: &str, now: f64| scene.max_over_time(&entity, field, now);
+            all.extend((most("sigma_s", medium.sigma_s) > 0.0).then_some((EventKind::Volume, labels)));
+            all.extend((most("glow", medium.glow) > 0.0).then_some((EventKind::Object, labels)));
         }
         all
     }
 }
 
-fn largest(scene: &Scene, material: &Material, field: &str, now: f64) -> f64 {
-    scene.largest(&format!("material.{}", material.name), field, now)
+fn largest_value(scene: &Scene, material: &Material, field: &str, now: f64) -> f64 {
+    scene.max_over_time(&format!("material.{}", material.name), field, now)
 }
 
 /// Returns the kinds of scattering that a material may have at some time.
-fn kinds_of(scene: &Scene, material: &Material) -> Vec<Kind> {
-    use Kind::{
+fn scattering_kinds(scene: &Scene, material: &Material) -> Vec<EventKind> {
+    use EventKind::{
         ReflectedDiffuse as RD, ReflectedGlossy as RG, ReflectedSpecular as RS, TransmittedDiffuse as TD,
         TransmittedGlossy as TG, TransmittedSpecular as TS,
     };
     let of = format!("material.{}.", material.name);
     let varies = |field: &str| scene.varies.iter().any(|vary| vary.selector.strip_prefix(&of) == Some(field));
-    let present = |field: &str, now: f64| largest(scene, material, field, now) > 0.0;
+    let present = |field: &str, now: f64| largest_value(scene, material, field, now) > 0.0;
     let (rd, td) = (present("rd", material.rd.amount), present("td", material.td.amount));
     let (rs, ts) = (present("rs", material.rs.amount), present("ts", material.ts.amount));
     // Whether the surface is rough at some time, and whether it is smooth at some time.
@@ -217,7 +221,7 @@ fn kinds_of(scene: &Scene, material: &Material) -> Vec<Kind> {
     let may_be_solid = (is_solid || may_change && material.ior.is_some()) && ts;
     let may_be_sheet =
         !is_solid || may_change || material.ior.is_some_and(|ior| ior.im > 0.0 || ior.re as f32 == 1.0) || !ts;
-    let told = [
+    let possible = [
         (RD, rd),
         (TD, td),
         (RG, may_be_sheet && rs && rs_rough || may_be_solid && ts_rough),
@@ -225,5 +229,5 @@ fn kinds_of(scene: &Scene, material: &Material) -> Vec<Kind> {
         (TG, ts && ts_rough),
         (TS, may_be_solid && ts_smooth),
     ];
-    told.into_iter().filter_map(|(kind, may_be)| may_be.then_some(kind)).collect()
+    possible.into_iter().filter_map(|(kind, may_be)| may_be.then_some(kind)).collect()
 }

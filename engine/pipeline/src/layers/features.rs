@@ -5,18 +5,18 @@
 //! cost.
 
 use super::recorder::LayerRecorder;
-use super::{LayerPlan, recorded};
-use crate::render::{RenderError, RenderedTile, spec};
+use super::{LayerPlan, render_recorded};
+use crate::render::{RenderError, RenderedTile, frame_spec};
 use crate::settings::Settings;
 use crate::statistics::StatisticsPlan;
 use femc_film::features::RANKS;
-use femc_film::{BesideTile, FeatureLayout, FeatureSums, FeatureTile, Rect};
+use femc_film::{AovTile, FeatureLayout, FeatureSums, FeatureTile, Rect};
 use femc_geometry::Ray;
 use femc_layers::{Feature, cryptomatte};
 use femc_math::{Rgb, SampleStream};
 use femc_montecarlo::first_surface;
-use femc_montecarlo::record::{Both, Contribution, Hears, Leaving, Recorder, Stop, Vertex};
-use femc_paths::Statistics;
+use femc_montecarlo::record::{Continuation, Contribution, RecordLevel, Recorder, RecorderPair, Termination, Vertex};
+use femc_paths::LightStatistics;
 use femc_prepared::camera::View;
 use femc_prepared::{NextFrame, PrepareError, Prepared};
 use femc_scene::Scene;
@@ -40,20 +40,21 @@ pub struct FeaturePlan {
 impl FeaturePlan {
     /// Returns the features in the settings. `None`: there are none.
     /// - errors: the next frame, which motion needs, cannot be prepared.
-    pub fn of(prepared: &Prepared, settings: &Settings) -> Result<Option<Self>, PrepareError> {
+    pub fn from_settings(prepared: &Prepared, settings: &Settings) -> Result<Option<Self>, PrepareError> {
         let features: Vec<Feature> = settings.features.iter().copied().collect();
         if features.is_empty() {
             return Ok(None);
         }
         let has_motion = features.contains(&Feature::Motion);
-        let next = if has_motion { NextFrame::of(prepared, &spec(settings, prepared.frame))? } else { None };
+        let next =
+            if has_motion { NextFrame::from_frame(prepared, &frame_spec(settings, prepared.frame))? } else { None };
         let ids = |feature, names: &mut dyn Iterator<Item = &str>| -> Vec<u32> {
-            if features.contains(&feature) { names.map(id_of).collect() } else { Vec::new() }
+            if features.contains(&feature) { names.map(cryptomatte_id).collect() } else { Vec::new() }
         };
         let objects = ids(Feature::Object, &mut prepared.scene.objects.iter().map(|object| object.name.as_str()));
         let materials = 0..prepared.materials.len() as u32;
         let materials = ids(Feature::Material, &mut materials.map(|material| prepared.material_name(material)));
-        Ok(Some(Self { features, seed: settings.seed, next, objects, materials, unnamed: id_of("") }))
+        Ok(Some(Self { features, seed: settings.seed, next, objects, materials, unnamed: cryptomatte_id("") }))
     }
 
     /// Returns the layout of a pixel.
@@ -63,7 +64,7 @@ impl FeaturePlan {
 }
 
 /// Returns the id of a name, or of the empty name.
-fn id_of(name: &str) -> u32 {
+fn cryptomatte_id(name: &str) -> u32 {
     cryptomatte::id(if name.is_empty() { cryptomatte::UNNAMED } else { name })
 }
 
@@ -71,7 +72,7 @@ fn id_of(name: &str) -> u32 {
 pub fn feature_layout<'a>(features: impl IntoIterator<Item = &'a Feature>) -> FeatureLayout {
     features.into_iter().fold(FeatureLayout::default(), |all, feature| FeatureLayout {
         values: all.values + feature.channels().len() as u32,
-        ids: all.ids + u32::from(feature.matte().is_some()),
+        ids: all.ids + u32::from(feature.cryptomatte_name().is_some()),
     })
 }
 
@@ -81,8 +82,8 @@ pub fn feature_mattes<'a>(
     scene: &Scene,
 ) -> Vec<(&'static str, Vec<(String, u32)>)> {
     let with_ids = |names: &mut dyn Iterator<Item = &String>| {
-        let named = names.filter(|name| !name.is_empty()).map(|name| (name.clone(), id_of(name)));
-        named.chain([(cryptomatte::UNNAMED.to_owned(), id_of(""))]).collect()
+        let named = names.filter(|name| !name.is_empty()).map(|name| (name.clone(), cryptomatte_id(name)));
+        named.chain([(cryptomatte::UNNAMED.to_owned(), cryptomatte_id(""))]).collect()
     };
     let of = |feature: &Feature| {
         let names = match feature {
@@ -90,7 +91,7 @@ pub fn feature_mattes<'a>(
             Feature::Material => with_ids(&mut scene.materials.iter().map(|material| &material.name)),
             _ => Vec::new(),
         };
-        feature.matte().map(|matte| (matte, names))
+        feature.cryptomatte_name().map(|matte| (matte, names))
     };
     features.into_iter().filter_map(of).collect()
 }
@@ -108,7 +109,7 @@ pub fn feature_channels<'a>(features: impl IntoIterator<Item = &'a Feature> + Cl
         parts.map(move |(number, part)| format!("{matte}{number:02}.{part}"))
     };
     let values = features.clone().into_iter().flat_map(names);
-    let mattes = features.into_iter().filter_map(|feature| feature.matte()).flat_map(ranks);
+    let mattes = features.into_iter().filter_map(|feature| feature.cryptomatte_name()).flat_map(ranks);
     values.chain(["coverage.A".to_owned()]).chain(mattes).collect()
 }
 
@@ -122,43 +123,43 @@ struct FeatureRecorder<'a> {
     key: [u32; 2],
     values: Vec<f64>,
     ids: Vec<u32>,
-    has_met: bool,
+    has_hit: bool,
 }
 
 impl<'a> FeatureRecorder<'a> {
     fn new(plan: &'a FeaturePlan, prepared: &'a Prepared) -> Self {
         let sums = FeatureSums::new(plan.layout());
         let (values, ids) = (Vec::new(), Vec::new());
-        Self { plan, prepared, sums, latest: None, key: [0; 2], values, ids, has_met: false }
+        Self { plan, prepared, sums, latest: None, key: [0; 2], values, ids, has_hit: false }
     }
 }
 
 impl Recorder for FeatureRecorder<'_> {
-    const HIDDEN: bool = false;
-    const DARK: bool = false;
-    const CAMERA: bool = true;
+    const WANTS_OCCLUDERS: bool = false;
+    const WANTS_ZERO_LIGHT: bool = false;
+    const WANTS_CAMERA_RAYS: bool = true;
 
-    fn begin(&mut self, pixel: u32, sample: u32) -> Hears {
+    fn begin_sample(&mut self, pixel: u32, sample: u32) -> RecordLevel {
         if self.latest != Some(pixel) {
             self.latest = Some(pixel);
             self.sums.begin_pixel();
         }
         self.key = [pixel, sample];
-        Hears::End
+        RecordLevel::End
     }
 
-    fn camera(&mut self, view: &View, lens: [f32; 2], ray: &Ray) {
+    fn camera_ray(&mut self, view: &View, lens: [f32; 2], ray: &Ray) {
         let prepared = self.prepared;
         let stream = SampleStream::new(self.plan.seed, prepared.frame, self.key[0], self.key[1]);
         let first = first_surface(prepared, ray, stream);
-        self.has_met = first.is_some();
+        self.has_hit = first.is_some();
         let Some(first) = first else { return };
         self.values.clear();
         self.ids.clear();
         for feature in &self.plan.features {
             match feature {
                 Feature::Normal => self.values.extend(first.normal.as_dvec3().to_array()),
-                Feature::Position => self.values.extend(prepared.in_world(first.point.position)),
+                Feature::Position => self.values.extend(prepared.to_world(first.point.position)),
                 Feature::Depth => self.values.push(prepared.camera.depth(first.point.position, ray.time).into()),
                 Feature::Albedo => self.values.extend(first.albedo.to_array().map(f64::from)),
                 Feature::Motion => {
@@ -182,25 +183,25 @@ impl Recorder for FeatureRecorder<'_> {
 
     fn vertex(&mut self, _: impl FnOnce() -> Vertex) {}
 
-    fn leave(&mut self, _: Leaving) {}
+    fn leave(&mut self, _: Continuation) {}
 
-    fn hidden(&mut self, _: impl FnOnce() -> Ray) {}
+    fn occluded(&mut self, _: impl FnOnce() -> Ray) {}
 
-    fn light(&mut self, _: impl FnOnce() -> Contribution) {}
+    fn contribution(&mut self, _: impl FnOnce() -> Contribution) {}
 
-    fn stop(&mut self, _: u32, _: Stop, _: Rgb) {}
+    fn terminate(&mut self, _: u32, _: Termination, _: Rgb) {}
 
-    fn end(&mut self, color: Option<Rgb>) {
+    fn end_sample(&mut self, color: Option<Rgb>) {
         // Samples that the film rejects do not count here either.
         if color.is_some() {
-            self.sums.add(self.has_met.then_some((&self.values, &self.ids)));
+            self.sums.add(self.has_hit.then_some((&self.values, &self.ids)));
         }
     }
 }
 
 /// Renders samples of a tile as [`render_tile`](crate::render_tile) does, to the bit, together with layers of the light, features
 /// or both, and with light statistics.
-pub fn render_beside(
+pub fn render_with_aovs(
     prepared: &Prepared,
     settings: &Settings,
     (light, features): (Option<&LayerPlan>, Option<&FeaturePlan>),
@@ -209,36 +210,36 @@ pub fn render_beside(
     samples: Range<u32>,
     cancel: &AtomicBool,
     progress: &AtomicU64,
-) -> Result<(RenderedTile, BesideTile, Option<Statistics>), RenderError> {
+) -> Result<(RenderedTile, AovTile, Option<LightStatistics>), RenderError> {
     let of_light = |plan| move || LayerRecorder::new(plan, prepared);
     let of_features = |plan| move || FeatureRecorder::new(plan, prepared);
     let range = samples.clone();
     let tile = |plan: &FeaturePlan, recorders: Vec<FeatureRecorder<'_>>| {
-        let sums = FeatureSums::joined(plan.layout(), recorders.into_iter().map(|recorder| recorder.sums));
+        let sums = FeatureSums::concat(plan.layout(), recorders.into_iter().map(|recorder| recorder.sums));
         FeatureTile::new(rect, range.clone(), sums)
     };
     let task = (prepared, settings, statistics, rect, samples, cancel, progress);
     match (light, features) {
         (Some(light), Some(features)) => {
             let (of_light, of_features) = (of_light(light), of_features(features));
-            let (rendered, both, statistics) = recorded(task, || Both::new(of_light(), of_features()))?;
+            let (rendered, both, statistics) = render_recorded(task, || RecorderPair::new(of_light(), of_features()))?;
             let (first, second) = both.into_iter().map(|both| (both.first, both.second)).unzip();
             let (light, features) = (light.tile(rect, range.clone(), first)?, tile(features, second)?);
-            Ok((rendered, BesideTile { light: Some(light), features: Some(features) }, statistics))
+            Ok((rendered, AovTile { light: Some(light), features: Some(features) }, statistics))
         }
         (Some(light), None) => {
-            let (rendered, recorders, statistics) = recorded(task, of_light(light))?;
+            let (rendered, recorders, statistics) = render_recorded(task, of_light(light))?;
             let light = light.tile(rect, range.clone(), recorders)?;
-            Ok((rendered, BesideTile { light: Some(light), features: None }, statistics))
+            Ok((rendered, AovTile { light: Some(light), features: None }, statistics))
         }
         (None, Some(features)) => {
-            let (rendered, recorders, statistics) = recorded(task, of_features(features))?;
+            let (rendered, recorders, statistics) = render_recorded(task, of_features(features))?;
             let features = tile(features, recorders)?;
-            Ok((rendered, BesideTile { light: None, features: Some(features) }, statistics))
+            Ok((rendered, AovTile { light: None, features: Some(features) }, statistics))
         }
         (None, None) => {
-            let (rendered, _, statistics) = recorded(task, || ())?;
-            Ok((rendered, BesideTile { light: None, features: None }, statistics))
+            let (rendered, _, statistics) = render_recorded(task, || ())?;
+            Ok((rendered, AovTile { light: None, features: None }, statistics))
         }
     }
 }

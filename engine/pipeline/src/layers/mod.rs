@@ -12,24 +12,24 @@
 
 mod dark;
 mod features;
-mod merged;
+mod id_collisions;
 mod recorder;
 
 pub use dark::{DarkLayer, dark_layers};
-pub use features::{FeaturePlan, feature_channels, feature_layout, feature_mattes, render_beside};
-pub use merged::merged_names;
+pub use features::{FeaturePlan, feature_channels, feature_layout, feature_mattes, render_with_aovs};
+pub use id_collisions::cryptomatte_collisions;
 
 use crate::render::{RenderError, RenderedTile, render_rows};
 use crate::settings::Settings;
-use crate::statistics::{StatisticsPlan, render_with_statistics_and};
+use crate::statistics::{StatisticsPlan, render_with_statistics_and_recorder};
 use femc_film::tile::HALVES;
-use femc_film::{FilmError, LayerTile, LightSums, Rect, TakenLight};
-use femc_layers::{Automaton, LabelSet, Labels, Layer, LayerError, Vocabulary, parse_all};
+use femc_film::{FilmError, LayerSetLight, LayerTile, LightSums, Rect};
+use femc_layers::{Automaton, LabelOffset, LabelSet, Layer, LayerError, Vocabulary, parse_layers};
 use femc_montecarlo::Recorder;
-use femc_paths::Statistics;
+use femc_paths::LightStatistics;
 use femc_prepared::Prepared;
 use femc_scene::{LampKind, ObjectId, Scene};
-use recorder::{LayerRecorder, Pixels};
+use recorder::{FinishedPixels, LayerRecorder};
 use std::collections::BTreeSet;
 use std::ops::Range;
 use std::sync::atomic::{AtomicBool, AtomicU64};
@@ -41,30 +41,30 @@ pub struct LayerPlan {
     /// Number of layers.
     count: usize,
     /// Labels in the automaton for things without labels.
-    plain: Labels,
+    plain: LabelOffset,
     /// Row in `surfaces` by object, and index in the row by material. This and the fields below are empty if no layer uses names.
     objects: Vec<u32>,
     materials: Vec<u32>,
-    surfaces: Vec<Labels>,
-    media: Vec<Labels>,
-    lamps: Vec<Labels>,
+    surfaces: Vec<LabelOffset>,
+    media: Vec<LabelOffset>,
+    lamps: Vec<LabelOffset>,
     /// Whether no surface and no medium has labels.
-    are_alike: bool,
+    is_unlabeled: bool,
 }
 
 impl LayerPlan {
     /// Compiles the layers in the settings.
     /// - errors: an expression is invalid, or there are too many states.
-    pub fn of(prepared: &Prepared, settings: &Settings) -> Result<Self, LayerError> {
+    pub fn new(prepared: &Prepared, settings: &Settings) -> Result<Self, LayerError> {
         let (layers, scene) = (&settings.layers, &prepared.scene);
         let vocabulary = Automaton::vocabulary(layers)?;
-        let is_labelled = !vocabulary.labels().is_empty();
-        let all = |names: &mut dyn Iterator<Item = LabelSet>| if is_labelled { names.collect() } else { Vec::new() };
-        let objects = all(&mut scene.objects.iter().map(|object| vocabulary.set(&[&object.name])));
-        let material = |material: usize| vocabulary.set(&[prepared.material_name(material as u32)]);
+        let is_labeled = !vocabulary.labels().is_empty();
+        let all = |names: &mut dyn Iterator<Item = LabelSet>| if is_labeled { names.collect() } else { Vec::new() };
+        let objects = all(&mut scene.objects.iter().map(|object| vocabulary.label_set(&[&object.name])));
+        let material = |material: usize| vocabulary.label_set(&[prepared.material_name(material as u32)]);
         let materials = all(&mut (0..prepared.materials.len()).map(material));
-        let media = all(&mut scene.media.iter().map(|medium| vocabulary.set(&[&medium.name])));
-        let lamp = |light: usize| lamp_set(prepared, &vocabulary, light as u32);
+        let media = all(&mut scene.media.iter().map(|medium| vocabulary.label_set(&[&medium.name])));
+        let lamp = |light: usize| lamp_label_set(prepared, &vocabulary, light as u32);
         let lamps = all(&mut (0..prepared.lights.len()).map(lamp));
         // Ascending, so that the empty set is the first.
         let unique = |sets: &[LabelSet]| {
@@ -75,13 +75,14 @@ impl LayerPlan {
         let surfaces: Vec<LabelSet> =
             rows.iter().flat_map(|object| columns.iter().map(|material| object.union(*material))).collect();
         let automaton = Automaton::new(layers, &vocabulary, surfaces.iter().chain(&media).chain(&lamps).copied())?;
-        let plain = automaton.labels(LabelSet::default()).unwrap_or_default();
-        let known = |sets: Vec<LabelSet>| sets.into_iter().map(|set| automaton.labels(set).unwrap_or(plain)).collect();
+        let plain = automaton.label_offset(LabelSet::default()).unwrap_or_default();
+        let known =
+            |sets: Vec<LabelSet>| sets.into_iter().map(|set| automaton.label_offset(set).unwrap_or(plain)).collect();
         let place = |all: &[LabelSet], set: &LabelSet| all.partition_point(|one| one < set);
         Ok(Self {
             count: layers.len(),
             plain,
-            are_alike: surfaces.iter().chain(&media).all(|set| *set == LabelSet::default()),
+            is_unlabeled: surfaces.iter().chain(&media).all(|set| *set == LabelSet::default()),
             objects: objects.iter().map(|set| (place(&rows, set) * columns.len()) as u32).collect(),
             materials: materials.iter().map(|set| place(&columns, set) as u32).collect(),
             surfaces: known(surfaces),
@@ -104,36 +105,36 @@ impl LayerPlan {
     /// Creates the layers of a tile from the recorders, in order.
     fn tile(&self, rect: Rect, samples: Range<u32>, recorders: Vec<LayerRecorder<'_>>) -> Result<LayerTile, FilmError> {
         let runs = recorders.into_iter().map(LayerRecorder::finish).collect();
-        let (counts, light) = united(runs, &self.automaton);
+        let (counts, light) = concat_pixels(runs, &self.automaton);
         LayerTile::new(rect, samples, self.count as u32, counts, light)
     }
 
     #[inline]
-    fn surface(&self, object: Option<ObjectId>, material: u32) -> Labels {
+    fn surface(&self, object: Option<ObjectId>, material: u32) -> LabelOffset {
         let row = object.and_then(|object| self.objects.get(object.index())).copied().unwrap_or_default();
         let column = self.materials.get(material as usize).copied().unwrap_or_default();
         self.surfaces.get((row + column) as usize).copied().unwrap_or(self.plain)
     }
 
     #[inline]
-    fn medium(&self, medium: u16) -> Labels {
+    fn medium(&self, medium: u16) -> LabelOffset {
         self.media.get(usize::from(medium)).copied().unwrap_or(self.plain)
     }
 
     #[inline]
-    fn lamp(&self, light: Option<u32>) -> Labels {
+    fn lamp(&self, light: Option<u32>) -> LabelOffset {
         light.and_then(|light| self.lamps.get(light as usize)).copied().unwrap_or(self.plain)
     }
 }
 
-fn lamp_set(prepared: &Prepared, vocabulary: &Vocabulary, light: u32) -> LabelSet {
+fn lamp_label_set(prepared: &Prepared, vocabulary: &Vocabulary, light: u32) -> LabelSet {
     let lamp = prepared.lamp_name(light);
     let kind = match &lamp.kind {
         LampKind::Surface { material } => material,
         LampKind::Luminaire { path } => path,
         LampKind::Medium { medium } => medium,
     };
-    vocabulary.set(&[&lamp.object, kind, &format!("{}/{kind}", lamp.object)])
+    vocabulary.label_set(&[&lamp.object, kind, &format!("{}/{kind}", lamp.object)])
 }
 
 /// Returns the labels of a scene's lamps, each once: object and material, or photometric file, of an emitter, and the names of
@@ -147,7 +148,8 @@ pub fn lamp_labels(scene: &Scene) -> Vec<String> {
         faces.chain(group.quadrics.iter().map(|quadric| (quadric.object, quadric.material)))
     });
     let emitting = surfaces.filter_map(|(of, material)| {
-        let material = scene.materials.get(material.index()).filter(|material| material.ed.luminous() > 0.0)?;
+        let material =
+            scene.materials.get(material.index()).filter(|material| material.ed.photometric_amount() > 0.0)?;
         Some(format!("{}/{}", object(of), material.name))
     });
     let luminaires = scene.groups.iter().flat_map(|group| &group.luminaires).filter_map(|luminaire| {
@@ -159,8 +161,8 @@ pub fn lamp_labels(scene: &Scene) -> Vec<String> {
 }
 
 /// Checks that layers use only names that the scene has.
-pub(crate) fn unknown_label(scene: &Scene, layers: &[Layer]) -> Result<(), LayerError> {
-    let expressions = parse_all(layers)?;
+pub(crate) fn check_labels(scene: &Scene, layers: &[Layer]) -> Result<(), LayerError> {
+    let expressions = parse_layers(layers)?;
     let labels = || expressions.iter().flat_map(|it| it.events()).flat_map(|event| event.labels());
     if labels().next().is_none() {
         return Ok(());
@@ -185,7 +187,7 @@ pub(crate) fn unknown_label(scene: &Scene, layers: &[Layer]) -> Result<(), Layer
     for (layer, expression) in layers.iter().zip(&expressions) {
         let unknown = expression.events().into_iter().flat_map(|event| event.labels()).find(|label| !is_known(label));
         if let Some(label) = unknown {
-            return Err(LayerError::Label { layer: layer.name.clone(), label: label.to_owned() });
+            return Err(LayerError::UnknownLabel { layer: layer.name.clone(), label: label.to_owned() });
         }
     }
     Ok(())
@@ -202,21 +204,21 @@ pub fn render_with_layers(
     samples: Range<u32>,
     cancel: &AtomicBool,
     progress: &AtomicU64,
-) -> Result<(RenderedTile, LayerTile, Option<Statistics>), RenderError> {
+) -> Result<(RenderedTile, LayerTile, Option<LightStatistics>), RenderError> {
     let task = (prepared, settings, statistics, rect, samples.clone(), cancel, progress);
-    let (rendered, recorders, statistics) = recorded(task, || LayerRecorder::new(plan, prepared))?;
+    let (rendered, recorders, statistics) = render_recorded(task, || LayerRecorder::new(plan, prepared))?;
     Ok((rendered, plan.tile(rect, samples, recorders)?, statistics))
 }
 
 /// Arguments of rendering: frame, settings, statistics, pixels, samples, cancellation flag, and counter of finished samples.
-type Task<'a> =
+type RenderArguments<'a> =
     (&'a Prepared, &'a Settings, Option<&'a StatisticsPlan>, Rect, Range<u32>, &'a AtomicBool, &'a AtomicU64);
 
 /// Renders samples of a tile with recorders of some kind, and returns the recorders in order, too.
-fn recorded<R: Recorder + Send>(
-    (prepared, settings, statistics, rect, samples, cancel, progress): Task<'_>,
+fn render_recorded<R: Recorder + Send>(
+    (prepared, settings, statistics, rect, samples, cancel, progress): RenderArguments<'_>,
     recorder: impl Fn() -> R + Sync,
-) -> Result<(RenderedTile, Vec<R>, Option<Statistics>), RenderError> {
+) -> Result<(RenderedTile, Vec<R>, Option<LightStatistics>), RenderError> {
     match statistics {
         None => {
             let (rendered, all) = render_rows(prepared, settings, rect, samples, cancel, progress, recorder)?;
@@ -224,15 +226,15 @@ fn recorded<R: Recorder + Send>(
         }
         Some(of) => {
             let (rendered, statistics, all) =
-                render_with_statistics_and(prepared, settings, of, rect, samples, cancel, progress, recorder)?;
+                render_with_statistics_and_recorder(prepared, settings, of, rect, samples, cancel, progress, recorder)?;
             Ok((rendered, all, Some(statistics)))
         }
     }
 }
 
 /// Concatenates the pixels of several runs of rows.
-fn united(runs: Vec<Pixels>, automaton: &Automaton) -> (Vec<[u32; HALVES]>, Vec<TakenLight>) {
-    let (mut counts, mut light) = (Vec::new(), vec![Vec::new(); automaton.layers().len()]);
+fn concat_pixels(runs: Vec<FinishedPixels>, automaton: &Automaton) -> (Vec<[u32; HALVES]>, Vec<LayerSetLight>) {
+    let (mut counts, mut light) = (Vec::new(), vec![Vec::new(); automaton.layer_sets().len()]);
     for run in runs {
         for (all, own) in light.iter_mut().zip(run.light).filter(|(_, own)| !own.is_empty()) {
             all.resize(counts.len(), LightSums::default());
@@ -241,10 +243,10 @@ fn united(runs: Vec<Pixels>, automaton: &Automaton) -> (Vec<[u32; HALVES]>, Vec<
         counts.extend(run.count);
     }
     let pixels = counts.len();
-    let lit = light.into_iter().zip(automaton.layers()).filter(|(sums, _)| !sums.is_empty());
+    let lit = light.into_iter().zip(automaton.layer_sets()).filter(|(sums, _)| !sums.is_empty());
     let light = lit.map(|(mut sums, &layers)| {
         sums.resize(pixels, LightSums::default());
-        TakenLight { layers, sums }
+        LayerSetLight { layers, sums }
     });
     (counts, light.collect())
 }

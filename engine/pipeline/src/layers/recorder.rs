@@ -3,18 +3,19 @@
 //! While a path is traced, the recorder only notes its events and its light. When the film has accepted the sample, the automaton
 //! processes the notes. So the path loop makes no calls, and samples that the film rejects count in no layer.
 //!
-//! Light is summed by the set of layers that accept it together ([`Takers`]). The expressions of a frame have few such sets, so a
-//! sample in many layers costs hardly more than one in few.
+//! Light is summed by the set of layers that accept it together ([`LayerSetIndex`]). The expressions of a frame have few such sets,
+//! so a sample in many layers costs hardly more than one in few.
 
 use super::LayerPlan;
 use femc_film::tile::{HALVES, half_of};
 use femc_film::{LightBuffer, LightSums};
 use femc_geometry::Ray;
-use femc_layers::{DEAD, Kind, Labels, NO_LAYERS, State, Symbol, Takers};
+use femc_layers::{DEAD_STATE, EventKind, LabelOffset, LayerSetIndex, NO_LAYERS, State, Symbol};
 use femc_math::Rgb;
 use femc_math::sampler::replicate_of;
 use femc_montecarlo::record::{
-    Contribution, Found, Hears, Leaving, Lobes, Place, Recorder, Scatterer, Split, Stop, Transmitted, Vertex,
+    Continuation, Contribution, LightTechnique, LobeShares, LobeSplit, RecordLevel, Recorder, Scatterer, Termination,
+    Transmitted, Vertex, VertexLocation,
 };
 use femc_prepared::Prepared;
 
@@ -22,46 +23,46 @@ use femc_prepared::Prepared;
 pub(super) struct LayerRecorder<'a> {
     plan: &'a LayerPlan,
     prepared: &'a Prepared,
-    done: Pixels,
-    /// Current pixel: its light by [`Takers`] and half, and its samples.
+    done: FinishedPixels,
+    /// Current pixel: its light by [`LayerSetIndex`] and half, and its samples.
     latest: Option<u32>,
     pixel: PixelLight,
     count: [u32; HALVES],
     // State of the current sample:
     half: usize,
     /// Labels of the latest vertex, and its kind of scattering.
-    labels: Labels,
-    split: Split,
-    notes: Notes,
-    ways: Ways,
+    labels: LabelOffset,
+    split: LobeSplit,
+    notes: PathNotes,
+    states: PathStates,
 }
 
 /// Finished pixels, one after the other.
-pub(super) struct Pixels {
+pub(super) struct FinishedPixels {
     /// Number of valid samples.
     pub(super) count: Vec<[u32; HALVES]>,
-    /// Light by [`Takers`]. Missing entries at the end have no light.
+    /// Light by [`LayerSetIndex`]. Missing entries at the end have no light.
     pub(super) light: Vec<Vec<LightSums>>,
 }
 
-/// Light of the samples of one pixel by [`Takers`], and those that have light.
+/// Light of the samples of one pixel by [`LayerSetIndex`], and those that have light.
 struct PixelLight {
     light: Vec<LightBuffer>,
-    lit: Vec<Takers>,
+    lit: Vec<LayerSetIndex>,
     is_lit: Vec<bool>,
 }
 
 /// Notes of a path.
 #[derive(Default)]
-struct Notes {
+struct PathNotes {
     /// Events of the path. For a surface with both kinds of scattering, the event is the diffuse one.
     events: Vec<Symbol>,
-    splits: Vec<Fork>,
-    finds: Vec<Find>,
+    splits: Vec<NotedSplit>,
+    lights: Vec<NotedLight>,
 }
 
 /// A surface that scattered a path both diffusely and around a direction.
-struct Fork {
+struct NotedSplit {
     /// Number of the event.
     at: u32,
     glossy: Symbol,
@@ -70,7 +71,7 @@ struct Fork {
 }
 
 /// Light that a path has found.
-struct Find {
+struct NotedLight {
     color: Rgb,
     /// Number of events of the path up to then.
     at: u32,
@@ -81,30 +82,30 @@ struct Find {
 
 /// States of a path that was split, with the share of its light in each, by channel. Dead states are omitted.
 #[derive(Default)]
-struct Ways {
-    now: Vec<(State, Rgb)>,
-    before: Vec<(State, Rgb)>,
+struct PathStates {
+    current: Vec<(State, Rgb)>,
+    previous: Vec<(State, Rgb)>,
 }
 
 impl<'a> LayerRecorder<'a> {
     pub(super) fn new(plan: &'a LayerPlan, prepared: &'a Prepared) -> Self {
-        let sets = plan.automaton.layers().len();
+        let sets = plan.automaton.layer_sets().len();
         Self {
             plan,
             prepared,
-            done: Pixels { count: Vec::new(), light: vec![Vec::new(); sets] },
+            done: FinishedPixels { count: Vec::new(), light: vec![Vec::new(); sets] },
             latest: None,
             pixel: PixelLight { light: vec![LightBuffer::default(); sets], lit: Vec::new(), is_lit: vec![false; sets] },
             count: [0; HALVES],
             half: 0,
             labels: plan.plain,
-            split: Split { transmitted: Transmitted::No, lobes: Lobes::Glossy },
-            notes: Notes::default(),
-            ways: Ways::default(),
+            split: LobeSplit { transmitted: Transmitted::No, lobes: LobeShares::Glossy },
+            notes: PathNotes::default(),
+            states: PathStates::default(),
         }
     }
 
-    pub(super) fn finish(mut self) -> Pixels {
+    pub(super) fn finish(mut self) -> FinishedPixels {
         self.end_pixel();
         self.done
     }
@@ -133,27 +134,27 @@ impl<'a> LayerRecorder<'a> {
 
     /// Notes light that arrives at the path's latest surface from a lamp.
     #[inline(always)]
-    fn scattered(&mut self, color: Rgb, source: Symbol) {
+    fn note_scattered_light(&mut self, color: Rgb, source: Symbol) {
         let [diffuse, glossy] = lobes(self.labels, self.split.transmitted);
         match self.split.lobes {
-            Lobes::Diffuse => self.notes.find(color, diffuse, source),
-            Lobes::Glossy => self.notes.find(color, glossy, source),
-            Lobes::Both(share) => self.notes.find_both(color, share, [diffuse, glossy], source),
+            LobeShares::Diffuse => self.notes.note_light(color, diffuse, source),
+            LobeShares::Glossy => self.notes.note_light(color, glossy, source),
+            LobeShares::Both(share) => self.notes.note_light_of_both_lobes(color, share, [diffuse, glossy], source),
         }
     }
 
     /// Adds the light of a path with one state at a time.
-    fn add_all(&mut self) {
+    fn add_path(&mut self) {
         let (automaton, half) = (&self.plan.automaton, self.half);
         let (mut state, mut at) = (automaton.start(), 0);
         // Light for the same layers in succession.
         let (mut takers, mut light) = (NO_LAYERS, Rgb::ZERO);
-        for find in &self.notes.finds {
+        for find in &self.notes.lights {
             for event in self.notes.events.get(at..find.at as usize).unwrap_or_default() {
                 state = automaton.next(state, *event);
             }
             at = find.at as usize;
-            let here = automaton.takers(automaton.next(state, find.scattered), find.source);
+            let here = automaton.accepting_layers(automaton.next(state, find.scattered), find.source);
             if here != takers {
                 add(&mut self.pixel, takers, half, light);
                 (takers, light) = (here, Rgb::ZERO);
@@ -165,24 +166,24 @@ impl<'a> LayerRecorder<'a> {
 
     /// Adds the light of a path that was split.
     #[inline(never)]
-    fn add_all_of_ways(&mut self) {
+    fn add_split_path(&mut self) {
         let automaton = &self.plan.automaton;
         let mut splits = self.notes.splits.iter().peekable();
-        let mut finds = self.notes.finds.iter().peekable();
-        self.ways.begin(automaton.start());
+        let mut finds = self.notes.lights.iter().peekable();
+        self.states.begin(automaton.start());
         for at in 0..=self.notes.events.len() {
             while let Some(find) = finds.next_if(|find| find.at as usize == at) {
-                for &(state, share) in &self.ways.now {
-                    let takers = automaton.takers(automaton.next(state, find.scattered), find.source);
+                for &(state, share) in &self.states.current {
+                    let takers = automaton.accepting_layers(automaton.next(state, find.scattered), find.source);
                     add(&mut self.pixel, takers, self.half, find.color * share);
                 }
             }
             let Some(&event) = self.notes.events.get(at) else { break };
             match splits.next_if(|split| split.at as usize == at) {
-                None => self.ways.step(&[(event, Rgb::ONE)], |state, event| automaton.next(state, event)),
-                Some(Fork { glossy, share, .. }) => {
+                None => self.states.step(&[(event, Rgb::ONE)], |state, event| automaton.next(state, event)),
+                Some(NotedSplit { glossy, share, .. }) => {
                     let events = [(event, *share), (*glossy, Rgb::ONE - *share)];
-                    self.ways.step(&events, |state, event| automaton.next(state, event));
+                    self.states.step(&events, |state, event| automaton.next(state, event));
                 }
             }
         }
@@ -191,7 +192,7 @@ impl<'a> LayerRecorder<'a> {
 
 /// Adds light of a sample to the layers that accept it together.
 #[inline(always)]
-fn add(pixel: &mut PixelLight, takers: Takers, half: usize, light: Rgb) {
+fn add(pixel: &mut PixelLight, takers: LayerSetIndex, half: usize, light: Rgb) {
     if takers == NO_LAYERS {
         return;
     }
@@ -204,60 +205,60 @@ fn add(pixel: &mut PixelLight, takers: Takers, half: usize, light: Rgb) {
 
 /// Returns the events of a surface's lobes: diffuse, glossy.
 #[inline]
-fn lobes(labels: Labels, transmitted: Transmitted) -> [Symbol; 2] {
+fn lobes(labels: LabelOffset, transmitted: Transmitted) -> [Symbol; 2] {
     let kinds = match transmitted {
-        Transmitted::No => [Kind::ReflectedDiffuse, Kind::ReflectedGlossy],
-        Transmitted::Yes => [Kind::TransmittedDiffuse, Kind::TransmittedGlossy],
+        Transmitted::No => [EventKind::ReflectedDiffuse, EventKind::ReflectedGlossy],
+        Transmitted::Yes => [EventKind::TransmittedDiffuse, EventKind::TransmittedGlossy],
     };
-    kinds.map(|kind| labels.event(kind))
+    kinds.map(|kind| labels.symbol(kind))
 }
 
-impl Notes {
+impl PathNotes {
     #[inline]
     fn begin(&mut self) {
         self.events.clear();
         self.splits.clear();
-        self.finds.clear();
+        self.lights.clear();
     }
 
     #[inline(never)]
-    fn fork(&mut self, glossy: Symbol, share: Rgb) {
-        self.splits.push(Fork { at: self.events.len() as u32, glossy, share });
+    fn note_split(&mut self, glossy: Symbol, share: Rgb) {
+        self.splits.push(NotedSplit { at: self.events.len() as u32, glossy, share });
     }
 
     #[inline(never)]
-    fn find_both(&mut self, color: Rgb, share: Rgb, [diffuse, glossy]: [Symbol; 2], source: Symbol) {
-        self.find(color * share, diffuse, source);
-        self.find(color * (Rgb::ONE - share), glossy, source);
+    fn note_light_of_both_lobes(&mut self, color: Rgb, share: Rgb, [diffuse, glossy]: [Symbol; 2], source: Symbol) {
+        self.note_light(color * share, diffuse, source);
+        self.note_light(color * (Rgb::ONE - share), glossy, source);
     }
 
     #[inline]
-    fn find(&mut self, color: Rgb, scattered: Symbol, source: Symbol) {
-        self.finds.push(Find { color, at: self.events.len() as u32, scattered, source });
+    fn note_light(&mut self, color: Rgb, scattered: Symbol, source: Symbol) {
+        self.lights.push(NotedLight { color, at: self.events.len() as u32, scattered, source });
     }
 }
 
-impl Ways {
+impl PathStates {
     fn begin(&mut self, state: State) {
-        self.now.clear();
-        if state != DEAD {
-            self.now.push((state, Rgb::ONE));
+        self.current.clear();
+        if state != DEAD_STATE {
+            self.current.push((state, Rgb::ONE));
         }
     }
 
     /// Advances all states by these events, each with its share.
     fn step(&mut self, events: &[(Symbol, Rgb)], next: impl Fn(State, Symbol) -> State) {
-        std::mem::swap(&mut self.now, &mut self.before);
-        self.now.clear();
+        std::mem::swap(&mut self.current, &mut self.previous);
+        self.current.clear();
         for &(event, part) in events {
-            for &(state, share) in &self.before {
+            for &(state, share) in &self.previous {
                 let (state, share) = (next(state, event), share * part);
-                if state == DEAD {
+                if state == DEAD_STATE {
                     continue;
                 }
-                match self.now.iter_mut().find(|known| known.0 == state) {
+                match self.current.iter_mut().find(|known| known.0 == state) {
                     Some((_, all)) => *all += share,
-                    None => self.now.push((state, share)),
+                    None => self.current.push((state, share)),
                 }
             }
         }
@@ -265,50 +266,50 @@ impl Ways {
 }
 
 impl Recorder for LayerRecorder<'_> {
-    const HIDDEN: bool = false;
-    const DARK: bool = false;
+    const WANTS_OCCLUDERS: bool = false;
+    const WANTS_ZERO_LIGHT: bool = false;
 
     #[inline]
-    fn begin(&mut self, pixel: u32, sample: u32) -> Hears {
+    fn begin_sample(&mut self, pixel: u32, sample: u32) -> RecordLevel {
         if self.latest != Some(pixel) {
             self.begin_pixel(pixel);
         }
         self.half = half_of(replicate_of(sample));
         self.notes.begin();
-        Hears::All
+        RecordLevel::All
     }
 
     #[inline]
     fn vertex(&mut self, vertex: impl FnOnce() -> Vertex) {
-        if !self.plan.are_alike {
-            self.labels = match vertex().place {
-                Place::Surface { instance, primitive, material } => {
+        if !self.plan.is_unlabeled {
+            self.labels = match vertex().location {
+                VertexLocation::Surface { instance, primitive, material } => {
                     self.plan.surface(self.prepared.object_of(instance, primitive), material)
                 }
-                Place::Medium(medium) => self.plan.medium(medium),
+                VertexLocation::Medium(medium) => self.plan.medium(medium),
             };
         }
     }
 
     #[inline]
-    fn split(&mut self, split: impl FnOnce() -> Split) {
+    fn lobe_split(&mut self, split: impl FnOnce() -> LobeSplit) {
         self.split = split();
     }
 
     #[inline]
-    fn leave(&mut self, way: Leaving) {
+    fn leave(&mut self, way: Continuation) {
         let event = match way {
-            Leaving::Straight => return,
-            Leaving::Delta(Transmitted::No) => self.labels.event(Kind::ReflectedSpecular),
-            Leaving::Delta(Transmitted::Yes) => self.labels.event(Kind::TransmittedSpecular),
-            Leaving::Scattered { by: Scatterer::Phase, .. } => self.labels.event(Kind::Volume),
-            Leaving::Scattered { by: Scatterer::Diffuse | Scatterer::Glossy, .. } => {
+            Continuation::Straight => return,
+            Continuation::Delta(Transmitted::No) => self.labels.symbol(EventKind::ReflectedSpecular),
+            Continuation::Delta(Transmitted::Yes) => self.labels.symbol(EventKind::TransmittedSpecular),
+            Continuation::Scattered { scatterer: Scatterer::Phase, .. } => self.labels.symbol(EventKind::Volume),
+            Continuation::Scattered { scatterer: Scatterer::Diffuse | Scatterer::Glossy, .. } => {
                 let [diffuse, glossy] = lobes(self.labels, self.split.transmitted);
                 match self.split.lobes {
-                    Lobes::Diffuse => diffuse,
-                    Lobes::Glossy => glossy,
-                    Lobes::Both(share) => {
-                        self.notes.fork(glossy, share);
+                    LobeShares::Diffuse => diffuse,
+                    LobeShares::Glossy => glossy,
+                    LobeShares::Both(share) => {
+                        self.notes.note_split(glossy, share);
                         diffuse
                     }
                 }
@@ -317,32 +318,34 @@ impl Recorder for LayerRecorder<'_> {
         self.notes.events.push(event);
     }
 
-    fn hidden(&mut self, _: impl FnOnce() -> Ray) {}
+    fn occluded(&mut self, _: impl FnOnce() -> Ray) {}
 
     #[inline]
-    fn light(&mut self, contribution: impl FnOnce() -> Contribution) {
-        let Contribution { color, found, light, .. } = contribution();
+    fn contribution(&mut self, contribution: impl FnOnce() -> Contribution) {
+        let Contribution { color, technique: found, light, .. } = contribution();
         if color == Rgb::ZERO {
             return;
         }
-        let lamp = self.plan.lamp(light).event(Kind::Light);
+        let lamp = self.plan.lamp(light).symbol(EventKind::Light);
         match found {
             // The field ends paths only with the method `fem`, which has no layers.
-            Found::Sight | Found::Met | Found::Field => self.notes.find(color, Symbol::NONE, lamp),
-            Found::Surface => self.scattered(color, lamp),
-            Found::Airlight(medium) => {
-                self.notes.find(color, self.plan.medium(medium).event(Kind::Volume), lamp);
+            LightTechnique::CameraNextEvent | LightTechnique::EmitterHit | LightTechnique::Field => {
+                self.notes.note_light(color, Symbol::NONE, lamp);
             }
-            Found::Glow(medium) => {
-                self.notes.find(color, Symbol::NONE, self.plan.medium(medium).event(Kind::Object));
+            LightTechnique::NextEvent => self.note_scattered_light(color, lamp),
+            LightTechnique::Airlight(medium) => {
+                self.notes.note_light(color, self.plan.medium(medium).symbol(EventKind::Volume), lamp);
+            }
+            LightTechnique::Glow(medium) => {
+                self.notes.note_light(color, Symbol::NONE, self.plan.medium(medium).symbol(EventKind::Object));
             }
         }
     }
 
-    fn stop(&mut self, _: u32, _: Stop, _: Rgb) {}
+    fn terminate(&mut self, _: u32, _: Termination, _: Rgb) {}
 
     #[inline]
-    fn end(&mut self, color: Option<Rgb>) {
+    fn end_sample(&mut self, color: Option<Rgb>) {
         // Samples that the film rejects do not count in any layer either.
         if color.is_none() {
             return;
@@ -350,9 +353,9 @@ impl Recorder for LayerRecorder<'_> {
         let count = &mut self.count[self.half];
         *count = count.saturating_add(1);
         if self.notes.splits.is_empty() {
-            self.add_all();
+            self.add_path();
         } else {
-            self.add_all_of_ways();
+            self.add_split_path();
         }
     }
 }

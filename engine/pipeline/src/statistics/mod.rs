@@ -8,8 +8,8 @@
 //! of the time, and a lower limit of 5,000 records, which take a twentieth of a second. A task of a later round keeps a smaller
 //! share. The least share applies to the frame.
 
-mod heard;
 mod names;
+mod recorded;
 mod recorder;
 
 use crate::render::{RenderError, RenderedTile, render_rows};
@@ -17,24 +17,24 @@ use crate::replay::Replay;
 use crate::settings::Settings;
 use femc_film::Rect;
 use femc_montecarlo::Recorder;
-use femc_montecarlo::record::Both;
-use femc_paths::{Counters, Path, PortionKey, Scope, Statistics};
+use femc_montecarlo::record::RecorderPair;
+use femc_paths::{LightPath, LightStatistics, PortionKey, SampleCounters, Scope};
 use femc_prepared::Prepared;
-use heard::{Heard, Tops};
 use names::SceneNames;
+use recorded::{RecordedSamples, TopKeys};
 use recorder::PathRecorder;
 use std::ops::Range;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 
 /// Number of records that a frame keeps: 16 for each of the 5,000 of a representative set.
-const KEEP: u32 = 16 * 5000;
+const RECORDS_PER_FRAME: u32 = 16 * 5000;
 /// Number of records of each sketch for each half of a tile.
-const TOP: u32 = 16;
+const TOP_RECORDS: u32 = 16;
 /// Maximum share of records in all samples. Recording, packing and uniting a path takes as long as tracing five ordinary ones of a
 /// cheap scene.
-const MOST: f64 = 1.0 / 256.0;
+const MAX_RECORDED_SHARE: f64 = 1.0 / 256.0;
 /// Minimum number of records, equal to the size of one representative set.
-const LEAST: f64 = 5000.0;
+const MIN_RECORDS: f64 = 5000.0;
 
 /// Configuration of a frame's statistics.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -45,13 +45,25 @@ pub struct StatisticsPlan {
 
 impl StatisticsPlan {
     /// Creates the configuration for a frame.
-    /// - `edge`: width and height of its tiles, pixels.
-    pub fn of(prepared: &Prepared, settings: &Settings, edge: u32) -> Self {
+    /// - `tile_size`: width and height of its tiles, pixels.
+    pub fn new(prepared: &Prepared, settings: &Settings, edge: u32) -> Self {
         let bounds = prepared.world.bounds();
-        let (lower, upper) = rounded(prepared.in_world(bounds.min), prepared.in_world(bounds.max));
+        let (lower, upper) = snap_bounds(prepared.to_world(bounds.min), prepared.to_world(bounds.max));
         let (film, frame) = (prepared.camera.film, prepared.frame);
         let (seed, is_full) = (settings.seed, settings.full_statistics);
-        Self { scope: Scope { seed, frame, film, edge, lower, upper, keep: KEEP, top: TOP, is_full } }
+        Self {
+            scope: Scope {
+                seed,
+                frame,
+                film,
+                tile_size: edge,
+                lower,
+                upper,
+                max_records: RECORDS_PER_FRAME,
+                sketch_size: TOP_RECORDS,
+                has_full_histograms: is_full,
+            },
+        }
     }
 
     /// Returns the share of the samples whose paths a task records.
@@ -60,13 +72,13 @@ impl StatisticsPlan {
         let end = rounds.into_iter().find(|end| *end >= samples.end).unwrap_or(samples.end);
         let [width, height] = self.scope.film.map(f64::from);
         let all = width * height * f64::from(end.max(1));
-        (f64::from(self.scope.keep) / all).min(MOST).max(LEAST / all)
+        (f64::from(self.scope.max_records) / all).min(MAX_RECORDED_SHARE).max(MIN_RECORDS / all)
     }
 }
 
 /// Enlarges a box to multiples of a power of two that is a sixteenth to an eighth of its size, so that worlds with small
 /// differences get the same box.
-fn rounded(lower: [f64; 3], upper: [f64; 3]) -> ([f64; 3], [f64; 3]) {
+fn snap_bounds(lower: [f64; 3], upper: [f64; 3]) -> ([f64; 3], [f64; 3]) {
     let size = (0..3).map(|axis| upper[axis] - lower[axis]).fold(0.0, f64::max);
     if !size.is_finite() || size <= 0.0 {
         return ([0.0; 3], [1.0; 3]);
@@ -90,13 +102,13 @@ pub fn render_with_statistics(
     samples: Range<u32>,
     cancel: &AtomicBool,
     progress: &AtomicU64,
-) -> Result<(RenderedTile, Statistics), RenderError> {
-    let outcome = render_with_statistics_and(prepared, settings, plan, rect, samples, cancel, progress, || ());
+) -> Result<(RenderedTile, LightStatistics), RenderError> {
+    let outcome = render_with_statistics_and_recorder(prepared, settings, plan, rect, samples, cancel, progress, || ());
     outcome.map(|(rendered, statistics, _)| (rendered, statistics))
 }
 
 /// Renders samples with statistics and with recorders of another kind. Returns these in order, too.
-pub(crate) fn render_with_statistics_and<R: Recorder + Send>(
+pub(crate) fn render_with_statistics_and_recorder<R: Recorder + Send>(
     prepared: &Prepared,
     settings: &Settings,
     plan: &StatisticsPlan,
@@ -105,35 +117,35 @@ pub(crate) fn render_with_statistics_and<R: Recorder + Send>(
     cancel: &AtomicBool,
     progress: &AtomicU64,
     other: impl Fn() -> R + Sync,
-) -> Result<(RenderedTile, Statistics, Vec<R>), RenderError> {
+) -> Result<(RenderedTile, LightStatistics, Vec<R>), RenderError> {
     let names = SceneNames::new(prepared);
-    let mut statistics = Statistics::new(plan.scope, plan.share(settings, &samples));
+    let mut statistics = LightStatistics::new(plan.scope, plan.share(settings, &samples));
     // Samples that are traced again are counted already.
-    let again = Scope { is_full: false, ..plan.scope };
-    let recorder = || Both::new(PathRecorder::new(&names, statistics.threshold, plan.scope), other());
+    let again = Scope { has_full_histograms: false, ..plan.scope };
+    let recorder = || RecorderPair::new(PathRecorder::new(&names, statistics.threshold, plan.scope), other());
     let (rendered, heard) = render_rows(prepared, settings, rect, samples.clone(), cancel, progress, recorder)?;
-    let mut all = Heard::new();
+    let mut all = RecordedSamples::new();
     let mut others = Vec::with_capacity(heard.len());
-    for Both { first, second, .. } in heard {
-        all.merge(first.heard);
+    for RecorderPair { first, second, .. } in heard {
+        all.merge(first.recorded);
         others.push(second);
     }
     let corner = rect.y * plan.scope.film[0] + rect.x;
     let tile = plan.scope.tile_of(corner);
     for ((half, counters), pixels) in (0..).zip(all.counters).zip(all.pixels) {
         let portion = PortionKey { tile, half, begin: samples.start, end: samples.end };
-        statistics.portions.insert(portion, Counters { pixels, ..counters });
+        statistics.portions.insert(portion, SampleCounters { pixels, ..counters });
     }
-    let order = |path: Path| ((path.key.hash(plan.scope.seed), path.key), path);
+    let order = |path: LightPath| ((path.key.hash(plan.scope.seed), path.key), path);
     statistics.paths.extend(all.paths.drain(..).map(order));
     // All samples that are traced again are recorded.
-    let mut replay = Replay::recording(prepared, settings, PathRecorder::new(&names, u64::MAX, again));
-    let [bright, deep] = [all.bright, all.deep].map(Tops::keys);
+    let mut replay = Replay::with_recorder(prepared, settings, PathRecorder::new(&names, u64::MAX, again));
+    let [bright, deep] = [all.bright, all.deep].map(TopKeys::keys);
     let width = plan.scope.film[0];
     for key in bright.iter().chain(&deep) {
         let _ = replay.sample((key.pixel % width, key.pixel / width), key.sample);
     }
-    let again = replay.into_recorder().heard;
+    let again = replay.into_recorder().recorded;
     for path in again.paths {
         let (key, path) = order(path);
         if bright.contains(&path.key) {
@@ -144,7 +156,7 @@ pub(crate) fn render_with_statistics_and<R: Recorder + Send>(
         }
     }
     // Settling the statistics drops names that no record uses.
-    statistics.names = names.texts();
-    statistics.settle();
+    statistics.names = names.used_names();
+    statistics.trim();
     Ok((rendered, statistics, others))
 }

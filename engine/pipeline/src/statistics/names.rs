@@ -1,7 +1,7 @@
 //! Names of the parts of a scene in light statistics.
 
 use femc_paths::record::Names;
-use femc_paths::{Kind, Name};
+use femc_paths::{Name, NameKind};
 use femc_prepared::Prepared;
 use femc_scene::{LampKind, ObjectId};
 use std::sync::OnceLock;
@@ -29,19 +29,23 @@ impl<'a> SceneNames<'a> {
 
     pub(super) fn object(&self, object: Option<ObjectId>) -> Name {
         let Some(object) = object else { return Name::NONE };
-        name(&self.objects, object.index(), || Name::of(Kind::Object, self.prepared.object_name(Some(object))))
+        get_or_make(&self.objects, object.index(), || {
+            Name::new(NameKind::Object, self.prepared.object_name(Some(object)))
+        })
     }
 
     pub(super) fn material(&self, material: u32) -> Name {
-        name(&self.materials, material as usize, || Name::of(Kind::Material, self.prepared.material_name(material)))
+        get_or_make(&self.materials, material as usize, || {
+            Name::new(NameKind::Material, self.prepared.material_name(material))
+        })
     }
 
     pub(super) fn medium(&self, medium: u16) -> Name {
-        name(&self.media, usize::from(medium), || Name::of(Kind::Medium, self.prepared.medium_name(medium)))
+        get_or_make(&self.media, usize::from(medium), || Name::new(NameKind::Medium, self.prepared.medium_name(medium)))
     }
 
     pub(super) fn lamp(&self, light: u32) -> Name {
-        name(&self.lamps, light as usize, || Name::of(Kind::Lamp, &self.lamp_text(light)))
+        get_or_make(&self.lamps, light as usize, || Name::new(NameKind::Lamp, &self.lamp_text(light)))
     }
 
     /// Returns the name of a lamp: the object that holds it, and its material or file.
@@ -56,25 +60,25 @@ impl<'a> SceneNames<'a> {
     }
 
     /// Returns the texts of all used names.
-    pub(super) fn texts(&self) -> Names {
+    pub(super) fn used_names(&self) -> Names {
         let prepared = self.prepared;
         let object = |index: usize| prepared.scene.objects[index].name.clone();
         let material = |index: usize| prepared.material_name(index as u32).to_owned();
         let medium = |index: usize| prepared.medium_name(index as u16).to_owned();
         let mut texts = Names::new();
-        known(&mut texts, Kind::Object, &self.objects, object);
-        known(&mut texts, Kind::Material, &self.materials, material);
-        known(&mut texts, Kind::Medium, &self.media, medium);
-        known(&mut texts, Kind::Lamp, &self.lamps, |index| self.lamp_text(index as u32));
+        collect_used(&mut texts, NameKind::Object, &self.objects, object);
+        collect_used(&mut texts, NameKind::Material, &self.materials, material);
+        collect_used(&mut texts, NameKind::Medium, &self.media, medium);
+        collect_used(&mut texts, NameKind::Lamp, &self.lamps, |index| self.lamp_text(index as u32));
         texts
     }
 }
 
-fn known(texts: &mut Names, kind: Kind, names: &[OnceLock<Name>], text: impl Fn(usize) -> String) {
+fn collect_used(texts: &mut Names, kind: NameKind, names: &[OnceLock<Name>], text: impl Fn(usize) -> String) {
     let wanted = names.iter().enumerate().filter_map(|(index, name)| Some((index, *name.get()?)));
     texts.extend(wanted.filter(|(_, name)| *name != Name::NONE).map(|(index, name)| (name, (kind, text(index)))));
 }
 
-fn name(known: &[OnceLock<Name>], index: usize, make: impl FnOnce() -> Name) -> Name {
+fn get_or_make(known: &[OnceLock<Name>], index: usize, make: impl FnOnce() -> Name) -> Name {
     known.get(index).map_or(Name::NONE, |name| *name.get_or_init(make))
 }

@@ -1,7 +1,7 @@
 //! Tests that layers without light are reported, and layers with light never are, for many scenes and expressions, by rendering.
 
-use crate::layers::{rendered_colors, scene};
-use femc_pipeline::{Layer, Method, Settings, Stop, dark_layers};
+use crate::layers::{layers_with_light, scene};
+use femc_pipeline::{Layer, Method, Settings, StopCondition, dark_layers};
 
 /// A floor, a ball and a lamp in one view. The parts between the lines differ.
 const FRAME: &str = "\
@@ -111,11 +111,11 @@ fn only_layers_without_light_are_named_black() {
         for max_depth in [0, 1, 2] {
             let layers = EXPRESSIONS.iter().enumerate().map(|(at, it)| Layer::new(format!("l{at}"), *it)).collect();
             let settings =
-                Settings { stop: Stop::Spp(16), method: Method::Pt, max_depth, layers, ..Settings::default() };
+                Settings { stop: StopCondition::Spp(16), method: Method::Pt, max_depth, layers, ..Settings::default() };
             let dark = dark_layers(&scene(&text), &settings);
             let frames = if text.contains("time ") { vec![1, 3] } else { vec![1] };
             for frame in frames {
-                for (at, has_light) in rendered_colors(&text, &settings, frame).into_iter().enumerate() {
+                for (at, has_light) in layers_with_light(&text, &settings, frame).into_iter().enumerate() {
                     let is_named = dark.iter().find(|it| it.layer == format!("l{at}"));
                     let expression = EXPRESSIONS[at];
                     assert!(!(has_light && is_named.is_some()), "{title}, {expression}, {max_depth}: {is_named:?}");

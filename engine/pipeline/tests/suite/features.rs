@@ -1,12 +1,13 @@
 //! Tests of features of rendered tiles against known values of simple scenes.
 
-use femc_film::tile::OPEN;
-use femc_film::{BesidePiece, BesideTile, FeatureImage, Rect, Tiling};
-use femc_import::{Bundle, load};
+use femc_film::tile::NONE_HELD;
+use femc_film::{AovPiece, AovTile, FeatureImage, Rect, Tiling};
+use femc_import::{Bundle, load_scene};
 use femc_math::elementary::double;
 use femc_pipeline::{
-    Feature, FeaturePlan, Layer, LayerPlan, Method, Prepared, Settings, Source, StatisticsPlan, Stop, cryptomatte,
-    feature_channels, feature_layout, frame_key, plan, prepare, render_beside, render_tile, render_with_layers,
+    Feature, FeaturePlan, Layer, LayerPlan, Method, Prepared, SceneSource, Settings, StatisticsPlan, StopCondition,
+    cryptomatte, feature_channels, feature_layout, frame_key, plan_job, prepare_frame, render_tile, render_with_aovs,
+    render_with_layers,
 };
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -29,41 +30,41 @@ const MATTE: &str = "m matte =\n\tc\n\tcxy .3333 .3333\n\trd .4\n";
 
 fn settings(features: &[Feature], spp: u32) -> Settings {
     let features = features.iter().copied().collect();
-    Settings { stop: Stop::Spp(spp), method: Method::Pt, features, ..Settings::default() }
+    Settings { stop: StopCondition::Spp(spp), method: Method::Pt, features, ..Settings::default() }
 }
 
 fn world(text: &str, settings: &Settings, frame: u32) -> Prepared {
     let files = BTreeMap::from([("scene.mgf".to_owned(), text.as_bytes().to_vec())]);
-    let scene = load(&Bundle(files), "scene.mgf").unwrap_or_else(|e| panic!("{e}")).scene;
-    let source = Source::new(Arc::new(scene));
-    plan(source.scene(), settings, None).unwrap_or_else(|e| panic!("{e}"));
-    prepare(&source, settings, frame, None).unwrap()
+    let scene = load_scene(&Bundle(files), "scene.mgf").unwrap_or_else(|e| panic!("{e}")).scene;
+    let source = SceneSource::new(Arc::new(scene));
+    plan_job(source.scene(), settings, None).unwrap_or_else(|e| panic!("{e}"));
+    prepare_frame(&source, settings, frame, None).unwrap()
 }
 
-fn tile(prepared: &Prepared, settings: &Settings) -> BesideTile {
+fn tile(prepared: &Prepared, settings: &Settings) -> AovTile {
     let [width, height] = prepared.camera.film;
-    let Stop::Spp(spp) = settings.stop else { panic!("{settings:?}") };
-    let light = LayerPlan::of(prepared, settings).unwrap();
+    let StopCondition::Spp(spp) = settings.stop else { panic!("{settings:?}") };
+    let light = LayerPlan::new(prepared, settings).unwrap();
     let light = (!settings.layers.is_empty()).then_some(&light);
-    let features = FeaturePlan::of(prepared, settings).unwrap();
+    let features = FeaturePlan::from_settings(prepared, settings).unwrap();
     let (rect, cancel) = (Rect { x: 0, y: 0, width, height }, AtomicBool::new(false));
     let plans = (light, features.as_ref());
-    render_beside(prepared, settings, plans, None, rect, 0..spp, &cancel, &AtomicU64::new(0)).unwrap().1
+    render_with_aovs(prepared, settings, plans, None, rect, 0..spp, &cancel, &AtomicU64::new(0)).unwrap().1
 }
 
 /// Returns the features of a frame by channel.
 fn features(text: &str, settings: &Settings, frame: u32) -> BTreeMap<String, Vec<f32>> {
     let prepared = world(text, settings, frame);
     let [width, height] = prepared.camera.film;
-    let mut piece = BesidePiece::new(Tiling::new(width, height, 64).unwrap(), 0);
-    piece.put(&tile(&prepared, settings), OPEN).unwrap();
+    let mut piece = AovPiece::new(Tiling::new(width, height, 64).unwrap(), 0);
+    piece.put(&tile(&prepared, settings), NONE_HELD).unwrap();
     let mut image = FeatureImage::new(feature_layout(&settings.features), width, height);
     image.put(piece.features.as_ref().unwrap()).unwrap();
     feature_channels(&settings.features).into_iter().zip(image.channels).collect()
 }
 
 /// Returns the index of pixel (`x`, `y`) with rows of 8.
-fn at(x: usize, y: usize) -> usize {
+fn pixel_index(x: usize, y: usize) -> usize {
     8 * y + x
 }
 
@@ -76,7 +77,7 @@ fn of_a_plane_depth_position_normal_and_albedo_are_known() {
     let others = ["normal.X", "normal.Y", "normal.Z", "position.X", "position.Y", "position.Z"];
     assert!(found.keys().map(String::as_str).eq(names.into_iter().chain(others)));
     for (x, y) in (0..8).flat_map(|y| (0..8).map(move |x| (x, y))) {
-        let value = |name: &str| f64::from(found[name][at(x, y)]);
+        let value = |name: &str| f64::from(found[name][pixel_index(x, y)]);
         assert_eq!(["normal.X", "normal.Y", "normal.Z"].map(value), [0.0, 0.0, 1.0]);
         assert_eq!(value("coverage.A"), 1.0);
         assert!((value("depth.Z") - 4.0).abs() < 1e-5, "{}", value("depth.Z"));
@@ -99,7 +100,7 @@ fn half_covered_pixel_has_half_coverage_and_means_of_that_half() {
     let text = format!("{DOWN}{MATTE}{}{LAMP}", sheet("board", "matte", [-9.0, -9.0, 0.75 * 0.25, 9.0], 1.0));
     let found = features(&text, &settings, 1);
     for y in 0..8 {
-        let [cover, depth] = ["coverage.A", "depth.Z"].map(|name| [3, 4, 5].map(|x| found[name][at(x, y)]));
+        let [cover, depth] = ["coverage.A", "depth.Z"].map(|name| [3, 4, 5].map(|x| found[name][pixel_index(x, y)]));
         assert_eq!([cover[0], cover[2], depth[2]], [1.0, 0.0, 0.0]);
         assert!((cover[1] - 0.5).abs() <= 4.0 / 256.0, "{cover:?}");
         assert!((depth[1] - 3.0).abs() < 1e-5, "{depth:?}");
@@ -140,9 +141,9 @@ fn features_samples_layers_and_statistics_are_independent() {
     let prepared = world(&text, &both, 1);
     let (rect, cancel, progress) =
         (Rect { x: 0, y: 0, width: 8, height: 8 }, AtomicBool::new(false), AtomicU64::new(0));
-    let plans = (LayerPlan::of(&prepared, &both).unwrap(), FeaturePlan::of(&prepared, &both).unwrap());
-    assert!(FeaturePlan::of(&prepared, &light).unwrap().is_none());
-    let statistics = StatisticsPlan::of(&prepared, &both, 64);
+    let plans = (LayerPlan::new(&prepared, &both).unwrap(), FeaturePlan::from_settings(&prepared, &both).unwrap());
+    assert!(FeaturePlan::from_settings(&prepared, &light).unwrap().is_none());
+    let statistics = StatisticsPlan::new(&prepared, &both, 64);
     let picture = render_tile(&prepared, &both, rect, 0..8, &cancel, &progress).unwrap().tile;
     let layers = render_with_layers(&prepared, &light, &plans.0, None, rect, 0..8, &cancel, &progress).unwrap().1;
     let mut seen = Vec::new();
@@ -150,7 +151,7 @@ fn features_samples_layers_and_statistics_are_independent() {
         for of in [None, Some(&statistics)] {
             let plans = (light, plans.1.as_ref());
             let (rendered, beside, paths) =
-                render_beside(&prepared, &both, plans, of, rect, 0..8, &cancel, &progress).unwrap();
+                render_with_aovs(&prepared, &both, plans, of, rect, 0..8, &cancel, &progress).unwrap();
             assert!(rendered.tile == picture);
             assert_eq!(beside.light, light.map(|_| layers.clone()));
             assert_eq!(paths.is_some(), of.is_some());
@@ -165,7 +166,7 @@ fn features_samples_layers_and_statistics_are_independent() {
 
 /// Returns the motion of a pixel and its mean position on the ground, relative to the center of the picture, x to the right, y
 /// down, m.
-fn motion_and_place(found: &BTreeMap<String, Vec<f32>>, pixel: usize) -> ([f64; 2], [f64; 2]) {
+fn motion_and_position(found: &BTreeMap<String, Vec<f32>>, pixel: usize) -> ([f64; 2], [f64; 2]) {
     let value = |name: &str| f64::from(found[name][pixel]);
     let place = [value("position.X") - 100.0, 20.0 - value("position.Y")];
     (["motion.X", "motion.Y"].map(value), place)
@@ -184,7 +185,7 @@ fn moving_object_has_motion_to_next_frame_and_still_one_none() {
     let wanted = [0.25 / 0.375, -0.125 / 0.375];
     let mut moving = 0;
     for pixel in 0..64 {
-        let (motion, _) = motion_and_place(&found, pixel);
+        let (motion, _) = motion_and_position(&found, pixel);
         match found["position.Z"][pixel] {
             z if z > 0.999 => {
                 moving += 1;
@@ -219,11 +220,11 @@ fn turning_object_and_rising_camera_give_geometric_motion() {
     for frame in [1, 2] {
         let found = [features(&turning, &settings, frame), features(&rising, &settings, frame)];
         for pixel in 0..64 {
-            let (turned, [x, y]) = motion_and_place(&found[0], pixel);
+            let (turned, [x, y]) = motion_and_position(&found[0], pixel);
             // Rows run downward. Counterclockwise in the world is counterclockwise in the picture.
             let wanted = [x * cos + y * sin - x, y * cos - x * sin - y].map(|m| m / 0.5);
             assert!((0..2).all(|axis| (turned[axis] - wanted[axis]).abs() < 1e-3), "{turned:?}, not {wanted:?}");
-            let (risen, place) = motion_and_place(&found[1], pixel);
+            let (risen, place) = motion_and_position(&found[1], pixel);
             let distance = 3.0 + f64::from(frame);
             let wanted = place.map(|m| 8.0 * m / (distance + 1.0) - 8.0 * m / distance);
             assert!((0..2).all(|axis| (risen[axis] - wanted[axis]).abs() < 1e-3), "{risen:?}, not {wanted:?}");
@@ -259,12 +260,12 @@ fn later_motion_changes_the_frame_key_only_with_motion_feature() {
             "time 0 1 4\n{DOWN}{MATTE}{LAMP}path ride = linear\n\tkey 0 -t 0 0 0\n\tkey .5 -t 0 0 1\n\tkey 1 {end}\nxf -path ride\n{board}xf\n"
         );
         let files = BTreeMap::from([("scene.mgf".to_owned(), text.into_bytes())]);
-        Source::new(Arc::new(load(&Bundle(files), "scene.mgf").unwrap_or_else(|e| panic!("{e}")).scene))
+        SceneSource::new(Arc::new(load_scene(&Bundle(files), "scene.mgf").unwrap_or_else(|e| panic!("{e}")).scene))
     };
     let (one, other) = (source("-t 0 0 2"), source("-t 0 0 3"));
     let same = |features: &[Feature], frame: u32| {
         let settings = settings(features, 1);
-        let key = |source: &Source| frame_key(source, &settings, frame).unwrap().view;
+        let key = |source: &SceneSource| frame_key(source, &settings, frame).unwrap().view;
         key(&one) == key(&other)
     };
     assert_eq!([1, 2, 3, 4].map(|frame| same(&[Feature::Depth], frame)), [true, true, true, false]);
@@ -292,12 +293,13 @@ fn object_and_material_mattes_have_the_shares_of_the_samples() {
         let mut covers = Vec::new();
         for (x, object, material) in [(2, "left.board", "matte"), (4, "left.board", "matte"), (6, "default", "default")]
         {
-            let [objects, materials] = ["crypto_object", "crypto_material"].map(|matte| ranks(&found, matte, at(x, y)));
+            let [objects, materials] =
+                ["crypto_object", "crypto_material"].map(|matte| ranks(&found, matte, pixel_index(x, y)));
             for (ranks, name) in [(&objects, object), (&materials, material)] {
                 let sum: f32 = ranks.iter().map(|rank| rank.1).sum();
                 assert_eq!(sum, 1.0, "{ranks:?}");
                 let share: f32 = ranks.iter().filter(|rank| rank.0 == id(name)).map(|rank| rank.1).sum();
-                let cover = found["coverage.A"][at(x, y)];
+                let cover = found["coverage.A"][pixel_index(x, y)];
                 assert_eq!(share, cover, "{name} {x} {ranks:?}");
                 let nothing: f32 = ranks.iter().filter(|rank| rank.0 == 0).map(|rank| rank.1).sum();
                 assert_eq!(nothing, 1.0 - cover, "{ranks:?}");

@@ -1,11 +1,11 @@
 //! Tests of layers of rendered tiles.
 
-use femc_film::tile::OPEN;
+use femc_film::tile::NONE_HELD;
 use femc_film::{FilmError, Frame, FrameImage, LayerImage, LayerPiece, Rect, Tiling};
-use femc_import::{Bundle, load};
+use femc_import::{Bundle, load_scene};
 use femc_pipeline::{
-    Layer, LayerPlan, Method, Prepared, Preset, Settings, Source, StatisticsPlan, Stop, lamp_labels, plan, prepare,
-    render_tile, render_with_layers, render_with_statistics,
+    Layer, LayerPlan, Method, Prepared, Preset, SceneSource, Settings, StatisticsPlan, StopCondition, lamp_labels,
+    plan_job, prepare_frame, render_tile, render_with_layers, render_with_statistics,
 };
 use femc_scene::Scene;
 use std::collections::BTreeMap;
@@ -101,33 +101,33 @@ o
 const FOG: &str = "medium haze =\n\tsigma_s .1\nmglobal haze\n";
 
 fn settings(layers: Vec<Layer>, method: Method) -> Settings {
-    Settings { stop: Stop::Spp(8), method, layers, ..Settings::default() }
+    Settings { stop: StopCondition::Spp(8), method, layers, ..Settings::default() }
 }
 
 pub fn scene(text: &str) -> Scene {
     let files = BTreeMap::from([("room.mgf".to_owned(), text.as_bytes().to_vec())]);
-    load(&Bundle(files), "room.mgf").unwrap_or_else(|e| panic!("{e}")).scene
+    load_scene(&Bundle(files), "room.mgf").unwrap_or_else(|e| panic!("{e}")).scene
 }
 
 fn world(text: &str, settings: &Settings) -> Prepared {
-    let source = Source::new(Arc::new(scene(text)));
-    plan(source.scene(), settings, None).unwrap_or_else(|e| panic!("{e}"));
-    prepare(&source, settings, 1, None).unwrap()
+    let source = SceneSource::new(Arc::new(scene(text)));
+    plan_job(source.scene(), settings, None).unwrap_or_else(|e| panic!("{e}"));
+    prepare_frame(&source, settings, 1, None).unwrap()
 }
 
 /// Returns, for each layer of a frame of a scene, whether it has light.
-pub fn rendered_colors(text: &str, settings: &Settings, frame: u32) -> Vec<bool> {
-    let source = Source::new(Arc::new(scene(text)));
-    let prepared = prepare(&source, settings, frame, None).unwrap();
+pub fn layers_with_light(text: &str, settings: &Settings, frame: u32) -> Vec<bool> {
+    let source = SceneSource::new(Arc::new(scene(text)));
+    let prepared = prepare_frame(&source, settings, frame, None).unwrap();
     let [width, height] = prepared.camera.film;
     let (tiling, rect) = (Tiling::new(width, height, 64).unwrap(), Rect { x: 0, y: 0, width, height });
     let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
-    let plan = LayerPlan::of(&prepared, settings).unwrap();
-    let Stop::Spp(samples) = settings.stop else { panic!("a number of samples") };
+    let plan = LayerPlan::new(&prepared, settings).unwrap();
+    let StopCondition::Spp(samples) = settings.stop else { panic!("a number of samples") };
     let (_, layers, _) =
         render_with_layers(&prepared, settings, &plan, None, rect, 0..samples, &cancel, &progress).unwrap();
     let mut piece = LayerPiece::new(tiling, 0);
-    piece.put(&layers, OPEN).unwrap();
+    piece.put(&layers, NONE_HELD).unwrap();
     let mut images = LayerImage::black(settings.layers.iter().map(|layer| layer.name.clone()), width, height);
     LayerImage::put(&mut images, &piece).unwrap();
     images.iter().map(|image| image.color.iter().any(|color| *color != [0.0; 3])).collect()
@@ -142,12 +142,12 @@ fn rendered(prepared: &Prepared, settings: &Settings) -> Result<(FrameImage, Vec
     let [width, height] = prepared.camera.film;
     let (tiling, rect) = (Tiling::new(width, height, 64)?, Rect { x: 0, y: 0, width, height });
     let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
-    let plan = LayerPlan::of(prepared, settings).unwrap();
+    let plan = LayerPlan::new(prepared, settings).unwrap();
     let (tile, layers, none) =
         render_with_layers(prepared, settings, &plan, None, rect, 0..8, &cancel, &progress).unwrap();
     let plain = render_tile(prepared, settings, rect, 0..8, &cancel, &progress).unwrap();
     assert!(tile.tile == plain.tile && none.is_none(), "layers change no sample");
-    let statistics = StatisticsPlan::of(prepared, settings, 64);
+    let statistics = StatisticsPlan::new(prepared, settings, 64);
     let with_all =
         render_with_layers(prepared, settings, &plan, Some(&statistics), rect, 0..8, &cancel, &progress).unwrap();
     let alone = render_with_statistics(prepared, settings, &statistics, rect, 0..8, &cancel, &progress).unwrap();
@@ -155,7 +155,7 @@ fn rendered(prepared: &Prepared, settings: &Settings) -> Result<(FrameImage, Vec
     let mut frame = Frame::new(tiling);
     frame.insert(tile.tile)?;
     let mut piece = LayerPiece::new(tiling, 0);
-    piece.put(&layers, OPEN)?;
+    piece.put(&layers, NONE_HELD)?;
     let mut images = LayerImage::black(settings.layers.iter().map(|layer| layer.name.clone()), width, height);
     LayerImage::put(&mut images, &piece)?;
     Ok((frame.resolve(), images))
@@ -170,7 +170,7 @@ fn sum(image: &LayerImage) -> f64 {
 const ROUNDING: f64 = 4e-6;
 
 /// Checks that the layers `names` sum up to the picture, pixel by pixel, and that all of them have light.
-fn part(image: &FrameImage, layers: &[LayerImage], names: &[&str]) {
+fn assert_partition(image: &FrameImage, layers: &[LayerImage], names: &[&str]) {
     let parts: Vec<&LayerImage> = layers.iter().filter(|layer| names.contains(&layer.name.as_str())).collect();
     assert_eq!(parts.len(), names.len());
     assert!(parts.iter().all(|layer| sum(layer) > 0.0), "{names:?}");
@@ -209,16 +209,16 @@ fn partitioning_layers_sum_to_the_image_with_unchanged_samples() {
             let settings = settings(layers, method);
             let prepared = world(&text, &settings);
             let (image, layers) = rendered(&prepared, &settings).unwrap();
-            part(&image, &layers, &["direct", "indirect"]);
-            part(&image, &layers, &["lamp_lamps_left_red", "lamp_lamps_right_blue"]);
-            part(&image, &layers, &["full"]);
-            part(&image, &layers, &["on_ground", "elsewhere"]);
+            assert_partition(&image, &layers, &["direct", "indirect"]);
+            assert_partition(&image, &layers, &["lamp_lamps_left_red", "lamp_lamps_right_blue"]);
+            assert_partition(&image, &layers, &["full"]);
+            assert_partition(&image, &layers, &["on_ground", "elsewhere"]);
             let mut first: Vec<&str> = first.iter().map(|it| it.0).collect();
             if !is_foggy {
                 assert_eq!(first.pop(), Some("fog"));
                 assert!(layers.iter().any(|layer| layer.name == "fog" && sum(layer) == 0.0));
             }
-            part(&image, &layers, &first);
+            assert_partition(&image, &layers, &first);
         }
     }
 }
@@ -228,7 +228,7 @@ fn unknown_labels_are_refused_before_rendering() {
     let scene = scene(ROOM);
     let outcome = |label: &str| {
         let layers = vec![Layer::new("one", format!("C.*<L.'{label}'>"))];
-        plan(&scene, &settings(layers, Method::Pt), None).map(drop).map_err(|e| e.to_string())
+        plan_job(&scene, &settings(layers, Method::Pt), None).map(drop).map_err(|e| e.to_string())
     };
     for known in ["lamps", "lamps.left", "red", "lamps.left/red", "mirror", "ball"] {
         assert_eq!(outcome(known), Ok(()), "{known}");
@@ -238,7 +238,7 @@ fn unknown_labels_are_refused_before_rendering() {
         assert!(error.starts_with(&format!("layer `one`: unknown label `{unknown}`")), "{error}");
     }
     let layers = vec![Layer::new("one", "CL")];
-    assert!(plan(&scene, &settings(layers, Method::Fem), None).is_err_and(|e| e.to_string().contains("`femc`")));
+    assert!(plan_job(&scene, &settings(layers, Method::Fem), None).is_err_and(|e| e.to_string().contains("`femc`")));
 }
 
 /// A box of gas that emits light, a wall behind it, and a lamp that the camera does not see.
@@ -302,7 +302,7 @@ fn light_of_a_medium_that_glows_is_that_of_an_object() {
     assert_eq!(layer("named").color, layer("seen").color);
     assert_eq!(sum(layer("others")), 0.0);
     // Both light the wall through the gas.
-    part(&image, &layers, &["glow", "lamps"]);
-    part(&image, &layers, &["seen", "lit_by_gas", "lit_by_lamp"]);
-    part(&image, &layers, &["lamp_gas", "lamp_lamp_lamp"]);
+    assert_partition(&image, &layers, &["glow", "lamps"]);
+    assert_partition(&image, &layers, &["seen", "lit_by_gas", "lit_by_lamp"]);
+    assert_partition(&image, &layers, &["lamp_gas", "lamp_lamp_lamp"]);
 }

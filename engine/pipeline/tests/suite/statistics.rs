@@ -1,12 +1,14 @@
 //! Tests of light statistics of rendered tiles.
 
 use femc_film::{Rect, Tiling};
-use femc_import::{Bundle, load};
-use femc_pipeline::paths::bottlenecks::{Bottlenecks, By};
+use femc_import::{Bundle, load_scene};
+use femc_pipeline::paths::bottlenecks::{Bottlenecks, Grouping};
 use femc_pipeline::paths::histogram::{Histograms, Table};
-use femc_pipeline::paths::{End, Found, Interaction, Kind, Name, Path, Statistics};
+use femc_pipeline::paths::{InteractionKind, LightPath, LightStatistics, LightTechnique, Name, NameKind, PathEnd};
 use femc_pipeline::replay::Replay;
-use femc_pipeline::{Prepared, Settings, Source, StatisticsPlan, Stop, prepare, render_tile, render_with_statistics};
+use femc_pipeline::{
+    Prepared, SceneSource, Settings, StatisticsPlan, StopCondition, prepare_frame, render_tile, render_with_statistics,
+};
 use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::Arc;
@@ -73,39 +75,44 @@ const FOG: &str = "medium fog =\n\tsigma_s .3\nmbox fog -4 -4 0 4 4 3\n";
 
 fn prepared(text: &str, settings: &Settings) -> Prepared {
     let files = BTreeMap::from([("room.mgf".to_owned(), text.as_bytes().to_vec())]);
-    let scene = load(&Bundle(files), "room.mgf").unwrap_or_else(|e| panic!("{e}")).scene;
-    prepare(&Source::new(Arc::new(scene)), settings, 1, None).unwrap_or_else(|e| panic!("{e}"))
+    let scene = load_scene(&Bundle(files), "room.mgf").unwrap_or_else(|e| panic!("{e}")).scene;
+    prepare_frame(&SceneSource::new(Arc::new(scene)), settings, 1, None).unwrap_or_else(|e| panic!("{e}"))
 }
 
 fn settings() -> Settings {
-    Settings { stop: Stop::Spp(8), seed: 5, statistics: true, ..Settings::default() }
+    Settings { stop: StopCondition::Spp(8), seed: 5, statistics: true, ..Settings::default() }
 }
 
 fn tiling(prepared: &Prepared) -> Tiling {
     Tiling { width: prepared.camera.film[0], height: prepared.camera.film[1], edge: 8 }
 }
 
-fn rendered(prepared: &Prepared, settings: &Settings, rect: Rect, samples: Range<u32>) -> (Vec<u8>, Statistics) {
+fn render_tile_statistics(
+    prepared: &Prepared,
+    settings: &Settings,
+    rect: Rect,
+    samples: Range<u32>,
+) -> (Vec<u8>, LightStatistics) {
     let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
-    let plan = StatisticsPlan::of(prepared, settings, 8);
+    let plan = StatisticsPlan::new(prepared, settings, 8);
     let done = render_with_statistics(prepared, settings, &plan, rect, samples, &cancel, &progress);
     let (rendered, statistics) = done.unwrap_or_else(|e| panic!("{e}"));
     (rendered.tile.encode(), statistics)
 }
 
 /// Returns the statistics of a frame, rendered tile by tile in tasks that end at these samples.
-fn whole(prepared: &Prepared, settings: &Settings, ends: &[u32]) -> Statistics {
+fn frame_statistics(prepared: &Prepared, settings: &Settings, ends: &[u32]) -> LightStatistics {
     let ranges = || [0].iter().chain(ends).zip(ends).map(|(begin, end)| *begin..*end);
     let tasks = tiling(prepared).rects().flat_map(|rect| ranges().map(move |range| (rect, range)));
-    let parts = tasks.map(|(rect, range)| rendered(prepared, settings, rect, range).1);
-    let mut all: Option<Statistics> = None;
+    let parts = tasks.map(|(rect, range)| render_tile_statistics(prepared, settings, rect, range).1);
+    let mut all: Option<LightStatistics> = None;
     for part in parts {
         match &mut all {
-            Some(all) => all.unite(part).unwrap_or_else(|e| panic!("{e}")),
+            Some(all) => all.merge(part).unwrap_or_else(|e| panic!("{e}")),
             None => all = Some(part),
         }
     }
-    all.unwrap().counted(0, |_, _| u32::MAX)
+    all.unwrap().into_image_samples(0, |_, _| u32::MAX)
 }
 
 #[test]
@@ -115,11 +122,11 @@ fn statistics_change_no_bit_of_a_tile_and_hold_all_laws() {
         let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
         for rect in tiling(&prepared).rects() {
             let alone = render_tile(&prepared, &settings, rect, 0..8, &cancel, &progress).unwrap().tile;
-            let (tile, statistics) = rendered(&prepared, &settings, rect, 0..8);
+            let (tile, statistics) = render_tile_statistics(&prepared, &settings, rect, 0..8);
             assert!(tile == alone.encode());
             assert_eq!(statistics.samples(), rect.area() * 8);
             assert_eq!(statistics.totals().bad, alone.bad().total());
-            let read = Statistics::decode(&statistics.encode()).unwrap_or_else(|e| panic!("{e}"));
+            let read = LightStatistics::decode(&statistics.encode()).unwrap_or_else(|e| panic!("{e}"));
             assert!(read == statistics);
         }
     }
@@ -129,7 +136,7 @@ fn statistics_change_no_bit_of_a_tile_and_hold_all_laws() {
 fn records_are_the_samples_themselves_and_their_lights_add_up() {
     for text in [ROOM.to_owned(), format!("{FOG}{ROOM}")] {
         let (settings, prepared) = (settings(), prepared(&text, &settings()));
-        let all = whole(&prepared, &settings, &[8]);
+        let all = frame_statistics(&prepared, &settings, &[8]);
         assert_eq!(all.share(), 1.0, "a small frame has all of its samples");
         assert_eq!(all.paths.len() as u64, 20 * 12 * 8 - all.totals().bad);
         let mut replay = Replay::new(&prepared, &settings);
@@ -160,62 +167,62 @@ fn records_are_the_samples_themselves_and_their_lights_add_up() {
 #[test]
 fn statistics_do_not_depend_on_the_division_into_tasks() {
     let (settings, prepared) = (settings(), prepared(&format!("{FOG}{ROOM}"), &settings()));
-    let bytes = whole(&prepared, &settings, &[8]).encode();
+    let bytes = frame_statistics(&prepared, &settings, &[8]).encode();
     for ends in [&[4, 8][..], &[1, 4, 5, 8]] {
-        assert!(whole(&prepared, &settings, ends).encode() == bytes, "{ends:?}");
+        assert!(frame_statistics(&prepared, &settings, ends).encode() == bytes, "{ends:?}");
     }
 }
 
 #[test]
 fn paths_name_what_they_meet_and_say_how_they_went_on() {
     let (settings, prepared) = (settings(), prepared(ROOM, &settings()));
-    let all = whole(&prepared, &settings, &[8]);
+    let all = frame_statistics(&prepared, &settings, &[8]);
     let named = |kind, text: &str| {
-        let name = Name::of(kind, text);
+        let name = Name::new(kind, text);
         assert_eq!(all.names.get(&name), Some(&(kind, text.to_owned())));
         name
     };
-    let [ball, plate, lamp, floor] = ["ball", "plate", "lamp", "floor"].map(|object| named(Kind::Object, object));
-    let glow = named(Kind::Lamp, "lamp/glow");
+    let [ball, plate, lamp, floor] = ["ball", "plate", "lamp", "floor"].map(|object| named(NameKind::Object, object));
+    let glow = named(NameKind::Lamp, "lamp/glow");
     let steps = || all.paths.values().flat_map(|path| &path.intersections);
-    assert!(steps().any(|it| it.object == ball && it.interaction == Interaction::Reflection));
+    assert!(steps().any(|it| it.object == ball && it.interaction == InteractionKind::Reflection));
     assert!(steps().filter(|it| it.object == ball).all(|it| {
-        it.material == Name::of(Kind::Material, "mirror")
-            && [Interaction::Reflection, Interaction::Absorbed].contains(&it.interaction)
+        it.material == Name::new(NameKind::Material, "mirror")
+            && [InteractionKind::Reflection, InteractionKind::Absorbed].contains(&it.interaction)
     }));
-    assert!(steps().any(|it| it.object == lamp && it.interaction == Interaction::Emission));
+    assert!(steps().any(|it| it.object == lamp && it.interaction == InteractionKind::Emission));
     assert!(steps().all(|it| it.object != floor || it.position[2].abs() < 1e-4));
     let lights = || all.paths.values().flat_map(|path| &path.lights);
     assert!(lights().all(|light| light.light == glow));
     assert!(lights().any(|light| light.occluder == Some(plate)));
     assert!(lights().all(|light| light.occluder.is_none() || light.radiance == [0.0; 3]));
-    let ends = |path: &Path| path.end;
-    assert!(all.paths.values().map(ends).any(|end| end == End::Escaped));
-    assert!(all.paths.values().map(ends).all(|end| end != End::Depth));
-    let histograms = Histograms::of(&all, Table::Intersections);
+    let ends = |path: &LightPath| path.end;
+    assert!(all.paths.values().map(ends).any(|end| end == PathEnd::Escaped));
+    assert!(all.paths.values().map(ends).all(|end| end != PathEnd::Depth));
+    let histograms = Histograms::from_statistics(&all, Table::Intersections);
     assert_eq!(histograms.attributes[0].samples.iter().sum::<u64>(), steps().count() as u64);
 }
 
 #[test]
 fn light_scattered_in_fog_names_the_fog_and_its_occluder() {
     let (settings, prepared) = (settings(), prepared(&format!("{FOG}{ROOM}"), &settings()));
-    let all = whole(&prepared, &settings, &[8]);
-    let fog = Name::of(Kind::Medium, "fog");
-    assert_eq!(all.names.get(&fog), Some(&(Kind::Medium, "fog".to_owned())));
-    let plate = Name::of(Kind::Object, "plate");
+    let all = frame_statistics(&prepared, &settings, &[8]);
+    let fog = Name::new(NameKind::Medium, "fog");
+    assert_eq!(all.names.get(&fog), Some(&(NameKind::Medium, "fog".to_owned())));
+    let plate = Name::new(NameKind::Object, "plate");
     let lights = || all.paths.values().flat_map(|path| &path.lights);
-    let in_fog = || lights().filter(|light| light.found == Found::Airlight);
+    let in_fog = || lights().filter(|light| light.technique == LightTechnique::Airlight);
     assert!(in_fog().all(|light| light.medium == fog));
-    assert!(lights().all(|light| light.found == Found::Airlight || light.medium == Name::NONE));
+    assert!(lights().all(|light| light.technique == LightTechnique::Airlight || light.medium == Name::NONE));
     // Occluded light contributes nothing, and all light that contributes nothing but could have is occluded by something opaque.
     assert!(in_fog().all(|light| light.occluder.is_none() || light.radiance == [0.0; 3]));
-    let [hidden, plates] = [|_: Name| true, |it: Name| it == Name::of(Kind::Object, "plate")]
+    let [hidden, plates] = [|_: Name| true, |it: Name| it == Name::new(NameKind::Object, "plate")]
         .map(|is| in_fog().filter(|light| light.occluder.is_some_and(is)).count());
     assert!(plates > 20 && hidden > plates, "{hidden} hidden, {plates} of them by {plate:?}");
-    let causes = Bottlenecks::of(&all, By::Part);
+    let causes = Bottlenecks::from_statistics(&all, Grouping::Part);
     let scattered =
-        causes.parts.iter().filter(|(part, of)| part.interaction == Some(Interaction::Volume) && of.light > 0.0);
-    let named: Vec<Option<&str>> = scattered.map(|(part, _)| causes.text(part.material)).collect();
+        causes.parts.iter().filter(|(part, of)| part.interaction == Some(InteractionKind::Volume) && of.light > 0.0);
+    let named: Vec<Option<&str>> = scattered.map(|(part, _)| causes.name_text(part.material)).collect();
     assert_eq!(named, [Some("fog")]);
 }
 
@@ -228,7 +235,7 @@ fn a_sample_that_the_film_refuses_is_in_no_statistic() {
     let mut refused = 0;
     for rect in tiling(&prepared).rects() {
         let alone = render_tile(&prepared, &settings, rect, 0..8, &cancel, &progress).unwrap().tile;
-        let (_, statistics) = rendered(&prepared, &settings, rect, 0..8);
+        let (_, statistics) = render_tile_statistics(&prepared, &settings, rect, 0..8);
         assert_eq!(statistics.totals().bad, alone.bad().total());
         refused += alone.bad().total();
         let records = [&statistics.paths, &statistics.brightest, &statistics.deepest];
@@ -242,7 +249,7 @@ fn a_sample_that_the_film_refuses_is_in_no_statistic() {
 fn the_longest_paths_end_by_their_depth() {
     let settings = Settings { max_depth: 2, ..settings() };
     let prepared = prepared(ROOM, &settings);
-    let all = whole(&prepared, &settings, &[8]);
-    assert!(all.paths.values().any(|path| path.end == End::Depth));
+    let all = frame_statistics(&prepared, &settings, &[8]);
+    assert!(all.paths.values().any(|path| path.end == PathEnd::Depth));
     assert!(all.paths.values().all(|path| path.depth <= 1));
 }

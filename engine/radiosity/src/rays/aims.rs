@@ -13,19 +13,19 @@ pub struct Aim(Option<(Block, f32)>);
 /// Guides for a share of the rays, by element.
 #[derive(Clone, Debug, Default)]
 pub struct Aims {
-    of: Vec<u32>,
+    by_element: Vec<u32>,
     aims: Vec<Aim>,
 }
 
 impl Aims {
     /// Creates the guides.
-    /// - `of`: guide of each leaf, in the order of `leaves`.
-    pub fn new(arena: &Arena, leaves: &[u32], of: &[Guide], lobes: &[Lobe]) -> Self {
-        let mut out = Self { of: vec![NONE; arena.elements.len()], aims: Vec::new() };
+    /// - `guides`: guide of each leaf, in the order of `leaves`.
+    pub fn new(arena: &Arena, leaves: &[u32], guides: &[Guide], lobes: &[Lobe]) -> Self {
+        let mut out = Self { by_element: vec![NONE; arena.elements.len()], aims: Vec::new() };
         let mut known = HashMap::new();
-        for (&leaf, guide) in leaves.iter().zip(of).filter(|(_, guide)| guide.count > 0) {
+        for (&leaf, guide) in leaves.iter().zip(guides).filter(|(_, guide)| guide.count > 0) {
             let range = guide.first as usize..(guide.first + guide.count) as usize;
-            out.of[leaf as usize] = *known.entry(guide.first).or_insert_with(|| {
+            out.by_element[leaf as usize] = *known.entry(guide.first).or_insert_with(|| {
                 out.aims.push(Aim(Some((Block::new(&lobes[range]), guide.share))));
                 out.aims.len() as u32 - 1
             });
@@ -38,13 +38,13 @@ impl Aims {
         if self.aims.is_empty() {
             return;
         }
-        for element in &arena.elements[self.of.len()..] {
-            self.of.push(if element.parent == NONE { NONE } else { self.of[element.parent as usize] });
+        for element in &arena.elements[self.by_element.len()..] {
+            self.by_element.push(if element.parent == NONE { NONE } else { self.by_element[element.parent as usize] });
         }
     }
 
-    pub fn of(&self, leaf: u32) -> &Aim {
-        let at = self.of.get(leaf as usize).copied().unwrap_or(NONE);
+    pub fn get(&self, leaf: u32) -> &Aim {
+        let at = self.by_element.get(leaf as usize).copied().unwrap_or(NONE);
         self.aims.get(at as usize).unwrap_or(&Aim::NONE)
     }
 }

@@ -1,23 +1,23 @@
 //! Scaling of the links' light to that of the rays.
 
-use super::{PARTS, Rays, Way, Weights, parts_of, unpacked};
+use super::{MAX_PARTS, MisHeuristic, RaySample, Rays, part_count, unpack_normal};
 use crate::arena::Arena;
-use crate::element::{Element, Kind};
-use crate::gather::{FROM_ELEMENTS, Lights};
+use crate::element::{Element, ElementKind};
+use crate::gather::{ElementLights, FROM_ELEMENTS};
 use femc_field::{Harmonics, NONE};
 use femc_math::Rgb;
 use femc_math::color::luminance;
 use rayon::prelude::*;
 
-/// Squared difference, in units of its variance, that counts as chance if links may have the error [`ROUGH`] or more. For more
-/// exact links it is larger, because a difference is then less likely their fault.
-const CHANCE: f32 = 4.0;
-const ROUGH: f32 = 0.3;
+/// Squared difference, in units of its variance, that counts as chance if links may have the error [`ROUGH_ERROR`] or more. For
+/// more exact links it is larger, because a difference is then less likely their fault.
+const CHANCE_VARIANCES: f32 = 4.0;
+const ROUGH_ERROR: f32 = 0.3;
 /// Maximum factor for the links' light. Light that rays find beyond that is added.
-const MOST: f32 = 4.0;
+const MAX_SCALE: f32 = 4.0;
 
 /// Result of the comparison with rays.
-pub struct Found {
+pub struct RayCorrection {
     /// Light of the rays relative to that of the links; 1 if the links have none.
     pub ratio: f32,
     /// Root mean square of the changes, relative to the mean of the links' light.
@@ -48,7 +48,7 @@ struct Sums {
 impl Sums {
     /// Creates the sums without ways.
     /// - `number`: number of rays of the part.
-    fn of(area: f32, number: f32, links: f32) -> Self {
+    fn new(area: f32, number: f32, links: f32) -> Self {
         let weight = area * area / number;
         Self {
             area,
@@ -59,7 +59,7 @@ impl Sums {
     }
 
     /// Adds the light along a way, lm, and the light if all rays of the leaf found as much, lx.
-    fn find(&mut self, color: Rgb, bright: f32, is_own: bool) {
+    fn add_sample(&mut self, color: Rgb, bright: f32, is_own: bool) {
         let light = luminance(color);
         self.rays += light;
         self.own += if is_own { light } else { 0.0 };
@@ -92,15 +92,15 @@ impl Sums {
     }
 
     /// Returns the light of the part by an estimate, lm.
-    fn light(&self, known: &Known) -> f32 {
-        known.scale * self.links + luminance(known.extra) * self.area
+    fn light(&self, estimate: &LightEstimate) -> f32 {
+        estimate.scale * self.links + luminance(estimate.extra) * self.area
     }
 
     /// Returns the estimate of the light here.
     /// - `above`: estimate of the part above;
     /// - `chance`: the squared difference, in units of its variance, that counts as chance.
-    fn known(&self, above: &Known, chance: f32) -> Known {
-        let (scale, extra, Known { bright, own, .. }) = (above.scale, luminance(above.extra), *above);
+    fn estimate(&self, above: &LightEstimate, chance: f32) -> LightEstimate {
+        let (scale, extra, LightEstimate { bright, own, .. }) = (above.scale, luminance(above.extra), *above);
         let before = self.light(above);
         // A single ray that hit the fog at a lamp does not prove more light.
         let rays = if self.rays > before { (self.rays - self.most).max(before) } else { self.rays };
@@ -114,35 +114,40 @@ impl Sums {
         let change = sure.max(0.0) * difference;
         if change <= 0.0 {
             let less = if before > 0.0 { (1.0 + change / before).max(0.0) } else { 1.0 };
-            return Known { scale: scale * less, extra: above.extra * less, bright, own };
+            return LightEstimate { scale: scale * less, extra: above.extra * less, bright, own };
         }
-        let room = (MOST - scale).max(0.0) * self.links;
+        let room = (MAX_SCALE - scale).max(0.0) * self.links;
         let scaled = if self.links > 0.0 { scale + change.min(room) / self.links } else { scale };
         let more = (change - room).max(0.0) / (self.area * luminance(self.color)).max(f32::MIN_POSITIVE);
-        Known { scale: scaled, extra: above.extra + self.color * more, bright, own }
+        LightEstimate { scale: scaled, extra: above.extra + self.color * more, bright, own }
     }
 }
 
 impl Rays {
     /// Sets the light that the leaves receive in addition to that of the links.
     /// - `error`: allowed error of a link.
-    pub fn correct(&self, arena: &Arena, lights: &mut Lights, error: f32) -> Found {
-        let chance = CHANCE * (ROUGH / error).max(1.0);
-        let by_leaf: Vec<[Sums; PARTS]> = (0..self.leaves.len())
+    pub fn correct(&self, arena: &Arena, lights: &mut ElementLights, error: f32) -> RayCorrection {
+        let chance = CHANCE_VARIANCES * (ROUGH_ERROR / error).max(1.0);
+        let by_leaf: Vec<[Sums; MAX_PARTS]> = (0..self.leaves.len())
             .into_par_iter()
             .map(|place| {
                 let leaf = self.leaves[place];
                 let element = &arena.elements[leaf as usize];
                 let own = (self.first[place + 1] - self.first[place]) as usize;
-                let parts = parts_of(element);
-                let links = self.brought(arena, place, lights);
+                let parts = part_count(element);
+                let links = self.link_irradiance(arena, place, lights);
                 let (area, number) = (element.size / parts as f32, (own / parts) as f32);
                 let mut sums =
-                    [0, 1, 2, 3].map(|k| if k < parts { Sums::of(area, number, links[k]) } else { Sums::default() });
-                self.ways((arena, &*lights), place, Weights::Best, |Way { part, irradiance, origin, .. }| {
-                    let bright = luminance(irradiance) * own as f32;
-                    sums[part.min(parts - 1)].find(irradiance * element.size, bright, origin.is_none());
-                });
+                    [0, 1, 2, 3].map(|k| if k < parts { Sums::new(area, number, links[k]) } else { Sums::default() });
+                self.visit_samples(
+                    (arena, &*lights),
+                    place,
+                    MisHeuristic::Maximum,
+                    |RaySample { part, irradiance, origin, .. }| {
+                        let bright = luminance(irradiance) * own as f32;
+                        sums[part.min(parts - 1)].add_sample(irradiance * element.size, bright, origin.is_none());
+                    },
+                );
                 sums
             })
             .collect();
@@ -161,12 +166,12 @@ impl Rays {
             }
         }
         // A parent comes before its children. The total of its parts is known best.
-        let nothing = Known { scale: 1.0, extra: Rgb::ZERO, bright: all.bright(0.0), own: all.own(1.0) };
-        let whole = all.known(&nothing, chance);
+        let nothing = LightEstimate { scale: 1.0, extra: Rgb::ZERO, bright: all.bright(0.0), own: all.own(1.0) };
+        let whole = all.estimate(&nothing, chance);
         let mut known = vec![whole; arena.elements.len()];
         let roots: Vec<u32> = arena.roots.iter().copied().filter(|&root| root != NONE).collect();
         let parts: Vec<Sums> = roots.iter().map(|&root| sums[root as usize]).collect();
-        for (&root, part) in roots.iter().zip(whole.of_parts(&all, chance, &parts)) {
+        for (&root, part) in roots.iter().zip(whole.part_estimates(&all, chance, &parts)) {
             known[root as usize] = part;
         }
         for (index, element) in arena.elements.iter().enumerate() {
@@ -174,7 +179,7 @@ impl Rays {
                 continue;
             }
             let parts = element.children.map(|child| sums[child as usize]);
-            let parts = known[index].of_parts(&sums[index], chance, &parts);
+            let parts = known[index].part_estimates(&sums[index], chance, &parts);
             element.children.iter().zip(parts).for_each(|(&child, part)| known[child as usize] = part);
         }
         let mut contrast = Vec::with_capacity(self.leaves.len());
@@ -182,17 +187,17 @@ impl Rays {
         for (&leaf, sums_of) in self.leaves.iter().zip(&by_leaf) {
             let above = known[leaf as usize];
             let element = &arena.elements[leaf as usize];
-            let sums_of = &sums_of[..parts_of(element)];
+            let sums_of = &sums_of[..part_count(element)];
             let mut parts = vec![above; sums_of.len()];
-            let taken = lights.taken[leaf as usize];
-            if element.kind == Kind::Ball {
-                let arriving = &mut lights.arriving[element.wide as usize];
-                arriving.more =
-                    arriving.whole[FROM_ELEMENTS] * Rgb::splat(above.scale - taken[0]) + Harmonics::even(above.extra);
+            let taken = lights.accepted[leaf as usize];
+            if element.kind == ElementKind::Curved {
+                let arriving = &mut lights.incident[element.directional as usize];
+                arriving.ray_correction = arriving.whole[FROM_ELEMENTS] * Rgb::splat(above.scale - taken[0])
+                    + Harmonics::from_irradiance(above.extra);
             } else {
-                parts = above.of_parts(&sums[leaf as usize], chance, sums_of);
-                let whole = lights.of[leaf as usize].whole[FROM_ELEMENTS];
-                for (node, (more, part)) in lights.more[leaf as usize].iter_mut().zip(&parts).enumerate() {
+                parts = above.part_estimates(&sums[leaf as usize], chance, sums_of);
+                let whole = lights.elements[leaf as usize].whole[FROM_ELEMENTS];
+                for (node, (more, part)) in lights.ray_correction[leaf as usize].iter_mut().zip(&parts).enumerate() {
                     *more = whole[node] * (part.scale - taken[node]) + part.extra;
                 }
             }
@@ -209,27 +214,30 @@ impl Rays {
         let area = area.max(f64::MIN_POSITIVE);
         let changed = (changed / area).sqrt() / (whole / area).max(f64::MIN_POSITIVE);
         let ratio = if all.links > 0.0 { all.rays / all.links } else { 1.0 };
-        Found { ratio, changed: changed as f32, contrast }
+        RayCorrection { ratio, changed: changed as f32, contrast }
     }
 
     /// Returns the irradiance of the links at the parts of a leaf, lx.
-    fn brought(&self, arena: &Arena, place: usize, lights: &Lights) -> [f32; PARTS] {
+    fn link_irradiance(&self, arena: &Arena, place: usize, lights: &ElementLights) -> [f32; MAX_PARTS] {
         let leaf = self.leaves[place];
         let element = &arena.elements[leaf as usize];
-        if element.kind == Kind::Ball {
-            let light = lights.arriving[element.wide as usize].whole[FROM_ELEMENTS];
+        if element.kind == ElementKind::Curved {
+            let light = lights.incident[element.directional as usize].whole[FROM_ELEMENTS];
             let range = self.first[place] as usize..self.first[place + 1] as usize;
-            let (sights, number) = (&self.sights[range.clone()], range.len() as f32);
-            let sum: f32 = sights.iter().map(|sight| luminance(light.cosine(unpacked(sight.start))).max(0.0)).sum();
-            return [sum / number; PARTS];
+            let (sights, number) = (&self.hits[range.clone()], range.len() as f32);
+            let sum: f32 = sights
+                .iter()
+                .map(|sight| luminance(light.cosine_integral(unpack_normal(sight.origin_normal))).max(0.0))
+                .sum();
+            return [sum / number; MAX_PARTS];
         }
-        lights.of[leaf as usize].whole[FROM_ELEMENTS].map(|light| luminance(light.max(Rgb::ZERO)))
+        lights.elements[leaf as usize].whole[FROM_ELEMENTS].map(|light| luminance(light.max(Rgb::ZERO)))
     }
 }
 
 /// Estimate of the light of a part of a surface.
 #[derive(Clone, Copy, Debug)]
-struct Known {
+struct LightEstimate {
     /// Factor of the links' light.
     scale: f32,
     /// Additional irradiance, lx.
@@ -240,13 +248,13 @@ struct Known {
     own: f32,
 }
 
-impl Known {
+impl LightEstimate {
     /// Returns the estimates of the parts of a whole. Together they have the light of the whole.
-    fn of_parts(self, whole: &Sums, chance: f32, parts: &[Sums]) -> Vec<Self> {
+    fn part_estimates(self, whole: &Sums, chance: f32, parts: &[Sums]) -> Vec<Self> {
         let above = Self { bright: whole.bright(self.bright), own: whole.own(self.own), ..self };
-        let known: Vec<Self> = parts.iter().map(|part| part.known(&above, chance)).collect();
+        let known: Vec<Self> = parts.iter().map(|part| part.estimate(&above, chance)).collect();
         let together: f32 = parts.iter().zip(&known).map(|(part, known)| part.light(known)).sum();
-        let more = (whole.light(&self) / together.max(f32::MIN_POSITIVE)).min(MOST);
+        let more = (whole.light(&self) / together.max(f32::MIN_POSITIVE)).min(MAX_SCALE);
         let of = |(part, known): (&Sums, Self)| Self {
             scale: known.scale * more,
             extra: known.extra * more,
@@ -270,16 +278,16 @@ mod tests {
     fn part_missed_by_rays_of_other_leaves_is_not_darkened() {
         let gray = |light: f32| Rgb::splat(light);
         let part = |by_others: usize| {
-            let mut sums = Sums::of(1.0, 32.0, 1.0);
-            (0..32).for_each(|_| sums.find(gray(0.67 / 32.0), 0.67, true));
-            (0..by_others).for_each(|_| sums.find(gray(0.11), 3.52, false));
+            let mut sums = Sums::new(1.0, 32.0, 1.0);
+            (0..32).for_each(|_| sums.add_sample(gray(0.67 / 32.0), 0.67, true));
+            (0..by_others).for_each(|_| sums.add_sample(gray(0.11), 3.52, false));
             sums
         };
         let parts: Vec<Sums> = [4, 3, 5, 0, 3, 3, 4, 2].map(part).to_vec();
         let mut all = Sums::default();
         parts.iter().for_each(|part| all.add(part));
-        let nothing = Known { scale: 1.0, extra: Rgb::ZERO, bright: all.bright(0.0), own: all.own(1.0) };
-        let known = nothing.of_parts(&all, CHANCE, &parts);
+        let nothing = LightEstimate { scale: 1.0, extra: Rgb::ZERO, bright: all.bright(0.0), own: all.own(1.0) };
+        let known = nothing.part_estimates(&all, CHANCE_VARIANCES, &parts);
         let scales: Vec<f32> = known.iter().map(|known| known.scale).collect();
         assert!(scales.iter().all(|scale| (scale - 1.0).abs() < 0.01), "{scales:?}");
     }
@@ -288,15 +296,15 @@ mod tests {
     #[test]
     fn light_that_no_link_brings_is_added() {
         let part = |light: f32| {
-            let mut sums = Sums::of(2.0, 400.0, 0.0);
-            (0..400).for_each(|_| sums.find(Rgb::splat(light * 2.0 / 400.0), light, true));
+            let mut sums = Sums::new(2.0, 400.0, 0.0);
+            (0..400).for_each(|_| sums.add_sample(Rgb::splat(light * 2.0 / 400.0), light, true));
             sums
         };
         let parts = [part(3.0), part(5.0)];
         let mut all = Sums::default();
         parts.iter().for_each(|part| all.add(part));
-        let nothing = Known { scale: 1.0, extra: Rgb::ZERO, bright: all.bright(0.0), own: all.own(1.0) };
-        let known = all.known(&nothing, CHANCE).of_parts(&all, CHANCE, &parts);
+        let nothing = LightEstimate { scale: 1.0, extra: Rgb::ZERO, bright: all.bright(0.0), own: all.own(1.0) };
+        let known = all.estimate(&nothing, CHANCE_VARIANCES).part_estimates(&all, CHANCE_VARIANCES, &parts);
         for (known, want) in known.iter().zip([3.0, 5.0]) {
             assert!((luminance(known.extra) / want - 1.0).abs() < 0.1, "{known:?} {want}");
         }

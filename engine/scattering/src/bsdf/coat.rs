@@ -16,19 +16,19 @@ pub struct Coat {
     /// Fresnel factor.
     pub fresnel: Fresnel,
     /// `1 / (1 - R_mean)`; 1 without an index.
-    normalisation: Rgb,
+    normalization: Rgb,
 }
 
 impl Coat {
     /// Precomputes the mean reflectance.
     pub fn new(rs: Rgb, fresnel: Fresnel) -> Self {
-        let normalisation = match fresnel {
+        let normalization = match fresnel {
             Fresnel::Unit => Rgb::ONE,
             Fresnel::Dielectric { .. } | Fresnel::Conductor { .. } => {
                 (Rgb::ONE - rs * fresnel.mean()).max(Rgb::splat(1e-6)).recip()
             }
         };
-        Self { rs, fresnel, normalisation }
+        Self { rs, fresnel, normalization }
     }
 
     /// Returns R at `cos` in [0, 1].
@@ -39,7 +39,7 @@ impl Coat {
 
     /// Returns the light that the specular part leaves at `cos`: the factor on the diffuse part's directional albedo.
     #[inline]
-    pub fn left(&self, cos: f32) -> Rgb {
+    pub fn transmitted(&self, cos: f32) -> Rgb {
         match self.fresnel {
             Fresnel::Unit => Rgb::ONE,
             Fresnel::Dielectric { .. } | Fresnel::Conductor { .. } => Rgb::ONE - self.reflectance(cos),
@@ -52,7 +52,7 @@ impl Coat {
         match self.fresnel {
             Fresnel::Unit => Rgb::ONE,
             Fresnel::Dielectric { .. } | Fresnel::Conductor { .. } => {
-                self.left(cos_o) * self.left(cos_i) * self.normalisation
+                self.transmitted(cos_o) * self.transmitted(cos_i) * self.normalization
             }
         }
     }

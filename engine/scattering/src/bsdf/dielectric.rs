@@ -6,17 +6,17 @@
 //! is the F of each direction's own side: `f_r = rd T(o) T(i) / (pi (1 - F_mean))`,
 //! `f_t = td T(o) T(i) n_o^2 / (pi (1 - F_mean outside))` with T = 1 - F.
 
-use super::{BsdfSample, LobeKind, Transmitted, onto_side};
+use super::{BsdfSample, LobeKind, Transmitted, flip_to_side};
 use crate::Fresnel;
 use crate::fresnel::{Interface, dielectric};
 use crate::microfacet::{
-    SMOOTH_ALPHA, masking_density, normal_distribution, reflect, reflection, sample_visible_normal, visibility,
+    SMOOTH_ALPHA, masking_density, normal_distribution, reflect, reflection_lobe, sample_visible_normal, visibility,
 };
 use femc_math::{Rgb, glam::Vec3A, warp};
 use std::f32::consts::FRAC_1_PI;
 
 /// Relative distance of the index from 1 below which light passes straight through and nothing is reflected.
-const MATCHED: f32 = 1e-3;
+const INDEX_TOLERANCE: f32 = 1e-3;
 
 /// A dielectric interface between the outside (front, index 1) and the inside.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -36,7 +36,7 @@ pub struct Dielectric {
 }
 
 /// Probabilities of choosing a lobe.
-struct Selection {
+struct LobeProbabilities {
     specular: f32,
     rd: f32,
     td: f32,
@@ -47,7 +47,7 @@ impl Dielectric {
     /// - `eta`: index of the inside over the outside, > 0;
     /// - `alpha`: roughness of both specular lobes.
     pub fn new(eta: f32, ts: Rgb, alpha: f32, rd: Rgb, td: Rgb) -> Self {
-        let matched = (eta - 1.0).abs() < MATCHED;
+        let matched = (eta - 1.0).abs() < INDEX_TOLERANCE;
         let (eta, alpha) = if matched { (1.0, 0.0) } else { (eta, alpha) };
         let transmitted_mean = Fresnel::Dielectric { eta }.transmitted_mean();
         Self { eta, ts, alpha, rd, td, transmitted_mean }
@@ -61,7 +61,7 @@ impl Dielectric {
 
     /// Removes the diffuse parts.
     #[cfg(test)]
-    pub(crate) fn clear(self) -> Self {
+    pub(crate) fn without_diffuse(self) -> Self {
         Self { rd: Rgb::ZERO, td: Rgb::ZERO, ..self }
     }
 
@@ -79,7 +79,7 @@ impl Dielectric {
 
     /// Returns the share of the light that goes straight through an index-matched interface, which reflects nothing.
     #[inline]
-    pub fn unbent(&self) -> Rgb {
+    pub fn straight_through(&self) -> Rgb {
         if self.eta == 1.0 && self.is_smooth() { self.ts } else { Rgb::ZERO }
     }
 
@@ -96,15 +96,15 @@ impl Dielectric {
     }
 
     #[inline]
-    fn selection(&self, cos_o: f32, eta: f32) -> Selection {
+    fn lobe_probabilities(&self, cos_o: f32, eta: f32) -> LobeProbabilities {
         if !self.has_diffuse() {
-            return Selection { specular: 1.0, rd: 0.0, td: 0.0 };
+            return LobeProbabilities { specular: 1.0, rd: 0.0, td: 0.0 };
         }
         let f = dielectric(cos_o, eta).reflectance;
         let specular = f + (1.0 - f) * self.ts.max_element();
         let (rd, td) = ((1.0 - f) * self.rd.max_element(), (1.0 - f) * self.td.max_element());
         let sum = specular + rd + td;
-        Selection { specular: specular / sum, rd: rd / sum, td: td / sum }
+        LobeProbabilities { specular: specular / sum, rd: rd / sum, td: td / sum }
     }
 
     /// Returns the probability of reflection for a facet with reflectance `f`.
@@ -124,7 +124,7 @@ impl Dielectric {
 
     /// Returns the value and density of the non-delta parts; `wo` up, `wi` on either side, `eta` the other side over `wo`'s.
     fn eval_pdf(&self, wo: Vec3A, wi: Vec3A, eta: f32) -> (Rgb, f32) {
-        let selection = self.selection(wo.z, eta);
+        let selection = self.lobe_probabilities(wo.z, eta);
         let (mut value, mut pdf) = (Rgb::ZERO, 0.0);
         let cos_i = wi.z.abs();
         let left = |cos, eta| 1.0 - dielectric(cos, eta).reflectance;
@@ -137,7 +137,7 @@ impl Dielectric {
                 pdf += selection.rd * cos_i * FRAC_1_PI;
             }
             if !self.is_smooth() {
-                let lobe = reflection(wo, wi, self.alpha);
+                let lobe = reflection_lobe(wo, wi, self.alpha);
                 let f = dielectric(lobe.cos_half, eta).reflectance;
                 value += Rgb::splat(f * lobe.value);
                 pdf += selection.specular * self.reflection_probability(f) * lobe.pdf;
@@ -169,7 +169,7 @@ impl Dielectric {
         if wo.z * wi.z == 0.0 {
             return Rgb::ZERO;
         }
-        self.eval_pdf(onto_side(wo, wo.z), onto_side(wi, wo.z), self.eta_from(wo.z)).0
+        self.eval_pdf(flip_to_side(wo, wo.z), flip_to_side(wi, wo.z), self.eta_from(wo.z)).0
     }
 
     /// Returns the density of `sample` without delta parts, 1/sr.
@@ -177,7 +177,7 @@ impl Dielectric {
         if wo.z * wi.z == 0.0 {
             return 0.0;
         }
-        self.eval_pdf(onto_side(wo, wo.z), onto_side(wi, wo.z), self.eta_from(wo.z)).1
+        self.eval_pdf(flip_to_side(wo, wo.z), flip_to_side(wi, wo.z), self.eta_from(wo.z)).1
     }
 
     /// Samples a direction; `choice` picks the lobe.
@@ -185,9 +185,9 @@ impl Dielectric {
         if wo.z == 0.0 {
             return None;
         }
-        let up = onto_side(wo, wo.z);
+        let up = flip_to_side(wo, wo.z);
         let eta = self.eta_from(wo.z);
-        let p = self.selection(up.z, eta);
+        let p = self.lobe_probabilities(up.z, eta);
         let (wi, lobe) = if choice < p.specular {
             let choice = choice / p.specular;
             if self.is_smooth() {
@@ -206,7 +206,7 @@ impl Dielectric {
             (wi, LobeKind::Glossy)
         } else {
             let up_wi = warp::cosine_hemisphere(u);
-            (if choice < p.specular + p.rd { up_wi } else { onto_side(up_wi, -1.0) }, LobeKind::Diffuse)
+            (if choice < p.specular + p.rd { up_wi } else { flip_to_side(up_wi, -1.0) }, LobeKind::Diffuse)
         };
         let (value, pdf) = self.eval_pdf(up, wi, eta);
         let (transmitted, eta) = if wi.z < 0.0 { (Transmitted::Yes, eta) } else { (Transmitted::No, 1.0) };

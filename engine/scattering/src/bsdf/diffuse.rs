@@ -32,7 +32,7 @@ impl Diffuse {
         if wo.z == 0.0 || !self.sides.exist_at(wo.z) {
             return None;
         }
-        let wi = super::onto_side(warp::cosine_hemisphere(u), wo.z);
+        let wi = super::flip_to_side(warp::cosine_hemisphere(u), wo.z);
         let pdf = wi.z.abs() * FRAC_1_PI;
         (pdf > 0.0).then_some(BsdfSample {
             wi,

@@ -17,9 +17,9 @@ use crate::microfacet::{SMOOTH_ALPHA, reflect, sample_visible_normal, shadowing_
 use femc_math::{Rgb, glam::Vec3A};
 
 /// Greatest reflectance used in computations; `f32` sums of larger ones could overflow.
-const GREATEST: f32 = 1e30;
+const MAX_REFLECTANCE: f32 = 1e30;
 /// Tolerance for the rounding of decimal fractions that add up to 1.
-const ROOM: f32 = 1e-6;
+const SUM_TOLERANCE: f32 = 1e-6;
 
 impl MaterialParameters {
     /// Limits each channel of the parameters to the light that the surface receives.
@@ -32,23 +32,27 @@ impl MaterialParameters {
     ///
     /// Law: `no_material_of_the_format_returns_more_than_it_receives`.
     #[must_use]
-    pub fn conserving(&self) -> Self {
+    pub fn energy_conserving(&self) -> Self {
         let [mut rd, mut td, mut rs, mut ts] =
-            [self.rd, self.td, self.rs, self.ts].map(|color| color.clamp(Rgb::ZERO, Rgb::splat(GREATEST)));
+            [self.rd, self.td, self.rs, self.ts].map(|color| color.clamp(Rgb::ZERO, Rgb::splat(MAX_REFLECTANCE)));
         match self.model() {
             Model::Solid { eta } => {
-                limit([&mut rd, &mut td, &mut ts]);
-                leave(|| room_in_solid(eta, self.ts_alpha, ts), self.ts_alpha, [&mut rd, &mut td]);
+                divide_by_sum([&mut rd, &mut td, &mut ts]);
+                limit_diffuse(|| max_diffuse_in_solid(eta, self.ts_alpha, ts), self.ts_alpha, [&mut rd, &mut td]);
             }
             Model::Sheet { fresnel: Fresnel::Unit, .. } | Model::Opaque { fresnel: Fresnel::Unit, .. } => {
-                limit([&mut rd, &mut td, &mut rs, &mut ts]);
+                divide_by_sum([&mut rd, &mut td, &mut rs, &mut ts]);
             }
             Model::Sheet { fresnel } | Model::Opaque { fresnel } => {
-                limit([&mut rs]);
-                limit([&mut rd, &mut td]);
+                divide_by_sum([&mut rs]);
+                divide_by_sum([&mut rd, &mut td]);
                 // A coat reflects at most `rs`, so parts that add up to 1 cannot gain energy.
                 if (rd + td + rs).max_element() > 1.0 {
-                    leave(|| room_under_coat(fresnel, self.rs_alpha, rs), self.rs_alpha, [&mut rd, &mut td]);
+                    limit_diffuse(
+                        || max_diffuse_under_coat(fresnel, self.rs_alpha, rs),
+                        self.rs_alpha,
+                        [&mut rd, &mut td],
+                    );
                 }
             }
         }
@@ -57,22 +61,22 @@ impl MaterialParameters {
 }
 
 /// Divides the colors by their sum in each channel where the sum is above 1.
-fn limit<const N: usize>(mut colors: [&mut Rgb; N]) {
+fn divide_by_sum<const N: usize>(mut colors: [&mut Rgb; N]) {
     let sum = colors.iter().fold(Rgb::ZERO, |sum, color| sum + **color);
-    let divisor = Rgb::select(sum.cmpgt(Rgb::splat(1.0 + ROOM)), sum, Rgb::ONE);
+    let divisor = Rgb::select(sum.cmpgt(Rgb::splat(1.0 + SUM_TOLERANCE)), sum, Rgb::ONE);
     for color in &mut colors {
         **color = (**color / divisor).min(Rgb::ONE);
     }
 }
 
-/// Reduces the diffuse colors to the `room` that a rough interface leaves them.
-fn leave(room: impl FnOnce() -> Rgb, alpha: f32, [rd, td]: [&mut Rgb; 2]) {
+/// Reduces the diffuse colors to the `max_diffuse` that a rough interface leaves them.
+fn limit_diffuse(max_diffuse: impl FnOnce() -> Rgb, alpha: f32, [rd, td]: [&mut Rgb; 2]) {
     let sum = *rd + *td;
     if alpha <= SMOOTH_ALPHA || sum.max_element() <= 0.0 {
         return;
     }
-    let room = room();
-    let factor = Rgb::select(sum.cmpgt(room * (1.0 + ROOM)), room / sum, Rgb::ONE);
+    let room = max_diffuse();
+    let factor = Rgb::select(sum.cmpgt(room * (1.0 + SUM_TOLERANCE)), room / sum, Rgb::ONE);
     *rd *= factor;
     *td *= factor;
 }
@@ -83,7 +87,7 @@ const FACETS: u32 = 256;
 
 /// Returns directions from nearly grazing to the normal, denser at grazing ones, where reflectance changes fast. On the denser side
 /// of an interface (`eta` < 1), directions of total reflection are excluded.
-fn views(eta: f32) -> impl Iterator<Item = Vec3A> {
+fn test_directions(eta: f32) -> impl Iterator<Item = Vec3A> {
     (0..=VIEWS).map(move |k| {
         let cos = ((k as f32 + 0.5) / VIEWS as f32).min(1.0).powi(2);
         let sin2 = (1.0 - cos) * (1.0 + cos) * eta.min(1.0).powi(2);
@@ -93,7 +97,7 @@ fn views(eta: f32) -> impl Iterator<Item = Vec3A> {
 
 /// Returns means over the facets that are visible from `wo`: of `reflected(wo.h)` times the shadowing of the mirror direction, and
 /// of `1 - reflected(wo.h)` times that of the direction with the cosine `refracted(wo, h)` on the other side.
-fn means(
+fn facet_means(
     wo: Vec3A,
     alpha: f32,
     reflected: impl Fn(f32) -> f32,
@@ -119,29 +123,29 @@ fn means(
 
 /// Returns the greatest `rd + td` under a rough coat that reflects `rs` times the Fresnel factor. The diffuse parts return that sum
 /// times the light that a smooth coat leaves.
-fn room_under_coat(fresnel: Fresnel, alpha: f32, rs: Rgb) -> Rgb {
+fn max_diffuse_under_coat(fresnel: Fresnel, alpha: f32, rs: Rgb) -> Rgb {
     let eta = match fresnel {
         Fresnel::Dielectric { eta } => eta,
         Fresnel::Unit | Fresnel::Conductor { .. } => 1.0,
     };
-    views(eta).fold(Rgb::ONE, |room, wo| {
-        let (back, _) = means(wo, alpha, |cos| fresnel.eval(cos), |_, _| None);
+    test_directions(eta).fold(Rgb::ONE, |room, wo| {
+        let (back, _) = facet_means(wo, alpha, |cos| fresnel.eval(cos), |_, _| None);
         let left = Rgb::ONE - rs * fresnel.eval(wo.z);
         room.min(share(Rgb::ONE - rs * back, left))
     })
 }
 
 /// Returns the greatest `rd + td` of a solid with a rough interface, seen from both sides.
-fn room_in_solid(eta: f32, alpha: f32, ts: Rgb) -> Rgb {
+fn max_diffuse_in_solid(eta: f32, alpha: f32, ts: Rgb) -> Rgb {
     [eta, 1.0 / eta].into_iter().fold(Rgb::ONE, |room, eta| {
         let fresnel = |cos: f32| dielectric(cos, eta);
-        views(eta).fold(room, |room, wo| {
+        test_directions(eta).fold(room, |room, wo| {
             let refracted = |wo: Vec3A, h: Vec3A| {
                 let o_h = wo.dot(h).clamp(0.0, 1.0);
                 let wi = h * (o_h / eta - fresnel(o_h).cos_transmitted) - wo / eta;
                 (wi.z < 0.0).then(|| (-wi.z).min(1.0))
             };
-            let (back, through) = means(wo, alpha, |cos| fresnel(cos).reflectance, refracted);
+            let (back, through) = facet_means(wo, alpha, |cos| fresnel(cos).reflectance, refracted);
             let left = Rgb::splat(1.0 - fresnel(wo.z).reflectance);
             room.min(share(Rgb::ONE - Rgb::splat(back) - ts * through, left))
         })

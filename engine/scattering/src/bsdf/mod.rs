@@ -168,10 +168,11 @@ impl MaterialParameters {
 }
 
 impl Bsdf {
-    /// Returns the cheapest member with these parameters, limited as by [`MaterialParameters::conserving`]. A solid dielectric (one
-    /// side, real index, `ts` > 0) reflects F with the roughness of `ts`; `rs` and its roughness do not count there.
+    /// Returns the cheapest member with these parameters, limited as by [`MaterialParameters::energy_conserving`]. A solid
+    /// dielectric (one side, real index, `ts` > 0) reflects F with the roughness of `ts`; `rs` and its roughness do not count
+    /// there.
     pub fn from_parameters(parameters: &MaterialParameters) -> Self {
-        let p = parameters.conserving();
+        let p = parameters.energy_conserving();
         let present = |color: Rgb| color.max_element() > 0.0;
         // A surface with an index bounds a solid, so it exists from both sides.
         let sides = if p.ior.is_some() { Sides::Two } else { p.sides };
@@ -216,8 +217,10 @@ impl Bsdf {
         let cos = wo.z.abs();
         match self {
             Self::Diffuse(b) if b.sides.exist_at(wo.z) => (b.rd, Rgb::ZERO),
-            Self::Opaque(b) if b.sides.exist_at(wo.z) => (b.rd * b.coat.left(cos), Rgb::ZERO),
-            Self::Sheet(b) if b.sides.exist_at(wo.z) => (b.rd * b.coat.left(cos), b.td * b.coat.left(cos)),
+            Self::Opaque(b) if b.sides.exist_at(wo.z) => (b.rd * b.coat.transmitted(cos), Rgb::ZERO),
+            Self::Sheet(b) if b.sides.exist_at(wo.z) => {
+                (b.rd * b.coat.transmitted(cos), b.td * b.coat.transmitted(cos))
+            }
             // Without Lambertian parts, or seen from a side that does not exist.
             Self::Black
             | Self::Diffuse(_)
@@ -338,10 +341,10 @@ impl Bsdf {
     /// A sample of that part is a [`LobeKind::Delta`], transmitted, with `wi = -wo` and `eta` 1
     /// (`what_passes_unbent_is_drawn_unbent`).
     #[inline]
-    pub fn unbent(&self) -> Rgb {
+    pub fn straight_through(&self) -> Rgb {
         match self {
             Self::Sheet(b) if b.ts_alpha <= SMOOTH_ALPHA => b.ts,
-            Self::Dielectric(b) => b.unbent(),
+            Self::Dielectric(b) => b.straight_through(),
             Self::Black | Self::Diffuse(_) | Self::Mirror(_) | Self::Opaque(_) | Self::Sheet(_) => Rgb::ZERO,
         }
     }
@@ -351,7 +354,7 @@ impl Bsdf {
     #[inline]
     pub fn glossy_lobes(&self, wo: Vec3A) -> Option<(f32, f32, f32)> {
         match self {
-            Self::Opaque(it) => (!it.is_smooth()).then(|| it.lobes(wo)),
+            Self::Opaque(opaque) => (!opaque.is_smooth()).then(|| opaque.lobes(wo)),
             Self::Black | Self::Diffuse(_) | Self::Mirror(_) | Self::Sheet(_) | Self::Dielectric(_) => None,
         }
     }
@@ -374,6 +377,6 @@ impl Bsdf {
 
 /// Negates the z of `v` if `z` is negative: turns a direction up, or back.
 #[inline]
-fn onto_side(v: Vec3A, z: f32) -> Vec3A {
+fn flip_to_side(v: Vec3A, z: f32) -> Vec3A {
     if z < 0.0 { Vec3A::new(v.x, v.y, -v.z) } else { v }
 }

@@ -3,8 +3,8 @@
 //! Covers plastics (dielectric index), metals (complex index, no diffuse part) and the format's plain `rd` + `rs`.
 //! One of the two lobes is picked in proportion to its largest albedo channel at `wo`; `pdf` is the mixture's.
 
-use super::{BsdfSample, LobeKind, Sides, Transmitted, coat::Coat, onto_side};
-use crate::microfacet::{SMOOTH_ALPHA, reflect, reflection, sample_visible_normal};
+use super::{BsdfSample, LobeKind, Sides, Transmitted, coat::Coat, flip_to_side};
+use crate::microfacet::{SMOOTH_ALPHA, reflect, reflection_lobe, sample_visible_normal};
 use femc_math::{Rgb, color::luminance, glam::Vec3A, warp};
 use std::f32::consts::FRAC_1_PI;
 
@@ -32,21 +32,21 @@ impl Opaque {
     #[inline]
     pub fn lobes(&self, wo: Vec3A) -> (f32, f32, f32) {
         let cos = wo.z.abs();
-        (luminance(self.rd * self.coat.left(cos)), luminance(self.coat.reflectance(cos)), self.alpha)
+        (luminance(self.rd * self.coat.transmitted(cos)), luminance(self.coat.reflectance(cos)), self.alpha)
     }
 
     /// Returns the probability of the specular lobe at `cos_o` = |wo.z|.
     #[inline]
     fn specular_probability(&self, cos_o: f32) -> f32 {
         let specular = self.coat.reflectance(cos_o).max_element();
-        let diffuse = (self.rd * self.coat.left(cos_o)).max_element();
+        let diffuse = (self.rd * self.coat.transmitted(cos_o)).max_element();
         if specular + diffuse > 0.0 { specular / (specular + diffuse) } else { 0.0 }
     }
 
     /// Turns both directions to the upper side. `None` if nothing is reflected.
     #[inline]
-    fn upright(&self, wo: Vec3A, wi: Vec3A) -> Option<(Vec3A, Vec3A)> {
-        (wo.z * wi.z > 0.0 && self.sides.exist_at(wo.z)).then(|| (onto_side(wo, wo.z), onto_side(wi, wi.z)))
+    fn flipped_upward(&self, wo: Vec3A, wi: Vec3A) -> Option<(Vec3A, Vec3A)> {
+        (wo.z * wi.z > 0.0 && self.sides.exist_at(wo.z)).then(|| (flip_to_side(wo, wo.z), flip_to_side(wi, wi.z)))
     }
 
     /// Returns the value and density of the non-delta parts.
@@ -57,7 +57,7 @@ impl Opaque {
         let mut value = self.rd * self.coat.diffuse_factor(wo.z, wi.z) * cosine;
         let mut pdf = (1.0 - p) * cosine;
         if !self.is_smooth() {
-            let lobe = reflection(wo, wi, self.alpha);
+            let lobe = reflection_lobe(wo, wi, self.alpha);
             value += self.coat.reflectance(lobe.cos_half) * lobe.value;
             pdf += p * lobe.pdf;
         }
@@ -67,13 +67,13 @@ impl Opaque {
     /// Returns f |cos wi| without a delta part, 1/sr.
     #[inline]
     pub fn eval(&self, wo: Vec3A, wi: Vec3A) -> Rgb {
-        self.upright(wo, wi).map_or(Rgb::ZERO, |(wo, wi)| self.eval_pdf(wo, wi).0)
+        self.flipped_upward(wo, wi).map_or(Rgb::ZERO, |(wo, wi)| self.eval_pdf(wo, wi).0)
     }
 
     /// Returns the density of `sample` without a delta part, 1/sr.
     #[inline]
     pub fn pdf(&self, wo: Vec3A, wi: Vec3A) -> f32 {
-        self.upright(wo, wi).map_or(0.0, |(wo, wi)| self.eval_pdf(wo, wi).1)
+        self.flipped_upward(wo, wi).map_or(0.0, |(wo, wi)| self.eval_pdf(wo, wi).1)
     }
 
     /// Samples a direction; `choice` picks the lobe.
@@ -82,7 +82,7 @@ impl Opaque {
         if wo.z == 0.0 || !self.sides.exist_at(wo.z) {
             return None;
         }
-        let up = onto_side(wo, wo.z);
+        let up = flip_to_side(wo, wo.z);
         let p = self.specular_probability(up.z);
         let (wi, lobe) = if choice < p {
             if self.is_smooth() {
@@ -104,7 +104,7 @@ impl Opaque {
         }
         let (value, pdf) = self.eval_pdf(up, wi);
         (pdf > 0.0).then(|| BsdfSample {
-            wi: onto_side(wi, wo.z),
+            wi: flip_to_side(wi, wo.z),
             weight: value / pdf,
             pdf,
             lobe,
@@ -117,6 +117,6 @@ impl Opaque {
     #[inline]
     pub fn albedo(&self, wo: Vec3A) -> Rgb {
         let cos = wo.z.abs();
-        self.coat.reflectance(cos) + self.rd * self.coat.left(cos)
+        self.coat.reflectance(cos) + self.rd * self.coat.transmitted(cos)
     }
 }

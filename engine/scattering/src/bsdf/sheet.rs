@@ -4,8 +4,8 @@
 //! `ts` > 0, `rs` and `ts` are used as given (no Fresnel factor). A sheet with an index and without `ts` is a coated translucent
 //! surface. Its diffuse parts share the light that the specular part leaves, equally from both sides.
 
-use super::{BsdfSample, LobeKind, Sides, Transmitted, coat::Coat, onto_side};
-use crate::microfacet::{SMOOTH_ALPHA, reflect, reflection, sample_visible_normal};
+use super::{BsdfSample, LobeKind, Sides, Transmitted, coat::Coat, flip_to_side};
+use crate::microfacet::{SMOOTH_ALPHA, reflect, reflection_lobe, sample_visible_normal};
 use femc_math::{Rgb, glam::Vec3A, warp};
 use std::f32::consts::FRAC_1_PI;
 
@@ -29,7 +29,7 @@ pub struct Sheet {
 }
 
 /// Selection probabilities, summing to 1 (or all 0).
-struct Selection {
+struct LobeProbabilities {
     rs: f32,
     ts: f32,
     rd: f32,
@@ -38,19 +38,19 @@ struct Selection {
 
 impl Sheet {
     #[inline]
-    fn selection(&self, cos_o: f32) -> Selection {
-        let left = self.coat.left(cos_o);
+    fn lobe_probabilities(&self, cos_o: f32) -> LobeProbabilities {
+        let left = self.coat.transmitted(cos_o);
         let (rs, ts) = (self.coat.reflectance(cos_o).max_element(), self.ts.max_element());
         let (rd, td) = ((self.rd * left).max_element(), (self.td * left).max_element());
         let sum = rs + ts + rd + td;
         let scale = if sum > 0.0 { 1.0 / sum } else { 0.0 };
-        Selection { rs: rs * scale, ts: ts * scale, rd: rd * scale, td: td * scale }
+        LobeProbabilities { rs: rs * scale, ts: ts * scale, rd: rd * scale, td: td * scale }
     }
 
     /// Returns the value and density for an upward `wo`, and a `wi` that was turned up from the side `transmitted`.
     #[inline]
     fn eval_pdf(&self, wo: Vec3A, wi: Vec3A, transmitted: Transmitted) -> (Rgb, f32) {
-        let selection = self.selection(wo.z);
+        let selection = self.lobe_probabilities(wo.z);
         let cosine = wi.z * FRAC_1_PI;
         let (diffuse, alpha, p_diffuse, p_specular) = match transmitted {
             Transmitted::No => (self.rd, self.rs_alpha, selection.rd, selection.rs),
@@ -59,7 +59,7 @@ impl Sheet {
         let mut value = diffuse * self.coat.diffuse_factor(wo.z, wi.z) * cosine;
         let mut pdf = p_diffuse * cosine;
         if p_specular > 0.0 && alpha > SMOOTH_ALPHA {
-            let lobe = reflection(wo, wi, alpha);
+            let lobe = reflection_lobe(wo, wi, alpha);
             value += lobe.value
                 * match transmitted {
                     Transmitted::No => self.coat.reflectance(lobe.cos_half),
@@ -71,24 +71,24 @@ impl Sheet {
     }
 
     #[inline]
-    fn upright(&self, wo: Vec3A, wi: Vec3A) -> Option<(Vec3A, Vec3A, Transmitted)> {
+    fn flipped_upward(&self, wo: Vec3A, wi: Vec3A) -> Option<(Vec3A, Vec3A, Transmitted)> {
         if wo.z * wi.z == 0.0 || !self.sides.exist_at(wo.z) {
             return None;
         }
         let transmitted = if wo.z * wi.z < 0.0 { Transmitted::Yes } else { Transmitted::No };
-        Some((onto_side(wo, wo.z), onto_side(wi, wi.z), transmitted))
+        Some((flip_to_side(wo, wo.z), flip_to_side(wi, wi.z), transmitted))
     }
 
     /// Returns f |cos wi| without delta parts, 1/sr.
     #[inline]
     pub fn eval(&self, wo: Vec3A, wi: Vec3A) -> Rgb {
-        self.upright(wo, wi).map_or(Rgb::ZERO, |(wo, wi, t)| self.eval_pdf(wo, wi, t).0)
+        self.flipped_upward(wo, wi).map_or(Rgb::ZERO, |(wo, wi, t)| self.eval_pdf(wo, wi, t).0)
     }
 
     /// Returns the density of `sample` without delta parts, 1/sr.
     #[inline]
     pub fn pdf(&self, wo: Vec3A, wi: Vec3A) -> f32 {
-        self.upright(wo, wi).map_or(0.0, |(wo, wi, t)| self.eval_pdf(wo, wi, t).1)
+        self.flipped_upward(wo, wi).map_or(0.0, |(wo, wi, t)| self.eval_pdf(wo, wi, t).1)
     }
 
     /// Samples a direction; `choice` picks the lobe.
@@ -97,8 +97,8 @@ impl Sheet {
         if wo.z == 0.0 || !self.sides.exist_at(wo.z) {
             return None;
         }
-        let up = onto_side(wo, wo.z);
-        let p = self.selection(up.z);
+        let up = flip_to_side(wo, wo.z);
+        let p = self.lobe_probabilities(up.z);
         let delta = |wi, weight, pdf, transmitted| {
             Some(BsdfSample { wi, weight, pdf, lobe: LobeKind::Delta, transmitted, eta: 1.0 })
         };
@@ -127,7 +127,7 @@ impl Sheet {
             Transmitted::Yes => -wo.z,
         };
         (pdf > 0.0).then(|| BsdfSample {
-            wi: onto_side(wi, side),
+            wi: flip_to_side(wi, side),
             weight: value / pdf,
             pdf,
             lobe,
@@ -140,6 +140,6 @@ impl Sheet {
     #[inline]
     pub fn albedo(&self, wo: Vec3A) -> Rgb {
         let cos = wo.z.abs();
-        self.coat.reflectance(cos) + self.ts + (self.rd + self.td) * self.coat.left(cos)
+        self.coat.reflectance(cos) + self.ts + (self.rd + self.td) * self.coat.transmitted(cos)
     }
 }

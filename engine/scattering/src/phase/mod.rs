@@ -74,7 +74,7 @@ impl Phase {
             Self::Rayleigh => (1.0, 1.0 - f64::from(rayleigh::sample_cos(u[0]))),
         };
         let peak = if parameter >= 0.0 { -wo } else { wo };
-        let wi = Frame::from_normal(peak).to_world(warp::about(versine, u[1])).normalize();
+        let wi = Frame::from_normal(peak).to_world(warp::direction_from_versine(versine, u[1])).normalize();
         PhaseSample { wi, pdf: self.eval(wo, wi) }
     }
 

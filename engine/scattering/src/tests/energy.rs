@@ -100,16 +100,16 @@ fn no_material_of_the_format_returns_more_than_it_receives() {
 fn material_beyond_limits_keeps_ratios_and_others_keep_bits() {
     let p = MaterialParameters::default();
     let within = MaterialParameters { rd: Rgb::new(0.3, 0.2, 0.1), td: Rgb::splat(0.3), rs: Rgb::splat(0.4), ..p };
-    assert_eq!(within.conserving(), within);
+    assert_eq!(within.energy_conserving(), within);
     // The red of Rec.709 with `rd .3` and `rs .3`: 1.38 in red for each.
     let red = Rgb::new(1.0 / LUMINANCE_WEIGHTS.x, 0.0, 0.0);
-    let beyond = MaterialParameters { rd: red * 0.3, rs: red * 0.15, ..p }.conserving();
+    let beyond = MaterialParameters { rd: red * 0.3, rs: red * 0.15, ..p }.energy_conserving();
     assert!((beyond.rd.x - 2.0 / 3.0).abs() < 1e-6 && (beyond.rs.x - 1.0 / 3.0).abs() < 1e-6, "{beyond:?}");
     // A coat with an index leaves the light that it does not reflect, so the parts below it are not reduced for it.
-    let coated = MaterialParameters { rd: red * 0.3, rs: red * 0.3, ior: Some((1.5, 0.0)), ..p }.conserving();
+    let coated = MaterialParameters { rd: red * 0.3, rs: red * 0.3, ior: Some((1.5, 0.0)), ..p }.energy_conserving();
     assert_eq!((coated.rd.x, coated.rs.x), (1.0, 1.0));
     // `rs` of a solid does not count.
     let solid = MaterialParameters { ts: Rgb::splat(0.9), rs: Rgb::splat(0.9), sides: Sides::One, ..coated };
     let solid = MaterialParameters { rd: Rgb::splat(0.1), ..solid };
-    assert_eq!(solid.conserving().ts, solid.ts);
+    assert_eq!(solid.energy_conserving().ts, solid.ts);
 }

@@ -1,6 +1,6 @@
 //! Checks motion that cannot be followed, and the selectors of `vary`.
 
-use super::{Faults, Scope, WHOLE, place};
+use super::{Faults, Scope, WHOLE_SCENE, format_location};
 use crate::{
     FaultKind::{Animation, BadSelector, DuplicateName},
     SelectorError,
@@ -18,7 +18,7 @@ pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
         faults.add(
             Error,
             Animation,
-            WHOLE,
+            WHOLE_SCENE,
             "the clip has no frames",
             "give `time t0 t1 fps` with t1 >= t0 and fps > 0",
         );
@@ -50,7 +50,8 @@ fn check_varies(scope: &Scope<'_>, faults: &mut Faults) {
     let mut first: BTreeMap<&str, &Vary> = BTreeMap::new();
     for vary in &scene.varies {
         if let Some(earlier) = first.insert(&vary.selector, vary) {
-            let message = format!("`{}` varies twice, also at {}", vary.selector, place(scene, earlier.location));
+            let message =
+                format!("`{}` varies twice, also at {}", vary.selector, format_location(scene, earlier.location));
             faults.add(Warning, DuplicateName, vary.location, message, "keep one; the last one is used");
         }
         if scene.clip.is_none() && vary.keys.iter().any(|key| key.1 != vary.keys[0].1) {
@@ -72,7 +73,8 @@ fn check_varies(scope: &Scope<'_>, faults: &mut Faults) {
         let (SelectorError::Unknown { selector, .. }
         | SelectorError::Refused { selector, .. }
         | SelectorError::Timeless { selector }) = &error;
-        let location = scene.varies.iter().find(|vary| vary.selector == *selector).map_or(WHOLE, |vary| vary.location);
+        let location =
+            scene.varies.iter().find(|vary| vary.selector == *selector).map_or(WHOLE_SCENE, |vary| vary.location);
         let advice = match error {
             SelectorError::Unknown { .. } => "use the name of a scalar of the scene",
             SelectorError::Refused { .. } => "change the keys",

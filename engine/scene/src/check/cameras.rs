@@ -1,6 +1,6 @@
 //! Checks cameras and the size of the scene.
 
-use super::{Faults, Scope, WHOLE};
+use super::{Faults, Scope, WHOLE_SCENE};
 use crate::{
     FaultKind::{Camera as CameraFault, Scale},
     Severity::{Error, Warning},
@@ -16,16 +16,22 @@ const FAR: f64 = 100.0;
 pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
     let size = scope.bounds.diagonal();
     if scope.bounds.is_empty() {
-        faults.add(Warning, Scale, WHOLE, "the scene has no surface and no luminaire", "add a surface or a luminaire");
+        faults.add(
+            Warning,
+            Scale,
+            WHOLE_SCENE,
+            "the scene has no surface and no luminaire",
+            "add a surface or a luminaire",
+        );
     } else if size > LARGEST {
-        let message = format!("the scene is {} across", length(size));
-        faults.add(Warning, Scale, WHOLE, message, "give lengths in meters (`xf -s` scales)");
+        let message = format!("the scene is {} across", format_length(size));
+        faults.add(Warning, Scale, WHOLE_SCENE, message, "give lengths in meters (`xf -s` scales)");
     } else if size < SMALLEST {
-        let message = format!("the scene is only {} across", length(size));
-        faults.add(Warning, Scale, WHOLE, message, "give lengths in meters (`xf -s` scales)");
+        let message = format!("the scene is only {} across", format_length(size));
+        faults.add(Warning, Scale, WHOLE_SCENE, message, "give lengths in meters (`xf -s` scales)");
     }
     if scope.scene.cameras.is_empty() {
-        faults.add(Warning, CameraFault, WHOLE, "the scene has no camera", "add one: `camera NAME =`");
+        faults.add(Warning, CameraFault, WHOLE_SCENE, "the scene has no camera", "add one: `camera NAME =`");
     }
     scope.scene.cameras.iter().for_each(|camera| check_camera(scope, camera, faults));
 }
@@ -54,8 +60,11 @@ fn check_camera(scope: &Scope<'_>, camera: &Camera, faults: &mut Faults) {
         let nearest = eye.clamp(scope.bounds.min, scope.bounds.max);
         let (away, size) = (eye.distance(nearest), scope.bounds.diagonal());
         if away > FAR * size {
-            let message =
-                format!("camera `{name}` is {} away from a scene that is {} across", length(away), length(size));
+            let message = format!(
+                "camera `{name}` is {} away from a scene that is {} across",
+                format_length(away),
+                format_length(size)
+            );
             faults.add(Warning, Scale, location, message, "check the units of its origin");
         }
     }
@@ -78,7 +87,7 @@ fn blind_frame(scope: &Scope<'_>, camera: &Camera) -> Option<u32> {
 }
 
 /// Formats a length for messages.
-fn length(metres: f64) -> String {
+fn format_length(metres: f64) -> String {
     match metres {
         m if m >= 1e4 => format!("{:.4} km", m / 1e3),
         m if m >= 1.0 => format!("{m:.1} m"),

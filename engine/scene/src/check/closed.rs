@@ -28,11 +28,11 @@ pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
         return;
     }
     for (group, _) in scope.scene.groups.iter().zip(&scope.placed).filter(|(_, placed)| **placed) {
-        let corners = Bounds::of(group.vertices.iter().map(|vertex| vertex.position));
+        let corners = Bounds::from_points(group.vertices.iter().map(|vertex| vertex.position));
         let round = group.quadrics.iter().fold(corners, |bounds, quadric| match quadric.shape {
-            Shape::Cone { start, end, .. } => bounds.union(Bounds::of([start, end])),
+            Shape::Cone { start, end, .. } => bounds.union(Bounds::from_points([start, end])),
             Shape::Sphere { center, .. } | Shape::Ring { center, .. } | Shape::Torus { center, .. } => {
-                bounds.union(Bounds::of([center]))
+                bounds.union(Bounds::from_points([center]))
             }
         });
         let step = (WELD * round.magnitude()).max(f64::MIN_POSITIVE);
@@ -128,7 +128,7 @@ fn face_across(group: &Group, center: DVec3, axis: DVec3, step: f64) -> bool {
     group.triangles.iter().any(|triangle| {
         let corners = triangle.map(|vertex| group.vertices[vertex as usize].position);
         let is_level = corners.iter().all(|corner| (*corner - center).dot(axis).abs() <= step);
-        is_level && Bounds::of(corners).grown(step).overlaps(&Bounds::of([center]))
+        is_level && Bounds::from_points(corners).grown(step).overlaps(&Bounds::from_points([center]))
     })
 }
 

@@ -14,7 +14,7 @@ pub(super) struct Plane {
 }
 
 impl Plane {
-    pub fn of(triangle: &PlacedTriangle) -> Option<Self> {
+    pub fn from_triangle(triangle: &PlacedTriangle) -> Option<Self> {
         let cross = triangle.cross();
         let length = cross.length();
         let normal = cross / length;

@@ -33,7 +33,7 @@ fn check_face(group: &Group, face: &Face, faults: &mut Faults) {
     });
     let (twice_area, cross) =
         crosses.fold((0.0, DVec3::ZERO), |(area, sum), cross| (area + cross.length(), sum + cross));
-    let size = Bounds::of(corners()).diagonal();
+    let size = Bounds::from_points(corners()).diagonal();
     if twice_area <= NO_AREA * size * size {
         let message = "the face has no area: it is skipped";
         faults.add(Warning, DegenerateSurface, face.location, message, "remove it or move its corners apart");

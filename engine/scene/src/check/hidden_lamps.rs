@@ -4,12 +4,15 @@
 //! counts as found as soon as a point on a camera's path sees one of these points. A warning states the reason that all rays of a
 //! lamp have in common.
 
-use super::{Faults, Scope, WHOLE, light_paths::view, materials::title};
+use super::{Faults, Scope, WHOLE_SCENE, light_paths::camera_ray, materials::title};
 use crate::{
     FaultKind::{Camera as CameraFault, Incomplete, LightsNothing},
     Severity::{Note, Warning},
     description::{Location, MaterialId},
-    world::{Beams, Dice, Ending, LitPlace, Shone, Source, scattered, shine, sources, walk},
+    world::{
+        EmissionSampler, LightPathEnd, LightSource, LitPoint, SplitMix64, WalkEnd, light_sources, random_walk,
+        scattered_ray, trace_light,
+    },
 };
 use femc_math::glam::DVec3;
 use std::collections::BTreeMap;
@@ -17,7 +20,7 @@ use std::collections::BTreeMap;
 /// Number of rays per lamp.
 const RAYS: u32 = 256;
 /// Maximum number of lit points from which light is traced further, and maximum number of reflections from each.
-const FOLLOWED: usize = 64;
+const MAX_FOLLOWED: usize = 64;
 const REFLECTIONS: u32 = 16;
 /// Number of points on the cameras' paths that are tested against each lit point, in addition to one eye.
 const TRIES: u32 = 2;
@@ -37,26 +40,26 @@ pub(super) const BLACK: &str = "its image is black";
 
 pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
     let mut search = Search::new(scope);
-    let all = sources(scope);
+    let all = light_sources(scope);
     let is_dark = faults.0.iter().any(|fault| fault.kind == CameraFault && fault.message.ends_with(BLACK));
     // First location and count of equal findings.
-    let mut found: BTreeMap<(Location, Hidden), u32> = BTreeMap::new();
+    let mut found: BTreeMap<(Location, HiddenReason), u32> = BTreeMap::new();
     let mut looked_at = 0;
     for source in &all {
-        if search.ways > BUDGET {
+        if search.ray_count > BUDGET {
             break;
         }
         looked_at += 1;
-        if let Some(hidden) = search.hidden(source)
-            && !(is_dark && matches!(hidden, Hidden::Apart | Hidden::Near(_)))
+        if let Some(reason) = search.hidden_reason(source)
+            && !(is_dark && matches!(reason, HiddenReason::Unseen | HiddenReason::Near(_)))
         {
-            *found.entry((source.location, hidden)).or_default() += 1;
+            *found.entry((source.location, reason)).or_default() += 1;
         }
     }
     let said = |location: Location| faults.0.iter().any(|f| f.kind == LightsNothing && f.location == location);
     found.retain(|(location, _), _| !said(*location));
-    for ((location, hidden), count) in found {
-        let (message, advice) = search.words(hidden);
+    for ((location, reason), count) in found {
+        let (message, advice) = search.describe(reason);
         let copies = if count == 1 { String::new() } else { format!(" ({count} copies of the lamp)") };
         faults.add(Warning, LightsNothing, location, format!("{message}{copies}"), advice);
     }
@@ -65,7 +68,7 @@ pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
         faults.add(
             Note,
             Incomplete,
-            WHOLE,
+            WHOLE_SCENE,
             message,
             "if lamps seem to be missing, check parts of the scene separately",
         );
@@ -74,7 +77,7 @@ pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
 
 /// Reason why a lamp's light is not found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-enum Hidden {
+enum HiddenReason {
     /// A point lamp. This percentage of its light hits solids that refract it.
     Glass(MaterialId, u32),
     /// A point lamp. This percentage of its light hits perfect mirrors.
@@ -84,126 +87,126 @@ enum Hidden {
     /// The light reaches only surfaces up to this many millimeters away, and no camera sees them.
     Near(u32),
     /// No camera sees a point that the light reaches.
-    Apart,
+    Unseen,
 }
 
 /// State of the search: the cameras' views and the work done so far.
 struct Search<'a, 'b> {
     scope: &'b Scope<'a>,
     /// Emission directions of the photometric files.
-    beams: Vec<Option<Beams>>,
+    samplers: Vec<Option<EmissionSampler>>,
     eyes: Vec<DVec3>,
     /// Points on the cameras' paths, each with the normal of the side that the path hit.
-    places: Vec<(DVec3, DVec3)>,
+    path_points: Vec<(DVec3, DVec3)>,
     /// Whether some path of a camera leaves the scene.
     escapes: bool,
-    dice: Dice,
+    rng: SplitMix64,
     /// Number of rays and visibility tests so far.
-    ways: u64,
+    ray_count: u64,
 }
 
 impl<'a, 'b> Search<'a, 'b> {
     fn new(scope: &'b Scope<'a>) -> Self {
-        let beams = scope.scene.photometry.iter().map(Beams::new).collect();
+        let samplers = scope.scene.photometry.iter().map(EmissionSampler::new).collect();
         let cameras = &scope.scene.cameras;
-        let (mut eyes, mut places, mut escapes, mut dice) = (Vec::new(), Vec::new(), false, Dice(5));
+        let (mut eyes, mut path_points, mut escapes, mut rng) = (Vec::new(), Vec::new(), false, SplitMix64(5));
         for camera in cameras.iter().filter(|_| cameras.len() <= CAMERAS) {
             eyes.push(camera.at(&scope.scene.paths, scope.time).origin);
             for _ in 0..WALKS / cameras.len() {
-                let Some(ray) = view(scope, camera, &mut dice) else { break };
-                let mut visit = |_: &_, place, normal| places.push((place, normal));
-                escapes |= walk(scope, ray, &mut dice, &mut visit) == Ending::Escaped;
+                let Some(ray) = camera_ray(scope, camera, &mut rng) else { break };
+                let mut visit = |_: &_, place, normal| path_points.push((place, normal));
+                escapes |= random_walk(scope, ray, &mut rng, &mut visit) == WalkEnd::Escaped;
             }
         }
-        Self { scope, beams, eyes, places, escapes, dice: Dice(13), ways: 0 }
+        Self { scope, samplers, eyes, path_points, escapes, rng: SplitMix64(13), ray_count: 0 }
     }
 
     /// Returns the reason why no light of a source is found. `None` means that some light is found, or that this cannot be
     /// excluded.
-    fn hidden(&mut self, source: &Source<'_>) -> Option<Hidden> {
+    fn hidden_reason(&mut self, source: &LightSource<'_>) -> Option<HiddenReason> {
         let mut tally = Tally::default();
-        let mut lit: Vec<LitPlace> = Vec::new();
+        let mut lit: Vec<LitPoint> = Vec::new();
         for number in 0..RAYS {
             let at = (f64::from(number) + 0.5) / f64::from(RAYS);
-            let Some(emitted) = source.emit(self.scope, &self.beams, at, &mut self.dice) else { continue };
+            let Some(emitted) = source.emit(self.scope, &self.samplers, at, &mut self.rng) else { continue };
             let origin = emitted.ray.origin;
             tally.rays += 1;
-            if emitted.normal.is_some() && self.sees(&LitPlace { place: origin, normal: emitted.normal }) {
+            if emitted.normal.is_some() && self.sees(&LitPoint { position: origin, normal: emitted.normal }) {
                 return None;
             }
-            self.ways += 1;
-            match shine(self.scope, emitted.ray, source.is_point(), &mut self.dice) {
-                Shone::Escaped => tally.escaped = true,
-                Shone::Bent(material) => tally.bend(material),
-                Shone::Mirrored(material) => tally.mirror(material),
-                Shone::Stopped(material) => tally.stopped = Some(material),
-                Shone::Lit(place) if self.sees(&place) => return None,
-                Shone::Lit(place) => {
-                    tally.reach = tally.reach.max(place.place.distance(origin));
-                    lit.push(place);
+            self.ray_count += 1;
+            match trace_light(self.scope, emitted.ray, source.is_point(), &mut self.rng) {
+                LightPathEnd::Escaped => tally.escaped = true,
+                LightPathEnd::Refracted(material) => tally.add_refraction(material),
+                LightPathEnd::Mirrored(material) => tally.add_reflection(material),
+                LightPathEnd::Stopped(material) => tally.stopped = Some(material),
+                LightPathEnd::Lit(point) if self.sees(&point) => return None,
+                LightPathEnd::Lit(point) => {
+                    tally.reach = tally.reach.max(point.position.distance(origin));
+                    lit.push(point);
                 }
             }
         }
-        if let Some(lost) = tally.lost() {
+        if let Some(lost) = tally.lost_reason() {
             return Some(lost);
         }
         match tally.stopped.filter(|_| lit.is_empty() && !tally.escaped) {
-            Some(material) => Some(Hidden::Stopped(material)),
-            None => self.apart(&lit, tally),
+            Some(material) => Some(HiddenReason::Stopped(material)),
+            None => self.unseen_reason(&lit, tally),
         }
     }
 
     /// Traces the light of lit points further, until a camera sees what it lights.
-    fn apart(&mut self, lit: &[LitPlace], mut tally: Tally) -> Option<Hidden> {
+    fn unseen_reason(&mut self, lit: &[LitPoint], mut tally: Tally) -> Option<HiddenReason> {
         if self.eyes.is_empty() || tally.rays == 0 {
             return None;
         }
         let around = (AROUND.0 * self.scope.bounds.diagonal()).min(AROUND.1);
-        let step = lit.len().div_ceil(FOLLOWED).max(1);
+        let step = lit.len().div_ceil(MAX_FOLLOWED).max(1);
         for first in lit.iter().step_by(step) {
-            let mut place = *first;
+            let mut point = *first;
             for _ in 0..REFLECTIONS {
                 if tally.escaped && self.escapes && (lit.is_empty() || tally.reach > around) {
                     return None;
                 }
-                let ray = scattered(self.scope, &place, &mut self.dice);
-                self.ways += 1;
-                match shine(self.scope, ray, false, &mut self.dice) {
-                    Shone::Lit(next) if self.sees(&next) => return None,
-                    Shone::Lit(next) => {
-                        tally.reach = tally.reach.max(next.place.distance(first.place));
-                        place = next;
+                let ray = scattered_ray(self.scope, &point, &mut self.rng);
+                self.ray_count += 1;
+                match trace_light(self.scope, ray, false, &mut self.rng) {
+                    LightPathEnd::Lit(next) if self.sees(&next) => return None,
+                    LightPathEnd::Lit(next) => {
+                        tally.reach = tally.reach.max(next.position.distance(first.position));
+                        point = next;
                     }
-                    Shone::Escaped => {
+                    LightPathEnd::Escaped => {
                         tally.escaped = true;
                         break;
                     }
-                    Shone::Bent(_) | Shone::Mirrored(_) | Shone::Stopped(_) => break,
+                    LightPathEnd::Refracted(_) | LightPathEnd::Mirrored(_) | LightPathEnd::Stopped(_) => break,
                 }
             }
         }
         match tally.escaped && self.escapes {
-            false => Some(Hidden::Apart),
+            false => Some(HiddenReason::Unseen),
             true if lit.is_empty() || tally.reach > around || self.is_foggy() => None,
-            true => Some(Hidden::Near((1e3 * tally.reach).ceil() as u32)),
+            true => Some(HiddenReason::Near((1e3 * tally.reach).ceil() as u32)),
         }
     }
 
     /// Returns whether an eye or a random point on a camera's path sees a lit point.
-    fn sees(&mut self, lit: &LitPlace) -> bool {
-        let is_lit_from = |from: DVec3| lit.normal.is_none_or(|normal| normal.dot(from - lit.place) > 0.0);
-        let mut pick = |count: usize| (self.dice.roll() * count as f64) as usize;
+    fn sees(&mut self, lit: &LitPoint) -> bool {
+        let is_lit_from = |from: DVec3| lit.normal.is_none_or(|normal| normal.dot(from - lit.position) > 0.0);
+        let mut pick = |count: usize| (self.rng.next_f64() * count as f64) as usize;
         if let Some(&eye) = self.eyes.get(pick(self.eyes.len())) {
-            self.ways += 1;
-            if is_lit_from(eye) && self.scope.passages(eye, lit.place).is_some() {
+            self.ray_count += 1;
+            if is_lit_from(eye) && self.scope.invisible_backs_between(eye, lit.position).is_some() {
                 return true;
             }
         }
         (0..TRIES).any(|_| {
-            let Some(&(place, normal)) = self.places.get(pick(self.places.len())) else { return false };
-            self.ways += 1;
-            let is_before = normal.dot(lit.place - place) > 0.0;
-            is_before && is_lit_from(place) && self.scope.passages(place, lit.place).is_some()
+            let Some(&(place, normal)) = self.path_points.get(pick(self.path_points.len())) else { return false };
+            self.ray_count += 1;
+            let is_before = normal.dot(lit.position - place) > 0.0;
+            is_before && is_lit_from(place) && self.scope.invisible_backs_between(place, lit.position).is_some()
         })
     }
 
@@ -211,19 +214,19 @@ impl<'a, 'b> Search<'a, 'b> {
     fn is_foggy(&self) -> bool {
         let scene = self.scope.scene;
         let media = scene.regions.iter().filter_map(|region| scene.media.get(region.medium.index()));
-        media.into_iter().any(|m| scene.largest(&format!("medium.{}", m.name), "sigma_s", m.sigma_s) > 0.0)
+        media.into_iter().any(|m| scene.max_over_time(&format!("medium.{}", m.name), "sigma_s", m.sigma_s) > 0.0)
     }
 
     /// Returns message and advice.
-    fn words(&self, hidden: Hidden) -> (String, &'static str) {
+    fn describe(&self, reason: HiddenReason) -> (String, &'static str) {
         let named =
             |material: MaterialId| self.scope.scene.materials.get(material.index()).map_or(String::new(), title);
         let share = |hundredths: u32| match hundredths {
             100 => "the light".to_owned(),
             part => format!("{part} % of the light"),
         };
-        match hidden {
-            Hidden::Glass(material, part) => (
+        match reason {
+            HiddenReason::Glass(material, part) => (
                 format!(
                     "{} of this lamp cannot get through the solid glass around it ({}): the lamp is a point, and \
                      refracted paths never hit a point",
@@ -233,7 +236,7 @@ impl<'a, 'b> Search<'a, 'b> {
                 "give the lamp a size (in its photometric file, or a small sphere with `ed` instead), or make the glass a \
                  thin sheet (`sides 2`, no `ir`)",
             ),
-            Hidden::Mirror(material, part) => (
+            HiddenReason::Mirror(material, part) => (
                 format!(
                     "{} of this lamp hits perfect mirrors ({}): the lamp is a point, and paths that a mirror \
                      reflects never hit a point",
@@ -243,21 +246,21 @@ impl<'a, 'b> Search<'a, 'b> {
                 "give the lamp a size (in its photometric file, or a small sphere with `ed` instead), or give the mirror a \
                  roughness (`rs .9 .05`)",
             ),
-            Hidden::Stopped(material) => (
+            HiddenReason::Stopped(material) => (
                 format!(
                     "surfaces block all light of this lamp ({}): the lamp is inside a solid, or behind a one-sided surface",
                     named(material)
                 ),
                 "move the lamp in front of the surface",
             ),
-            Hidden::Near(millimeters) => (
+            HiddenReason::Near(millimeters) => (
                 format!(
                     "the light of this lamp hits only surfaces within {:.1} cm of it, and no camera sees them",
                     f64::from(millimeters) / 10.0
                 ),
                 "move the lamp out of the wall, or below the ceiling",
             ),
-            Hidden::Apart => (
+            HiddenReason::Unseen => (
                 "the light of this lamp does not reach any place that a camera sees: opaque surfaces block it"
                     .to_owned(),
                 "move the lamp into the space that the camera sees, for example below the ceiling",
@@ -270,7 +273,7 @@ impl<'a, 'b> Search<'a, 'b> {
 #[derive(Default)]
 struct Tally {
     rays: u32,
-    bent: u32,
+    refracted: u32,
     mirrored: u32,
     /// First solid that refracts, and first mirror.
     glass: Option<MaterialId>,
@@ -282,26 +285,26 @@ struct Tally {
 }
 
 impl Tally {
-    fn bend(&mut self, material: MaterialId) {
-        self.bent += 1;
+    fn add_refraction(&mut self, material: MaterialId) {
+        self.refracted += 1;
         self.glass.get_or_insert(material);
     }
 
-    fn mirror(&mut self, material: MaterialId) {
+    fn add_reflection(&mut self, material: MaterialId) {
         self.mirrored += 1;
         self.mirror.get_or_insert(material);
     }
 
     /// Returns the reason if glass and mirrors take most of a point lamp's light.
-    fn lost(&self) -> Option<Hidden> {
+    fn lost_reason(&self) -> Option<HiddenReason> {
         let part = |count: u32| (100.0 * f64::from(count) / f64::from(self.rays.max(1))).round() as u32;
-        if f64::from(self.bent + self.mirrored) <= LOST * f64::from(self.rays) {
+        if f64::from(self.refracted + self.mirrored) <= LOST * f64::from(self.rays) {
             return None;
         }
-        if self.bent >= self.mirrored {
-            Some(Hidden::Glass(self.glass?, part(self.bent)))
+        if self.refracted >= self.mirrored {
+            Some(HiddenReason::Glass(self.glass?, part(self.refracted)))
         } else {
-            Some(Hidden::Mirror(self.mirror?, part(self.mirrored)))
+            Some(HiddenReason::Mirror(self.mirror?, part(self.mirrored)))
         }
     }
 }

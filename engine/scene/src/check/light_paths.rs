@@ -3,12 +3,12 @@
 //!
 //! The check uses a few hundred random walks from each camera. A fault that they find is real. They may miss faults.
 
-use super::{Faults, Scope, WHOLE, hidden_lamps::BLACK, materials::title};
+use super::{Faults, Scope, WHOLE_SCENE, hidden_lamps::BLACK, materials::title};
 use crate::{
     FaultKind::{Camera as CameraFault, EnergyTrap, OneSidedWall},
     Severity::Warning,
     description::{Camera, Location, MaterialId, Scene},
-    world::{Dice, Ending, Hit, LampPoint, Ray, lamp_points, walk},
+    world::{Hit, LampPoint, Ray, SplitMix64, WalkEnd, lamp_points, random_walk},
 };
 use femc_math::{elementary::double::tan, glam::DVec3};
 use std::collections::BTreeMap;
@@ -26,15 +26,18 @@ const WHITE: f64 = 1.0 - 1e-6;
 
 pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
     let lamps = lamp_points(scope);
-    let glows =
-        scope.scene.media.iter().any(|m| scope.scene.largest(&format!("medium.{}", m.name), "glow", m.glow) > 0.0);
+    let glows = scope
+        .scene
+        .media
+        .iter()
+        .any(|m| scope.scene.max_over_time(&format!("medium.{}", m.name), "glow", m.glow) > 0.0);
     let (mut backs, mut lit, mut closed) = (BTreeMap::new(), 0, !scope.scene.cameras.is_empty());
     for camera in scope.scene.cameras.iter().take(CAMERAS) {
-        let found = look(scope, camera, &lamps, &mut backs);
-        lit += found.lit;
-        let is_enclosed = found.begun > 0 && found.escaped == 0;
+        let counts = trace_camera_walks(scope, camera, &lamps, &mut backs);
+        lit += counts.lit;
+        let is_enclosed = counts.walks > 0 && counts.escaped == 0;
         closed &= is_enclosed;
-        if is_enclosed && found.lit == 0 && !glows && !lamps.is_empty() {
+        if is_enclosed && counts.lit == 0 && !glows && !lamps.is_empty() {
             let message = format!("camera `{}` is enclosed by surfaces that block all light: {BLACK}", camera.name);
             faults.add(
                 Warning,
@@ -56,15 +59,15 @@ pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
     if closed && nothing_absorbs(scope) {
         let message =
             "the scene is closed, and no surface or medium in it absorbs: light never leaves it, and paths never end";
-        faults.add(Warning, EnergyTrap, WHOLE, message, "make a surface absorb some light, or set `--max-depth`");
+        faults.add(Warning, EnergyTrap, WHOLE_SCENE, message, "make a surface absorb some light, or set `--max-depth`");
     }
 }
 
 /// Results of a camera's walks.
 #[derive(Default)]
-struct Found {
+struct WalkCounts {
     /// Number of walks.
-    begun: u32,
+    walks: u32,
     /// Number of walks that left the scene.
     escaped: u32,
     /// Number of pairs of a point and a lamp that lights it; a walk that hits a lamp also counts.
@@ -72,39 +75,39 @@ struct Found {
 }
 
 /// First location of a wall whose back let light in, and the number of such hits, by material.
-type Backs = BTreeMap<MaterialId, (Location, u32)>;
+type BackHits = BTreeMap<MaterialId, (Location, u32)>;
 
-fn look(scope: &Scope<'_>, camera: &Camera, lamps: &[LampPoint], backs: &mut Backs) -> Found {
-    let mut found = Found::default();
-    let (mut dice, mut numbers) = (Dice(7), Dice(11));
+fn trace_camera_walks(scope: &Scope<'_>, camera: &Camera, lamps: &[LampPoint], backs: &mut BackHits) -> WalkCounts {
+    let mut counts = WalkCounts::default();
+    let (mut rng, mut lamp_rng) = (SplitMix64(7), SplitMix64(11));
     for _ in 0..WALKS {
-        let Some(ray) = view(scope, camera, &mut dice) else { break };
-        found.begun += 1;
-        let mut visit = |hit: &Hit, place: DVec3, normal: DVec3| {
-            found.lit += u32::from(is_lamp(scope, hit, normal));
+        let Some(ray) = camera_ray(scope, camera, &mut rng) else { break };
+        counts.walks += 1;
+        let mut visit = |hit: &Hit, position: DVec3, normal: DVec3| {
+            counts.lit += u32::from(is_lamp(scope, hit, normal));
             for _ in 0..LAMPS.min(lamps.len()) {
-                let lamp = &lamps[(numbers.roll() * lamps.len() as f64) as usize];
-                let Some(passed) = lights(scope, lamp, place, normal) else { continue };
-                found.lit += 1;
+                let lamp = &lamps[(lamp_rng.next_f64() * lamps.len() as f64) as usize];
+                let Some(passed) = invisible_backs_to_lamp(scope, lamp, position, normal) else { continue };
+                counts.lit += 1;
                 for back in passed {
                     let entry = backs.entry(back.material).or_insert((back.location, 0));
                     *entry = (entry.0.min(back.location), entry.1 + 1);
                 }
             }
         };
-        found.escaped += u32::from(walk(scope, ray, &mut dice, &mut visit) == Ending::Escaped);
+        counts.escaped += u32::from(random_walk(scope, ray, &mut rng, &mut visit) == WalkEnd::Escaped);
     }
-    found
+    counts
 }
 
 /// Returns a random ray through the camera's film.
-pub(super) fn view(scope: &Scope<'_>, camera: &Camera, dice: &mut Dice) -> Option<Ray> {
+pub(super) fn camera_ray(scope: &Scope<'_>, camera: &Camera, rng: &mut SplitMix64) -> Option<Ray> {
     let camera = camera.at(&scope.scene.paths, scope.time);
     let forward = (camera.target - camera.origin).try_normalize()?;
     let right = forward.cross(camera.up).try_normalize()?;
     let half = tan(0.5 * camera.fov.to_radians());
     let aspect = f64::from(camera.film[0]) / f64::from(camera.film[1]).max(1.0);
-    let (x, y) = (half * aspect * (2.0 * dice.roll() - 1.0), half * (2.0 * dice.roll() - 1.0));
+    let (x, y) = (half * aspect * (2.0 * rng.next_f64() - 1.0), half * (2.0 * rng.next_f64() - 1.0));
     let dir = (forward + x * right + y * right.cross(forward)).try_normalize()?;
     Some(Ray { origin: camera.origin, dir, far: f64::INFINITY })
 }
@@ -117,13 +120,13 @@ fn is_lamp(scope: &Scope<'_>, hit: &Hit, normal: DVec3) -> bool {
 }
 
 /// Returns the invisible backs of surfaces that a lamp's light crosses on its way to a point; `None` if it does not arrive.
-fn lights(scope: &Scope<'_>, lamp: &LampPoint, place: DVec3, normal: DVec3) -> Option<Vec<Hit>> {
-    let way = lamp.place - place;
+fn invisible_backs_to_lamp(scope: &Scope<'_>, lamp: &LampPoint, position: DVec3, normal: DVec3) -> Option<Vec<Hit>> {
+    let way = lamp.position - position;
     let is_before = lamp.normal.is_none_or(|facing| facing.dot(way) < 0.0);
     if way.dot(normal) <= 0.0 || !is_before {
         return None;
     }
-    scope.passages(place, lamp.place)
+    scope.invisible_backs_between(position, lamp.position)
 }
 
 fn nothing_absorbs(scope: &Scope<'_>) -> bool {

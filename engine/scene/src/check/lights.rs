@@ -1,6 +1,6 @@
 //! Checks for lights that light nothing.
 
-use super::{Faults, Scope, WHOLE, coplanar::Plane, materials::title, overlap::tolerance};
+use super::{Faults, Scope, WHOLE_SCENE, coplanar::Plane, materials::title, overlap::tolerance};
 use crate::{
     FaultKind::LightsNothing,
     Severity::{Note, Warning},
@@ -23,13 +23,19 @@ pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
     covered_lamps(scope, faults);
     if scope.scene.is_dark() {
         let message = "nothing in the scene emits light: every image of it is black";
-        faults.add(Warning, LightsNothing, WHOLE, message, "add a surface with `ed`, an `ies` luminaire or a `glow`");
+        faults.add(
+            Warning,
+            LightsNothing,
+            WHOLE_SCENE,
+            message,
+            "add a surface with `ed`, an `ies` luminaire or a `glow`",
+        );
     }
 }
 
 /// Returns the maximum emittance over the clip, lm/m2.
 fn emittance(scope: &Scope<'_>, material: &Material) -> f64 {
-    scope.scene.largest(&format!("material.{}", material.name), "ed", material.ed.amount)
+    scope.scene.max_over_time(&format!("material.{}", material.name), "ed", material.ed.amount)
 }
 
 fn is_black(material: &Material) -> bool {
@@ -55,7 +61,7 @@ fn check_material(scope: &Scope<'_>, material: &Material, faults: &mut Faults) {
     }
 }
 
-fn power(scope: &Scope<'_>, luminaire: &Luminaire) -> f64 {
+fn peak_intensity(scope: &Scope<'_>, luminaire: &Luminaire) -> f64 {
     let photometry = scope.scene.photometry.get(luminaire.photometry.index());
     let brightest = photometry.map_or(0.0, |photometry| photometry.candela.iter().fold(0.0_f64, |a, b| a.max(*b)));
     brightest * luminaire.multiplier
@@ -67,7 +73,7 @@ fn multipliers_vary(scope: &Scope<'_>) -> bool {
 }
 
 fn check_luminaire(scope: &Scope<'_>, luminaire: &Luminaire, faults: &mut Faults) {
-    if power(scope, luminaire) <= 0.0 && !multipliers_vary(scope) {
+    if peak_intensity(scope, luminaire) <= 0.0 && !multipliers_vary(scope) {
         let message = "the luminaire has an intensity of 0 in all directions";
         faults.add(Warning, LightsNothing, luminaire.location, message, "check its file and its `-m`");
     }
@@ -80,7 +86,7 @@ pub(super) fn covered_lamps(scope: &Scope<'_>, faults: &mut Faults) {
     // Placed face -> its area, its covered area, its location.
     let mut lamps: BTreeMap<u32, (f64, f64, Location)> = BTreeMap::new();
     for lamp in scope.triangles.iter().filter(|triangle| emits.get(triangle.material.index()) == Some(&true)) {
-        let Some(plane) = Plane::of(lamp) else { continue };
+        let Some(plane) = Plane::from_triangle(lamp) else { continue };
         let entry = lamps.entry(lamp.face).or_insert((0.0, 0.0, lamp.location));
         entry.0 += plane.area;
         entry.1 += covered_area(scope, lamp, &plane);
@@ -103,9 +109,9 @@ pub(super) fn covered_lamps(scope: &Scope<'_>, faults: &mut Faults) {
 fn covered_area(scope: &Scope<'_>, lamp: &PlacedTriangle, plane: &Plane) -> f64 {
     let (least, gap) = (tolerance(scope), GAP * plane.area.sqrt());
     let mut covered = 0.0;
-    let _never_stops = scope.tree.find(&lamp.bounds().grown(gap), |other| {
+    let _never_stops = scope.tree.visit_overlapping(&lamp.bounds().grown(gap), |other| {
         let other = &scope.triangles[other];
-        if let (true, Some(cover)) = (other.face != lamp.face, Plane::of(other)) {
+        if let (true, Some(cover)) = (other.face != lamp.face, Plane::from_triangle(other)) {
             let (low, high) = plane.distances(&cover);
             if plane.is_parallel(&cover) && low > least && high <= gap && stops_light(scope, other, plane, &cover) {
                 covered += plane.overlap(&cover);

@@ -15,8 +15,8 @@ const ROOM: f64 = 1e-3;
 pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
     let materials = scope.scene.materials.iter().zip(&scope.used).filter(|(_, used)| **used);
     for (material, _) in materials {
-        energy(material, faults);
-        gamut(material, faults);
+        check_energy(material, faults);
+        check_gamut(material, faults);
         if material.ed.amount > BRIGHTEST {
             let message = format!("{} emits {:.1e} lm/m2", title(material), material.ed.amount);
             faults.add(Warning, Scale, material.location, message, "check the unit of `ed`");
@@ -29,7 +29,7 @@ pub(super) fn title(material: &Material) -> String {
     if material.name.is_empty() { "the unnamed material".into() } else { format!("material `{}`", material.name) }
 }
 
-fn energy(material: &Material, faults: &mut Faults) {
+fn check_energy(material: &Material, faults: &mut Faults) {
     let sum = material.reflectance_sum();
     if sum > Material::SUM_LIMIT {
         let message =
@@ -37,7 +37,7 @@ fn energy(material: &Material, faults: &mut Faults) {
         faults.add(Error, EnergyGain, material.location, message, "reduce these values");
         return;
     }
-    let channels = [0, 1, 2].map(|channel| material.asked_of_channel(channel));
+    let channels = [0, 1, 2].map(|channel| material.channel_demand(channel));
     let (strongest, value) = if channels[0] >= channels[1] && channels[0] >= channels[2] {
         ("red", channels[0])
     } else if channels[1] >= channels[2] {
@@ -54,7 +54,7 @@ fn energy(material: &Material, faults: &mut Faults) {
     }
 }
 
-fn gamut(material: &Material, faults: &mut Faults) {
+fn check_gamut(material: &Material, faults: &mut Faults) {
     let quantities =
         [("rd", &material.rd), ("td", &material.td), ("rs", &material.rs), ("ts", &material.ts), ("ed", &material.ed)];
     for (name, tinted) in quantities.into_iter().filter(|(_, tinted)| tinted.amount > 0.0) {

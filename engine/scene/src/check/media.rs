@@ -17,8 +17,8 @@ const CLEAR: f64 = 1e-6;
 const STEPS: u32 = 256;
 
 pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
-    placed(scope, faults);
-    insides(scope, faults);
+    check_placement(scope, faults);
+    check_insides(scope, faults);
     for region in &scope.scene.regions {
         if let RegionBounds::Box { min, max, to_world } = region.bounds
             && (!min.cmplt(max).all() || to_world.matrix3.determinant() == 0.0)
@@ -28,11 +28,11 @@ pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
             faults.add(Warning, MediumWithoutBounds, region.location, message, "give the lower corner first");
         }
     }
-    scope.scene.media.iter().for_each(|medium| thin(scope, medium, faults));
-    scope.scene.cameras.iter().for_each(|camera| thick(scope, camera, faults));
+    scope.scene.media.iter().for_each(|medium| check_too_thin(scope, medium, faults));
+    scope.scene.cameras.iter().for_each(|camera| check_too_thick(scope, camera, faults));
 }
 
-fn placed(scope: &Scope<'_>, faults: &mut Faults) {
+fn check_placement(scope: &Scope<'_>, faults: &mut Faults) {
     let scene = scope.scene;
     let materials = scene.materials.iter().zip(&scope.used).filter(|(_, used)| **used);
     let inside = materials.filter_map(|(material, _)| material.inside);
@@ -44,7 +44,7 @@ fn placed(scope: &Scope<'_>, faults: &mut Faults) {
     }
 }
 
-fn insides(scope: &Scope<'_>, faults: &mut Faults) {
+fn check_insides(scope: &Scope<'_>, faults: &mut Faults) {
     for (material, _) in scope.scene.materials.iter().zip(&scope.used).filter(|(_, used)| **used) {
         if material.inside.is_some() && material.sides == Sides::Two {
             let message = format!("{} has a medium inside, but it is two-sided and has no inside", title(material));
@@ -54,7 +54,7 @@ fn insides(scope: &Scope<'_>, faults: &mut Faults) {
 }
 
 /// Reports a medium that has no visible effect on any ray across the scene.
-fn thin(scope: &Scope<'_>, medium: &Medium, faults: &mut Faults) {
+fn check_too_thin(scope: &Scope<'_>, medium: &Medium, faults: &mut Faults) {
     let prefix = format!("medium.{}.", medium.name);
     let varies = scope.scene.varies.iter().any(|vary| vary.selector.starts_with(&prefix));
     let depth = extinction(medium) * scope.bounds.diagonal();
@@ -71,7 +71,7 @@ fn thin(scope: &Scope<'_>, medium: &Medium, faults: &mut Faults) {
 }
 
 /// Reports a camera that cannot see its target through the media.
-fn thick(scope: &Scope<'_>, camera: &Camera, faults: &mut Faults) {
+fn check_too_thick(scope: &Scope<'_>, camera: &Camera, faults: &mut Faults) {
     let scene = scope.scene;
     let camera = camera.at(&scene.paths, scope.time);
     let (eye, target) = (camera.origin, camera.target);

@@ -91,7 +91,7 @@ pub enum FaultKind {
 
 /// A fault of a scene.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct Fault {
+pub struct SceneFault {
     /// Severity. Only an error prevents rendering.
     pub severity: Severity,
     /// Kind of fault.
@@ -104,7 +104,7 @@ pub struct Fault {
     pub advice: String,
 }
 
-impl Fault {
+impl SceneFault {
     /// Formats the fault as `file:line: warning: message; advice`.
     pub fn display<'a>(&'a self, scene: &'a Scene) -> impl fmt::Display + 'a {
         DisplayFault { fault: self, scene }
@@ -112,29 +112,29 @@ impl Fault {
 }
 
 struct DisplayFault<'a> {
-    fault: &'a Fault,
+    fault: &'a SceneFault,
     scene: &'a Scene,
 }
 
 impl fmt::Display for DisplayFault<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Fault { severity, location, message, advice, .. } = self.fault;
-        write!(f, "{}: {severity}: {message}; {advice}", place(self.scene, *location))
+        let SceneFault { severity, location, message, advice, .. } = self.fault;
+        write!(f, "{}: {severity}: {message}; {advice}", format_location(self.scene, *location))
     }
 }
 
 /// Formats a location as `file:line`.
-fn place(scene: &Scene, location: Location) -> String {
+fn format_location(scene: &Scene, location: Location) -> String {
     let file = scene.files.get(location.file as usize).map_or("scene", String::as_str);
     format!("{file}:{}", location.line)
 }
 
 /// Location of the scene as a whole.
-const WHOLE: Location = Location { file: 0, line: 1, column: 0 };
+const WHOLE_SCENE: Location = Location { file: 0, line: 1, column: 0 };
 
 /// Faults found so far.
 #[derive(Default)]
-struct Faults(Vec<Fault>);
+struct Faults(Vec<SceneFault>);
 
 impl Faults {
     fn add(
@@ -145,13 +145,13 @@ impl Faults {
         message: impl Into<String>,
         advice: impl Into<String>,
     ) {
-        self.0.push(Fault { severity, kind, location, message: message.into(), advice: advice.into() });
+        self.0.push(SceneFault { severity, kind, location, message: message.into(), advice: advice.into() });
     }
 }
 
 /// Returns all faults of a scene, sorted by location, kind and text. Takes O(n log n) in the number of placed triangles. At most
 /// the first million triangles are checked; a note says so if there are more.
-pub fn check(scene: &Scene) -> Vec<Fault> {
+pub fn check_scene(scene: &Scene) -> Vec<SceneFault> {
     let mut faults = Faults::default();
     let scope = Scope::new(scene);
     for part in [
@@ -170,25 +170,25 @@ pub fn check(scene: &Scene) -> Vec<Fault> {
     ] {
         part(&scope, &mut faults);
     }
-    in_order(faults)
+    sorted_faults(faults)
 }
 
-/// Returns the lamps whose light no rendering method finds: a subset of the faults of [`check`], in the same order.
-pub fn lamps_without_light(scene: &Scene) -> Vec<Fault> {
+/// Returns the lamps whose light no rendering method finds: a subset of the faults of [`check_scene`], in the same order.
+pub fn lamps_without_light(scene: &Scene) -> Vec<SceneFault> {
     let mut faults = Faults::default();
     let scope = Scope::new(scene);
     lights::covered_lamps(&scope, &mut faults);
     hidden_lamps::check(&scope, &mut faults);
-    in_order(faults)
+    sorted_faults(faults)
 }
 
-fn in_order(faults: Faults) -> Vec<Fault> {
+fn sorted_faults(faults: Faults) -> Vec<SceneFault> {
     let mut faults = faults.0;
     faults.sort_by(|a, b| key(a).cmp(&key(b)));
     faults.dedup();
     faults
 }
 
-fn key(fault: &Fault) -> (Location, FaultKind, &str) {
+fn key(fault: &SceneFault) -> (Location, FaultKind, &str) {
     (fault.location, fault.kind, &fault.message)
 }

@@ -1,6 +1,6 @@
 //! Checks for unused names and duplicate names.
 
-use super::{Faults, Scope, place};
+use super::{Faults, Scope, format_location};
 use crate::{
     FaultKind::{DuplicateName, UnusedName},
     Severity::{Note, Warning},
@@ -97,13 +97,13 @@ fn unused_paths(scope: &Scope<'_>, faults: &mut Faults) {
 fn duplicates<'a>(
     scope: &Scope<'_>,
     faults: &mut Faults,
-    what: &str,
+    kind: &str,
     names: impl Iterator<Item = (&'a str, Location)>,
 ) {
     let mut first: BTreeMap<&str, Location> = BTreeMap::new();
     for (name, location) in names {
         if let Some(earlier) = first.get(name) {
-            let message = format!("{what} `{name}` is already defined at {}", place(scope.scene, *earlier));
+            let message = format!("{kind} `{name}` is already defined at {}", format_location(scope.scene, *earlier));
             faults.add(Warning, DuplicateName, location, message, "rename one of them");
         } else {
             first.insert(name, location);

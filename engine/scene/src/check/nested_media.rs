@@ -25,20 +25,20 @@ pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
     let triangles = scope.triangles.iter().filter(|triangle| holds(triangle.material));
     let curved = scope.quadrics.iter().filter(|quadric| holds(quadric.material));
     let mut points: Vec<DVec3> = triangles.map(|triangle| triangle.corners.iter().sum::<DVec3>() / 3.0).collect();
-    points.extend(curved.map(|quadric| middle(&quadric.shape)));
-    if points.len() <= Medium::MOST_NESTED {
+    points.extend(curved.map(|quadric| target_point(&quadric.shape)));
+    if points.len() <= Medium::MAX_NESTED {
         return;
     }
     let step = points.len().div_ceil(SURFACES);
     for point in points.into_iter().step_by(step) {
-        if deepest(scope, point, faults) {
+        if report_too_deep(scope, point, faults) {
             return;
         }
     }
 }
 
 /// Returns a point such that a ray through it hits the shape.
-fn middle(shape: &Shape) -> DVec3 {
+fn target_point(shape: &Shape) -> DVec3 {
     match *shape {
         Shape::Sphere { center, .. } | Shape::Ring { center, .. } => center,
         Shape::Cone { start, end, .. } => 0.5 * (start + end),
@@ -47,7 +47,7 @@ fn middle(shape: &Shape) -> DVec3 {
 }
 
 /// Traces a ray from outside the scene through `point`, and reports the surface behind which too many media are nested.
-fn deepest(scope: &Scope<'_>, point: DVec3, faults: &mut Faults) -> bool {
+fn report_too_deep(scope: &Scope<'_>, point: DVec3, faults: &mut Faults) -> bool {
     let dir = DIRECTION.normalize();
     let mut ray = Ray { origin: point - 2.0 * scope.bounds.diagonal() * dir, dir, far: f64::INFINITY };
     let mut inside: Vec<u32> = Vec::new();
@@ -63,12 +63,12 @@ fn deepest(scope: &Scope<'_>, point: DVec3, faults: &mut Faults) -> bool {
             continue;
         }
         inside.push(medium.0);
-        if inside.len() > Medium::MOST_NESTED {
+        if inside.len() > Medium::MAX_NESTED {
             let message = format!(
                 "the medium inside {} is nested in {} others: only {} nested media are tracked",
                 title(material),
-                Medium::MOST_NESTED,
-                Medium::MOST_NESTED
+                Medium::MAX_NESTED,
+                Medium::MAX_NESTED
             );
             let advice = "nest fewer solids that have a medium `inside`, or leave the outer ones empty";
             faults.add(Warning, NestedMedia, hit.location, message, advice);

@@ -4,7 +4,7 @@
 //! the search stops and a note says so. Faces back to back (a table leg on the floor) only get a note. Curved surfaces are reported
 //! only if they are identical and in the same group.
 
-use super::{Faults, Scope, WHOLE, coplanar::Plane, place};
+use super::{Faults, Scope, WHOLE_SCENE, coplanar::Plane, format_location};
 use crate::{
     FaultKind::{Incomplete, OverlappingFaces},
     Severity::{Note, Warning},
@@ -40,14 +40,16 @@ pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
     let mut compared = 0;
     let mut outcome = ControlFlow::Continue(());
     for (index, triangle) in scope.triangles.iter().enumerate() {
-        let Some(plane) = Plane::of(triangle) else { continue };
-        outcome = scope.tree.find(&triangle.bounds().grown(tolerance), |other| {
+        let Some(plane) = Plane::from_triangle(triangle) else { continue };
+        outcome = scope.tree.visit_overlapping(&triangle.bounds().grown(tolerance), |other| {
             if other <= index || scope.triangles[other].face == triangle.face {
                 return ControlFlow::Continue(());
             }
             compared += 1;
             let other = &scope.triangles[other];
-            if let Some(found) = Plane::of(other).and_then(|other| coincident(&plane, &other, tolerance)) {
+            if let Some(found) =
+                Plane::from_triangle(other).and_then(|other| coplanar_overlap(&plane, &other, tolerance))
+            {
                 let (a, b) = (triangle.location, other.location);
                 let (first, second, materials) = if a <= b {
                     (a, b, [triangle.material, other.material])
@@ -65,24 +67,26 @@ pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
             break;
         }
     }
-    if outcome.is_break() || scope.is_cut {
+    if outcome.is_break() || scope.is_truncated {
         let message = "too many triangles to find all overlapping faces: only the first are listed";
-        faults.add(Note, Incomplete, WHOLE, message, "check the parts of the scene one by one");
+        faults.add(Note, Incomplete, WHOLE_SCENE, message, "check the parts of the scene one by one");
     }
-    same_quadrics(scope, faults);
+    report_identical_quadrics(scope, faults);
     for ((first, second, sense), (area, materials)) in overlaps {
         report(scope, faults, (first, second), sense, area, materials);
     }
 }
 
 /// Reports curved surfaces that occur twice.
-fn same_quadrics(scope: &Scope<'_>, faults: &mut Faults) {
+fn report_identical_quadrics(scope: &Scope<'_>, faults: &mut Faults) {
     for (group, _) in scope.scene.groups.iter().zip(&scope.placed).filter(|(_, placed)| **placed) {
         let mut first: BTreeMap<[u64; 9], Location> = BTreeMap::new();
         for quadric in group.quadrics.iter().filter(|quadric| scope.is_shown(quadric.object)) {
             if let Some(earlier) = first.get(&bits(&quadric.shape)) {
-                let message =
-                    format!("the surface is in the same place as the one at {}", place(scope.scene, *earlier));
+                let message = format!(
+                    "the surface is in the same place as the one at {}",
+                    format_location(scope.scene, *earlier)
+                );
                 faults.add(Warning, OverlappingFaces, quadric.location, message, "remove one of them");
             } else {
                 first.insert(bits(&quadric.shape), quadric.location);
@@ -104,7 +108,7 @@ fn bits(shape: &Shape) -> [u64; 9] {
 }
 
 /// Returns the area that two triangles in one plane share, if it is more than a seam.
-fn coincident(a: &Plane, b: &Plane, tolerance: f64) -> Option<(f64, Sense)> {
+fn coplanar_overlap(a: &Plane, b: &Plane, tolerance: f64) -> Option<(f64, Sense)> {
     let (large, small) = if a.area >= b.area { (a, b) } else { (b, a) };
     let (low, high) = large.distances(small);
     if !large.is_parallel(small) || low < -tolerance || high > tolerance {
@@ -126,7 +130,7 @@ fn report(
     let other = if first == second {
         "another copy of itself".into()
     } else {
-        format!("the one at {}", place(scope.scene, first))
+        format!("the one at {}", format_location(scope.scene, first))
     };
     let bounds_solid = materials.iter().any(|id| {
         scope
@@ -135,7 +139,7 @@ fn report(
             .get(id.index())
             .is_some_and(|m| m.inside.is_some() || (m.ior.is_some() && m.ts.amount > 0.0))
     });
-    let area = area_for_people(area);
+    let area = format_area(area);
     let (severity, message) = match sense {
         Sense::Same => (Warning, format!("the face overlaps {other} on {area}, both facing the same way")),
         Sense::Opposite if bounds_solid => {
@@ -150,7 +154,7 @@ fn report(
     faults.add(severity, OverlappingFaces, second, message, advice);
 }
 
-fn area_for_people(area: f64) -> String {
+fn format_area(area: f64) -> String {
     match area {
         m2 if m2 >= 0.01 => format!("{m2:.2} m2"),
         m2 if m2 >= 1e-5 => format!("{:.1} cm2", m2 * 1e4),

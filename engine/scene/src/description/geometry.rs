@@ -22,9 +22,9 @@ pub struct Group {
 impl Group {
     /// Iterates over positions of the group's own surfaces and luminaires, in its frame, m: all vertices, and the middles of shapes
     /// and luminaires.
-    pub fn places(&self) -> impl Iterator<Item = DVec3> + '_ {
+    pub fn positions(&self) -> impl Iterator<Item = DVec3> + '_ {
         let vertices = self.vertices.iter().map(|vertex| vertex.position);
-        let quadrics = self.quadrics.iter().map(|quadric| quadric.shape.middle());
+        let quadrics = self.quadrics.iter().map(|quadric| quadric.shape.center());
         vertices.chain(quadrics).chain(self.luminaires.iter().map(|luminaire| luminaire.to_group.translation))
     }
 }
@@ -131,7 +131,7 @@ pub enum Shape {
 
 impl Shape {
     /// Returns the center of the shape.
-    pub fn middle(&self) -> DVec3 {
+    pub fn center(&self) -> DVec3 {
         match *self {
             Self::Sphere { center, .. } | Self::Ring { center, .. } | Self::Torus { center, .. } => center,
             Self::Cone { start, end, .. } => 0.5 * (start + end),

@@ -4,24 +4,24 @@ use serde::{Deserialize, Serialize};
 
 /// A scalar with a color. The value is the product of both; selectors set `amount`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Tinted {
+pub struct TintedScalar {
     /// The scalar of the file (reflectance, transmittance, or emittance in lm/m2).
     pub amount: f64,
     /// Linear Rec.709; luminance 1 unless it was given as raw RGB.
     pub color: [f64; 3],
 }
 
-impl Tinted {
+impl TintedScalar {
     /// Returns the Rec.709 luminance of the product: the photometric reflectance, transmittance or emittance. It equals the amount
     /// if the color has luminance 1, and is less for a darker raw RGB.
-    pub fn luminous(&self) -> f64 {
+    pub fn photometric_amount(&self) -> f64 {
         let weights = LUMINANCE_WEIGHTS.to_array().map(f64::from);
         let weighted: f64 = self.color.iter().zip(weights).map(|(channel, weight)| channel * weight).sum();
         self.amount * weighted / weights.iter().sum::<f64>()
     }
 }
 
-impl Default for Tinted {
+impl Default for TintedScalar {
     fn default() -> Self {
         Self { amount: 0.0, color: [1.0; 3] }
     }
@@ -56,21 +56,21 @@ pub struct Material {
     /// Sidedness.
     pub sides: Sides,
     /// Diffuse reflectance.
-    pub rd: Tinted,
+    pub rd: TintedScalar,
     /// Diffuse transmittance.
-    pub td: Tinted,
+    pub td: TintedScalar,
     /// Specular reflectance.
-    pub rs: Tinted,
+    pub rs: TintedScalar,
     /// GGX roughness of `rs`; 0 = mirror.
     pub rs_alpha: f64,
     /// Specular transmittance.
-    pub ts: Tinted,
+    pub ts: TintedScalar,
     /// GGX roughness of `ts`.
     pub ts_alpha: f64,
     /// Index of refraction, if given.
     pub ior: Option<Ior>,
     /// Emittance, lm/m2.
-    pub ed: Tinted,
+    pub ed: TintedScalar,
     /// Exponent n of the emission lobe: radiance = ed (n+2)/(2 pi) cos^n; `None`: Lambertian.
     pub lobe: Option<f64>,
     /// Medium behind the surface.
@@ -90,7 +90,7 @@ impl Material {
     /// Returns the share of equal-energy light that the surface reflects and transmits in total, photometrically: rd + td + rs +
     /// ts, each times the luminance of its color.
     pub fn reflectance_sum(&self) -> f64 {
-        [&self.rd, &self.td, &self.rs, &self.ts].into_iter().map(Tinted::luminous).sum()
+        [&self.rd, &self.td, &self.rs, &self.ts].into_iter().map(TintedScalar::photometric_amount).sum()
     }
 
     /// Returns the share of a channel's light (0 red, 1 green, 2 blue) that all parts of the material demand together. The renderer
@@ -98,7 +98,7 @@ impl Material {
     ///
     /// Parts below an interface with an index of refraction receive only the light that the interface does not reflect, so they do
     /// not compete with it.
-    pub fn asked_of_channel(&self, channel: usize) -> f64 {
+    pub fn channel_demand(&self, channel: usize) -> f64 {
         let [rd, td, rs, ts] =
             [&self.rd, &self.td, &self.rs, &self.ts].map(|part| (part.amount * part.color[channel]).max(0.0));
         let index = self.ior.filter(|ior| (ior.re, ior.im) != (1.0, 0.0));

@@ -64,7 +64,7 @@ pub struct Medium {
 
 impl Medium {
     /// Maximum number of nested closed solids whose media a path tracks.
-    pub const MOST_NESTED: usize = 8;
+    pub const MAX_NESTED: usize = 8;
 
     /// Returns the extinction coefficient of each channel at density 1, 1/m.
     pub fn extinction(&self) -> [f64; 3] {
@@ -72,7 +72,7 @@ impl Medium {
     }
 
     /// Returns whether the medium neither scatters nor absorbs nor glows, with its present coefficients.
-    pub fn is_nothing(&self) -> bool {
+    pub fn is_vacuum(&self) -> bool {
         let is_black = |color: [f64; 3], amount: f64| color.iter().all(|channel| channel * amount <= 0.0);
         is_black(self.color, self.sigma_s)
             && is_black(self.absorption_color, self.sigma_a)

@@ -1,7 +1,7 @@
 //! Scalars of materials, media and cameras: their names, their storage and the range of each.
 
 use super::Constraint;
-use crate::description::{Camera, Density, Ior, Material, Medium, Phase, Sides, Tinted};
+use crate::description::{Camera, Density, Ior, Material, Medium, Phase, Sides, TintedScalar};
 
 /// Maximum width and height of the film, pixels; the limit of textures.
 const FILM_LIMIT: u32 = 32768;
@@ -17,7 +17,7 @@ pub(super) enum Quantity {
 }
 
 impl Quantity {
-    fn of(self, material: &Material) -> &Tinted {
+    fn get(self, material: &Material) -> &TintedScalar {
         match self {
             Self::Rd => &material.rd,
             Self::Td => &material.td,
@@ -27,7 +27,7 @@ impl Quantity {
         }
     }
 
-    fn of_mut(self, material: &mut Material) -> &mut Tinted {
+    fn get_mut(self, material: &mut Material) -> &mut TintedScalar {
         match self {
             Self::Rd => &mut material.rd,
             Self::Td => &mut material.td,
@@ -86,8 +86,8 @@ impl MaterialField {
 
     pub(super) fn read(self, material: &Material) -> Option<f64> {
         match self {
-            Amount(quantity) => Some(quantity.of(material).amount),
-            Channel(quantity, channel) => Some(quantity.of(material).color[channel]),
+            Amount(quantity) => Some(quantity.get(material).amount),
+            Channel(quantity, channel) => Some(quantity.get(material).color[channel]),
             Self::ReflectionRoughness => Some(material.rs_alpha),
             Self::TransmissionRoughness => Some(material.ts_alpha),
             Self::IorReal => material.ior.map(|ior| ior.re),
@@ -99,8 +99,8 @@ impl MaterialField {
 
     pub(super) fn write(self, material: &mut Material, value: f64) {
         match self {
-            Amount(quantity) => quantity.of_mut(material).amount = value,
-            Channel(quantity, channel) => quantity.of_mut(material).color[channel] = value,
+            Amount(quantity) => quantity.get_mut(material).amount = value,
+            Channel(quantity, channel) => quantity.get_mut(material).color[channel] = value,
             Self::ReflectionRoughness => material.rs_alpha = value,
             Self::TransmissionRoughness => material.ts_alpha = value,
             Self::IorReal => material.ior = material.ior.map(|ior| Ior { re: value, ..ior }),
@@ -110,7 +110,7 @@ impl MaterialField {
         }
     }
 
-    pub(super) fn admits(self, value: f64) -> Result<(), Constraint> {
+    pub(super) fn check_value(self, value: f64) -> Result<(), Constraint> {
         match self {
             Amount(Ed) | Self::ReflectionRoughness | Self::TransmissionRoughness | Self::IorImaginary | Self::Lobe => {
                 not_negative(value)
@@ -191,7 +191,7 @@ impl MediumField {
         }
     }
 
-    pub(super) fn admits(self, value: f64) -> Result<(), Constraint> {
+    pub(super) fn check_value(self, value: f64) -> Result<(), Constraint> {
         match self {
             Self::Scattering
             | Self::ScatteringChannel(_)
@@ -267,7 +267,7 @@ impl CameraField {
         }
     }
 
-    pub(super) fn admits(self, value: f64) -> Result<(), Constraint> {
+    pub(super) fn check_value(self, value: f64) -> Result<(), Constraint> {
         match self {
             Self::Origin(_) | Self::Target(_) | Self::Up(_) | Self::ShutterOpen | Self::ShutterClose => finite(value),
             Self::Fov => between(value, 0.0, 180.0),

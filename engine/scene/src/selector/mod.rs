@@ -139,7 +139,7 @@ pub struct Scalars {
 }
 
 /// Data that selectors read.
-struct View<'a> {
+struct ScalarsView<'a> {
     materials: &'a [Material],
     objects: &'a [Object],
     media: &'a [Medium],
@@ -151,7 +151,7 @@ struct View<'a> {
 }
 
 /// Data that selectors write.
-struct Parts<'a> {
+struct ScalarsViewMut<'a> {
     materials: &'a mut [Material],
     objects: &'a mut [Object],
     media: &'a mut [Medium],
@@ -161,9 +161,9 @@ struct Parts<'a> {
     clip: Option<&'a mut Clip>,
 }
 
-impl Parts<'_> {
-    fn view(&self) -> View<'_> {
-        View {
+impl ScalarsViewMut<'_> {
+    fn view(&self) -> ScalarsView<'_> {
+        ScalarsView {
             materials: self.materials,
             objects: self.objects,
             media: self.media,
@@ -195,7 +195,7 @@ impl Parts<'_> {
     ) -> Result<(), (usize, Constraint)> {
         for (index, (slots, value)) in wanted.iter().enumerate() {
             for slot in slots {
-                slot.admits(*value).map_err(|constraint| (index, constraint))?;
+                slot.check_value(*value).map_err(|constraint| (index, constraint))?;
                 done.extend(slot.read(&self.view()).map(|old| (*slot, old)));
                 slot.write(self, *value);
             }
@@ -203,7 +203,7 @@ impl Parts<'_> {
         // Backwards, so that the error names the last of the scalars that violate a constraint together.
         for (index, (slots, _)) in wanted.iter().enumerate().rev() {
             for slot in slots {
-                slot.consistent(&self.view()).map_err(|constraint| (index, constraint))?;
+                slot.check_consistency(&self.view()).map_err(|constraint| (index, constraint))?;
             }
         }
         Ok(())
@@ -220,7 +220,7 @@ impl Scene {
     /// two values that are only valid together may be given in either order. On failure the scene is unchanged.
     pub fn set_all<S: AsRef<str>>(&mut self, values: &[(S, f64)]) -> Result<(), SelectorError> {
         let wanted = self.resolve_all(values)?;
-        self.parts().apply(&wanted).map_err(|(index, constraint)| refused(&values[index], constraint))?;
+        self.view_mut().apply(&wanted).map_err(|(index, constraint)| refused_error(&values[index], constraint))?;
         self.varies.retain(|vary| values.iter().all(|(selector, _)| selector.as_ref() != vary.selector));
         Ok(())
     }
@@ -258,7 +258,7 @@ impl Scene {
         if let Some(index) = wanted.iter().position(|(slots, _)| slots.iter().any(Slot::is_timeless)) {
             return Err(SelectorError::Timeless { selector: values[index].0.into() });
         }
-        scalars.parts().apply(&wanted).map_err(|(index, constraint)| refused(&values[index], constraint))?;
+        scalars.view_mut().apply(&wanted).map_err(|(index, constraint)| refused_error(&values[index], constraint))?;
         Ok(scalars)
     }
 
@@ -275,8 +275,8 @@ impl Scene {
         SelectorError::Unknown { selector: selector.into(), nearest: nearest::nearest(selector, &self.selectors()) }
     }
 
-    fn view(&self) -> View<'_> {
-        View {
+    fn view(&self) -> ScalarsView<'_> {
+        ScalarsView {
             materials: &self.materials,
             objects: &self.objects,
             media: &self.media,
@@ -288,8 +288,8 @@ impl Scene {
         }
     }
 
-    fn parts(&mut self) -> Parts<'_> {
-        Parts {
+    fn view_mut(&mut self) -> ScalarsViewMut<'_> {
+        ScalarsViewMut {
             materials: &mut self.materials,
             objects: &mut self.objects,
             media: &mut self.media,
@@ -302,8 +302,8 @@ impl Scene {
 }
 
 impl Scalars {
-    fn parts(&mut self) -> Parts<'_> {
-        Parts {
+    fn view_mut(&mut self) -> ScalarsViewMut<'_> {
+        ScalarsViewMut {
             materials: &mut self.materials,
             objects: &mut self.objects,
             media: &mut self.media,
@@ -315,6 +315,6 @@ impl Scalars {
     }
 }
 
-fn refused<S: AsRef<str>>((selector, value): &(S, f64), constraint: Constraint) -> SelectorError {
+fn refused_error<S: AsRef<str>>((selector, value): &(S, f64), constraint: Constraint) -> SelectorError {
     SelectorError::Refused { selector: selector.as_ref().into(), value: *value, constraint }
 }

@@ -1,12 +1,12 @@
 //! Slots: a slot is one scalar of one entity. A selector resolves to the slots of all entities with its name.
 
 use super::{
-    Constraint, Parts, View,
+    Constraint, ScalarsView, ScalarsViewMut,
     field::{CameraField, MaterialField, MediumField, either, finite, not_negative, positive, require},
 };
 use crate::{
     description::{Camera, Material, ObjectId},
-    objects::inherited,
+    objects::inherited_flags,
 };
 use std::collections::BTreeSet;
 
@@ -48,7 +48,7 @@ impl ClipField {
 
 impl Slot {
     /// Reads the value; `None` if the entity lacks the scalar.
-    pub(super) fn read(&self, view: &View<'_>) -> Option<f64> {
+    pub(super) fn read(&self, view: &ScalarsView<'_>) -> Option<f64> {
         match *self {
             Self::Material(index, field) => field.read(&view.materials[index]),
             Self::Medium(index, field) => field.read(&view.media[index]),
@@ -71,23 +71,23 @@ impl Slot {
     }
 
     /// Writes the value.
-    /// - `value`: a value that [`Self::admits`] accepts.
-    pub(super) fn write(&self, parts: &mut Parts<'_>, value: f64) {
+    /// - `value`: a value that [`Self::check_value`] accepts.
+    pub(super) fn write(&self, view: &mut ScalarsViewMut<'_>, value: f64) {
         match *self {
-            Self::Material(index, field) => field.write(&mut parts.materials[index], value),
-            Self::Medium(index, field) => field.write(&mut parts.media[index], value),
-            Self::Camera(index, field) => field.write(&mut parts.cameras[index], value),
-            Self::Hidden(index) => parts.objects[index].hidden = value != 0.0,
-            Self::Multiplier { group, luminaire } => parts.luminaires[group][luminaire].multiplier = value,
+            Self::Material(index, field) => field.write(&mut view.materials[index], value),
+            Self::Medium(index, field) => field.write(&mut view.media[index], value),
+            Self::Camera(index, field) => field.write(&mut view.cameras[index], value),
+            Self::Hidden(index) => view.objects[index].hidden = value != 0.0,
+            Self::Multiplier { group, luminaire } => view.luminaires[group][luminaire].multiplier = value,
             Self::Key { path, key, field } => {
-                let key = &mut parts.paths[path].keys[key];
+                let key = &mut view.paths[path].keys[key];
                 match field {
                     KeyField::Time => key.time = value,
                     KeyField::Translation(axis) => key.pose.translation[axis] = value,
                 }
             }
             Self::Clip(field) => {
-                if let Some(clip) = &mut parts.clip {
+                if let Some(clip) = &mut view.clip {
                     match field {
                         ClipField::Start => clip.start = value,
                         ClipField::End => clip.end = value,
@@ -99,11 +99,11 @@ impl Slot {
     }
 
     /// Checks the value on its own, without regard to other scalars.
-    pub(super) fn admits(&self, value: f64) -> Result<(), Constraint> {
+    pub(super) fn check_value(&self, value: f64) -> Result<(), Constraint> {
         match self {
-            Self::Material(_, field) => field.admits(value),
-            Self::Medium(_, field) => field.admits(value),
-            Self::Camera(_, field) => field.admits(value),
+            Self::Material(_, field) => field.check_value(value),
+            Self::Medium(_, field) => field.check_value(value),
+            Self::Camera(_, field) => field.check_value(value),
             Self::Hidden(_) => either(value, 0, 1),
             Self::Multiplier { .. } => not_negative(value),
             Self::Clip(ClipField::Rate) => positive(value),
@@ -112,12 +112,12 @@ impl Slot {
     }
 
     /// Checks the constraints that join several scalars of the slot's entity.
-    pub(super) fn consistent(&self, view: &View<'_>) -> Result<(), Constraint> {
+    pub(super) fn check_consistency(&self, view: &ScalarsView<'_>) -> Result<(), Constraint> {
         match *self {
             Self::Material(index, MaterialField::Amount(_) | MaterialField::Channel(..)) => {
-                energy(&view.materials[index])
+                check_energy(&view.materials[index])
             }
-            Self::Camera(index, _) => framing(&view.cameras[index]),
+            Self::Camera(index, _) => check_framing(&view.cameras[index]),
             Self::Key { path, field: KeyField::Time, .. } => {
                 let keys = &view.paths[path].keys;
                 require(keys.windows(2).all(|pair| pair[0].time < pair[1].time), Constraint::KeyOrder)
@@ -140,12 +140,12 @@ impl Slot {
     }
 }
 
-fn energy(material: &Material) -> Result<(), Constraint> {
+fn check_energy(material: &Material) -> Result<(), Constraint> {
     let sum = material.reflectance_sum();
     require(sum <= Material::SUM_LIMIT, Constraint::Energy(sum))
 }
 
-fn framing(camera: &Camera) -> Result<(), Constraint> {
+fn check_framing(camera: &Camera) -> Result<(), Constraint> {
     require(camera.shutter_open <= camera.shutter_close, Constraint::Shutter)?;
     let view = camera.target - camera.origin;
     // |view x up| = |view| |up| sin: the angle between them must be more than a rounding error.
@@ -154,7 +154,7 @@ fn framing(camera: &Camera) -> Result<(), Constraint> {
 }
 
 /// Returns all slots that `selector` names; empty if there are none.
-pub(super) fn resolve(view: &View<'_>, selector: &str) -> Vec<Slot> {
+pub(super) fn resolve(view: &ScalarsView<'_>, selector: &str) -> Vec<Slot> {
     let mut slots = Vec::new();
     let Some((kind, rest)) = selector.split_once('.') else { return slots };
     match kind {
@@ -206,8 +206,8 @@ fn matches<'a, F: Copy>(names: impl Iterator<Item = &'a str>, rest: &str, fields
     named.filter_map(|(index, name)| Some((index, field_of(name)?))).collect()
 }
 
-fn multipliers_of_object(view: &View<'_>, name: &str, slots: &mut Vec<Slot>) {
-    let inside = inherited(view.objects, |object| object.name == name);
+fn multipliers_of_object(view: &ScalarsView<'_>, name: &str, slots: &mut Vec<Slot>) {
+    let inside = inherited_flags(view.objects, |object| object.name == name);
     let holds = |object: Option<ObjectId>| object.is_some_and(|object| inside.get(object.index()) == Some(&true));
     for (group, luminaires) in view.luminaires.iter().enumerate() {
         let held = (0..luminaires.len()).filter(|&index| holds(luminaires[index].object));
@@ -215,7 +215,7 @@ fn multipliers_of_object(view: &View<'_>, name: &str, slots: &mut Vec<Slot>) {
     }
 }
 
-fn multipliers_of_file(view: &View<'_>, file: &str, slots: &mut Vec<Slot>) {
+fn multipliers_of_file(view: &ScalarsView<'_>, file: &str, slots: &mut Vec<Slot>) {
     for (group, luminaires) in view.luminaires.iter().enumerate() {
         for (luminaire, described) in luminaires.iter().enumerate() {
             if view.photometry.get(described.photometry.index()).is_some_and(|photometry| photometry.path == file) {
@@ -225,7 +225,7 @@ fn multipliers_of_file(view: &View<'_>, file: &str, slots: &mut Vec<Slot>) {
     }
 }
 
-fn keys(view: &View<'_>, rest: &str, slots: &mut Vec<Slot>) {
+fn keys(view: &ScalarsView<'_>, rest: &str, slots: &mut Vec<Slot>) {
     for (path, described) in view.paths.iter().enumerate() {
         let Some(of_key) = rest.strip_prefix(&*described.name).and_then(|rest| rest.strip_prefix('.')) else {
             continue;
@@ -240,7 +240,7 @@ fn keys(view: &View<'_>, rest: &str, slots: &mut Vec<Slot>) {
 }
 
 /// Returns the names of all slots, in the order of the scene, each once.
-pub(super) fn names(view: &View<'_>) -> Vec<String> {
+pub(super) fn names(view: &ScalarsView<'_>) -> Vec<String> {
     let (mut seen, mut names) = (BTreeSet::new(), Vec::new());
     let mut add = |name: String| {
         if seen.insert(name.clone()) {
@@ -282,7 +282,7 @@ pub(super) fn names(view: &View<'_>) -> Vec<String> {
 }
 
 /// Returns the objects that contain a luminaire, directly or nested.
-fn objects_with_luminaires(view: &View<'_>) -> BTreeSet<usize> {
+fn objects_with_luminaires(view: &ScalarsView<'_>) -> BTreeSet<usize> {
     let mut lit = BTreeSet::new();
     for luminaire in view.luminaires.iter().copied().flatten() {
         let mut at = luminaire.object;

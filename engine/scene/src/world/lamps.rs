@@ -10,7 +10,7 @@ const POINTS: usize = 256;
 /// A point that emits light.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct LampPoint {
-    pub place: DVec3,
+    pub position: DVec3,
     /// Unit normal of the emitting side; `None` if it emits in all directions.
     pub normal: Option<DVec3>,
 }
@@ -18,15 +18,15 @@ pub(crate) struct LampPoint {
 /// Returns whether a material emits light at some time.
 pub(crate) fn emits(scope: &Scope<'_>, material: &Material) -> bool {
     let name = format!("material.{}", material.name);
-    scope.scene.largest(&name, "ed", material.ed.amount) > 0.0 && material.ed.color.iter().any(|c| *c > 0.0)
+    scope.scene.max_over_time(&name, "ed", material.ed.amount) > 0.0 && material.ed.color.iter().any(|c| *c > 0.0)
 }
 
 /// Returns points on all light sources, a bounded number, in the order of the scene.
 pub(crate) fn lamp_points(scope: &Scope<'_>) -> Vec<LampPoint> {
     let emits: Vec<bool> = scope.scene.materials.iter().map(|material| emits(scope, material)).collect();
-    let side = |place, normal, sides| {
-        let front = LampPoint { place, normal: Some(normal) };
-        let back = (sides == Sides::Two).then_some(LampPoint { place, normal: Some(-normal) });
+    let side = |position, normal, sides| {
+        let front = LampPoint { position, normal: Some(normal) };
+        let back = (sides == Sides::Two).then_some(LampPoint { position, normal: Some(-normal) });
         [Some(front), back]
     };
     let mut points = Vec::new();
@@ -37,11 +37,11 @@ pub(crate) fn lamp_points(scope: &Scope<'_>) -> Vec<LampPoint> {
     }
     for quadric in scope.quadrics.iter().filter(|q| emits.get(q.material.index()) == Some(&true)) {
         let sides = scope.scene.materials[quadric.material.index()].sides;
-        for (place, normal) in shape_points(&quadric.shape) {
-            points.extend(side(place, normal, sides).into_iter().flatten());
+        for (position, normal) in shape_points(&quadric.shape) {
+            points.extend(side(position, normal, sides).into_iter().flatten());
         }
     }
-    points.extend(scope.luminaires.iter().map(|lamp| LampPoint { place: lamp.place, normal: None }));
+    points.extend(scope.luminaires.iter().map(|lamp| LampPoint { position: lamp.position, normal: None }));
     let step = points.len().div_ceil(POINTS).max(1);
     points.into_iter().step_by(step).collect()
 }

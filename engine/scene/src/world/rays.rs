@@ -35,7 +35,7 @@ impl Hit {
     }
 
     /// Returns whether the surface is invisible to the ray: one-sided, hit from behind, and not the boundary of a solid.
-    pub fn is_unseen(&self, scope: &Scope<'_>, ray: &Ray) -> bool {
+    pub fn is_invisible(&self, scope: &Scope<'_>, ray: &Ray) -> bool {
         let invisible = |material: &Material| material.sides == Sides::One && material.ior.is_none();
         !self.is_front(ray) && self.material(scope).is_some_and(invisible)
     }
@@ -56,7 +56,7 @@ impl Scope<'_> {
     pub fn first_hit(&self, ray: &Ray) -> Option<Hit> {
         let near = self.offset();
         let mut nearest: Option<Hit> = None;
-        self.tree.along(ray.origin, ray.dir, ray.far, |index, far| {
+        self.tree.visit_along_ray(ray.origin, ray.dir, ray.far, |index, far| {
             let triangle = &self.triangles[index];
             let Some(distance) = triangle_distance(ray, triangle.corners).filter(|t| *t > near && *t < far) else {
                 return far;
@@ -66,9 +66,9 @@ impl Scope<'_> {
             distance
         });
         let far = nearest.map_or(ray.far, |hit| hit.distance);
-        self.quadric_tree.along(ray.origin, ray.dir, far, |index, far| {
+        self.quadric_tree.visit_along_ray(ray.origin, ray.dir, far, |index, far| {
             let quadric = &self.quadrics[index];
-            let met = distances(ray, &quadric.shape).into_iter().flatten().filter(|(t, _)| *t > near && *t < far);
+            let met = intersections(ray, &quadric.shape).into_iter().flatten().filter(|(t, _)| *t > near && *t < far);
             let Some((distance, normal)) = met.min_by(|a, b| a.0.total_cmp(&b.0)) else { return far };
             nearest = Some(Hit { distance, normal, material: quadric.material, location: quadric.location });
             distance
@@ -89,7 +89,7 @@ fn triangle_distance(ray: &Ray, [a, b, c]: [DVec3; 3]) -> Option<f64> {
 }
 
 /// Returns up to two distances at which a ray hits a shape, each with the normal on the front side.
-fn distances(ray: &Ray, shape: &Shape) -> [Option<(f64, DVec3)>; 2] {
+fn intersections(ray: &Ray, shape: &Shape) -> [Option<(f64, DVec3)>; 2] {
     let facing = |facing: Facing, normal: DVec3| match facing {
         Facing::Outward => normal,
         Facing::Inward => -normal,
@@ -128,7 +128,10 @@ fn distances(ray: &Ray, shape: &Shape) -> [Option<(f64, DVec3)>; 2] {
                 let ring = (from - z * axis).normalize_or(axis.any_orthonormal_vector()) * major;
                 ((from - ring).length() - minor, (from - ring).normalize_or_zero())
             };
-            [march(ray, center, major + minor, minor, surface).map(|(t, normal)| (t, facing(side, normal))), None]
+            [
+                sphere_trace(ray, center, major + minor, minor, surface).map(|(t, normal)| (t, facing(side, normal))),
+                None,
+            ]
         }
     }
 }
@@ -144,7 +147,7 @@ fn roots(a: f64, b: f64, c: f64) -> [Option<f64>; 2] {
 }
 
 /// Returns the first hit by sphere tracing: the point where the signed distance changes its sign.
-fn march(
+fn sphere_trace(
     ray: &Ray,
     center: DVec3,
     reach: f64,
@@ -177,11 +180,11 @@ mod tests {
     }
 
     fn meets(shape: Shape, origin: [f64; 3], toward: [f64; 3]) -> Option<(f64, DVec3)> {
-        let met = distances(&ray(origin, toward), &shape);
+        let met = intersections(&ray(origin, toward), &shape);
         met.into_iter().flatten().filter(|(t, _)| *t > 1e-9).min_by(|a, b| a.0.total_cmp(&b.0))
     }
 
-    fn at(met: Option<(f64, DVec3)>, distance: f64, normal: [f64; 3]) {
+    fn assert_intersection(met: Option<(f64, DVec3)>, distance: f64, normal: [f64; 3]) {
         let (t, n) = met.expect("a hit");
         assert!((t - distance).abs() < 1e-6 && n.abs_diff_eq(DVec3::from_array(normal), 1e-5), "{t} {n}");
     }
@@ -190,17 +193,17 @@ mod tests {
     fn rays_meet_every_shape_where_it_is() {
         let (center, facing) = (DVec3::ZERO, Facing::Outward);
         let sphere = Shape::Sphere { center, radius: 1.0, facing };
-        at(meets(sphere, [3.0, 0.0, 0.0], [0.0; 3]), 2.0, [1.0, 0.0, 0.0]);
-        at(meets(sphere, [0.0; 3], [0.0, 0.0, 1.0]), 1.0, [0.0, 0.0, 1.0]);
+        assert_intersection(meets(sphere, [3.0, 0.0, 0.0], [0.0; 3]), 2.0, [1.0, 0.0, 0.0]);
+        assert_intersection(meets(sphere, [0.0; 3], [0.0, 0.0, 1.0]), 1.0, [0.0, 0.0, 1.0]);
         let (start, end) = (DVec3::ZERO, DVec3::Z * 2.0);
         let cone = Shape::Cone { start, end, start_radius: 2.0, end_radius: 0.0, facing };
-        at(meets(cone, [5.0, 0.0, 1.0], [0.0, 0.0, 1.0]), 4.0, [0.5f64.sqrt(), 0.0, 0.5f64.sqrt()]);
+        assert_intersection(meets(cone, [5.0, 0.0, 1.0], [0.0, 0.0, 1.0]), 4.0, [0.5f64.sqrt(), 0.0, 0.5f64.sqrt()]);
         assert!(meets(cone, [5.0, 0.0, 2.5], [0.0, 0.0, 2.5]).is_none(), "beyond the tip");
         let ring = Shape::Ring { center, normal: DVec3::Z, inner: 1.0, outer: 2.0 };
-        at(meets(ring, [1.5, 0.0, 3.0], [1.5, 0.0, 0.0]), 3.0, [0.0, 0.0, 1.0]);
+        assert_intersection(meets(ring, [1.5, 0.0, 3.0], [1.5, 0.0, 0.0]), 3.0, [0.0, 0.0, 1.0]);
         assert!(meets(ring, [0.5, 0.0, 3.0], [0.5, 0.0, 0.0]).is_none(), "through the hole");
         let torus = Shape::Torus { center, axis: DVec3::Z, major: 2.0, minor: 0.5, facing };
-        at(meets(torus, [5.0, 0.0, 0.0], [0.0; 3]), 2.5, [1.0, 0.0, 0.0]);
+        assert_intersection(meets(torus, [5.0, 0.0, 0.0], [0.0; 3]), 2.5, [1.0, 0.0, 0.0]);
         assert!(meets(torus, [0.0, 0.0, 3.0], [0.0; 3]).is_none(), "through the hole");
     }
 }

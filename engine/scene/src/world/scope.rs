@@ -1,6 +1,6 @@
 //! Shared data of the checks: the surfaces that are placed and shown, and the placed triangles in world space.
 
-use super::shine::Effect;
+use super::light_transport::SurfaceEffect;
 use super::tree::{Bounds, BoxTree};
 use crate::{
     description::{Facing, Location, Luminaire, Material, MaterialId, ObjectId, Scene, Shape},
@@ -31,7 +31,7 @@ impl PlacedTriangle {
     }
 
     pub fn bounds(&self) -> Bounds {
-        Bounds::of(self.corners)
+        Bounds::from_points(self.corners)
     }
 }
 
@@ -61,7 +61,7 @@ impl PlacedQuadric {
 /// A luminaire in the world.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct PlacedLuminaire<'a> {
-    pub place: DVec3,
+    pub position: DVec3,
     /// Transform from the luminaire's own frame to the world.
     pub to_world: Transform,
     pub luminaire: &'a Luminaire,
@@ -70,7 +70,7 @@ pub(crate) struct PlacedLuminaire<'a> {
 /// Returns whether some light passes through a material at some time.
 fn lets_through(scene: &Scene, material: &Material) -> bool {
     let entity = format!("material.{}", material.name);
-    let largest = |field, amount| scene.largest(&entity, field, amount) > 0.0;
+    let largest = |field, amount| scene.max_over_time(&entity, field, amount) > 0.0;
     largest("td", material.td.amount) || largest("ts", material.ts.amount)
 }
 
@@ -90,7 +90,7 @@ pub(crate) struct Scope<'a> {
     /// Whether some light passes through each material at some time.
     pub lets_through: Vec<bool>,
     /// Effects of each material on light that arrives at its front and at its back.
-    pub effects: Vec<[Effect; 2]>,
+    pub effects: Vec<[SurfaceEffect; 2]>,
     /// World bounds of surfaces and luminaires.
     pub bounds: Bounds,
     /// Shown triangles.
@@ -106,7 +106,7 @@ pub(crate) struct Scope<'a> {
     /// Shown luminaires.
     pub luminaires: Vec<PlacedLuminaire<'a>>,
     /// Whether the limits truncated the lists.
-    pub is_cut: bool,
+    pub is_truncated: bool,
 }
 
 impl<'a> Scope<'a> {
@@ -121,7 +121,7 @@ impl<'a> Scope<'a> {
             used: vec![false; scene.materials.len()],
             visible: vec![false; scene.materials.len()],
             lets_through: scene.materials.iter().map(|material| lets_through(scene, material)).collect(),
-            effects: scene.materials.iter().map(|material| Effect::both(scene, material)).collect(),
+            effects: scene.materials.iter().map(|material| SurfaceEffect::per_side(scene, material)).collect(),
             bounds: Bounds::EMPTY,
             triangles: Vec::new(),
             tree: BoxTree::default(),
@@ -129,7 +129,7 @@ impl<'a> Scope<'a> {
             quadrics: Vec::new(),
             quadric_tree: BoxTree::default(),
             luminaires: Vec::new(),
-            is_cut: false,
+            is_truncated: false,
         };
         scope.mark_materials();
         scope.bounds = scope.group_bounds();
@@ -170,12 +170,12 @@ impl<'a> Scope<'a> {
                 open.extend(group.instances.iter().map(|instance| (instance.group.index(), false)));
                 continue;
             }
-            let own = Bounds::of(group.vertices.iter().map(|vertex| vertex.position));
+            let own = Bounds::from_points(group.vertices.iter().map(|vertex| vertex.position));
             let quadrics = group.quadrics.iter().map(|quadric| shape_bounds(&quadric.shape));
-            let lamps = group.luminaires.iter().map(|lamp| Bounds::of([lamp.to_group.translation]));
+            let lamps = group.luminaires.iter().map(|lamp| Bounds::from_points([lamp.to_group.translation]));
             let placed = group.instances.iter().filter_map(|instance| {
                 let inner = known.get(instance.group.index()).copied().flatten()?;
-                Some(inner.placed(&instance.motion.at(&self.scene.paths, self.time)))
+                Some(inner.transformed(&instance.motion.at(&self.scene.paths, self.time)))
             });
             known[index] = Some(quadrics.chain(lamps).chain(placed).fold(own, Bounds::union));
         }
@@ -184,11 +184,11 @@ impl<'a> Scope<'a> {
 
     /// Returns tight world bounds of everything shown, or the bounds of the whole world if the limits truncated the lists.
     pub fn shown_bounds(&self) -> Bounds {
-        if self.is_cut {
+        if self.is_truncated {
             return self.bounds;
         }
         let triangles = self.triangles.iter().map(PlacedTriangle::bounds);
-        let lamps = self.luminaires.iter().map(|lamp| Bounds::of([lamp.place]));
+        let lamps = self.luminaires.iter().map(|lamp| Bounds::from_points([lamp.position]));
         triangles.chain(self.quadrics.iter().map(PlacedQuadric::bounds)).chain(lamps).fold(Bounds::EMPTY, Bounds::union)
     }
 
@@ -203,7 +203,7 @@ impl<'a> Scope<'a> {
                 self.luminaires.len() + group.luminaires.len(),
             ];
             if most.into_iter().any(|count| count > TRIANGLE_LIMIT) || placements > PLACEMENT_LIMIT {
-                self.is_cut = true;
+                self.is_truncated = true;
                 return;
             }
             for face in group.faces.iter().filter(|face| self.is_shown(face.object)).copied().collect::<Vec<_>>() {
@@ -217,8 +217,8 @@ impl<'a> Scope<'a> {
             }
             let shown = |object| self.is_shown(object);
             let lamps = group.luminaires.iter().filter(|lamp| shown(lamp.object)).map(|luminaire| {
-                let place = to_world.transform_point3(luminaire.to_group.translation);
-                PlacedLuminaire { place, to_world: to_world * luminaire.to_group, luminaire }
+                let position = to_world.transform_point3(luminaire.to_group.translation);
+                PlacedLuminaire { position, to_world: to_world * luminaire.to_group, luminaire }
             });
             let curved = group.quadrics.iter().filter(|quadric| shown(quadric.object)).map(|quadric| {
                 let shape = placed_shape(&quadric.shape, &to_world);

@@ -17,17 +17,17 @@ pub(crate) struct Bounds {
 impl Bounds {
     pub const EMPTY: Self = Self { min: DVec3::INFINITY, max: DVec3::NEG_INFINITY };
 
-    pub fn of(points: impl IntoIterator<Item = DVec3>) -> Self {
+    pub fn from_points(points: impl IntoIterator<Item = DVec3>) -> Self {
         points.into_iter().fold(Self::EMPTY, |bounds, p| Self { min: bounds.min.min(p), max: bounds.max.max(p) })
     }
 
     /// Returns the bounds of the transformed box.
-    pub fn placed(&self, transform: &Transform) -> Self {
+    pub fn transformed(&self, transform: &Transform) -> Self {
         if self.is_empty() {
             return *self;
         }
         let corner = |i: u8| DVec3::select(BVec3::new(i & 1 > 0, i & 2 > 0, i & 4 > 0), self.max, self.min);
-        Self::of((0..8).map(|i| transform.transform_point3(corner(i))))
+        Self::from_points((0..8).map(|i| transform.transform_point3(corner(i))))
     }
 
     pub fn union(self, other: Self) -> Self {
@@ -38,15 +38,15 @@ impl Bounds {
         !self.min.cmple(self.max).all()
     }
 
-    pub fn grown(self, by: f64) -> Self {
-        Self { min: self.min - by, max: self.max + by }
+    pub fn grown(self, margin: f64) -> Self {
+        Self { min: self.min - margin, max: self.max + margin }
     }
 
     pub fn overlaps(&self, other: &Self) -> bool {
         self.min.cmple(other.max).all() && other.min.cmple(self.max).all()
     }
 
-    pub fn middle(&self) -> DVec3 {
+    pub fn center(&self) -> DVec3 {
         0.5 * (self.min + self.max)
     }
 
@@ -106,9 +106,9 @@ impl BoxTree {
         self.build(first + middle, end);
     }
 
-    /// Calls `meet` with the number of every box that the ray hits before `far`. `meet` returns the new `far`, which it may
+    /// Calls `visit` with the number of every box that the ray hits before `far`. `visit` returns the new `far`, which it may
     /// shorten.
-    pub fn along(&self, origin: DVec3, dir: DVec3, mut far: f64, mut meet: impl FnMut(usize, f64) -> f64) {
+    pub fn visit_along_ray(&self, origin: DVec3, dir: DVec3, mut far: f64, mut visit: impl FnMut(usize, f64) -> f64) {
         let inverse = dir.recip();
         let meets = |bounds: &Bounds, far: f64| {
             let (a, b) = ((bounds.min - origin) * inverse, (bounds.max - origin) * inverse);
@@ -127,13 +127,13 @@ impl BoxTree {
                 open.extend([node.second_child, index + 1]);
             }
             for &number in &self.order[node.first as usize..(node.first + node.count) as usize] {
-                far = meet(number as usize, far);
+                far = visit(number as usize, far);
             }
         }
     }
 
-    /// Calls `found` with the number of every box that overlaps `near`, in the order of the tree, until `found` breaks.
-    pub fn find(&self, near: &Bounds, mut found: impl FnMut(usize) -> ControlFlow<()>) -> ControlFlow<()> {
+    /// Calls `visit` with the number of every box that overlaps `near`, in the order of the tree, until `visit` breaks.
+    pub fn visit_overlapping(&self, near: &Bounds, mut visit: impl FnMut(usize) -> ControlFlow<()>) -> ControlFlow<()> {
         let mut open = if self.nodes.is_empty() { Vec::new() } else { vec![0] };
         while let Some(index) = open.pop() {
             let node = &self.nodes[index as usize];
@@ -145,7 +145,7 @@ impl BoxTree {
             }
             for &number in &self.order[node.first as usize..(node.first + node.count) as usize] {
                 if self.boxes[number as usize].overlaps(near) {
-                    found(number as usize)?;
+                    visit(number as usize)?;
                 }
             }
         }

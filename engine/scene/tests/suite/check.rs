@@ -1,15 +1,15 @@
-//! Tests that `check` finds each fault at its line, and nothing in a correct scene.
+//! Tests that `check_scene` finds each fault at its line, and nothing in a correct scene.
 
 use crate::common::*;
 use femc_math::{Transform, glam::DVec3};
 use femc_scene::*;
 use femc_scene::{FaultKind as K, Severity as S};
 
-fn found(scene: &Scene) -> Vec<(K, S, u32)> {
-    check(scene).into_iter().map(|fault| (fault.kind, fault.severity, fault.location.line)).collect()
+fn fault_lines(scene: &Scene) -> Vec<(K, S, u32)> {
+    check_scene(scene).into_iter().map(|fault| (fault.kind, fault.severity, fault.location.line)).collect()
 }
 
-fn everywhere(scene: &mut Scene, fog: Medium) {
+fn fill_with_medium(scene: &mut Scene, fog: Medium) {
     scene.media = vec![fog];
     scene.regions = vec![MediumRegion { medium: MediumId(0), bounds: RegionBounds::Everywhere, location: line(5) }];
 }
@@ -36,7 +36,7 @@ fn add_quadric(scene: &mut Scene, shape: Shape, material: u32, at: u32) {
 
 #[test]
 fn a_sound_scene_has_no_fault() {
-    assert_eq!(check(&lit_floor()), []);
+    assert_eq!(check_scene(&lit_floor()), []);
 }
 
 /// Each case breaks one thing in the correct scene; exactly this fault must be found.
@@ -146,7 +146,7 @@ fn each_fault_is_found_once_at_its_line() {
         (
             "a box without volume",
             |s| {
-                everywhere(s, medium("fog", 4));
+                fill_with_medium(s, medium("fog", 4));
                 s.regions[0].bounds = RegionBounds::Box {
                     min: DVec3::ZERO,
                     max: DVec3::new(1.0, -1.0, 1.0),
@@ -157,18 +157,18 @@ fn each_fault_is_found_once_at_its_line() {
         ),
         (
             "a wall of fog",
-            |s| everywhere(s, Medium { sigma_s: 100.0, ..medium("fog", 4) }),
+            |s| fill_with_medium(s, Medium { sigma_s: 100.0, ..medium("fog", 4) }),
             &[(K::OpticalDepth, S::Warning, 3)],
         ),
         (
             "no fog to speak of",
-            |s| everywhere(s, Medium { sigma_s: 1e-12, ..medium("fog", 4) }),
+            |s| fill_with_medium(s, Medium { sigma_s: 1e-12, ..medium("fog", 4) }),
             &[(K::OpticalDepth, S::Note, 4)],
         ),
         (
             "a medium inside two sides",
             |s| {
-                everywhere(s, medium("fog", 4));
+                fill_with_medium(s, medium("fog", 4));
                 s.materials[0].inside = Some(MediumId(0));
             },
             &[(K::OpenBoundary, S::Warning, 1)],
@@ -252,7 +252,7 @@ fn each_fault_is_found_once_at_its_line() {
     for (what, change, expected) in table {
         let mut scene = lit_floor();
         change(&mut scene);
-        assert_eq!(found(&scene), expected, "{what}: {:#?}", check(&scene));
+        assert_eq!(fault_lines(&scene), expected, "{what}: {:#?}", check_scene(&scene));
     }
 }
 
@@ -264,12 +264,12 @@ fn a_path_that_turns_inside_out_is_an_error() {
     scene.paths = vec![path("p", 20, Interpolation::Linear, &[(0.0, Transform::IDENTITY), (1.0, mirrored)])];
     scene.cameras[0].along = Some(PathId(0));
     // Halfway along the path, the camera's view collapses to a line.
-    assert_eq!(found(&scene), [(K::Camera, S::Error, 3), (K::Animation, S::Error, 20)]);
+    assert_eq!(fault_lines(&scene), [(K::Camera, S::Error, 3), (K::Animation, S::Error, 20)]);
     scene.paths[0].keys[0].pose = mirrored;
-    assert_eq!(found(&scene), [], "mirrored at all keys is sound");
+    assert_eq!(fault_lines(&scene), [], "mirrored at all keys is sound");
     scene.paths[0].keys[1].pose = pose(1.0, 0.0, 0.0, 0.0) * mirrored;
     scene.clip = None;
-    assert_eq!(found(&scene), [(K::Animation, S::Warning, 20)], "it moves, but there is no clip");
+    assert_eq!(fault_lines(&scene), [(K::Animation, S::Warning, 20)], "it moves, but there is no clip");
 }
 
 #[test]
@@ -295,15 +295,15 @@ fn closed_glass_is_sound_however_it_is_built() {
         2,
         33,
     );
-    assert_eq!(found(&scene), []);
+    assert_eq!(fault_lines(&scene), []);
     scene.groups[0].quadrics.remove(2);
-    assert_eq!(found(&scene), [(K::OpenBoundary, S::Warning, 30)], "one lid gone");
+    assert_eq!(fault_lines(&scene), [(K::OpenBoundary, S::Warning, 30)], "one lid gone");
     // A camera in the box is reported; a camera beside it is not.
     scene.groups[0].quadrics.clear();
     scene.cameras[0].origin = DVec3::new(0.5, 0.4, 1.0);
-    assert_eq!(found(&scene), [(K::Camera, S::Note, 3)]);
+    assert_eq!(fault_lines(&scene), [(K::Camera, S::Note, 3)]);
     scene.cameras[0].origin = DVec3::new(1.5, 0.4, 1.0);
-    assert_eq!(found(&scene), []);
+    assert_eq!(fault_lines(&scene), []);
 }
 
 #[test]
@@ -312,10 +312,10 @@ fn hidden_surfaces_overlap_nothing_unless_they_are_shown_later() {
     scene.objects = vec![Object { hidden: true, ..object("rug", None) }];
     add_face(&mut scene.groups[0], &[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0]], 0, 20);
     scene.groups[0].faces[2].object = Some(ObjectId(0));
-    assert_eq!(found(&scene), []);
+    assert_eq!(fault_lines(&scene), []);
     scene.clip = Some(CLIP);
     scene.varies = vec![vary("object.rug.hidden", &[(0.0, 1.0), (1.0, 0.0)])];
-    assert_eq!(found(&scene), [(K::OverlappingFaces, S::Warning, 20)]);
+    assert_eq!(fault_lines(&scene), [(K::OverlappingFaces, S::Warning, 20)]);
 }
 
 #[test]
@@ -325,7 +325,7 @@ fn faces_that_share_edges_or_cross_or_lie_close_do_not_overlap() {
     add_face(world, &[[2.0, -2.0, 0.0], [4.0, -2.0, 0.0], [4.0, 2.0, 0.0], [2.0, 2.0, 0.0]], 0, 20); // beside
     add_face(world, &[[0.0, 0.0, -1.0], [1.0, 0.0, -1.0], [1.0, 0.0, 1.0], [0.0, 0.0, 1.0]], 0, 21); // across
     add_face(world, &[[0.0, 0.0, 0.001], [1.0, 0.0, 0.001], [1.0, 1.0, 0.001]], 0, 22); // 1 mm above
-    assert_eq!(found(&scene), []);
+    assert_eq!(fault_lines(&scene), []);
 }
 
 #[test]
@@ -341,9 +341,9 @@ fn a_large_mesh_is_checked_and_its_one_doubled_face_is_found() {
         }
     }
     assert_eq!(world.faces.len(), 100_354);
-    assert_eq!(found(&scene), []);
+    assert_eq!(fault_lines(&scene), []);
     add_face(&mut scene.groups[0], &[at(50, 60), at(51, 60), at(50, 61)], 0, 200);
-    assert_eq!(found(&scene), [(K::OverlappingFaces, S::Warning, 200)]);
+    assert_eq!(fault_lines(&scene), [(K::OverlappingFaces, S::Warning, 200)]);
 }
 
 #[test]
@@ -352,7 +352,7 @@ fn too_many_overlaps_end_the_search_with_a_note() {
     for at in 0..200 {
         add_face(&mut scene.groups[0], &[[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 1.0]], 0, 20 + at);
     }
-    let faults = check(&scene);
+    let faults = check_scene(&scene);
     assert!(faults.iter().any(|fault| fault.kind == K::Incomplete && fault.severity == S::Note));
     assert!(faults.len() > 1000 && faults.len() < 20_000);
 }
@@ -361,7 +361,7 @@ fn too_many_overlaps_end_the_search_with_a_note() {
 fn a_fault_reads_as_one_line_with_its_place_and_what_to_do() {
     let mut scene = lit_floor();
     scene.media = vec![medium("fog", 20)];
-    let shown: Vec<String> = check(&scene).iter().map(|fault| fault.display(&scene).to_string()).collect();
+    let shown: Vec<String> = check_scene(&scene).iter().map(|fault| fault.display(&scene).to_string()).collect();
     assert_eq!(
         shown,
         ["test.mgf:20: warning: medium `fog` has no bounds: it fills nothing; \
@@ -378,13 +378,13 @@ fn the_list_is_in_the_order_of_the_files() {
     elsewhere.location.file = 1;
     scene.media.insert(0, elsewhere);
     scene.materials.push(material("wood", 20));
-    let places: Vec<(u32, u32)> = check(&scene).iter().map(|f| (f.location.file, f.location.line)).collect();
+    let places: Vec<(u32, u32)> = check_scene(&scene).iter().map(|f| (f.location.file, f.location.line)).collect();
     assert_eq!(places, [(0, 9), (0, 20), (0, 40), (1, 1)]);
 }
 
 #[test]
 fn media_nested_beyond_the_limit_are_reported_and_at_it_are_not() {
-    for (solids, found) in [(Medium::MOST_NESTED, 0), (Medium::MOST_NESTED + 1, 1)] {
+    for (solids, found) in [(Medium::MAX_NESTED, 0), (Medium::MAX_NESTED + 1, 1)] {
         let mut scene = lit_floor();
         for k in 0..solids as u32 {
             scene.media.push(medium(&format!("ink {k}"), 40));
@@ -395,9 +395,9 @@ fn media_nested_beyond_the_limit_are_reported_and_at_it_are_not() {
             let material = scene.materials.len() as u32 - 1;
             add_quadric(&mut scene, shape, material, 50 + k);
         }
-        let nested: Vec<_> = check(&scene).into_iter().filter(|fault| fault.kind == K::NestedMedia).collect();
+        let nested: Vec<_> = check_scene(&scene).into_iter().filter(|fault| fault.kind == K::NestedMedia).collect();
         assert_eq!(nested.len(), found, "{nested:?}");
         let lines: Vec<u32> = nested.iter().map(|fault| fault.location.line).collect();
-        assert_eq!(lines, vec![50 + Medium::MOST_NESTED as u32; found], "the innermost solid");
+        assert_eq!(lines, vec![50 + Medium::MAX_NESTED as u32; found], "the innermost solid");
     }
 }

@@ -1,8 +1,8 @@
 //! Tests of the default camera.
 
-use femc_import::{Bundle, Loaded, load};
+use femc_import::{Bundle, LoadedScene, load_scene};
 use femc_math::glam::DVec3;
-use femc_scene::{Camera, check};
+use femc_scene::{Camera, check_scene};
 use std::collections::BTreeMap;
 
 /// Returns a box from -1 to 1 in x and y and from 0 to 2 in z, as a prism. With `length` > 0 its fronts face out.
@@ -17,13 +17,13 @@ fn lamp(place: &str) -> String {
     format!("m lamp =\n sides 1\n ed 100\nv l =\n p {place}\nsph l .05\n")
 }
 
-fn loaded(text: &str) -> Loaded {
+fn load_text(text: &str) -> LoadedScene {
     let files = BTreeMap::from([("t.mgf".to_owned(), text.as_bytes().to_vec())]);
-    load(&Bundle(files), "t.mgf").unwrap_or_else(|error| panic!("{error}"))
+    load_scene(&Bundle(files), "t.mgf").unwrap_or_else(|error| panic!("{error}"))
 }
 
 fn camera(text: &str) -> (Camera, String) {
-    let Loaded { scene, notes, .. } = loaded(text);
+    let LoadedScene { scene, notes, .. } = load_text(text);
     let [camera] = &scene.cameras[..] else { panic!("one camera") };
     let [note] = &notes[..] else { panic!("one note: {notes:?}") };
     assert_eq!((camera.name.as_str(), camera.fov, camera.film), ("default", 60.0, [640, 480]));
@@ -71,20 +71,20 @@ fn without_a_lamp_walls_that_face_the_middle_make_a_room() {
 
 #[test]
 fn a_scene_with_a_camera_keeps_it_and_an_empty_one_gets_none() {
-    let own = loaded(&format!("camera main =\norigin 0 -5 1\ntarget 0 0 1\n{}", lamp("0 0 0")));
+    let own = load_text(&format!("camera main =\norigin 0 -5 1\ntarget 0 0 1\n{}", lamp("0 0 0")));
     assert!(own.scene.cameras.len() == 1 && own.scene.cameras[0].name == "main" && own.notes.is_empty());
-    let empty = loaded("m wall =\nrd .5\n");
+    let empty = load_text("m wall =\nrd .5\n");
     assert!(empty.scene.cameras.is_empty() && empty.notes.is_empty());
-    let point = loaded("medium gas =\nglow 1\nmbox gas 3 4 5 3.1 4.1 5.1\n").scene;
+    let point = load_text("medium gas =\nglow 1\nmbox gas 3 4 5 3.1 4.1 5.1\n").scene;
     assert!(point.cameras[0].target.abs_diff_eq(DVec3::new(3.05, 4.05, 5.05), 1e-9), "of media alone their boxes");
-    let huge = loaded("m wall =\nrd .5\nv a =\np 1e300 0 0\nsph a 1e300\n");
+    let huge = load_text("m wall =\nrd .5\nv a =\np 1e300 0 0\nsph a 1e300\n");
     assert!(huge.scene.cameras.is_empty(), "beyond all measure: {:?}", huge.scene.cameras);
-    let lamps = loaded(&lamp("3 4 5"));
+    let lamps = load_text(&lamp("3 4 5"));
     assert!(lamps.scene.cameras[0].target.abs_diff_eq(DVec3::new(3.0, 4.0, 5.0), 1e-9), "of lamps alone the lamps");
 }
 
 #[test]
 fn what_the_default_camera_sees_is_no_fault() {
-    let scene = loaded(&(walls("m wall =\nsides 2\nrd .5", 2.0) + &lamp("0 0 1.8"))).scene;
-    assert_eq!(check(&scene), []);
+    let scene = load_text(&(walls("m wall =\nsides 2\nrd .5", 2.0) + &lamp("0 0 1.8"))).scene;
+    assert_eq!(check_scene(&scene), []);
 }

@@ -4,7 +4,7 @@ use crate::common::*;
 use femc_math::{Transform, glam::DVec3};
 use femc_scene::*;
 
-fn full() -> Scene {
+fn full_scene() -> Scene {
     let mut scene = lit_floor();
     scene.objects = vec![object("car", None)];
     scene.media = vec![medium("fog", 4)];
@@ -40,7 +40,7 @@ fn full() -> Scene {
 
 #[test]
 fn names_of_files_and_places_in_them_do_not_count() {
-    let mut moved = full();
+    let mut moved = full_scene();
     let elsewhere = Location { file: 3, line: 99, column: 7 };
     moved.name = "copy".into();
     moved.files = vec!["x.mgf".into(); 4];
@@ -56,7 +56,7 @@ fn names_of_files_and_places_in_them_do_not_count() {
     moved.groups[0].faces.iter_mut().for_each(|f| f.location = elsewhere);
     moved.groups[0].quadrics[0].location = elsewhere;
     moved.groups[0].luminaires[0].location = elsewhere;
-    assert_eq!(moved.digest(), full().digest());
+    assert_eq!(moved.digest(), full_scene().digest());
 }
 
 #[test]
@@ -84,9 +84,9 @@ fn every_part_of_the_scene_counts() {
         |s| s.groups[0].luminaires[0].multiplier = 2.0,
         |s| s.groups[0].instances[0].motion = Motion::fixed(pose(0.0, 1.0, 0.0, 0.0)),
     ];
-    let mut seen = std::collections::BTreeSet::from([full().digest()]);
+    let mut seen = std::collections::BTreeSet::from([full_scene().digest()]);
     for (index, change) in changes.iter().enumerate() {
-        let mut scene = full();
+        let mut scene = full_scene();
         change(&mut scene);
         assert!(seen.insert(scene.digest()), "change {index} is seen");
     }
@@ -94,7 +94,7 @@ fn every_part_of_the_scene_counts() {
 
 #[test]
 fn digest_round_trips_as_text_and_is_machine_independent() {
-    let digest = full().digest();
+    let digest = full_scene().digest();
     assert_eq!(digest.to_string().parse(), Ok(digest));
     assert_eq!("no digest".parse::<SceneDigest>(), Err(DigestError));
     // This value changes only with the canonical form. If it changes, raise the version.

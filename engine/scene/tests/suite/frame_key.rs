@@ -2,7 +2,7 @@
 
 use crate::common::*;
 use femc_math::glam::DVec3;
-use femc_scene::animation::Passage;
+use femc_scene::animation::PathMotion;
 use femc_scene::frame_key::Viewpoint;
 use femc_scene::*;
 
@@ -20,7 +20,7 @@ fn scene(interpolation: Interpolation) -> Scene {
     scene
 }
 
-struct Look {
+struct TestView {
     frame: u32,
     /// Time for which the shutter is open, s.
     open: f64,
@@ -28,17 +28,17 @@ struct Look {
     fov: f64,
 }
 
-const LOOK: Look = Look { frame: 15, open: 0.05, origin: 0.0, fov: 40.0 };
+const TEST_VIEW: TestView = TestView { frame: 15, open: 0.05, origin: 0.0, fov: 40.0 };
 
-fn frame_key(scene: &Scene, look: &Look) -> FrameKey {
-    let camera = Camera { fov: look.fov, ..camera("main", 3) };
-    let time = scene.frame_time(look.frame);
+fn frame_key(scene: &Scene, view: &TestView) -> FrameKey {
+    let camera = Camera { fov: view.fov, ..camera("main", 3) };
+    let time = scene.frame_time(view.frame);
     let viewpoint = Viewpoint {
         camera: &camera,
         film: camera.film,
-        frame: look.frame,
-        shutter: [time, time + look.open],
-        origin: DVec3::X * look.origin,
+        frame: view.frame,
+        shutter: [time, time + view.open],
+        origin: DVec3::X * view.origin,
     };
     scene.frame_key(scene.static_digest(), &scene.scalars_at(time).unwrap(), &viewpoint)
 }
@@ -46,11 +46,11 @@ fn frame_key(scene: &Scene, look: &Look) -> FrameKey {
 #[test]
 fn neither_the_camera_nor_the_origin_counts_in_the_content() {
     let (scene, far) = (scene(Interpolation::Linear), 300.0);
-    let one = frame_key(&scene, &LOOK);
-    let turned = frame_key(&scene, &Look { fov: 20.0, ..LOOK });
+    let one = frame_key(&scene, &TEST_VIEW);
+    let turned = frame_key(&scene, &TestView { fov: 20.0, ..TEST_VIEW });
     assert_eq!((one.content, one.world), (turned.content, turned.world));
     assert_ne!(one.view, turned.view);
-    let moved = frame_key(&scene, &Look { origin: far, ..LOOK });
+    let moved = frame_key(&scene, &TestView { origin: far, ..TEST_VIEW });
     assert_eq!(one.content, moved.content);
     assert_ne!(one.world, moved.world, "what is prepared is prepared around the origin");
 }
@@ -59,17 +59,17 @@ fn neither_the_camera_nor_the_origin_counts_in_the_content() {
 fn overall_lamp_brightness_does_not_change_the_light_key() {
     let brighter = |which: &[usize], factor: f64| {
         let mut scene = lit_floor();
-        scene.materials.push(Material { ed: Tinted { amount: 70.0, color: [1.0; 3] }, ..Material::default() });
-        scene.materials.push(Material { ed: Tinted { amount: 900.0, color: [1.0; 3] }, ..Material::default() });
+        scene.materials.push(Material { ed: TintedScalar { amount: 70.0, color: [1.0; 3] }, ..Material::default() });
+        scene.materials.push(Material { ed: TintedScalar { amount: 900.0, color: [1.0; 3] }, ..Material::default() });
         let first = scene.materials.len() - 2;
         which.iter().for_each(|&lamp| scene.materials[first + lamp].ed.amount *= factor);
         scene.materials[..first].iter_mut().for_each(|material| material.ed.amount = 0.0);
         let now = scene.scalars_at(0.0).unwrap();
-        (frame_key(&scene, &LOOK), now.brightness(), now.of_brightness_one())
+        (frame_key(&scene, &TEST_VIEW), now.brightness(), now.with_unit_brightness())
     };
     let (one, brightness, unit) = brighter(&[], 1.0);
     assert_eq!((brightness, unit.brightness()), (900.0, 1.0));
-    assert_eq!(unit.of_brightness_one().materials, unit.materials);
+    assert_eq!(unit.with_unit_brightness().materials, unit.materials);
     for factor in [0.31, 1.7, 1e3] {
         let (all, brightness, same) = brighter(&[0, 1], factor);
         assert_eq!((all.light, brightness, &same.materials), (one.light, 900.0 * factor, &unit.materials));
@@ -82,7 +82,7 @@ fn overall_lamp_brightness_does_not_change_the_light_key() {
 fn objects_still_during_the_shutter_count_only_by_pose() {
     for interpolation in [Interpolation::Linear, Interpolation::Spline] {
         let scene = scene(interpolation);
-        let at = |frame: u32, open: f64| frame_key(&scene, &Look { frame, open, ..LOOK });
+        let at = |frame: u32, open: f64| frame_key(&scene, &TestView { frame, open, ..TEST_VIEW });
         let (one, two) = (at(15, 0.05), at(20, 0.05));
         assert_eq!((one.content, one.world), (two.content, two.world), "it stands from 1 s to 3 s");
         assert_ne!(one.view, two.view, "each frame has its own samples");
@@ -100,12 +100,12 @@ fn objects_still_during_the_shutter_count_only_by_pose() {
 fn keys_far_in_time_do_not_count_and_near_keys_do() {
     // At 0.3 s, the keys at 0 s and 1 s count; for a spline, also the key at 2 s.
     for (interpolation, near) in [(Interpolation::Linear, 2), (Interpolation::Spline, 3)] {
-        let look = Look { frame: 4, ..LOOK };
-        let one = frame_key(&scene(interpolation), &look);
+        let view = TestView { frame: 4, ..TEST_VIEW };
+        let one = frame_key(&scene(interpolation), &view);
         for key in 0..7 {
             let mut other = scene(interpolation);
             other.paths[0].keys[key].pose.translation.y += 1e-9;
-            assert_eq!(frame_key(&other, &look).content == one.content, key >= near, "{interpolation:?}, key {key}");
+            assert_eq!(frame_key(&other, &view).content == one.content, key >= near, "{interpolation:?}, key {key}");
         }
     }
 }
@@ -132,13 +132,13 @@ fn every_pose_between_two_times_follows_from_the_passage() {
         let whole = path("p", 1, interpolation, &keys);
         let from = (10.0 * number() - 1.0).floor() + if number() < 0.3 { 0.0 } else { number() };
         let to = from + 2.0 * number();
-        let passage = whole.between([from, to]);
-        still += usize::from(matches!(passage, Passage::Still(_)));
+        let motion = whole.motion_during([from, to]);
+        still += usize::from(matches!(motion, PathMotion::Still(_)));
         for step in 0..=20 {
             let time = from + (to - from) * f64::from(step) / 20.0;
-            let pose = match passage {
-                Passage::Still(pose) => pose,
-                Passage::Moving(interpolation, keys) => {
+            let pose = match motion {
+                PathMotion::Still(pose) => pose,
+                PathMotion::Moving(interpolation, keys) => {
                     let keys: Vec<_> = keys.iter().map(|key| (key.time, key.pose)).collect();
                     path("p", 1, interpolation, &keys).at(time)
                 }

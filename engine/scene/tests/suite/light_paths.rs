@@ -1,14 +1,14 @@
 //! Tests of light paths: walls that let light in from behind, cameras in the dark, scenes that light never leaves.
 
-use femc_import::{Bundle, load};
+use femc_import::{Bundle, load_scene};
 use femc_math::glam::DVec3;
-use femc_scene::{FaultKind, LampKind, Severity, check, survey};
+use femc_scene::{FaultKind, LampKind, Severity, check_scene, survey_scene};
 use std::collections::BTreeMap;
 use std::f64::consts::PI;
 
 fn scene(text: &str) -> femc_scene::Scene {
     let files = BTreeMap::from([("t.mgf".to_owned(), text.as_bytes().to_vec())]);
-    load(&Bundle(files), "t.mgf").unwrap_or_else(|error| panic!("{error}")).scene
+    load_scene(&Bundle(files), "t.mgf").unwrap_or_else(|error| panic!("{error}")).scene
 }
 
 /// Returns a scene with a camera in a box of 4 m. The box has this wall material with fronts facing out, and a lamp at `lamp`; a
@@ -22,15 +22,15 @@ fn house(wall: &str, lamp: &str) -> String {
     )
 }
 
-fn kinds(text: &str) -> Vec<(FaultKind, Severity, u32)> {
-    check(&scene(text)).iter().map(|fault| (fault.kind, fault.severity, fault.location.line)).collect()
+fn fault_lines(text: &str) -> Vec<(FaultKind, Severity, u32)> {
+    check_scene(&scene(text)).iter().map(|fault| (fault.kind, fault.severity, fault.location.line)).collect()
 }
 
 #[test]
 fn one_sided_wall_leaking_light_from_behind_is_named_by_line() {
-    let found = kinds(&house("sides 1\nrd .5", "0 0 9"));
+    let found = fault_lines(&house("sides 1\nrd .5", "0 0 9"));
     assert_eq!(found, [(FaultKind::OneSidedWall, Severity::Warning, 15)]);
-    assert_eq!(kinds(&house("sides 1\nrd .5", "0 0 3")), [], "the lamp is in the house");
+    assert_eq!(fault_lines(&house("sides 1\nrd .5", "0 0 3")), [], "the lamp is in the house");
 }
 
 #[test]
@@ -38,28 +38,28 @@ fn looking_into_a_room_through_the_backs_of_its_walls_is_meant() {
     let cut_away =
         house("sides 1\nrd .5", "0 0 3").replace("prism a b c d 4", "prism a b c d -4").replace("2 4\n", "2 0\n");
     let outside = cut_away.replace("origin 0 -1 1", "origin 0 -9 5");
-    let found = kinds(&outside);
+    let found = fault_lines(&outside);
     assert!(found.iter().all(|fault| fault.0 != FaultKind::OneSidedWall), "{found:?}");
 }
 
 #[test]
 fn a_camera_in_a_solid_that_no_light_gets_into_is_named() {
-    let found = kinds(&house("sides 2\nrd .5", "0 0 9"));
+    let found = fault_lines(&house("sides 2\nrd .5", "0 0 9"));
     assert_eq!(found, [(FaultKind::Camera, Severity::Warning, 1)]);
-    assert_eq!(kinds(&house("sides 2\nrd .5", "0 0 3")), []);
-    assert_eq!(kinds(&house("sides 2\nrd .4\ntd .2", "0 0 9")), [], "paper lets light in");
+    assert_eq!(fault_lines(&house("sides 2\nrd .5", "0 0 3")), []);
+    assert_eq!(fault_lines(&house("sides 2\nrd .4\ntd .2", "0 0 9")), [], "paper lets light in");
 }
 
 #[test]
 fn closed_scene_is_reported_only_if_nothing_absorbs() {
     let white = house("sides 2\nrd 1", "0 0 3").replace("sides 2\nrd .5", "sides 2\nrd 1");
     let white = white.replace("ed 1000", "ed 1000\nrd 1");
-    assert_eq!(kinds(&white), [(FaultKind::EnergyTrap, Severity::Warning, 1)]);
-    assert_eq!(kinds(&white.replacen("rd 1", "rd .99", 1)), []);
+    assert_eq!(fault_lines(&white), [(FaultKind::EnergyTrap, Severity::Warning, 1)]);
+    assert_eq!(fault_lines(&white.replacen("rd 1", "rd .99", 1)), []);
     let fog = white.replace("m wall =", "medium fog =\nsigma_a .01\nmbox fog -1 -1 1 1 1 2\nm wall =");
-    assert_eq!(kinds(&fog), []);
+    assert_eq!(fault_lines(&fog), []);
     let open = white.replace("prism a b c d 4", "f a b c d");
-    assert!(kinds(&open).iter().all(|fault| fault.0 != FaultKind::EnergyTrap));
+    assert!(fault_lines(&open).iter().all(|fault| fault.0 != FaultKind::EnergyTrap));
 }
 
 #[test]
@@ -69,7 +69,7 @@ fn equal_lamps_are_one_line_with_the_flux_of_each() {
                 m bulb =\nsides 1\ned 500\nv p =\np 0 0 9\nsph p .5\n\
                 m tube =\nsides 2\ned 10\nv q =\np 0 9 0\nv r =\np 0 9 2\ncyl q .1 r\n\
                 medium gas =\nglow 3\nmbox gas 20 0 0 22 1 1\n";
-    let survey = survey(&scene(text), &|_| 0.0);
+    let survey = survey_scene(&scene(text), &|_| 0.0);
     let shown: Vec<_> = survey.lamps.iter().map(|lamp| (lamp.kind.clone(), lamp.count, lamp.location.line)).collect();
     let surface = |material: &str| LampKind::Surface { material: material.into() };
     let gas = LampKind::Medium { medium: "gas".into() };
@@ -88,6 +88,6 @@ fn equal_lamps_are_one_line_with_the_flux_of_each() {
 #[test]
 fn a_free_standing_one_sided_mirror_is_no_wall() {
     let mirror = "m mirror =\nsides 1\nrs .9 0\nv i =\np -1 1.5 1\nv j =\np -1 1.5 2\nv k =\np 1 1.5 2\nv n =\np 1 1.5 1\nf n k j i\n";
-    let found = kinds(&(house("sides 2\nrd .5", "0 0 3") + mirror));
+    let found = fault_lines(&(house("sides 2\nrd .5", "0 0 3") + mirror));
     assert!(found.iter().all(|fault| fault.0 != FaultKind::OneSidedWall), "{found:?}");
 }

@@ -7,6 +7,6 @@ mod default_camera;
 mod digest;
 mod frame_key;
 mod light_paths;
-mod needs;
+mod required_features;
 mod selector;
 mod text;

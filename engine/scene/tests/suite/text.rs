@@ -1,13 +1,13 @@
 //! Tests of scenes loaded from text: the inputs of the hash, and faults at the lines of the file.
 
-use femc_import::{Bundle, load};
-use femc_scene::{FaultKind, Scene, check};
+use femc_import::{Bundle, load_scene};
+use femc_scene::{FaultKind, Scene, check_scene};
 use std::collections::BTreeMap;
 
 fn scene(files: &[(&str, &str)]) -> Scene {
     let files: BTreeMap<String, Vec<u8>> =
         files.iter().map(|(name, text)| (name.to_string(), text.as_bytes().to_vec())).collect();
-    load(&Bundle(files), "main.mgf").unwrap_or_else(|error| panic!("{error}")).scene
+    load_scene(&Bundle(files), "main.mgf").unwrap_or_else(|error| panic!("{error}")).scene
 }
 
 const SCENE: &str = "\
@@ -57,7 +57,7 @@ fn comments_blanks_and_includes_keep_the_hash_but_values_do_not() {
 #[test]
 fn a_sound_text_has_no_fault_and_its_selectors_work() {
     let scene = scene(&[("main.mgf", SCENE)]);
-    assert_eq!(check(&scene), []);
+    assert_eq!(check_scene(&scene), []);
     assert!((scene.scalars_at(0.5).unwrap().media[0].sigma_s - 0.035).abs() < 1e-15);
     assert_eq!((scene.frame_count(), scene.get("material.floor.rd")), (11, Ok(0.5)));
 }
@@ -66,12 +66,12 @@ fn a_sound_text_has_no_fault_and_its_selectors_work() {
 fn a_fault_stands_at_its_line_of_its_file() {
     let doubled = format!("{SCENE}m floor\nf a b c\n");
     let faulty = scene(&[("main.mgf", &doubled)]);
-    let shown: Vec<String> = check(&faulty).iter().map(|fault| fault.display(&faulty).to_string()).collect();
+    let shown: Vec<String> = check_scene(&faulty).iter().map(|fault| fault.display(&faulty).to_string()).collect();
     assert_eq!(shown.len(), 1, "{shown:#?}");
     assert!(
         shown[0].starts_with("main.mgf:31: warning: the face overlaps the one at main.mgf:25 on 8.00 m2, both"),
         "{}",
         shown[0]
     );
-    assert_eq!(check(&faulty)[0].kind, FaultKind::OverlappingFaces);
+    assert_eq!(check_scene(&faulty)[0].kind, FaultKind::OverlappingFaces);
 }

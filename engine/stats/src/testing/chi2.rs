@@ -35,9 +35,9 @@ pub struct Chi2 {
 
 impl Chi2 {
     /// Panics with the figures unless `p` is at least `level` and the density integrates to at most 1 (to 0.1 %).
-    pub fn expect(&self, level: f64, what: &str) {
-        assert!(self.p >= level, "{what}: samples do not follow the density at level {level:e}: {self:?}");
-        assert!(self.integral <= 1.001, "{what}: the density integrates to more than 1: {self:?}");
+    pub fn expect(&self, level: f64, label: &str) {
+        assert!(self.p >= level, "{label}: samples do not follow the density at level {level:e}: {self:?}");
+        assert!(self.integral <= 1.001, "{label}: the density integrates to more than 1: {self:?}");
     }
 }
 

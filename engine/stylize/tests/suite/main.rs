@@ -1,5 +1,5 @@
 //! Tests of painted light on synthetic images.
 
+mod images;
 mod painted;
 mod search;
-mod world;

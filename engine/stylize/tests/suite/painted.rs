@@ -1,15 +1,18 @@
 //! Tests of whole pictures.
 
-use crate::world::{guides, style};
-use femc_stylize::{Before, Begun, Example, Method, Planes, Settings, StylizeError, Stylized, Watch, stylize};
+use crate::images::{guides, style};
+use femc_stylize::{
+    ChannelImage, Checkpoint, Example, Method, PreviousFrame, ProgressObserver, Settings, StylizeError, StylizedImage,
+    stylize,
+};
 use std::sync::Mutex;
 
-fn painted(source: &Planes, target: &Planes, settings: &Settings) -> Stylized {
+fn paint(source: &ChannelImage, target: &ChannelImage, settings: &Settings) -> StylizedImage {
     stylize(Example { style: &style(source), guides: source }, target, None, settings, None, &()).expect("a picture")
 }
 
 /// Computes the root of the mean squared difference.
-fn difference(a: &Planes, b: &Planes) -> f32 {
+fn difference(a: &ChannelImage, b: &ChannelImage) -> f32 {
     let sum: f32 = a.values().iter().zip(b.values()).map(|(a, b)| (a - b) * (a - b)).sum();
     (sum / a.values().len() as f32).sqrt()
 }
@@ -19,7 +22,7 @@ fn target_patches_have_sources_and_pixels_have_style_colors() {
     let source = guides(40, 32, [0.5, 0.5], 1);
     for (width, height) in [(40, 32), (90, 70), (17, 14)] {
         let target = guides(width, height, [0.3, 0.6], 2);
-        let result = painted(&source, &target, &Settings::default());
+        let result = paint(&source, &target, &Settings::default());
         let grid = result.field.target;
         assert_eq!((result.image.width(), result.image.height()), (width as usize, height as usize));
         assert_eq!(result.field.patches.len(), grid.count());
@@ -35,12 +38,12 @@ fn threads_change_no_bit() {
     let (source, target) = (guides(48, 40, [0.5, 0.5], 1), guides(50, 44, [0.4, 0.4], 2));
     let by = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
-        pool.install(|| painted(&source, &target, &Settings::default()))
+        pool.install(|| paint(&source, &target, &Settings::default()))
     };
     let [one, two, five] = [1, 2, 5].map(by);
     for other in [two, five] {
         assert_eq!(one.image, other.image);
-        assert_eq!((&one.field, one.figures), (&other.field, other.figures));
+        assert_eq!((&one.field, one.quality), (&other.field, other.quality));
     }
 }
 
@@ -49,16 +52,16 @@ fn the_source_itself_is_painted_as_the_style() {
     let source = guides(48, 36, [0.5, 0.5], 1);
     let style = style(&source);
     for method in [Method::Balanced, Method::Em] {
-        let result = painted(&source, &source, &Settings { method, ..Settings::default() });
+        let result = paint(&source, &source, &Settings { method, ..Settings::default() });
         assert!(difference(&result.image, &style) < 0.02, "{method:?}: {}", difference(&result.image, &style));
-        assert!(result.figures.guide_error < 75.0, "{method:?}: {:?}", result.figures);
+        assert!(result.quality.guide_error < 75.0, "{method:?}: {:?}", result.quality);
     }
 }
 
 #[test]
 fn usage_cost_shows_more_of_the_painting_than_nearest_patches() {
     let (source, target) = (guides(48, 40, [0.5, 0.5], 1), guides(48, 40, [0.35, 0.6], 2));
-    let figures = |method| painted(&source, &target, &Settings { method, ..Settings::default() }).figures;
+    let figures = |method| paint(&source, &target, &Settings { method, ..Settings::default() }).quality;
     let [balanced, em] = [Method::Balanced, Method::Em].map(figures);
     assert!(balanced.usage_entropy > em.usage_entropy, "{balanced:?} {em:?}");
     assert!(balanced.unused < em.unused, "{balanced:?} {em:?}");
@@ -69,7 +72,7 @@ fn usage_cost_shows_more_of_the_painting_than_nearest_patches() {
 fn what_does_not_fit_is_refused_by_what_it_is() {
     let (source, target) = (guides(20, 16, [0.5, 0.5], 1), guides(20, 16, [0.4, 0.5], 2));
     let painting = style(&source);
-    let refused = |style: &Planes, target: &Planes, settings: &Settings| {
+    let refused = |style: &ChannelImage, target: &ChannelImage, settings: &Settings| {
         stylize(Example { style, guides: &source }, target, None, settings, None, &()).expect_err("refused")
     };
     let settings = Settings::default();
@@ -77,7 +80,7 @@ fn what_does_not_fit_is_refused_by_what_it_is() {
         refused(&style(&guides(21, 16, [0.5; 2], 1)), &target, &settings),
         StylizeError::StyleSize { .. }
     ));
-    let gray = Planes::new(20, 16, 1, vec![0.5; 320]).expect("an image");
+    let gray = ChannelImage::new(20, 16, 1, vec![0.5; 320]).expect("an image");
     assert_eq!(refused(&gray, &target, &settings), StylizeError::StyleChannels(1));
     let expected = StylizeError::Channels { source_channels: 3, target_channels: 1 };
     assert_eq!(refused(&painting, &gray, &settings), expected);
@@ -115,11 +118,11 @@ fn a_frame_holds_on_to_the_one_before_as_much_as_it_is_told_to() {
             if u * u + v * v < radius * radius { 2.0 } else { 0.0 }
         })
         .collect();
-    let before = Before::new(&painted, [&motion, &vec![0.0; pixels]], None).expect("it fits");
-    let flicker = |before: Option<&Before>, boil| {
+    let before = PreviousFrame::new(&painted, [&motion, &vec![0.0; pixels]], None).expect("it fits");
+    let flicker = |before: Option<&PreviousFrame>, boil| {
         let settings = Settings { boil, ..Settings::default() };
         let image = stylize(example, &second, before, &settings, None, &()).expect("a picture").image;
-        self::before(&painted, &motion).flicker(&image).expect("it is known")
+        previous_frame(&painted, &motion).flicker(&image).expect("it is known")
     };
     let [alone, held, half, anew] =
         [flicker(None, 0.0), flicker(Some(&before), 0.0), flicker(Some(&before), 0.5), flicker(Some(&before), 1.0)];
@@ -127,35 +130,38 @@ fn a_frame_holds_on_to_the_one_before_as_much_as_it_is_told_to() {
     assert!(held < half && half < alone && held < 0.5 * alone, "{held} {half} {anew} {alone}");
     let smaller = guides(60, 48, [0.5, 0.5], 1);
     let error = stylize(example, &smaller, Some(&before), &Settings::default(), None, &()).expect_err("another size");
-    assert_eq!(error, StylizeError::BeforeSize { before: size, target: [60, 48] });
+    assert_eq!(error, StylizeError::PreviousFrameSize { before: size, target: [60, 48] });
 }
 
-fn before(painted: &Stylized, motion: &[f32]) -> Before {
-    Before::new(painted, [motion, &vec![0.0; motion.len()]], None).expect("it fits")
+fn previous_frame(painted: &StylizedImage, motion: &[f32]) -> PreviousFrame {
+    PreviousFrame::new(painted, [motion, &vec![0.0; motion.len()]], None).expect("it fits")
 }
 
 #[test]
 fn a_run_that_was_cut_off_at_any_level_goes_on_to_the_same_bits() {
-    struct Kept(Mutex<Vec<Begun>>);
-    impl Watch for Kept {
-        fn level(&self, begun: Begun) {
+    struct Checkpoints(Mutex<Vec<Checkpoint>>);
+    impl ProgressObserver for Checkpoints {
+        fn on_checkpoint(&self, begun: Checkpoint) {
             self.0.lock().expect("no panic").push(begun);
         }
     }
     let (source, target) = (guides(64, 48, [0.5, 0.5], 1), guides(60, 44, [0.4, 0.4], 2));
-    let (painting, kept) = (style(&source), Kept(Mutex::new(Vec::new())));
+    let (painting, checkpoints) = (style(&source), Checkpoints(Mutex::new(Vec::new())));
     let example = Example { style: &painting, guides: &source };
-    let whole = stylize(example, &target, None, &Settings::default(), None, &kept).expect("a picture");
-    let kept = kept.0.into_inner().expect("no panic");
-    assert_eq!(kept.iter().map(|begun| begun.left).collect::<Vec<_>>(), (0..whole.levels).rev().collect::<Vec<_>>());
-    for begun in kept {
+    let whole = stylize(example, &target, None, &Settings::default(), None, &checkpoints).expect("a picture");
+    let checkpoints = checkpoints.0.into_inner().expect("no panic");
+    assert_eq!(
+        checkpoints.iter().map(|begun| begun.levels_left).collect::<Vec<_>>(),
+        (0..whole.levels).rev().collect::<Vec<_>>()
+    );
+    for begun in checkpoints {
         let resumed = |begun| stylize(example, &target, None, &Settings::default(), Some(begun), &());
         let again = resumed(begun.clone()).expect("a picture");
-        assert!(again.image == whole.image && again.field == whole.field, "{} levels left", begun.left);
+        assert!(again.image == whole.image && again.field == whole.field, "{} levels left", begun.levels_left);
         let mut foreign = begun;
         foreign.patches[0] = u32::MAX;
-        assert_eq!(resumed(foreign.clone()).expect_err("a number that no patch has"), StylizeError::Begun);
-        foreign.left += whole.levels;
-        assert_eq!(resumed(foreign).expect_err("a level that is none"), StylizeError::Begun);
+        assert_eq!(resumed(foreign.clone()).expect_err("a number that no patch has"), StylizeError::ForeignCheckpoint);
+        foreign.levels_left += whole.levels;
+        assert_eq!(resumed(foreign).expect_err("a level that is none"), StylizeError::ForeignCheckpoint);
     }
 }

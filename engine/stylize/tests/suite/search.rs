@@ -1,10 +1,10 @@
 //! Tests that compare the search with brute force.
 
-use crate::world::{guides, style};
+use crate::images::{guides, style};
 use femc_stylize::{Patches, Settings, Weights, brute_force, search};
 
 /// Returns the mean energy of the search, with the default number of passes, relative to brute force; both without prices.
-fn beside_brute_force(width: u32, height: u32) -> f64 {
+fn energy_ratio(width: u32, height: u32) -> f64 {
     let (source, target) = (guides(width, height, [0.5, 0.5], 1), guides(width, height, [0.4, 0.6], 2));
     let settings = Settings::default();
     let weights = Weights::new(&settings, source.channels());
@@ -21,7 +21,7 @@ fn beside_brute_force(width: u32, height: u32) -> f64 {
 
 #[test]
 fn the_search_agrees_with_brute_force() {
-    let ratio = beside_brute_force(48, 40);
+    let ratio = energy_ratio(48, 40);
     assert!((1.0..1.1).contains(&ratio), "{ratio}");
 }
 
@@ -29,6 +29,6 @@ fn the_search_agrees_with_brute_force() {
 #[test]
 #[ignore = "a minute"]
 fn the_search_agrees_with_brute_force_in_a_larger_image() {
-    let ratio = beside_brute_force(96, 96);
+    let ratio = energy_ratio(96, 96);
     assert!((1.0..1.1).contains(&ratio), "{ratio}");
 }

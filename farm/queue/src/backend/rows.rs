@@ -1,29 +1,29 @@
 //! Numbered records with checksums, as the databases store them.
 
-use crate::{Contents, Page, QueueError};
+use crate::{LogContents, NotePage, QueueError};
 
 /// A row as read from the database.
 pub(super) struct Row {
     pub(super) sequence: i64,
-    pub(super) sum: Vec<u8>,
+    pub(super) checksum: Vec<u8>,
     pub(super) bytes: Vec<u8>,
 }
 
 impl Row {
     fn is_sound(&self) -> bool {
-        self.is_blank() || self.sum == checksum(self.sequence, &self.bytes)
+        self.is_blank() || self.checksum == checksum(self.sequence, &self.bytes)
     }
 
     /// Checks whether the row represents a batch without records.
     fn is_blank(&self) -> bool {
-        self.bytes.is_empty() && self.sum == blank(self.sequence)
+        self.bytes.is_empty() && self.checksum == blank_checksum(self.sequence)
     }
 }
 
 /// Returns the page of notes in these rows. If another page follows, there is one row more than a page holds.
-pub(super) fn page(rows: Vec<Row>) -> Page {
-    Page::of(rows.into_iter().map(|row| {
-        let is_sound = row.sum == note_checksum(&row.bytes);
+pub(super) fn note_page(rows: Vec<Row>) -> NotePage {
+    NotePage::from_notes(rows.into_iter().map(|row| {
+        let is_sound = row.checksum == note_checksum(&row.bytes);
         if !is_sound {
             tracing::warn!(number = row.sequence, "a note beside the log is damaged");
         }
@@ -44,7 +44,7 @@ pub(super) fn checksum(sequence: i64, bytes: &[u8]) -> Vec<u8> {
 }
 
 /// Computes the checksum of a row without a record. The row has a number so that its loss is detected.
-pub(super) fn blank(sequence: i64) -> Vec<u8> {
+pub(super) fn blank_checksum(sequence: i64) -> Vec<u8> {
     let mut hash = blake3::Hasher::new();
     hash.update(b"no record").update(&sequence.to_le_bytes());
     hash.finalize().as_bytes()[..16].to_vec()
@@ -53,7 +53,7 @@ pub(super) fn blank(sequence: i64) -> Vec<u8> {
 /// The sound content of a log's rows.
 pub(super) struct LogRows {
     /// Content up to the first damaged or missing row.
-    pub(super) contents: Contents,
+    pub(super) contents: LogContents,
     /// Number of the last sound row.
     pub(super) last: i64,
     /// Error for the first damaged or missing row.
@@ -63,7 +63,7 @@ pub(super) struct LogRows {
 /// Verifies the rows up to the first damaged or missing one. A database stores a transaction either whole or not at all, so damage
 /// is never the result of an interrupted write.
 pub(super) fn check_rows(snapshot: Option<Row>, rows: impl IntoIterator<Item = Row>) -> Result<LogRows, QueueError> {
-    let mut contents = Contents::default();
+    let mut contents = LogContents::default();
     let mut last = 0;
     if let Some(snapshot) = snapshot {
         if !snapshot.is_sound() {

@@ -2,9 +2,11 @@
 
 use std::path::Path;
 
-use crate::common::{Chance, Model, Work, all_notes};
-use femc_queue::testing::Scratch;
-use femc_queue::{Batch, Contents, Loss, Lost, Memory, Note, Postgres, Queue, QueueError, Sqlite, Standby};
+use crate::common::{LogModel, OwnedBatch, SplitMix64, all_notes};
+use femc_queue::testing::ScratchDatabase;
+use femc_queue::{
+    Batch, LogContents, LossPolicy, Memory, MissingRecords, Note, Postgres, Queue, QueueError, Sqlite, Standby,
+};
 use sqlx::{ConnectOptions as _, Connection as _};
 
 fn records(from: u8, to: u8) -> Vec<Vec<u8>> {
@@ -13,60 +15,61 @@ fn records(from: u8, to: u8) -> Vec<Vec<u8>> {
 
 /// Checks a log. `open` returns a new handle to the log after the previous handle is dropped. Calls have the order of a
 /// coordinator: a log is loaded once, directly after it was opened, and all further calls follow.
-async fn conforms<Q: Queue>(open: impl AsyncFn() -> Q) {
+async fn check_conformance<Q: Queue>(open: impl AsyncFn() -> Q) {
     let mut queue = open().await;
-    assert_eq!(queue.load().await.unwrap(), Contents::default(), "a new log is empty");
+    assert_eq!(queue.load().await.unwrap(), LogContents::default(), "a new log is empty");
     let first = queue.reserve(1).await.unwrap();
-    queue.append(Batch::of(&records(0, 3))).await.unwrap();
-    queue.append(Batch::of(&[])).await.unwrap();
-    queue.append(Batch::of(&records(3, 5))).await.unwrap();
+    queue.append(Batch::from_records(&records(0, 3))).await.unwrap();
+    queue.append(Batch::from_records(&[])).await.unwrap();
+    queue.append(Batch::from_records(&records(3, 5))).await.unwrap();
     drop(queue);
 
     let mut queue = open().await;
-    let expected = Contents { records: records(0, 5), ..Contents::default() };
+    let expected = LogContents { records: records(0, 5), ..LogContents::default() };
     assert_eq!(queue.load().await.unwrap(), expected, "records come back in order after a restart");
     assert!(queue.reserve(first + 1).await.unwrap() > first);
-    queue.append(Batch::of(&records(5, 6))).await.unwrap();
+    queue.append(Batch::from_records(&records(5, 6))).await.unwrap();
     queue.snapshot(b"state").await.unwrap();
-    queue.append(Batch::of(&records(6, 8))).await.unwrap();
-    queue.append(Batch::of(&records(8, 9))).await.unwrap();
+    queue.append(Batch::from_records(&records(6, 8))).await.unwrap();
+    queue.append(Batch::from_records(&records(8, 9))).await.unwrap();
     drop(queue);
 
     let mut queue = open().await;
-    let expected = Contents { snapshot: Some(b"state".to_vec()), records: records(6, 9), ..Contents::default() };
+    let expected = LogContents { snapshot: Some(b"state".to_vec()), records: records(6, 9), ..LogContents::default() };
     assert_eq!(queue.load().await.unwrap(), expected, "a snapshot replaces what is before it and nothing that follows");
     queue.snapshot(b"newer").await.unwrap();
     queue.snapshot(b"newest").await.unwrap();
     drop(queue);
 
     let mut queue = open().await;
-    let expected = Contents { snapshot: Some(b"newest".to_vec()), ..Contents::default() };
+    let expected = LogContents { snapshot: Some(b"newest".to_vec()), ..LogContents::default() };
     assert_eq!(queue.load().await.unwrap(), expected, "the last snapshot counts");
-    queue.append(Batch::of(&records(9, 10))).await.unwrap();
+    queue.append(Batch::from_records(&records(9, 10))).await.unwrap();
     drop(queue);
-    let expected = Contents { records: records(9, 10), ..expected };
+    let expected = LogContents { records: records(9, 10), ..expected };
     assert_eq!(open().await.load().await.unwrap(), expected, "a snapshot without records before it is gone on from");
 }
 
-/// Checks a log with random operations: after each reopening, it holds exactly the expected contents. `open` as for [`conforms`].
-async fn walks<Q: Queue>(open: impl AsyncFn() -> Q, seed: u64) {
-    let (mut chance, mut model) = (Chance(seed), Model::default());
+/// Checks a log with random operations: after each reopening, it holds exactly the expected contents. `open` as for
+/// [`check_conformance`].
+async fn check_random_walk<Q: Queue>(open: impl AsyncFn() -> Q, seed: u64) {
+    let (mut rng, mut model) = (SplitMix64(seed), LogModel::default());
     let mut queue = open().await;
     queue.load().await.unwrap();
     for turn in 0..60 {
-        match chance.below(10) {
+        match rng.below(10) {
             0..6 => {
-                let work = Work::by(&mut chance);
-                queue.append(work.batch()).await.unwrap();
-                model.append(&work);
+                let batch = OwnedBatch::random(&mut rng);
+                queue.append(batch.batch()).await.unwrap();
+                model.append(&batch);
             }
             6..8 => {
-                let state = chance.bytes(3000);
+                let state = rng.bytes(3000);
                 queue.snapshot(&state).await.unwrap();
                 model.snapshot(state);
             }
             8 => {
-                let subject = chance.below(4);
+                let subject = rng.below(4);
                 assert_eq!(all_notes(&mut queue, subject).await, model.notes(subject), "seed {seed}, turn {turn}");
             }
             _ => {
@@ -88,7 +91,7 @@ async fn walks<Q: Queue>(open: impl AsyncFn() -> Q, seed: u64) {
 async fn memory_holds_what_was_done_to_it() {
     for seed in 0..20 {
         let log = Memory::default();
-        walks(async || log.clone(), seed).await;
+        check_random_walk(async || log.clone(), seed).await;
     }
 }
 
@@ -97,21 +100,21 @@ async fn sqlite_holds_what_was_done_to_it() {
     for seed in 0..20 {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("log.sqlite");
-        walks(async || reopen(&path).await, seed).await;
+        check_random_walk(async || reopen(&path).await, seed).await;
     }
 }
 
 #[tokio::test]
 async fn postgres_holds_what_was_done_to_it() {
     for seed in 0..2 {
-        let Some(scratch) = Scratch::new().await else { return };
-        walks(async || lead(&scratch.url()).await, seed).await;
+        let Some(scratch) = ScratchDatabase::new().await else { return };
+        check_random_walk(async || open_as_leader(&scratch.url()).await, seed).await;
     }
 }
 
-async fn lead(url: &str) -> Postgres {
+async fn open_as_leader(url: &str) -> Postgres {
     let standby = Standby::open(url.parse().unwrap(), "http://one".into(), Postgres::SILENCE).await;
-    standby.unwrap().lead(|_| ()).await.unwrap()
+    standby.unwrap().wait_for_lead(|_| ()).await.unwrap()
 }
 
 fn note(subject: u64, byte: u8) -> Note {
@@ -123,13 +126,13 @@ async fn notes<Q: Queue>(queue: &mut Q, subject: u64) -> Vec<u8> {
     all_notes(queue, subject).await.into_iter().map(|note| note[0]).collect()
 }
 
-/// Checks the notes of a log. `open` as for [`conforms`].
-async fn keeps_notes<Q: Queue>(open: impl AsyncFn() -> Q) {
+/// Checks the notes of a log. `open` as for [`check_conformance`].
+async fn check_notes<Q: Queue>(open: impl AsyncFn() -> Q) {
     let mut queue = open().await;
     queue.load().await.unwrap();
     assert_eq!(notes(&mut queue, 1).await, [], "a new log has no notes");
     let both = [note(1, 1), note(2, 2), note(1, 3)];
-    queue.append(Batch { notes: &both, ..Batch::of(&records(0, 2)) }).await.unwrap();
+    queue.append(Batch { notes: &both, ..Batch::from_records(&records(0, 2)) }).await.unwrap();
     queue.append(Batch { notes: &[note(1, 4)], ..Batch::default() }).await.unwrap();
     queue.snapshot(b"state").await.unwrap();
     drop(queue);
@@ -160,20 +163,20 @@ async fn keeps_notes<Q: Queue>(open: impl AsyncFn() -> Q) {
 #[tokio::test]
 async fn memory_keeps_notes() {
     let log = Memory::default();
-    keeps_notes(async || log.clone()).await;
+    check_notes(async || log.clone()).await;
 }
 
 #[tokio::test]
 async fn sqlite_keeps_notes() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("log.sqlite");
-    keeps_notes(async || reopen(&path).await).await;
+    check_notes(async || reopen(&path).await).await;
 }
 
 #[tokio::test]
 async fn postgres_keeps_notes() {
-    let Some(scratch) = Scratch::new().await else { return };
-    keeps_notes(async || lead(&scratch.url()).await).await;
+    let Some(scratch) = ScratchDatabase::new().await else { return };
+    check_notes(async || open_as_leader(&scratch.url()).await).await;
 }
 
 #[tokio::test]
@@ -184,13 +187,13 @@ async fn discarded_tail_takes_its_notes_and_damaged_note_is_skipped() {
     queue.load().await.unwrap();
     for byte in 1..6 {
         let notes = [note(1, byte)];
-        queue.append(Batch { notes: &notes, ..Batch::of(&records(byte, byte + 1)) }).await.unwrap();
+        queue.append(Batch { notes: &notes, ..Batch::from_records(&records(byte, byte + 1)) }).await.unwrap();
     }
     drop(queue);
     tamper(&path, "UPDATE log SET record = x'00' WHERE sequence >= 4; UPDATE notes SET note = x'07' WHERE number = 2")
         .await;
     assert!(reopen(&path).await.load().await.is_err());
-    let mut queue = reopen_with(&path, Loss::Accepted).await;
+    let mut queue = reopen_with(&path, LossPolicy::Accept).await;
     queue.load().await.unwrap();
     assert_eq!(notes(&mut queue, 1).await, [1, 3]);
 }
@@ -198,35 +201,35 @@ async fn discarded_tail_takes_its_notes_and_damaged_note_is_skipped() {
 #[tokio::test]
 async fn memory_conforms() {
     let log = Memory::default();
-    conforms(async || log.clone()).await;
+    check_conformance(async || log.clone()).await;
 }
 
 #[tokio::test]
 async fn sqlite_conforms() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("log.sqlite");
-    conforms(async || reopen(&path).await).await;
+    check_conformance(async || reopen(&path).await).await;
 }
 
 #[tokio::test]
 async fn postgres_conforms() {
-    let Some(scratch) = Scratch::new().await else { return };
-    conforms(async || lead(&scratch.url()).await).await;
+    let Some(scratch) = ScratchDatabase::new().await else { return };
+    check_conformance(async || open_as_leader(&scratch.url()).await).await;
 }
 
 #[tokio::test]
 async fn postgres_conforms_over_an_encrypted_connection() {
-    let Some(scratch) = Scratch::new().await else { return };
-    let Some((url, _)) = scratch.encrypted() else { return };
-    conforms(async || lead(&url).await).await;
+    let Some(scratch) = ScratchDatabase::new().await else { return };
+    let Some((url, _)) = scratch.encrypted_url() else { return };
+    check_conformance(async || open_as_leader(&url).await).await;
 }
 
 /// Opens the log at `path`. A dropped connection closes in the background, so this waits for it; a new process need not.
 async fn reopen(path: &Path) -> Sqlite {
-    reopen_with(path, Loss::Refused).await
+    reopen_with(path, LossPolicy::Refuse).await
 }
 
-async fn reopen_with(path: &Path, loss: Loss) -> Sqlite {
+async fn reopen_with(path: &Path, loss: LossPolicy) -> Sqlite {
     loop {
         match Sqlite::open_with(path, loss).await {
             Err(QueueError::InUse { .. }) => tokio::task::yield_now().await,
@@ -247,29 +250,32 @@ async fn tamper(path: &Path, sql: &'static str) {
     connection.close().await.unwrap();
 }
 
-async fn with_five(path: &Path) {
+async fn append_five_records(path: &Path) {
     let mut queue = Sqlite::open(path).await.unwrap();
     queue.load().await.unwrap();
-    queue.append(Batch::of(&records(1, 6))).await.unwrap();
+    queue.append(Batch::from_records(&records(1, 6))).await.unwrap();
 }
 
 #[tokio::test]
 async fn damaged_acknowledged_tail_goes_only_if_loss_is_accepted() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("log.sqlite");
-    with_five(&path).await;
+    append_five_records(&path).await;
     tamper(&path, "UPDATE log SET record = x'00' WHERE sequence >= 4").await;
     for _ in 0..2 {
         let error = reopen(&path).await.load().await.unwrap_err();
         assert!(matches!(error, QueueError::Damaged { sequence: 4, after: 0 }), "{error}");
     }
-    let mut queue = reopen_with(&path, Loss::Accepted).await;
+    let mut queue = reopen_with(&path, LossPolicy::Accept).await;
     let contents = queue.load().await.unwrap();
-    assert_eq!((contents.records, contents.lost), (records(1, 4), Some(Lost { kept: 3, known: Some(5) })));
-    queue.append(Batch::of(&records(7, 8))).await.unwrap();
+    assert_eq!(
+        (contents.records, contents.missing),
+        (records(1, 4), Some(MissingRecords { last_existing: 3, last_known: Some(5) }))
+    );
+    queue.append(Batch::from_records(&records(7, 8))).await.unwrap();
     drop(queue);
     let contents = reopen(&path).await.load().await.unwrap();
-    assert_eq!((contents.records.len(), contents.lost), (4, None), "what was accepted is over");
+    assert_eq!((contents.records.len(), contents.missing), (4, None), "what was accepted is over");
 }
 
 #[tokio::test]
@@ -285,7 +291,7 @@ async fn damage_before_the_end_is_not_passed_over() {
     .enumerate()
     {
         let path = folder.path().join(format!("{number}.sqlite"));
-        with_five(&path).await;
+        append_five_records(&path).await;
         tamper(&path, sql).await;
         let error = reopen(&path).await.load().await.unwrap_err();
         assert!(matches!(error, QueueError::Damaged { after, .. } if after == sound), "{sql}: {error}");
@@ -296,10 +302,10 @@ async fn damage_before_the_end_is_not_passed_over() {
 async fn file_of_another_program_or_version_is_refused_unchanged() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("log.sqlite");
-    with_five(&path).await;
+    append_five_records(&path).await;
     tamper(&path, "PRAGMA user_version = 7").await;
     let error = Sqlite::open(&path).await.unwrap_err();
-    assert!(matches!(error, QueueError::Foreign { version: 7, .. }), "{error}");
+    assert!(matches!(error, QueueError::ForeignFile { version: 7, .. }), "{error}");
     let other = folder.path().join("other.sqlite");
     std::fs::write(&other, b"this is not a database, but long enough to look at").unwrap();
     assert!(Sqlite::open(&other).await.is_err());

@@ -2,10 +2,10 @@
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
-use femc_model::{Attempt, Digest, Drain, JobId, LogRecord, LogText, Month, OwnerUsage, UsageSums};
+use femc_model::{AttemptOutcome, Digest, Drain, JobId, LogRecord, LogText, Month, OwnerUsage, UsageSums};
 use serde::{Deserialize, Serialize};
 
-use crate::Used;
+use crate::UsedTime;
 
 /// The ledger's tables beside its jobs.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -17,78 +17,78 @@ pub(crate) struct SideTables {
     /// Frames in progress with results that count, and the build of the engine that made these.
     builds: BTreeMap<JobId, BTreeMap<u32, String>>,
     /// Used time by owner.
-    used: BTreeMap<String, Used>,
+    used_times: BTreeMap<String, UsedTime>,
     /// Usage by month and owner.
     #[serde(deserialize_with = "femc_model::since_version_11")]
-    metered: BTreeMap<(Month, String), UsageSums>,
+    usage: BTreeMap<(Month, String), UsageSums>,
 }
 
 impl SideTables {
     /// Maximum number of drained workers in the table. It is limited because processes end without notice that they will not come
     /// back.
-    const DRAINED: usize = 4096;
+    const MAX_DRAINED: usize = 4096;
 
     /// Maximum number of logs of a job.
-    const LOGS: usize = 512;
+    const MAX_LOGS: usize = 512;
 
     /// Number of a job's first failures whose logs are always kept: they often show the cause of later failures.
     const FIRST_FAILURES: usize = 64;
 
     /// Maximum number of owners without a job whose used time is kept.
-    const ABSENT: usize = 4096;
+    const MAX_ABSENT: usize = 4096;
 
     /// Maximum number of rows of usage: with 100 owners, 54 years.
-    const METERED: usize = 1 << 16;
+    const MAX_USAGE_ROWS: usize = 1 << 16;
 
     /// Stores the used time of these owners. If too many owners have no job, removes those with the lowest virtual time.
     /// - `present`: returns the owners with jobs.
-    pub(super) fn note_used<'a>(&mut self, owners: &[(String, Used)], present: impl Fn() -> BTreeSet<&'a str>) {
-        self.used.extend(owners.iter().cloned());
-        if self.used.len() <= Self::ABSENT {
+    pub(super) fn set_used_times<'a>(
+        &mut self,
+        owners: &[(String, UsedTime)],
+        present: impl Fn() -> BTreeSet<&'a str>,
+    ) {
+        self.used_times.extend(owners.iter().cloned());
+        if self.used_times.len() <= Self::MAX_ABSENT {
             return;
         }
         let present = present();
-        let absent = self.used.iter().filter(|(owner, _)| !present.contains(owner.as_str()));
-        let mut absent: Vec<(Used, String)> = absent.map(|(owner, used)| (*used, owner.clone())).collect();
+        let absent = self.used_times.iter().filter(|(owner, _)| !present.contains(owner.as_str()));
+        let mut absent: Vec<(UsedTime, String)> = absent.map(|(owner, used)| (*used, owner.clone())).collect();
         absent.sort_unstable_by_key(|(used, _)| std::cmp::Reverse(used.virtual_time));
-        for (_, owner) in absent.split_off(absent.len().min(Self::ABSENT)) {
-            self.used.remove(&owner);
+        for (_, owner) in absent.split_off(absent.len().min(Self::MAX_ABSENT)) {
+            self.used_times.remove(&owner);
         }
     }
 
     /// Returns the durable used time by owner.
-    pub(crate) fn used(&self) -> &BTreeMap<String, Used> {
-        &self.used
+    pub(crate) fn used_times(&self) -> &BTreeMap<String, UsedTime> {
+        &self.used_times
     }
 
     /// Replaces the usage of these owners and months. Beyond the limit, the earliest months are removed.
-    pub(super) fn meter(&mut self, usage: &[OwnerUsage]) {
-        self.metered.extend(usage.iter().map(|row| ((row.month, row.owner.clone()), row.sums)));
-        while self.metered.len() > Self::METERED {
-            self.metered.pop_first();
+    pub(super) fn set_usage(&mut self, usage: &[OwnerUsage]) {
+        self.usage.extend(usage.iter().map(|row| ((row.month, row.owner.clone()), row.sums)));
+        while self.usage.len() > Self::MAX_USAGE_ROWS {
+            self.usage.pop_first();
         }
     }
 
     /// Returns the durable usage of an owner in a month.
-    pub(crate) fn metered_of(&self, month: Month, owner: &str) -> UsageSums {
-        self.metered.get(&(month, owner.to_owned())).copied().unwrap_or_default()
+    pub(crate) fn usage_of(&self, month: Month, owner: &str) -> UsageSums {
+        self.usage.get(&(month, owner.to_owned())).copied().unwrap_or_default()
     }
 
     /// Returns the durable usage by month and owner.
-    pub(crate) fn metered(&self) -> impl Iterator<Item = OwnerUsage> + '_ {
-        self.metered.iter().map(|((month, owner), sums)| OwnerUsage {
-            month: *month,
-            owner: owner.clone(),
-            sums: *sums,
-        })
+    pub(crate) fn usage_rows(&self) -> impl Iterator<Item = OwnerUsage> + '_ {
+        self.usage.iter().map(|((month, owner), sums)| OwnerUsage { month: *month, owner: owner.clone(), sums: *sums })
     }
 
-    pub(super) fn built(&mut self, job: JobId, frame: u32, engine: &str) {
+    pub(super) fn set_build(&mut self, job: JobId, frame: u32, engine: &str) {
         self.builds.entry(job).or_default().insert(frame, engine.to_owned());
     }
 
     /// Removes the build of a frame that is finished or restarts.
-    pub(super) fn unbuilt(&mut self, job: JobId, frame: u32) {
+    pub(super) fn remove_build(&mut self, job: JobId, frame: u32) {
         let Some(frames) = self.builds.get_mut(&job) else { return };
         frames.remove(&frame);
         if frames.is_empty() {
@@ -108,19 +108,19 @@ impl SideTables {
 
     /// Stores a log. Returns artifacts that are no longer referenced. Beyond the limit, logs of successful attempts are removed
     /// first. Of the failures, the first ones and the latest ones are kept.
-    pub(super) fn log(&mut self, record: &LogRecord) -> Vec<Digest> {
+    pub(super) fn add_log(&mut self, record: &LogRecord) -> Vec<Digest> {
         let logs = self.logs.entry(record.task.job).or_default();
         logs.push_back(record.clone());
-        if logs.len() <= Self::LOGS {
+        if logs.len() <= Self::MAX_LOGS {
             return Vec::new();
         }
-        let done = logs.iter().position(|record| record.log.attempt == Attempt::Done);
+        let done = logs.iter().position(|record| record.log.outcome == AttemptOutcome::Done);
         let oldest = done.unwrap_or(Self::FIRST_FAILURES);
-        logs.remove(oldest).iter().filter_map(stored).collect()
+        logs.remove(oldest).iter().filter_map(stored_digest).collect()
     }
 
     /// Removes everything about a job.
-    pub(super) fn forget(&mut self, job: JobId) {
+    pub(super) fn remove_job(&mut self, job: JobId) {
         self.logs.remove(&job);
         self.builds.remove(&job);
     }
@@ -129,15 +129,15 @@ impl SideTables {
         self.logs.get(&job).into_iter().flatten()
     }
 
-    pub(super) fn each_artifact(&self, see: impl FnMut(Digest)) {
-        self.logs.values().flatten().filter_map(stored).for_each(see);
+    pub(super) fn for_each_artifact(&self, visit: impl FnMut(Digest)) {
+        self.logs.values().flatten().filter_map(stored_digest).for_each(visit);
     }
 
-    pub(super) fn drain(&mut self, instance: u64, drain: Drain) {
+    pub(super) fn set_drain(&mut self, instance: u64, drain: Drain) {
         self.drained.retain(|&other| other != instance);
         if drain == Drain::Begin {
             self.drained.push(instance);
-            let surplus = self.drained.len().saturating_sub(Self::DRAINED);
+            let surplus = self.drained.len().saturating_sub(Self::MAX_DRAINED);
             self.drained.drain(..surplus);
         }
     }
@@ -147,7 +147,7 @@ impl SideTables {
     }
 }
 
-fn stored(record: &LogRecord) -> Option<Digest> {
+fn stored_digest(record: &LogRecord) -> Option<Digest> {
     match &record.log.text {
         LogText::Stored(artifact) => Some(artifact.digest),
         LogText::Inline(_) => None,
@@ -177,12 +177,16 @@ mod tests {
     #[test]
     fn owners_without_jobs_are_remembered_by_most_usage() {
         let mut side = SideTables::default();
-        let owner = |number: usize| (number.to_string(), Used { held: 1, virtual_time: number as u64 });
+        let owner = |number: usize| (number.to_string(), UsedTime { charged: 1, virtual_time: number as u64 });
         let names: Vec<String> = (0..10).map(|number: usize| number.to_string()).collect();
-        for number in 0..SideTables::ABSENT + 20 {
-            side.note_used(&[owner(number)], || names.iter().map(String::as_str).collect());
+        for number in 0..SideTables::MAX_ABSENT + 20 {
+            side.set_used_times(&[owner(number)], || names.iter().map(String::as_str).collect());
         }
-        assert_eq!(side.used().len(), 10 + SideTables::ABSENT);
-        assert!(!side.used().contains_key("10") && !side.used().contains_key("19") && side.used().contains_key("20"));
+        assert_eq!(side.used_times().len(), 10 + SideTables::MAX_ABSENT);
+        assert!(
+            !side.used_times().contains_key("10")
+                && !side.used_times().contains_key("19")
+                && side.used_times().contains_key("20")
+        );
     }
 }

@@ -1,6 +1,6 @@
 //! Encoding of the ledger and its facts: a version byte, and the rest in postcard.
 
-use femc_model::{Tick, reading_version};
+use femc_model::{Tick, with_log_version};
 use serde::{Deserialize, Serialize};
 
 use super::Ledger;
@@ -84,7 +84,7 @@ fn encode(value: &impl Serialize) -> Result<Vec<u8>, SnapshotError> {
 fn decode<T: for<'a> Deserialize<'a>>(bytes: &[u8]) -> Result<T, SnapshotError> {
     match bytes.split_first() {
         Some((&version, content)) if (Ledger::OLDEST_VERSION..=Ledger::VERSION).contains(&version) => {
-            Ok(reading_version(version, || postcard::from_bytes(content))?)
+            Ok(with_log_version(version, || postcard::from_bytes(content))?)
         }
         Some((&found, _)) => Err(SnapshotError::Version { found }),
         None => Err(SnapshotError::Empty),

@@ -1,7 +1,7 @@
 //! Tests of lost images, of results that do not fit the store, and of a store that keeps failing.
 
 use crate::common;
-use crate::common::{Farm, job, registration, result};
+use crate::common::{TestFarm, job, registration, result_of};
 use femc_model::*;
 use femc_schedule::*;
 
@@ -9,22 +9,22 @@ use Decision::{Continue, Done};
 use StageKind::{Image, Render};
 
 /// Creates a farm with a worker, and a finished job of two frames.
-fn done() -> (Farm, JobId) {
-    let mut farm = Farm::new();
+fn finished_farm() -> (TestFarm, JobId) {
+    let mut farm = TestFarm::new();
     let id = farm.submit(job(&[1, 2], 1, &[4]));
     farm.join(1);
     while farm.state(id) != JobState::Done {
-        farm.work(1, Done);
+        farm.complete_first(1, Done);
     }
     (farm, id)
 }
 
-fn image(farm: &Farm, id: JobId, frame: u32) -> Digest {
+fn image_digest(farm: &TestFarm, id: JobId, frame: u32) -> Digest {
     let frames = farm.scheduler.frames(id).unwrap();
     frames.iter().find(|record| record.frame == frame).expect("it is finished").image().expect("an image").digest
 }
 
-fn restarted(commands: &[Command]) -> Vec<(JobId, u32)> {
+fn restarted_frames(commands: &[Command]) -> Vec<(JobId, u32)> {
     let restarted = |command: &Command| match command {
         Command::Record(Fact::Restarted { job, frame }) => Some((*job, *frame)),
         _ => None,
@@ -34,27 +34,27 @@ fn restarted(commands: &[Command]) -> Vec<(JobId, u32)> {
 
 #[test]
 fn finished_frame_with_lost_image_is_rendered_again_with_reason() {
-    let (mut farm, id) = done();
-    let (lost, before) = (image(&farm, id, 2), farm.scheduler.frames(id).unwrap());
+    let (mut farm, id) = finished_farm();
+    let (lost, before) = (image_digest(&farm, id, 2), farm.scheduler.frames(id).unwrap());
     farm.leave(1);
-    let commands = farm.on(Event::Lost { digest: lost });
-    assert_eq!(restarted(&commands), [(id, 2)]);
-    assert!(commands.contains(&Command::Changed(id)), "who watches hears of it");
+    let commands = farm.handle(Event::ArtifactLost { digest: lost });
+    assert_eq!(restarted_frames(&commands), [(id, 2)]);
+    assert!(commands.contains(&Command::JobChanged(id)), "who watches hears of it");
     let status = farm.status(id);
     assert_eq!((status.state, status.frames_done, status.frames_failed), (JobState::Running, 1, 0));
-    assert!(status.waits.contains(&Wait::ImageLost { frame: 2 }), "{:?}", status.waits);
+    assert!(status.waits.contains(&WaitReason::ImageLost { frame: 2 }), "{:?}", status.waits);
     assert_eq!(farm.scheduler.frames(id).unwrap(), before[..1], "nobody is sent for it again");
     // A second report of the same loss changes nothing.
-    assert_eq!(restarted(&farm.on(Event::Lost { digest: lost })), []);
+    assert_eq!(restarted_frames(&farm.handle(Event::ArtifactLost { digest: lost })), []);
 
     farm.restart();
     let snapshot = Ledger::decode(&farm.scheduler.ledger().encode().unwrap());
     assert_eq!(snapshot.as_ref(), Ok(farm.scheduler.ledger()));
-    assert!(farm.status(id).waits.contains(&Wait::ImageLost { frame: 2 }), "after a restart, too");
+    assert!(farm.status(id).waits.contains(&WaitReason::ImageLost { frame: 2 }), "after a restart, too");
     farm.join(2);
     assert_eq!(farm.tasks_of(2), [(2, 0, Render, 0)], "and only that");
     while farm.state(id) != JobState::Done {
-        farm.work(2, Done);
+        farm.complete_first(2, Done);
     }
     let after = farm.scheduler.frames(id).unwrap();
     assert_eq!(
@@ -69,14 +69,14 @@ fn finished_frame_with_lost_image_is_rendered_again_with_reason() {
 
 #[test]
 fn loss_of_anything_but_finished_images_changes_nothing() {
-    let (mut farm, id) = done();
+    let (mut farm, id) = finished_farm();
     let open = farm.submit(job(&[1], 2, &[4]));
-    let held = farm.first_of(1);
+    let held = farm.first_lease_of(1);
     farm.complete(1, &held, Done);
-    let tile = result(&held, Done).output(Role::Tile).unwrap();
-    for digest in [Digest::of(b"nobody's"), Digest::of(b"bundle"), tile.digest] {
+    let tile = result_of(&held, Done).output(Role::Tile).unwrap();
+    for digest in [Digest::compute(b"nobody's"), Digest::compute(b"bundle"), tile.digest] {
         assert_eq!(
-            restarted(&farm.on(Event::Lost { digest })),
+            restarted_frames(&farm.handle(Event::ArtifactLost { digest })),
             [],
             "an input is the business of the task that misses it"
         );
@@ -86,40 +86,40 @@ fn loss_of_anything_but_finished_images_changes_nothing() {
 
 #[test]
 fn lost_image_of_cancelled_job_is_unfinished_until_retried() {
-    let mut farm = Farm::new();
+    let mut farm = TestFarm::new();
     let id = farm.submit(job(&[1, 2], 1, &[4]));
     farm.join(1);
     while farm.status(id).frames_done == 0 {
-        farm.work(1, Done);
+        farm.complete_first(1, Done);
     }
     farm.control(id, Control::Cancel);
     let lost = farm.scheduler.frames(id).unwrap()[0].image().unwrap().digest;
-    farm.on(Event::Lost { digest: lost });
+    farm.handle(Event::ArtifactLost { digest: lost });
     assert_eq!((farm.state(id), farm.status(id).frames_done), (JobState::Cancelled, 0));
     assert_eq!(farm.tasks_of(1), [], "it stays as it was");
     farm.control(id, Control::Retry);
     while farm.state(id) != JobState::Done {
-        farm.work(1, Done);
+        farm.complete_first(1, Done);
     }
     assert_eq!(farm.scheduler.frames(id).unwrap().len(), 2);
 }
 
 #[test]
 fn job_done_again_is_kept_as_long_as_newly_ended_job() {
-    let mut farm = Farm::with(Config { keep_ended: Some(60_000), ..common::config() });
+    let mut farm = TestFarm::with_config(Config { keep_ended: Some(60_000), ..common::config() });
     let id = farm.submit(job(&[1], 1, &[4]));
     farm.join(1);
-    farm.work(1, Done);
-    farm.work(1, Done);
+    farm.complete_first(1, Done);
+    farm.complete_first(1, Done);
     farm.wait(50_000);
-    let lost = image(&farm, id, 1);
+    let lost = image_digest(&farm, id, 1);
     farm.leave(1);
-    farm.on(Event::Lost { digest: lost });
+    farm.handle(Event::ArtifactLost { digest: lost });
     farm.wait(50_000);
     assert_eq!(farm.state(id), JobState::Running, "it is not forgotten while it runs");
     farm.join(2);
-    farm.work(2, Done);
-    farm.work(2, Done);
+    farm.complete_first(2, Done);
+    farm.complete_first(2, Done);
     farm.wait(50_000);
     assert_eq!(farm.state(id), JobState::Done);
     farm.wait(50_000);
@@ -128,31 +128,31 @@ fn job_done_again_is_kept_as_long_as_newly_ended_job() {
 
 #[test]
 fn a_time_budget_begins_again_with_the_frame() {
-    let mut farm = Farm::new();
+    let mut farm = TestFarm::new();
     let id = farm.submit(job(&[1], 1, &[4, 8]));
     farm.join(1);
-    farm.work(1, Done);
-    farm.work(1, Done);
-    let lost = image(&farm, id, 1);
+    farm.complete_first(1, Done);
+    farm.complete_first(1, Done);
+    let lost = image_digest(&farm, id, 1);
     farm.leave(1);
-    farm.on(Event::Lost { digest: lost });
+    farm.handle(Event::ArtifactLost { digest: lost });
     farm.wait(1_000_000);
     farm.join(2);
     farm.wait(300);
-    farm.work(2, Continue);
-    let merge = farm.first_of(2);
-    assert_eq!((merge.task.stage.kind, merge.work.elapsed), (Image, 300), "from its first lease");
+    farm.complete_first(2, Continue);
+    let merge = farm.first_lease_of(2);
+    assert_eq!((merge.task.stage.kind, merge.spec.elapsed), (Image, 300), "from its first lease");
 }
 
 #[test]
 fn result_too_large_for_store_fails_job_with_reason() {
-    let mut farm = Farm::new();
+    let mut farm = TestFarm::new();
     let id = farm.submit(job(&[1], 1, &[4]));
     farm.join(1);
-    farm.work(1, Done);
+    farm.complete_first(1, Done);
     assert_eq!(farm.tasks_of(1), [(1, 0, Image, 0)]);
     let failure = Failure::TooLarge { limit: 1 << 30 };
-    farm.fail(1, &farm.first_of(1), failure.clone());
+    farm.fail(1, &farm.first_lease_of(1), failure.clone());
     let status = farm.status(id);
     assert_eq!((status.state, status.failure.clone()), (JobState::Failed, Some(failure)));
     assert!(status.failure.unwrap().to_string().contains("1073741824 bytes"));
@@ -162,31 +162,31 @@ fn result_too_large_for_store_fails_job_with_reason() {
     }
     assert_eq!(farm.tasks_of(1), [], "it is not tried for ever");
     farm.control(id, Control::Retry);
-    farm.work(1, Done);
+    farm.complete_first(1, Done);
     assert_eq!(farm.state(id), JobState::Done, "on a store that takes more");
 }
 
 #[test]
 fn a_store_that_keeps_failing_is_the_reason_that_a_task_waits() {
-    let mut farm = Farm::new();
+    let mut farm = TestFarm::new();
     let id = farm.submit(job(&[1], 2, &[4]));
     farm.join_as(1, registration());
-    let message = |farm: &Farm| {
-        let mishap = |wait: &Wait| match wait {
-            Wait::Mishaps { tasks, message } => Some((*tasks, message.clone())),
+    let message = |farm: &TestFarm| {
+        let failure_wait = |wait: &WaitReason| match wait {
+            WaitReason::InfrastructureFailures { tasks, message } => Some((*tasks, message.clone())),
             _ => None,
         };
-        farm.status(id).waits.iter().find_map(mishap)
+        farm.status(id).waits.iter().find_map(failure_wait)
     };
     assert_eq!(message(&farm), None);
     for attempt in 0..10 {
-        let held = farm.first_of(1);
+        let held = farm.first_lease_of(1);
         farm.drop_lease(held.task, held.epoch);
-        farm.on(Event::ArtifactMissing {
+        farm.handle(Event::ArtifactMissing {
             worker: WorkerId(1),
             task: held.task,
             epoch: held.epoch,
-            artifact: Digest::of(b"tile"),
+            artifact: Digest::compute(b"tile"),
             message: "artifact 12ab is damaged in the store".into(),
         });
         let (_, text) = message(&farm).expect("it says why");
@@ -198,7 +198,7 @@ fn a_store_that_keeps_failing_is_the_reason_that_a_task_waits() {
         assert!(message(&farm).is_some(), "also while it is tried again");
     }
     while farm.state(id) != JobState::Done {
-        farm.work(1, Done);
+        farm.complete_first(1, Done);
     }
     assert_eq!(message(&farm), None);
 }

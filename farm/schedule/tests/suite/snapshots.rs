@@ -2,28 +2,28 @@
 
 use std::collections::HashSet;
 
-use crate::common::{Farm, config, grouped, job, panic, registration};
+use crate::common::{TestFarm, config, grouped_job, job, panic_failure, registration};
 use femc_model::*;
 use femc_schedule::*;
 
 use Decision::{Continue, Done};
 
 /// A disk with a snapshot and the facts since.
-struct Disk {
+struct TestDisk {
     snapshot: Vec<u8>,
     /// Number of facts in the farm's log that the snapshot includes.
-    held: usize,
+    fact_count: usize,
 }
 
-impl Disk {
-    fn of(farm: &Farm) -> Self {
-        Self { snapshot: farm.scheduler.ledger().encode().unwrap(), held: farm.log.len() }
+impl TestDisk {
+    fn from_farm(farm: &TestFarm) -> Self {
+        Self { snapshot: farm.scheduler.ledger().encode().unwrap(), fact_count: farm.log.len() }
     }
 
     /// Returns the ledger that a starting coordinator would read.
-    fn read(&self, farm: &Farm) -> Ledger {
+    fn read(&self, farm: &TestFarm) -> Ledger {
         let mut ledger = Ledger::decode(&self.snapshot).unwrap();
-        for (now, fact) in &farm.log[self.held..] {
+        for (now, fact) in &farm.log[self.fact_count..] {
             let (now, fact) = Fact::decode(&fact.encode(*now).unwrap()).unwrap();
             ledger.apply(&fact, now);
         }
@@ -31,47 +31,47 @@ impl Disk {
     }
 
     /// Replaces this snapshot and the facts since with a new snapshot.
-    fn replace(&mut self, farm: &Farm) {
+    fn replace_snapshot(&mut self, farm: &TestFarm) {
         let before = self.read(farm);
-        *self = Self::of(farm);
+        *self = Self::from_farm(farm);
         assert_eq!(self.read(farm), before, "after {:?}", farm.log.last());
     }
 }
 
 /// Completes the worker's oldest task, if it has one.
-fn work(farm: &mut Farm, worker: u64, decision: Decision) {
-    if farm.held.iter().any(|(holder, _)| holder.0 == worker) {
-        farm.work(worker, decision);
+fn complete_first(farm: &mut TestFarm, worker: u64, decision: Decision) {
+    if farm.leases.iter().any(|(holder, _)| holder.0 == worker) {
+        farm.complete_first(worker, decision);
     }
 }
 
 /// Life of a farm, a few events at a time.
-const LIFE: &[fn(&mut Farm)] = &[
+const EVENTS: &[fn(&mut TestFarm)] = &[
     |farm| {
         let (key, spec) = (Some("fog".into()), Box::new(job(&[1, 2], 2, &[4, 8])));
-        farm.on(Event::Submitted { request: RequestId(0), key, spec, date: None });
-        farm.submit(JobSpec { owner: "eve".into(), ..grouped(&[1], 4, &[4], 2) });
+        farm.handle(Event::Submitted { request: RequestId(0), key, spec, date: None });
+        farm.submit(JobSpec { owner: "eve".into(), ..grouped_job(&[1], 4, &[4], 2) });
     },
     |farm| drop((farm.join(1), farm.join(2))),
-    |farm| work(farm, 1, Done),
+    |farm| complete_first(farm, 1, Done),
     |farm| {
-        let held = farm.first_of(2);
-        let text = LogText::Stored(Artifact::of(b"a log"));
-        let log = TaskLog { attempt: Attempt::Failed, seconds: 1.0, text };
-        farm.on(Event::Logged { worker: WorkerId(2), task: held.task, epoch: held.epoch, log });
-        farm.fail(2, &held, panic());
+        let held = farm.first_lease_of(2);
+        let text = LogText::Stored(Artifact::from_bytes(b"a log"));
+        let log = TaskLog { outcome: AttemptOutcome::Failed, seconds: 1.0, text };
+        farm.handle(Event::Logged { worker: WorkerId(2), task: held.task, epoch: held.epoch, log });
+        farm.fail(2, &held, panic_failure());
     },
     |farm| drop(farm.control(JobId(1), Control::Priority(80))),
-    |farm| (0..6).for_each(|_| work(farm, 1, Continue)),
-    |farm| drop(farm.on(Event::Drained { worker: WorkerId(2), drain: Drain::Begin })),
+    |farm| (0..6).for_each(|_| complete_first(farm, 1, Continue)),
+    |farm| drop(farm.handle(Event::Drained { worker: WorkerId(2), drain: Drain::Begin })),
     |farm| {
-        let held = farm.first_of(1);
-        farm.reborn(3, 1, &[held]);
+        let held = farm.first_lease_of(1);
+        farm.join_after_death(3, 1, &[held]);
     },
     |farm| drop(farm.wait(30_000)),
     |farm| drop((farm.control(JobId(2), Control::Pause), farm.control(JobId(2), Control::Resume))),
     |farm| drop(farm.join_as(4, Registration { instance: 4, engine: "new".into(), ..registration() })),
-    |farm| work(farm, 4, Done),
+    |farm| complete_first(farm, 4, Done),
     |farm| drop(farm.control(JobId(1), Control::Cancel)),
     |farm| drop(farm.control(JobId(1), Control::Retry)),
     |farm| drop(farm.control(JobId(2), Control::Cancel)),
@@ -81,14 +81,14 @@ const LIFE: &[fn(&mut Farm)] = &[
 #[test]
 fn snapshot_equals_previous_snapshot_plus_later_facts() {
     // Vary which events a snapshot includes, and which come after it.
-    for every in 1..=LIFE.len() {
-        let mut farm = Farm::with(Config { keep_ended: Some(60_000), ..config() });
-        let mut disk = Disk::of(&farm);
-        for (number, happens) in LIFE.iter().enumerate() {
-            happens(&mut farm);
+    for every in 1..=EVENTS.len() {
+        let mut farm = TestFarm::with_config(Config { keep_ended: Some(60_000), ..config() });
+        let mut disk = TestDisk::from_farm(&farm);
+        for (number, event) in EVENTS.iter().enumerate() {
+            event(&mut farm);
             assert_eq!(&disk.read(&farm), farm.scheduler.ledger(), "after {:?}", farm.log.last());
             if number % every == 0 {
-                disk.replace(&farm);
+                disk.replace_snapshot(&farm);
             }
         }
         assert_eq!(farm.scheduler.jobs(farm.now).len(), 1, "the other is forgotten");
@@ -104,7 +104,7 @@ const LOG_8: &[u8] = include_bytes!("../files/log-8.bin");
 const LEDGER_OF_LOG_8: &[u8] = include_bytes!("../files/ledger-9.bin");
 
 /// Returns the parts of a file of this version: a snapshot, and the facts.
-fn parts(mut file: &[u8], version: u8) -> Vec<&[u8]> {
+fn split_parts(mut file: &[u8], version: u8) -> Vec<&[u8]> {
     let mut parts = Vec::new();
     while let Some((length, after)) = file.split_first_chunk::<4>() {
         let (part, others) = after.split_at(u32::from_le_bytes(*length) as usize);
@@ -117,7 +117,7 @@ fn parts(mut file: &[u8], version: u8) -> Vec<&[u8]> {
 
 #[test]
 fn a_log_of_version_8_is_read_as_the_ledger_that_wrote_it() {
-    let parts = parts(LOG_8, 8);
+    let parts = split_parts(LOG_8, 8);
     let wanted = Ledger::decode(LEDGER_OF_LOG_8).unwrap();
     assert_eq!(Ledger::decode(parts[0]).as_ref(), Ok(&wanted));
     let mut ledger = Ledger::default();
@@ -144,7 +144,7 @@ const LOG_10: &[u8] = include_bytes!("../files/log-10.bin");
 
 #[test]
 fn version_10_log_is_read_with_dates_and_announces_no_end() {
-    let parts = parts(LOG_10, 10);
+    let parts = split_parts(LOG_10, 10);
     let mut ledger = Ledger::default();
     for part in &parts[1..] {
         let (now, fact) = Fact::decode(part).unwrap();

@@ -3,9 +3,9 @@
 use std::fmt;
 
 use femc_model::Refusal;
-use femc_trust::{Fingerprint, Holder, Revoked, Role, TokenDigest, Tokens, holder_of};
+use femc_trust::{Fingerprint, Holder, RevocationList, Role, TokenDigest, Tokens, certificate_holder};
 
-use super::Shown;
+use super::PresentedCredentials;
 
 /// An authenticated caller.
 #[derive(Debug, Clone)]
@@ -14,7 +14,7 @@ pub struct Caller {
     pub holder: Holder,
     /// Credential that identified the caller.
     pub credential: Credential,
-    lists: Lists,
+    lists: CredentialLists,
 }
 
 /// Kind of credential.
@@ -37,38 +37,38 @@ impl fmt::Display for Credential {
 
 /// Lists that decide which credentials are valid.
 #[derive(Debug, Clone)]
-pub(super) struct Lists {
-    pub(super) revoked: Option<Revoked>,
+pub(super) struct CredentialLists {
+    pub(super) revoked: Option<RevocationList>,
     pub(super) tokens: Option<Tokens>,
 }
 
-impl Lists {
+impl CredentialLists {
     /// Returns the caller of a request. A token takes precedence over a certificate.
-    pub(super) fn caller(&self, shown: Shown<'_>) -> Result<Caller, String> {
+    pub(super) fn authenticate(&self, presented: PresentedCredentials<'_>) -> Result<Caller, String> {
         let caller = |(holder, credential)| Caller { holder, credential, lists: self.clone() };
-        if let Some(token) = shown.token {
+        if let Some(token) = presented.token {
             let tokens = self.tokens.as_ref().ok_or("this coordinator does not accept tokens")?;
             let (holder, digest) = tokens.holder(token).map_err(|error| error.to_string())?;
             return Ok(caller((holder, Credential::Token(digest))));
         }
-        let Some(own) = shown.certificate else {
+        let Some(own) = presented.certificate else {
             return Err(match &self.tokens {
                 Some(_) => "the client sent neither a certificate nor a token".into(),
                 None => "the client sent no certificate".into(),
             });
         };
-        let holder = holder_of(own).map_err(|error| error.to_string())?;
-        Ok(caller((holder, Credential::Certificate(Fingerprint::of(own)))))
+        let holder = certificate_holder(own).map_err(|error| error.to_string())?;
+        Ok(caller((holder, Credential::Certificate(Fingerprint::from_certificate(own)))))
     }
 }
 
 impl Caller {
     /// Returns whether the credential is still valid.
-    pub fn still_counts(&self) -> bool {
+    pub fn is_valid(&self) -> bool {
         match &self.credential {
-            Credential::Certificate(own) => !self.lists.revoked.as_ref().is_some_and(|revoked| revoked.holds(own)),
+            Credential::Certificate(own) => !self.lists.revoked.as_ref().is_some_and(|revoked| revoked.contains(own)),
             Credential::Token(digest) => {
-                let holder = self.lists.tokens.as_ref().and_then(|tokens| tokens.holder_of(digest).ok());
+                let holder = self.lists.tokens.as_ref().and_then(|tokens| tokens.holder_by_digest(digest).ok());
                 holder.is_some_and(|holder| holder == self.holder)
             }
         }
@@ -83,17 +83,17 @@ impl Caller {
     }
 
     /// Returns the refusal for a revoked credential.
-    pub fn revoked(&self) -> Refusal {
+    pub fn revoked_refusal(&self) -> Refusal {
         self.forbidden("an identity that is not revoked")
     }
 
-    /// Returns the refusal for an operation that needs the right `takes`.
-    pub fn forbidden(&self, takes: impl Into<String>) -> Refusal {
-        Refusal::Forbidden { who: self.holder.to_string(), takes: takes.into() }
+    /// Returns the refusal for an operation that needs the right `required`.
+    pub fn forbidden(&self, required: impl Into<String>) -> Refusal {
+        Refusal::Forbidden { who: self.holder.to_string(), takes: required.into() }
     }
 
     /// Checks that the caller may control a job of `owner`. Submitters may control their own jobs; other jobs need an operator.
-    pub fn may_steer(&self, owner: &str) -> Result<(), Refusal> {
+    pub fn check_may_control(&self, owner: &str) -> Result<(), Refusal> {
         match &self.holder {
             Holder::User { role: Role::Operator | Role::Admin, .. } => Ok(()),
             Holder::User { name, .. } if name == owner => Ok(()),

@@ -13,13 +13,13 @@ pub struct Limits {
     /// Maximum number of connections in total: 4096.
     pub connections: usize,
     /// Maximum number of connections from one address, or from one IPv6 network of 64 bits: 512.
-    pub connections_of_one: usize,
+    pub connections_per_address: usize,
     /// Time from the connection to the first permitted call, including all handshakes: 10 s.
-    pub introduction: Duration,
+    pub authentication_timeout: Duration,
     /// Silence after which a peer is asked for a keep-alive: 10 s.
-    pub silence: Duration,
+    pub keep_alive_interval: Duration,
     /// Time limit for the answer to a keep-alive request: 10 s.
-    pub answer: Duration,
+    pub keep_alive_timeout: Duration,
     /// Time after which a connection without traffic is closed: 60 s. HTTP/2 has keep-alives; HTTP/1, and clients that do not read,
     /// have none.
     pub idle: Duration,
@@ -29,7 +29,7 @@ pub struct Limits {
     /// closed.
     pub resets: usize,
     /// Time in which a request must be complete, and an upload must make progress: 30 s.
-    pub patience: Duration,
+    pub request_timeout: Duration,
     /// Flow-control window of a call in bytes: 4 MiB may be in flight before the call reads them.
     pub stream_window: u32,
     /// Flow-control window of a connection in bytes: 16 MiB.
@@ -41,10 +41,10 @@ pub struct Limits {
     /// Maximum number of concurrent uploads and downloads: 128. Each may use 8 MiB of memory. Others wait.
     pub transfers: usize,
     /// Maximum number of concurrent transfers of one caller: 48.
-    pub transfers_of_caller: usize,
+    pub transfers_per_caller: usize,
     /// Maximum number of concurrent transfers on one connection: 16. A stalled machine blocks only these until its connection is
     /// closed, and does not block the other machines of its owner.
-    pub transfers_of_connection: usize,
+    pub transfers_per_connection: usize,
 }
 
 impl Limits {
@@ -58,21 +58,21 @@ impl Default for Limits {
             message: Self::MESSAGE,
             headers: 16 << 10,
             connections: 4096,
-            connections_of_one: 512,
-            introduction: Duration::from_secs(10),
-            silence: Duration::from_secs(10),
-            answer: Duration::from_secs(10),
+            connections_per_address: 512,
+            authentication_timeout: Duration::from_secs(10),
+            keep_alive_interval: Duration::from_secs(10),
+            keep_alive_timeout: Duration::from_secs(10),
             idle: Duration::from_secs(60),
             streams: 256,
             resets: 32,
-            patience: Duration::from_secs(30),
+            request_timeout: Duration::from_secs(30),
             stream_window: 4 << 20,
             connection_window: 16 << 20,
             rate: 10_000,
             burst: 10_000,
             transfers: 128,
-            transfers_of_caller: 48,
-            transfers_of_connection: 16,
+            transfers_per_caller: 48,
+            transfers_per_connection: 16,
         }
     }
 }

@@ -1,30 +1,30 @@
 //! Access control: who may call which operation, and how often. The rules are the same for all protocols.
 
+mod audit_entry;
 mod caller;
 mod limits;
-mod places;
 mod rate;
-mod trail;
+mod transfer_slots;
 
 use std::sync::Arc;
 use std::time::Duration;
 
 use femc_model::Refusal;
-use femc_trust::{Audit, Revoked, Tokens};
+use femc_trust::{Audit, RevocationList, Tokens};
 use rustls_pki_types::CertificateDer;
 use tokio::time::Instant;
 
 use crate::operation::{Operation, Right};
-use caller::Lists;
+pub use audit_entry::{AuditEntry, Outcome};
+use caller::CredentialLists;
 pub use caller::{Caller, Credential};
 pub use limits::Limits;
-pub use places::{Place, Places};
-use rate::Rates;
-pub use trail::{Outcome, Trail};
+use rate::RateLimiter;
+pub use transfer_slots::{TransferSlot, TransferSlots};
 
 /// Identity of a caller for the limits.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Who {
+pub struct CallerKey {
     /// Name of a certificate or a token, or the address if the farm does not authenticate. `None`: not even the address is known.
     pub name: Option<String>,
     /// Number of the connection.
@@ -33,18 +33,18 @@ pub struct Who {
 
 /// Credentials and address of a request.
 #[derive(Debug, Clone, Copy, Default)]
-pub struct Shown<'a> {
+pub struct PresentedCredentials<'a> {
     /// Token, as text. It takes precedence. An empty token is invalid.
     pub token: Option<&'a str>,
     /// Certificate of the connection.
     pub certificate: Option<&'a CertificateDer<'a>>,
     /// Address without the port.
-    pub place: Option<&'a str>,
+    pub address: Option<&'a str>,
 }
 
 /// A permitted request.
 #[derive(Debug, Clone, Default)]
-pub struct Granted {
+pub struct AccessGrant {
     /// Caller. `None`: the farm does not authenticate, or the operation is public.
     pub caller: Option<Arc<Caller>>,
     /// Name of the caller for the limits.
@@ -57,21 +57,21 @@ pub struct Granted {
 #[derive(Debug, Clone)]
 pub struct Gate {
     /// `None`: the farm does not authenticate, and everyone who can reach the address may do everything.
-    lists: Option<Lists>,
-    rates: Rates,
+    lists: Option<CredentialLists>,
+    rates: RateLimiter,
     audit: Option<Audit>,
     limits: Limits,
 }
 
 impl Gate {
     /// Makes a gate. With `lists` (revoked identities, and tokens) the farm authenticates callers.
-    pub fn new(lists: Option<(Option<Revoked>, Option<Tokens>)>, limits: Limits, audit: Option<Audit>) -> Self {
-        let lists = lists.map(|(revoked, tokens)| Lists { revoked, tokens });
-        Self { lists, rates: Rates::new(&limits), audit, limits }
+    pub fn new(lists: Option<(Option<RevocationList>, Option<Tokens>)>, limits: Limits, audit: Option<Audit>) -> Self {
+        let lists = lists.map(|(revoked, tokens)| CredentialLists { revoked, tokens });
+        Self { lists, rates: RateLimiter::new(&limits), audit, limits }
     }
 
     /// Returns whether the farm authenticates callers.
-    pub fn asks(&self) -> bool {
+    pub fn requires_authentication(&self) -> bool {
         self.lists.is_some()
     }
 
@@ -87,64 +87,71 @@ impl Gate {
 
     /// Starts the audit entry of a request.
     /// - `path`: name of the request in the entry, if the operation has no name.
-    pub fn trail(&self, operation: Operation, path: &str, from: Option<String>) -> Trail {
-        self.audit.as_ref().map_or_else(Trail::default, |_| Trail::new(operation, path, from))
+    pub fn audit_entry(&self, operation: Operation, path: &str, from: Option<String>) -> AuditEntry {
+        self.audit.as_ref().map_or_else(AuditEntry::default, |_| AuditEntry::new(operation, path, from))
     }
 
     /// Authenticates and authorizes a request, and applies the rate limit.
-    pub fn check(&self, operation: Operation, shown: Shown<'_>, trail: &Trail) -> Result<Granted, Refusal> {
+    pub fn check(
+        &self,
+        operation: Operation,
+        presented: PresentedCredentials<'_>,
+        entry: &AuditEntry,
+    ) -> Result<AccessGrant, Refusal> {
         let right = operation.right();
-        let place = shown.place.map(str::to_owned);
+        let address = presented.address.map(str::to_owned);
         let Some(lists) = self.lists.as_ref().filter(|_| right != Right::Public) else {
             if self.lists.is_none() {
-                trail.anybody();
+                entry.set_unauthenticated();
             }
-            let wait = self.turn(place.as_deref())?;
-            return Ok(Granted { caller: None, name: place, wait });
+            let wait = self.limit_rate(address.as_deref())?;
+            return Ok(AccessGrant { caller: None, name: address, wait });
         };
         // Failed authentications count against the address.
-        let caller = lists.caller(shown).or_else(|message| {
-            self.turn(place.as_deref())?;
+        let caller = lists.authenticate(presented).or_else(|message| {
+            self.limit_rate(address.as_deref())?;
             Err(Refusal::Unauthenticated { message })
         })?;
-        trail.caller(&caller);
+        entry.set_caller(&caller);
         let name = caller.holder.to_string();
-        if let Some(refusal) = refused(&caller, right) {
-            self.turn(Some(&name))?;
+        if let Some(refusal) = check_right(&caller, right) {
+            self.limit_rate(Some(&name))?;
             return Err(refusal);
         }
-        let wait = self.turn(Some(&name))?;
-        Ok(Granted { caller: Some(Arc::new(caller)), name: Some(name), wait })
+        let wait = self.limit_rate(Some(&name))?;
+        Ok(AccessGrant { caller: Some(Arc::new(caller)), name: Some(name), wait })
     }
 
     /// Returns the caller that this token would authenticate.
-    pub fn holder(&self, token: &str) -> Result<Caller, Refusal> {
+    pub fn caller_of_token(&self, token: &str) -> Result<Caller, Refusal> {
         let unknown = |message: String| Refusal::Unauthenticated { message };
         let lists =
             self.lists.as_ref().ok_or_else(|| unknown("this coordinator does not authenticate clients".into()))?;
-        lists.caller(Shown { token: Some(token), ..Shown::default() }).map_err(unknown)
+        lists
+            .authenticate(PresentedCredentials { token: Some(token), ..PresentedCredentials::default() })
+            .map_err(unknown)
     }
 
     /// Applies the rate limit to a request without a route, and returns the time to wait.
-    /// - `place`: address of the client, without the port.
-    pub fn pace(&self, place: Option<&str>) -> Result<Duration, Refusal> {
-        self.turn(place)
+    /// - `address`: address of the client, without the port.
+    pub fn limit_address_rate(&self, address: Option<&str>) -> Result<Duration, Refusal> {
+        self.limit_rate(address)
     }
 
     /// Applies the rate limit to a caller, and returns the time to wait.
-    fn turn(&self, name: Option<&str>) -> Result<Duration, Refusal> {
+    fn limit_rate(&self, name: Option<&str>) -> Result<Duration, Refusal> {
         let Some(name) = name else { return Ok(Duration::ZERO) };
         let too_many =
             || Refusal::TooLarge { what: format!("calls per second from {name}"), limit: self.limits.rate.into() };
-        self.rates.turn(name, Instant::now()).ok_or_else(too_many)
+        self.rates.delay(name, Instant::now()).ok_or_else(too_many)
     }
 }
 
-fn refused(caller: &Caller, right: Right) -> Option<Refusal> {
-    if !caller.still_counts() {
-        Some(caller.revoked())
-    } else if !right.is_of(&caller.holder) {
-        Some(caller.forbidden(right.takes()))
+fn check_right(caller: &Caller, right: Right) -> Option<Refusal> {
+    if !caller.is_valid() {
+        Some(caller.revoked_refusal())
+    } else if !right.is_held_by(&caller.holder) {
+        Some(caller.forbidden(right.required_holder()))
     } else {
         None
     }

@@ -1,6 +1,6 @@
 //! Recorded attempts of a job.
 
-use femc_model::{AttemptRecord, Cut, JobId, JobSpec, TaskKey};
+use femc_model::{AttemptRecord, ChunkSize, JobId, JobSpec, TaskKey};
 use serde::{Deserialize, Serialize};
 
 /// A job and the attempts at its tasks.
@@ -15,7 +15,7 @@ pub struct JobRecord {
     /// Specification of the job, as submitted.
     pub spec: JobSpec,
     /// Division of its tasks into chunks.
-    pub cut: Cut,
+    pub cut: ChunkSize,
     /// Attempts, each once, ordered by task and lease.
     pub attempts: Vec<AttemptRecord>,
     /// Logs of the failed attempts.

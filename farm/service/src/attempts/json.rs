@@ -6,9 +6,9 @@ use super::column::{Cell, Column};
 use super::row::Row;
 
 /// Array with one object per row. Its keys are in the order of the columns.
-pub struct Json<'a, R = Row>(pub &'a [Column<R>], pub &'a [R]);
+pub struct RowsAsJson<'a, R = Row>(pub &'a [Column<R>], pub &'a [R]);
 
-impl<R> Serialize for Json<'_, R> {
+impl<R> Serialize for RowsAsJson<'_, R> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let mut rows = serializer.serialize_seq(Some(self.1.len()))?;
         for row in self.1 {
@@ -24,11 +24,11 @@ impl<R> Serialize for Object<'_, R> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let mut object = serializer.serialize_map(Some(self.0.len()))?;
         for column in self.0 {
-            match (column.of)(self.1) {
+            match (column.value)(self.1) {
                 Cell::Text(text) => object.serialize_entry(column.name, &text)?,
                 Cell::Count(count) => object.serialize_entry(column.name, &count)?,
                 Cell::Real(real) => object.serialize_entry(column.name, &real)?,
-                Cell::Gap => object.serialize_entry(column.name, &())?,
+                Cell::Empty => object.serialize_entry(column.name, &())?,
             }
         }
         object.end()

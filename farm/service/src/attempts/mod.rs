@@ -5,7 +5,7 @@ mod job_record;
 mod json;
 mod row;
 
-pub use column::{Cell, Column, Kind, Reader, column, columns};
+pub use column::{Audience, Cell, Column, Kind, column, columns};
 pub use job_record::{FailureLog, JobRecord};
-pub use json::Json;
-pub use row::{By, Row, rows, rows_of_page};
+pub use json::RowsAsJson;
+pub use row::{GroupBy, Row, rows, rows_of_page};

@@ -2,14 +2,14 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use femc_model::{AttemptRecord, Ending, Grains, TaskKey, Tick};
+use femc_model::{AttemptRecord, Chunks, LeaseEnding, TaskKey, Tick};
 
 use super::job_record::JobRecord;
 use crate::times::{Span, Sum};
 
 /// Grouping of the attempts into rows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum By {
+pub enum GroupBy {
     /// One row per task, with all its attempts.
     Task,
     /// One row per frame.
@@ -45,7 +45,7 @@ pub struct Row {
     /// Process of the worker.
     pub instance: u64,
     /// Ending of the attempt. For several attempts, the best ending.
-    pub ending: Option<Ending>,
+    pub ending: Option<LeaseEnding>,
     /// Number of tasks.
     pub tasks: u64,
     /// Number of attempts.
@@ -75,7 +75,7 @@ pub struct Row {
     /// Number of pixel samples in results that count.
     pub samples: u64,
     /// Number of pixel samples taken.
-    pub taken: u64,
+    pub samples_taken: u64,
     /// Number of rays traced.
     pub rays: u64,
     /// Bytes fetched.
@@ -89,13 +89,13 @@ pub struct Row {
 impl Row {
     /// Makes the row of one attempt.
     /// - `zero`: start of the earliest attempt.
-    fn of(record: &AttemptRecord, source: usize, job: &JobRecord, attempt: u64, zero: f64) -> Self {
+    fn from_attempt(record: &AttemptRecord, source: usize, job: &JobRecord, attempt: u64, zero: f64) -> Self {
         let usage = record.usage.unwrap_or_default();
         let began = began(record);
         let ended = if record.usage.is_some() { began + usage.wall } else { seconds(record.ended) };
         let TaskKey { stage, index, .. } = record.task;
-        let main = job.spec.graph.main().filter(|(number, _)| *number == stage.number);
-        let tile = main.map(|(_, template)| Grains::of(template, stage.round, None, job.cut).task(index));
+        let main = job.spec.graph.main_stage().filter(|(number, _)| *number == stage.number);
+        let tile = main.map(|(_, template)| Chunks::new(template, stage.round, None, job.cut).task(index));
         Self {
             source,
             job: job.job.0,
@@ -109,8 +109,8 @@ impl Row {
             ending: Some(record.ending),
             tasks: u64::from(attempt == 1),
             attempts: 1,
-            done: u64::from(record.ending == Ending::Done),
-            failed: u64::from(record.ending == Ending::Failed),
+            done: u64::from(record.ending == LeaseEnding::Done),
+            failed: u64::from(record.ending == LeaseEnding::Failed),
             workers: 1,
             began: began - zero,
             ended: ended - zero,
@@ -121,7 +121,7 @@ impl Row {
             cpu: usage.cpu,
             peak: usage.peak,
             samples: record.samples,
-            taken: usage.samples,
+            samples_taken: usage.samples,
             rays: usage.rays,
             fetched: usage.fetched,
             sent: usage.sent,
@@ -150,7 +150,7 @@ impl Row {
         self.cpu += other.cpu;
         self.peak = self.peak.max(other.peak);
         self.samples += other.samples;
-        self.taken += other.taken;
+        self.samples_taken += other.samples_taken;
         self.rays += other.rays;
         self.fetched += other.fetched;
         self.sent += other.sent;
@@ -169,32 +169,35 @@ fn began(record: &AttemptRecord) -> f64 {
 }
 
 /// Returns one row for each task, frame, variant, worker or attempt, in their order.
-pub fn rows(jobs: &[JobRecord], by: By) -> Vec<Row> {
-    rows_since(jobs, by, &zeros(jobs))
+pub fn rows(jobs: &[JobRecord], group_by: GroupBy) -> Vec<Row> {
+    rows_since(jobs, group_by, &zeros(jobs))
 }
 
 /// Returns the rows of one page of a job's attempts, one row per attempt. Times are those of the coordinator. Attempts are numbered
 /// per task within this page.
 pub fn rows_of_page(job: JobRecord) -> Vec<Row> {
-    rows_since(&[job], By::Attempt, &BTreeMap::new())
+    rows_since(&[job], GroupBy::Attempt, &BTreeMap::new())
 }
 
-fn rows_since(jobs: &[JobRecord], by: By, zeros: &BTreeMap<u64, f64>) -> Vec<Row> {
+fn rows_since(jobs: &[JobRecord], group_by: GroupBy, zeros: &BTreeMap<u64, f64>) -> Vec<Row> {
     let all = jobs.iter().enumerate().flat_map(|(source, job)| {
         let zero = zeros.get(&job.run).copied().unwrap_or_default();
         let (mut last, mut number) = (None, 0);
         job.attempts.iter().map(move |record| {
             number = if last == Some(record.task) { number + 1 } else { 1 };
             last = Some(record.task);
-            (Row::of(record, source, job, number, zero), Span::new(record.granted, record.ended, record.usage))
+            (
+                Row::from_attempt(record, source, job, number, zero),
+                Span::new(record.granted, record.ended, record.usage),
+            )
         })
     });
-    match by {
-        By::Attempt => all.map(|(row, span)| with_waiting(row, [span].into_iter().collect())).collect(),
-        By::Task => grouped(all, |row| (row.source, row.task)),
-        By::Frame => grouped(all, |row| (row.source, row.task.map(|task| task.stage.frame))),
-        By::Variant => grouped(all, |row| (row.variant.is_none().then_some(row.source), row.variant.clone())),
-        By::Worker => {
+    match group_by {
+        GroupBy::Attempt => all.map(|(row, span)| with_waiting(row, [span].into_iter().collect())).collect(),
+        GroupBy::Task => grouped(all, |row| (row.source, row.task)),
+        GroupBy::Frame => grouped(all, |row| (row.source, row.task.map(|task| task.stage.frame))),
+        GroupBy::Variant => grouped(all, |row| (row.variant.is_none().then_some(row.source), row.variant.clone())),
+        GroupBy::Worker => {
             let mut workers = grouped(all, |row| (row.worker.clone(), row.instance));
             workers.iter_mut().for_each(|worker| worker.tasks = worker.done);
             workers

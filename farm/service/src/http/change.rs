@@ -2,13 +2,13 @@
 //! The response lists refused ones beside successful ones, and each has its own line in the audit log.
 
 use ::http::Response;
-use femc_model::{Control, Drain, JobId, Refusal, WorkerId, WorkerName};
+use femc_model::{Control, Drain, JobId, Refusal, WorkerId, WorkerSelector};
 use serde::{Deserialize, Serialize};
 
 use super::Http;
-use super::answer::{self, Body};
-use super::fault::{self, Fault};
-use crate::access::{Caller, Outcome, Trail};
+use super::error::{self, HttpError};
+use super::response::{self, Body};
+use crate::access::{AuditEntry, Caller, Outcome};
 use crate::call::Call;
 
 /// Action on jobs, as JSON.
@@ -58,7 +58,7 @@ enum DrainAction {
 
 /// Result of the actions.
 #[derive(Serialize)]
-struct Changed<T, R> {
+struct ChangeOutcome<T, R> {
     done: Vec<T>,
     refused: Vec<R>,
 }
@@ -86,10 +86,10 @@ impl<S: Send + 'static> Http<S> {
         &self,
         json: &[u8],
         caller: Option<&Caller>,
-        trail: &Trail,
-    ) -> Result<Response<Body>, Fault> {
+        audit_entry: &AuditEntry,
+    ) -> Result<Response<Body>, HttpError> {
         let ControlJson { jobs, action, priority, frames } = parse(json)?;
-        few(jobs.len(), "jobs")?;
+        check_count(jobs.len(), "jobs")?;
         let control = match (action, priority, frames) {
             (Action::Pause, None, None) => Control::Pause,
             (Action::Resume, None, None) => Control::Resume,
@@ -102,74 +102,74 @@ impl<S: Send + 'static> Http<S> {
             (Action::Priority, _, None) => return Err(invalid("priority", "expected a whole number from 0 to 100")),
             (_, Some(_), None) => return Err(invalid("priority", "allowed only with the action `priority`")),
         };
-        let mut changed = Changed { done: Vec::new(), refused: Vec::new() };
+        let mut changed = ChangeOutcome { done: Vec::new(), refused: Vec::new() };
         for job in jobs {
-            let part = trail.part();
-            part.job(JobId(job));
-            part.what(&format!("{control:?}"));
-            let steered = self.0.farm.steer(&self.0.store, caller, JobId(job), control.clone()).await;
-            self.told(&part, steered.as_ref().err());
+            let part = audit_entry.split_part();
+            part.set_job(JobId(job));
+            part.set_action(&format!("{control:?}"));
+            let steered = self.0.farm.control_job(&self.0.store, caller, JobId(job), control.clone()).await;
+            self.audit_part(&part, steered.as_ref().err());
             match steered {
                 Ok(()) => changed.done.push(job),
                 Err(no) => {
-                    changed.refused.push(RefusedJob { job, code: fault::code(&no), message: no.to_string() });
+                    changed.refused.push(RefusedJob { job, code: error::code(&no), message: no.to_string() });
                 }
             }
         }
-        Ok(answer::json(&changed))
+        Ok(response::json(&changed))
     }
 
     /// Drains workers, or ends the drain.
-    pub(super) async fn drain(&self, json: &[u8], trail: &Trail) -> Result<Response<Body>, Fault> {
+    pub(super) async fn drain(&self, json: &[u8], audit_entry: &AuditEntry) -> Result<Response<Body>, HttpError> {
         let DrainJson { workers, action } = parse(json)?;
-        few(workers.len(), "workers")?;
+        check_count(workers.len(), "workers")?;
         let drain = match action {
             DrainAction::Begin => Drain::Begin,
             DrainAction::Undo => Drain::Undo,
         };
-        let mut changed = Changed { done: Vec::new(), refused: Vec::new() };
+        let mut changed = ChangeOutcome { done: Vec::new(), refused: Vec::new() };
         for worker in workers {
             let worker = match worker {
-                WorkerRef::Number(number) => WorkerName::Number(WorkerId(number)),
-                WorkerRef::Name(name) => WorkerName::Name(name),
+                WorkerRef::Number(number) => WorkerSelector::Number(WorkerId(number)),
+                WorkerRef::Name(name) => WorkerSelector::Name(name),
             };
-            let part = trail.part();
-            part.what(&format!("{drain:?} {worker}"));
+            let part = audit_entry.split_part();
+            part.set_action(&format!("{drain:?} {worker}"));
             let name = worker.to_string();
-            let drained = self.0.farm.ask(|reply| Call::Drain { worker, drain, reply }).await;
-            self.told(&part, drained.as_ref().err());
+            let drained = self.0.farm.call(|reply| Call::Drain { worker, drain, reply }).await;
+            self.audit_part(&part, drained.as_ref().err());
             match drained {
                 Ok(sessions) => changed.done.extend(sessions.iter().map(|session| session.0)),
                 Err(no) => changed.refused.push(RefusedWorker {
                     worker: name,
-                    code: fault::code(&no),
+                    code: error::code(&no),
                     message: no.to_string(),
                 }),
             }
         }
-        Ok(answer::json(&changed))
+        Ok(response::json(&changed))
     }
 
     /// Writes the audit entry of one part.
-    fn told(&self, part: &Trail, refusal: Option<&Refusal>) {
+    fn audit_part(&self, part: &AuditEntry, refusal: Option<&Refusal>) {
         match refusal {
-            None => self.note(part, Outcome::Done, "ok", ""),
+            None => self.write_audit_entry(part, Outcome::Done, "ok", ""),
             Some(no) => {
-                let fault = Fault::from(no.clone());
-                self.note(part, fault.outcome(), fault.code(), &no.to_string());
+                let error = HttpError::from(no.clone());
+                self.write_audit_entry(part, error.outcome(), error.code(), &no.to_string());
             }
         }
     }
 }
 
-fn parse<'a, T: Deserialize<'a>>(json: &'a [u8]) -> Result<T, Fault> {
+fn parse<'a, T: Deserialize<'a>>(json: &'a [u8]) -> Result<T, HttpError> {
     serde_json::from_slice(json).map_err(|error| invalid("body", &error.to_string()))
 }
 
-fn few(count: usize, what: &str) -> Result<(), Fault> {
-    if count <= MOST { Ok(()) } else { Err(invalid(what, &format!("at most {MOST} at a time"))) }
+fn check_count(count: usize, field: &str) -> Result<(), HttpError> {
+    if count <= MOST { Ok(()) } else { Err(invalid(field, &format!("at most {MOST} at a time"))) }
 }
 
-fn invalid(field: &str, message: &str) -> Fault {
-    Fault::Invalid { field: field.into(), message: message.into() }
+fn invalid(field: &str, message: &str) -> HttpError {
+    HttpError::Invalid { field: field.into(), message: message.into() }
 }

@@ -17,15 +17,15 @@ use femc_store::{Soundness, Store, StoreError};
 use futures_util::Stream;
 use futures_util::stream::unfold;
 
-use super::answer::{self, Body};
-use super::fault::Fault;
-use super::range::{self, Wanted};
-use super::{Asked, Http};
-use crate::access::{Place, Who};
+use super::error::HttpError;
+use super::range::{self, RequestedRange};
+use super::response::{self, Body};
+use super::{Http, RequestHead};
+use crate::access::{CallerKey, TransferSlot};
 use crate::call::{Call, JobShape};
 use crate::farm::Farm;
-use crate::file::{File, FrameFile, media};
-use crate::steer::store_refusal;
+use crate::file::{FrameFile, ResultFile, media_type};
+use crate::job_control::store_refusal;
 
 /// Number of first bytes that determine the media type.
 const HEAD: u64 = 64;
@@ -34,30 +34,39 @@ impl<S: Send + 'static> Http<S> {
     /// Answers with a result of a job, or with a part of it.
     pub(super) async fn download(
         &self,
-        asked: &Asked<'_>,
+        request_head: &RequestHead<'_>,
         job: JobId,
-        file: File,
-        who: Who,
-    ) -> Result<Response<Body>, Fault> {
-        let JobShape { spec, .. } = self.0.farm.ask(|reply| Call::Shape { job, reply }).await?;
-        let records = self.0.farm.ask(|reply| Call::Frames { job, reply }).await?;
-        let artifact = file.artifact(&spec, &records).ok_or_else(|| Fault::NotMade { job, file: file.describe() })?;
+        file: ResultFile,
+        caller_key: CallerKey,
+    ) -> Result<Response<Body>, HttpError> {
+        let JobShape { spec, .. } = self.0.farm.call(|reply| Call::Shape { job, reply }).await?;
+        let records = self.0.farm.call(|reply| Call::Frames { job, reply }).await?;
+        let artifact =
+            file.artifact(&spec, &records).ok_or_else(|| HttpError::NoResult { job, file: file.describe() })?;
         let tag = format!("\"{}\"", artifact.digest);
-        if range::is_known(asked.headers, &tag) {
-            return Ok(cached(answer::empty(StatusCode::NOT_MODIFIED), &tag));
+        if range::is_cached_by_client(request_head.headers, &tag) {
+            return Ok(with_cache_headers(response::empty(StatusCode::NOT_MODIFIED), &tag));
         }
-        let is_head = *asked.method == Method::HEAD;
+        let is_head = *request_head.method == Method::HEAD;
         // Ranges are defined for GET only.
-        let wanted = if is_head { Wanted::Whole } else { range::wanted(asked.headers, artifact.bytes, &tag) };
-        let place = self.0.places.take(who).await;
-        let is_sound = match &wanted {
+        let requested = if is_head {
+            RequestedRange::Whole
+        } else {
+            range::requested_range(request_head.headers, artifact.bytes, &tag)
+        };
+        let slot = self.0.transfer_slots.acquire(caller_key).await;
+        let is_sound = match &requested {
             _ if is_head => self.0.store.size(&artifact.digest).await.map(|size| size == Some(artifact.bytes)),
-            Wanted::Beyond => Ok(true),
-            Wanted::Part(part) if part.start > 0 => self.0.store.known(&artifact).await.map(is_sound),
-            Wanted::Part(_) | Wanted::Whole => self.0.store.verify(&artifact.digest).await.map(is_sound),
+            RequestedRange::Unsatisfiable => Ok(true),
+            RequestedRange::Part(part) if part.start > 0 => {
+                self.0.store.verify_unless_recent(&artifact).await.map(is_sound)
+            }
+            RequestedRange::Part(_) | RequestedRange::Whole => {
+                self.0.store.verify(&artifact.digest).await.map(is_sound)
+            }
         };
         let media = match is_sound {
-            Ok(true) => self.media(file, &artifact).await,
+            Ok(true) => self.media_type(file, &artifact).await,
             Ok(false) => Err(StoreError::Missing { digest: artifact.digest }),
             Err(error) => Err(error),
         };
@@ -65,22 +74,23 @@ impl<S: Send + 'static> Http<S> {
             Ok(media) => media,
             Err(error) => return Err(self.unreadable(job, file, &artifact, &error).await),
         };
-        let (status, part) = match wanted {
-            Wanted::Whole => (StatusCode::OK, 0..artifact.bytes),
-            Wanted::Part(part) => (StatusCode::PARTIAL_CONTENT, part),
-            Wanted::Beyond => return Err(Fault::Range { length: artifact.bytes }),
+        let (status, part) = match requested {
+            RequestedRange::Whole => (StatusCode::OK, 0..artifact.bytes),
+            RequestedRange::Part(part) => (StatusCode::PARTIAL_CONTENT, part),
+            RequestedRange::Unsatisfiable => return Err(HttpError::Range { length: artifact.bytes }),
         };
         let length = part.end - part.start;
         let mut response = if is_head {
-            let mut response = answer::empty(status);
+            let mut response = response::empty(status);
             response.headers_mut().insert(CONTENT_LENGTH, length.into());
             response
         } else {
             let (store, farm) = (self.0.store.clone(), self.0.farm.clone());
-            let mut sending = Sending { store, farm, artifact, part: part.clone(), block: Bytes::new(), _place: place };
+            let mut sending =
+                DownloadStream { store, farm, artifact, part: part.clone(), block: Bytes::new(), _slot: slot };
             // Reads the first block before the status is sent, so that a missing file gives an error response.
             match sending.fill().await {
-                Ok(()) => answer::stream(status, length, pieces(sending)),
+                Ok(()) => response::stream(status, length, pieces(sending)),
                 Err(error) => return Err(self.unreadable(job, file, &artifact, &error).await),
             }
         };
@@ -93,28 +103,32 @@ impl<S: Send + 'static> Http<S> {
         }
         let disposition = HeaderValue::try_from(disposition(&file.name(&spec, extension)));
         headers.extend(disposition.ok().map(|disposition| (CONTENT_DISPOSITION, disposition)));
-        Ok(cached(response, &tag))
+        Ok(with_cache_headers(response, &tag))
     }
 
     /// Returns the media type and the usual extension of a result.
-    async fn media(&self, file: File, artifact: &Artifact) -> Result<(&'static str, &'static str), StoreError> {
+    async fn media_type(
+        &self,
+        file: ResultFile,
+        artifact: &Artifact,
+    ) -> Result<(&'static str, &'static str), StoreError> {
         match file {
-            File::Frame(_, FrameFile::Image | FrameFile::Layers) => Ok(("image/x-exr", "exr")),
-            File::Frame(_, FrameFile::Statistics) => Ok(("application/octet-stream", "paths")),
-            File::Sheet | File::Frame(..) => Ok(("image/png", "png")),
-            File::Clip => {
-                let head = self.0.store.part(&artifact.digest, 0..artifact.bytes.min(HEAD)).await;
-                Ok(media(&head?))
+            ResultFile::Frame(_, FrameFile::Image | FrameFile::Layers) => Ok(("image/x-exr", "exr")),
+            ResultFile::Frame(_, FrameFile::Statistics) => Ok(("application/octet-stream", "paths")),
+            ResultFile::Sheet | ResultFile::Frame(..) => Ok(("image/png", "png")),
+            ResultFile::Clip => {
+                let head = self.0.store.read_range(&artifact.digest, 0..artifact.bytes.min(HEAD)).await;
+                Ok(media_type(&head?))
             }
         }
     }
 
     /// Explains why a result cannot be read. A damaged or missing result is recreated.
-    async fn unreadable(&self, job: JobId, file: File, artifact: &Artifact, error: &StoreError) -> Fault {
+    async fn unreadable(&self, job: JobId, file: ResultFile, artifact: &Artifact, error: &StoreError) -> HttpError {
         match error {
             StoreError::Missing { .. } | StoreError::Mismatch { .. } => {
                 report_unless_sound(&self.0.store, &self.0.farm, artifact).await;
-                Fault::Lost { job, file: file.describe() }
+                HttpError::ResultLost { job, file: file.describe() }
             }
             StoreError::Unsound { .. }
             | StoreError::TooLarge { .. }
@@ -131,11 +145,11 @@ fn is_sound(found: Soundness) -> bool {
 /// Rereads an artifact, and reports it to the farm if it is damaged or missing.
 async fn report_unless_sound<S>(store: &Store, farm: &Farm<S>, artifact: &Artifact) {
     if matches!(store.verify(&artifact.digest).await, Ok(Soundness::Damaged | Soundness::Missing)) {
-        farm.lost(artifact.digest).await;
+        farm.report_lost(artifact.digest).await;
     }
 }
 
-fn cached(mut response: Response<Body>, tag: &str) -> Response<Body> {
+fn with_cache_headers(mut response: Response<Body>, tag: &str) -> Response<Body> {
     let headers = response.headers_mut();
     // A hexadecimal digest is always a valid header value.
     headers.extend(HeaderValue::try_from(tag).ok().map(|tag| (ETAG, tag)));
@@ -144,7 +158,7 @@ fn cached(mut response: Response<Body>, tag: &str) -> Response<Body> {
 }
 
 /// A file that is being sent to a client.
-struct Sending<S> {
+struct DownloadStream<S> {
     store: Store,
     farm: Farm<S>,
     artifact: Artifact,
@@ -153,15 +167,15 @@ struct Sending<S> {
     /// Bytes that were read but not sent yet.
     block: Bytes,
     /// Held until all bytes are sent or the client has disconnected.
-    _place: Place,
+    _slot: TransferSlot,
 }
 
-impl<S> Sending<S> {
+impl<S> DownloadStream<S> {
     /// Reads the next block, if all bytes read so far are sent.
     async fn fill(&mut self) -> Result<(), StoreError> {
         if self.block.is_empty() && !self.part.is_empty() {
-            let end = self.part.end.min(self.part.start + Store::READ);
-            self.block = self.store.part(&self.artifact.digest, self.part.start..end).await?;
+            let end = self.part.end.min(self.part.start + Store::READ_SIZE);
+            self.block = self.store.read_range(&self.artifact.digest, self.part.start..end).await?;
             self.part.start = end;
         }
         Ok(())
@@ -169,10 +183,10 @@ impl<S> Sending<S> {
 }
 
 /// Returns the pieces of a file. If the rest cannot be read, the last piece is an error.
-fn pieces<S: Send + 'static>(sending: Sending<S>) -> impl Stream<Item = io::Result<Bytes>> + Send + 'static {
+fn pieces<S: Send + 'static>(stream: DownloadStream<S>) -> impl Stream<Item = io::Result<Bytes>> + Send + 'static {
     /// Maximum size in bytes of a piece of the body.
     const PIECE: usize = 256 << 10;
-    unfold(Some(sending), |sending| async {
+    unfold(Some(stream), |sending| async {
         let mut sending = sending?;
         if let Err(error) = sending.fill().await {
             tracing::warn!(digest = %sending.artifact.digest, %error, "download aborted");

@@ -4,17 +4,17 @@
 //! gRPC. After it, checks that concern browsers run: cookies, pages of other sites, and host names that lead elsewhere. Requests
 //! from other sites are never accepted: there are no CORS headers, and a change needs a header that a form cannot send.
 
-mod answer;
 mod change;
+mod connected_client;
 mod download;
-mod fault;
+mod error;
+mod handlers;
 mod order;
 mod pages;
 mod range;
-mod respond;
+mod response;
 mod route;
 mod site;
-mod visitor;
 
 use std::pin::{Pin, pin};
 use std::sync::Arc;
@@ -26,27 +26,27 @@ use femc_store::Store;
 use femc_trust::Audit;
 use http_body_util::BodyExt as _;
 
-use crate::access::{Gate, Granted, Limits, Outcome, Places, Shown, Trail, Who};
+use crate::access::{AccessGrant, AuditEntry, CallerKey, Gate, Limits, Outcome, PresentedCredentials, TransferSlots};
 use crate::farm::Farm;
 use crate::feed::Feed;
 use crate::operation::Operation;
-use crate::picture::{Draw, Pictures};
-pub use answer::Body;
-use fault::Fault;
-use order::LastSorted;
-pub use pages::Files;
+use crate::picture::{DrawPicture, Pictures};
+pub use connected_client::{ConnectedClient, PermittedResponse, PublicResponse};
+use error::HttpError;
+use order::SortedTasksCache;
+pub use pages::PageFiles;
+pub use response::Body;
 use route::Route;
-pub use visitor::{Introduced, Served, Visitor};
 
 /// Content that is served in addition to the farm itself.
 #[derive(Debug, Clone, Default)]
 pub struct Site {
     /// Files of the web page. Without them, only JSON is served.
-    pub files: Files,
+    pub files: PageFiles,
     /// Engine build of this program, for display.
     pub engine: String,
     /// Function that draws frames. Without it, no pictures are served.
-    pub draw: Option<Draw>,
+    pub draw: Option<DrawPicture>,
 }
 
 /// HTTP interface of a farm.
@@ -64,50 +64,61 @@ struct Inner<S> {
     farm: Farm<S>,
     feed: Feed<S>,
     store: Store,
-    places: Places,
+    transfer_slots: TransferSlots,
     /// Slots for requests that read pixels. A slot is held until all bytes are sent.
-    large: Places,
+    pixel_slots: TransferSlots,
     pictures: Pictures,
-    sorted: LastSorted,
+    sorted_tasks: SortedTasksCache,
     gate: Gate,
     site: Site,
     is_encrypted: bool,
 }
 
 /// A request without its body.
-struct Asked<'a> {
+struct RequestHead<'a> {
     method: &'a Method,
     uri: &'a Uri,
     headers: &'a HeaderMap,
 }
 
-impl Asked<'_> {
+impl RequestHead<'_> {
     /// Refuses headers that exceed the limit. Sizes are computed as in HTTP/2 (RFC 9113, 6.5.2): each header counts 32 bytes in
     /// addition to its name and value. Over HTTP/2, the transport refuses such headers before a request arrives here.
-    fn within(&self, limit: u32) -> Result<(), Fault> {
+    fn check_header_size(&self, limit: u32) -> Result<(), HttpError> {
         let of_headers = self.headers.iter().map(|(name, value)| name.as_str().len() + value.len() + 32);
         let of_uri = self.uri.path_and_query().map_or(0, |path| path.as_str().len());
-        if of_headers.sum::<usize>() + of_uri <= limit as usize { Ok(()) } else { Err(Fault::Headers { limit }) }
+        if of_headers.sum::<usize>() + of_uri <= limit as usize {
+            Ok(())
+        } else {
+            Err(HttpError::HeadersTooLarge { limit })
+        }
     }
 }
 
 impl<S: Send + 'static> Http<S> {
     /// Makes the interface of a farm behind a gate.
-    /// - `places`: slots for large downloads.
+    /// - `transfer_slots`: slots for large downloads.
     /// - `is_encrypted`: whether connections are encrypted. Then cookies are sent over encrypted connections only.
-    pub fn new(farm: Farm<S>, store: Store, places: Places, gate: Gate, site: Site, is_encrypted: bool) -> Self {
+    pub fn new(
+        farm: Farm<S>,
+        store: Store,
+        transfer_slots: TransferSlots,
+        gate: Gate,
+        site: Site,
+        is_encrypted: bool,
+    ) -> Self {
         let feed = Feed::new(farm.clone());
-        let few = Limits { transfers: 4, transfers_of_caller: 2, transfers_of_connection: 2, ..*gate.limits() };
-        let large = Places::new(&few);
+        let few = Limits { transfers: 4, transfers_per_caller: 2, transfers_per_connection: 2, ..*gate.limits() };
+        let large = TransferSlots::new(&few);
         let pictures = Pictures::new(site.draw, store.clone());
         Self(Arc::new(Inner {
             farm,
             feed,
             store,
-            places,
-            large,
+            transfer_slots,
+            pixel_slots: large,
             pictures,
-            sorted: LastSorted::default(),
+            sorted_tasks: SortedTasksCache::default(),
             gate,
             site,
             is_encrypted,
@@ -115,48 +126,50 @@ impl<S: Send + 'static> Http<S> {
     }
 
     /// Answers any request. The response has its [`Operation`] among its extensions, for metrics.
-    pub async fn serve<B>(&self, request: Request<B>, visitor: Visitor) -> Response<Body>
+    pub async fn serve<B>(&self, request: Request<B>, client: ConnectedClient) -> Response<Body>
     where
         B: http_body::Body<Data = Bytes> + Send,
         B::Error: std::fmt::Display,
     {
         let (head, body) = request.into_parts();
         let mut body = pin!(body);
-        let asked = Asked { method: &head.method, uri: &head.uri, headers: &head.headers };
-        let route = asked.within(self.0.gate.limits().headers).and_then(|()| Route::of(&asked));
+        let request_head = RequestHead { method: &head.method, uri: &head.uri, headers: &head.headers };
+        let route =
+            request_head.check_header_size(self.0.gate.limits().headers).and_then(|()| Route::parse(&request_head));
         let operation = route.as_ref().map_or(Operation::Other, Route::operation);
-        let trail = self.0.gate.trail(operation, asked.uri.path(), visitor.address.map(|it| it.to_string()));
+        let audit_entry =
+            self.0.gate.audit_entry(operation, request_head.uri.path(), client.address.map(|it| it.to_string()));
         let answered = match route {
             // Requests without a route are answered without authentication, subject to the rate limit.
-            Err(fault) => Err(self.nowhere(fault, &visitor).await),
-            Ok(route) => self.pass(route, &asked, body.as_mut(), &visitor, &trail).await,
+            Err(fault) => Err(self.rate_limited_error(fault, &client).await),
+            Ok(route) => self.authorize_and_run(route, &request_head, body.as_mut(), &client, &audit_entry).await,
         };
         let mut response = match answered {
             Ok(response) => {
-                self.note(&trail, Outcome::Done, "ok", "");
+                self.write_audit_entry(&audit_entry, Outcome::Done, "ok", "");
                 response
             }
             Err(fault) => {
-                self.note(&trail, fault.outcome(), fault.code(), &fault.to_string());
-                self.discard(&asked, body).await;
-                fault.response(&asked)
+                self.write_audit_entry(&audit_entry, fault.outcome(), fault.code(), &fault.to_string());
+                self.discard(&request_head, body).await;
+                fault.response(&request_head)
             }
         };
-        answer::protect(&mut response);
+        response::protect(&mut response);
         response.extensions_mut().insert(operation);
         response
     }
 
     /// Reads and drops the rest of a refused request's body. If the connection or the stream were closed while the client still
     /// sends, the client would see a transport error instead of the response.
-    async fn discard<B>(&self, asked: &Asked<'_>, mut body: Pin<&mut B>)
+    async fn discard<B>(&self, request_head: &RequestHead<'_>, mut body: Pin<&mut B>)
     where
         B: http_body::Body<Data = Bytes> + Send,
     {
         /// Maximum number of bytes read in this way. A client that announces more is answered at once.
         const MOST: usize = 8 << 20;
         // The client waits for the response before it sends the body.
-        let is_held_back = asked.headers.contains_key(EXPECT);
+        let is_held_back = request_head.headers.contains_key(EXPECT);
         if is_held_back || body.size_hint().lower() > MOST as u64 {
             return;
         }
@@ -168,58 +181,59 @@ impl<S: Send + 'static> Http<S> {
             }
         };
         // A slower client loses the response, as does any client whose request is late.
-        let _ = tokio::time::timeout(self.0.gate.limits().patience, read).await;
+        let _ = tokio::time::timeout(self.0.gate.limits().request_timeout, read).await;
     }
 
-    async fn nowhere(&self, fault: Fault, visitor: &Visitor) -> Fault {
-        let place = visitor.address.map(|address| address.ip().to_string());
-        match self.0.gate.pace(place.as_deref()) {
+    async fn rate_limited_error(&self, error: HttpError, visitor: &ConnectedClient) -> HttpError {
+        let address = visitor.address.map(|address| address.ip().to_string());
+        match self.0.gate.limit_address_rate(address.as_deref()) {
             Ok(wait) => {
                 tokio::time::sleep(wait).await;
-                fault
+                error
             }
             Err(refusal) => refusal.into(),
         }
     }
 
     /// Checks a request, and runs it if it is permitted.
-    async fn pass<B>(
+    async fn authorize_and_run<B>(
         &self,
         route: Route,
-        asked: &Asked<'_>,
+        request_head: &RequestHead<'_>,
         body: Pin<&mut B>,
-        visitor: &Visitor,
-        trail: &Trail,
-    ) -> Result<Response<Body>, Fault>
+        client: &ConnectedClient,
+        audit_entry: &AuditEntry,
+    ) -> Result<Response<Body>, HttpError>
     where
         B: http_body::Body<Data = Bytes> + Send,
         B::Error: std::fmt::Display,
     {
         let gate = &self.0.gate;
-        let place = visitor.address.map(|address| address.ip().to_string());
-        let token = site::token(asked.headers)?;
-        let shown = Shown { token, certificate: visitor.certificate.as_ref(), place: place.as_deref() };
-        let granted = gate.check(route.operation(), shown, trail)?;
-        site::check(&route, asked, visitor, gate.asks())?;
-        let Granted { caller, name, wait } = granted;
-        let who = Who { name, connection: visitor.connection };
+        let address = client.address.map(|address| address.ip().to_string());
+        let token = site::token(request_head.headers)?;
+        let shown =
+            PresentedCredentials { token, certificate: client.certificate.as_ref(), address: address.as_deref() };
+        let granted = gate.check(route.operation(), shown, audit_entry)?;
+        site::check(&route, request_head, client, gate.requires_authentication())?;
+        let AccessGrant { caller, name, wait } = granted;
+        let caller_key = CallerKey { name, connection: client.connection };
         if !wait.is_zero() {
             tokio::time::sleep(wait).await;
         }
-        let is_known = caller.is_some() || !gate.asks();
-        let mut response = self.respond(route, asked, body, caller, who, trail).await?;
+        let is_known = caller.is_some() || !gate.requires_authentication();
+        let mut response = self.respond(route, request_head, body, caller, caller_key, audit_entry).await?;
         if is_known {
-            response.extensions_mut().insert(Introduced);
+            response.extensions_mut().insert(PermittedResponse);
         } else {
-            response.extensions_mut().insert(Served);
+            response.extensions_mut().insert(PublicResponse);
         }
         Ok(response)
     }
 
-    fn note(&self, trail: &Trail, outcome: Outcome, code: &str, why: &str) {
+    fn write_audit_entry(&self, audit_entry: &AuditEntry, outcome: Outcome, code: &str, message: &str) {
         let audit: Option<&Audit> = self.0.gate.audit();
         if let Some(audit) = audit {
-            trail.end(audit, outcome, code, why);
+            audit_entry.write(audit, outcome, code, message);
         }
     }
 }

@@ -6,7 +6,7 @@ use std::str::FromStr;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use femc_model::{JobId, TaskFilter, TaskStatus, Times};
+use femc_model::{AttemptTimes, JobId, TaskFilter, TaskStatus};
 use tokio::time::Instant;
 
 /// Column by which tasks are sorted. Its name is the name of the JSON field.
@@ -44,12 +44,12 @@ impl Column {
 
     /// Compares two tasks by this column. Returns the order, and whether each task has a value in the column.
     fn compare(self, a: &TaskStatus, b: &TaskStatus) -> (Ordering, [bool; 2]) {
-        let numbers = |of: fn(&TaskStatus) -> Option<f64>| {
-            let [x, y] = [of(a), of(b)];
+        let numbers = |value: fn(&TaskStatus) -> Option<f64>| {
+            let [x, y] = [value(a), value(b)];
             (x.unwrap_or_default().total_cmp(&y.unwrap_or_default()), [x.is_some(), y.is_some()])
         };
-        let times = |of: fn(Times) -> f64| {
-            let [x, y] = [a.times.map(of), b.times.map(of)];
+        let times = |value: fn(AttemptTimes) -> f64| {
+            let [x, y] = [a.times.map(value), b.times.map(value)];
             (x.unwrap_or_default().total_cmp(&y.unwrap_or_default()), [x.is_some(), y.is_some()])
         };
         let stage = |task: &TaskStatus| (task.task.stage.number, task.task.stage.round);
@@ -83,7 +83,7 @@ pub(super) struct TaskOrder {
 /// Error for a name that is not a column of tasks.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("expected {}; a leading `-` sorts in descending order", names())]
-pub(super) struct NoColumn;
+pub(super) struct UnknownColumn;
 
 fn names() -> String {
     let mut text = String::new();
@@ -96,12 +96,12 @@ fn names() -> String {
 }
 
 impl FromStr for TaskOrder {
-    type Err = NoColumn;
+    type Err = UnknownColumn;
 
-    fn from_str(text: &str) -> Result<Self, NoColumn> {
+    fn from_str(text: &str) -> Result<Self, UnknownColumn> {
         let (is_descending, name) = text.strip_prefix('-').map_or((false, text), |name| (true, name));
         let known = Column::ALL.into_iter().find(|(_, known)| *known == name);
-        known.map(|(column, _)| Self { column, is_descending }).ok_or(NoColumn)
+        known.map(|(column, _)| Self { column, is_descending }).ok_or(UnknownColumn)
     }
 }
 
@@ -119,29 +119,29 @@ impl TaskOrder {
 
 /// The last sorted tasks, kept for the next pages of the same table.
 #[derive(Debug, Default)]
-pub(super) struct LastSorted(Mutex<Option<Sorted>>);
+pub(super) struct SortedTasksCache(Mutex<Option<SortedTasks>>);
 
 #[derive(Debug, Clone)]
-struct Sorted {
-    question: (JobId, TaskFilter, TaskOrder),
+struct SortedTasks {
+    key: (JobId, TaskFilter, TaskOrder),
     at: Instant,
     tasks: Arc<Vec<TaskStatus>>,
 }
 
-impl LastSorted {
+impl SortedTasksCache {
     /// Time for which a sorted list is reused.
-    const COUNTS: Duration = Duration::from_secs(1);
+    const MAX_AGE: Duration = Duration::from_secs(1);
 
     /// Returns the tasks, if the same list was sorted a moment ago.
     pub(super) fn get(&self, job: JobId, filter: TaskFilter, order: TaskOrder) -> Option<Arc<Vec<TaskStatus>>> {
         let mut last = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        *last = last.take().filter(|last| last.at.elapsed() < Self::COUNTS);
-        last.as_ref().filter(|last| last.question == (job, filter, order)).map(|last| last.tasks.clone())
+        *last = last.take().filter(|last| last.at.elapsed() < Self::MAX_AGE);
+        last.as_ref().filter(|last| last.key == (job, filter, order)).map(|last| last.tasks.clone())
     }
 
     /// Stores a newly sorted list.
     pub(super) fn put(&self, job: JobId, filter: TaskFilter, order: TaskOrder, tasks: Arc<Vec<TaskStatus>>) {
-        let sorted = Sorted { question: (job, filter, order), at: Instant::now(), tasks };
+        let sorted = SortedTasks { key: (job, filter, order), at: Instant::now(), tasks };
         *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Some(sorted);
     }
 }
@@ -157,12 +157,12 @@ mod tests {
         TaskStatus {
             task: TaskKey { job: JobId(1), stage, index },
             state: TaskState::Done,
-            is_of_all_rounds: true,
+            covers_all_rounds: true,
             workers: Some(worker.to_owned()).filter(|name| !name.is_empty()).into_iter().collect(),
             attempts: index % 2,
             seconds: None,
             failure: None,
-            times: processor.map(|processor| Times { processor, ..Times::default() }),
+            times: processor.map(|processor| AttemptTimes { processor, ..AttemptTimes::default() }),
         }
     }
 

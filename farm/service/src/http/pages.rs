@@ -3,14 +3,14 @@
 use ::http::header::{CACHE_CONTROL, HeaderValue};
 use ::http::{Response, StatusCode};
 
-use super::answer::{self, Body};
-use super::fault::Fault;
+use super::error::HttpError;
+use super::response::{self, Body};
 
 /// Files by path in the page's folder, such as `index.html` and `assets/index-4f2a.js`.
 #[derive(Debug, Clone, Copy, Default)]
-pub struct Files(pub &'static [(&'static str, &'static [u8])]);
+pub struct PageFiles(pub &'static [(&'static str, &'static [u8])]);
 
-impl Files {
+impl PageFiles {
     const INDEX: &str = "index.html";
     /// Folder of files with hashes in their names. The content of such a file never changes.
     const HASHED: &str = "assets/";
@@ -21,17 +21,17 @@ impl Files {
     }
 
     /// Returns the file at a path. A path without a file belongs to the page's own router and returns the page.
-    pub(super) fn get(self, path: &str) -> Result<Response<Body>, Fault> {
+    pub(super) fn get(self, path: &str) -> Result<Response<Body>, HttpError> {
         let path = path.trim_start_matches('/');
         let find = |path: &str| self.0.iter().find(|(name, _)| *name == path);
         let is_file = path.starts_with(Self::HASHED) || path.rsplit('/').next().is_some_and(|last| last.contains('.'));
         let found = match find(path) {
-            None if is_file => return Err(Fault::Nowhere { path: format!("/{path}") }),
+            None if is_file => return Err(HttpError::UnknownPath { path: format!("/{path}") }),
             None => find(Self::INDEX),
             found => found,
         };
-        let (name, bytes) = found.ok_or(Fault::NoPage)?;
-        let mut response = answer::bytes(StatusCode::OK, kind(name), *bytes);
+        let (name, bytes) = found.ok_or(HttpError::NoWebPage)?;
+        let mut response = response::bytes(StatusCode::OK, kind(name), *bytes);
         let cached = if name.starts_with(Self::HASHED) { "public, max-age=31536000, immutable" } else { "no-cache" };
         response.headers_mut().insert(CACHE_CONTROL, HeaderValue::from_static(cached));
         Ok(response)

@@ -4,12 +4,12 @@ use ::http::Method;
 use ::http::header::HeaderName;
 use femc_model::{JobId, TaskFilter, TaskKey, TaskState, Tick};
 
-use super::Asked;
-use super::fault::Fault;
+use super::RequestHead;
+use super::error::HttpError;
 use super::order::TaskOrder;
-use crate::file::{File, FrameFile};
+use crate::file::{FrameFile, ResultFile};
 use crate::operation::Operation;
-use crate::picture::Wanted;
+use crate::picture::PictureKind;
 
 /// Parsed request.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -30,9 +30,9 @@ pub(super) enum Route {
     /// Logs since this time of the farm's clock; only those of one task, if it is given.
     Logs(JobId, Tick, Option<TaskKey>),
     /// A frame as a picture.
-    Picture(JobId, u32, Wanted),
+    Picture(JobId, u32, PictureKind),
     /// A result of a job as a file.
-    Download(JobId, File),
+    Download(JobId, ResultFile),
     Control,
     Workers,
     /// Usage by owner and month.
@@ -63,15 +63,15 @@ const LAST_EVENT: HeaderName = HeaderName::from_static("last-event-id");
 
 impl Route {
     /// Parses a request.
-    pub(super) fn of(asked: &Asked<'_>) -> Result<Self, Fault> {
-        let path = asked.uri.path();
-        let Some(call) = path.strip_prefix("/api/v1/") else { return Self::of_page(asked, path) };
-        let query = Query(asked.uri.query().unwrap_or_default());
+    pub(super) fn parse(request_head: &RequestHead<'_>) -> Result<Self, HttpError> {
+        let path = request_head.uri.path();
+        let Some(call) = path.strip_prefix("/api/v1/") else { return Self::parse_page(request_head, path) };
+        let query = Query(request_head.uri.query().unwrap_or_default());
         let segments: Vec<&str> = call.split('/').collect();
         let (route, method) = match segments[..] {
             ["me"] => (Self::Me, Method::GET),
             ["feed"] => {
-                let last = asked.headers.get(LAST_EVENT).and_then(|id| id.to_str().ok()).map(str::to_owned);
+                let last = request_head.headers.get(LAST_EVENT).and_then(|id| id.to_str().ok()).map(str::to_owned);
                 (Self::Feed(last.or_else(|| query.get("since"))), Method::GET)
             }
             ["jobs"] => (Self::Jobs, Method::GET),
@@ -93,22 +93,24 @@ impl Route {
                 (Self::Logs(number("job", job)?, since, query.number("task")?), Method::GET)
             }
             ["jobs", job, "frames", frame, picture] => {
-                let wanted = match picture {
-                    "pixels" => Wanted::Pixels,
-                    "maps" => Wanted::Maps,
-                    "thumbnail.png" => Wanted::Thumbnail { height: height(query)? },
+                let kind = match picture {
+                    "pixels" => PictureKind::Pixels,
+                    "maps" => PictureKind::Maps,
+                    "thumbnail.png" => PictureKind::Thumbnail { height: height(query)? },
                     _ => {
                         let file = FrameFile::ALL.into_iter().find(|file| file.segment() == picture);
-                        let file = file.ok_or_else(|| Fault::Nowhere { path: path.to_owned() })?;
-                        let file = File::Frame(number("frame", frame)?, file);
-                        return Self::Download(number("job", job)?, file).by_reading(asked, path);
+                        let file = file.ok_or_else(|| HttpError::UnknownPath { path: path.to_owned() })?;
+                        let file = ResultFile::Frame(number("frame", frame)?, file);
+                        return Self::Download(number("job", job)?, file).require_get_or_head(request_head, path);
                     }
                 };
-                (Self::Picture(number("job", job)?, number("frame", frame)?, wanted), Method::GET)
+                (Self::Picture(number("job", job)?, number("frame", frame)?, kind), Method::GET)
             }
-            ["jobs", job, "clip"] => return Self::Download(number("job", job)?, File::Clip).by_reading(asked, path),
+            ["jobs", job, "clip"] => {
+                return Self::Download(number("job", job)?, ResultFile::Clip).require_get_or_head(request_head, path);
+            }
             ["jobs", job, "sheet.png"] => {
-                return Self::Download(number("job", job)?, File::Sheet).by_reading(asked, path);
+                return Self::Download(number("job", job)?, ResultFile::Sheet).require_get_or_head(request_head, path);
             }
             ["workers"] => (Self::Workers, Method::GET),
             ["usage"] => (Self::Usage, Method::GET),
@@ -120,34 +122,34 @@ impl Route {
                 }
                 (Self::Audit(count), Method::GET)
             }
-            _ => return Err(Fault::Nowhere { path: path.to_owned() }),
+            _ => return Err(HttpError::UnknownPath { path: path.to_owned() }),
         };
-        route.by(asked, &method, path)
+        route.require_method(request_head, &method, path)
     }
 
-    fn of_page(asked: &Asked<'_>, path: &str) -> Result<Self, Fault> {
+    fn parse_page(request_head: &RequestHead<'_>, path: &str) -> Result<Self, HttpError> {
         match path {
-            "/login" if asked.method == Method::POST => Ok(Self::Login),
-            "/logout" => Self::Logout.by(asked, &Method::POST, path),
-            _ if path == "/api" || path.starts_with("/api/") => Err(Fault::Nowhere { path: path.to_owned() }),
-            _ => Self::Page(path.to_owned()).by(asked, &Method::GET, path),
+            "/login" if request_head.method == Method::POST => Ok(Self::Login),
+            "/logout" => Self::Logout.require_method(request_head, &Method::POST, path),
+            _ if path == "/api" || path.starts_with("/api/") => Err(HttpError::UnknownPath { path: path.to_owned() }),
+            _ => Self::Page(path.to_owned()).require_method(request_head, &Method::GET, path),
         }
     }
 
-    fn by(self, asked: &Asked<'_>, method: &Method, path: &str) -> Result<Self, Fault> {
-        if asked.method == method {
+    fn require_method(self, request_head: &RequestHead<'_>, method: &Method, path: &str) -> Result<Self, HttpError> {
+        if request_head.method == method {
             return Ok(self);
         }
         let allowed = if method == Method::GET { "GET" } else { "POST" };
-        Err(Fault::Method { path: path.to_owned(), allowed })
+        Err(HttpError::Method { path: path.to_owned(), allowed })
     }
 
     /// Accepts GET and HEAD only.
-    fn by_reading(self, asked: &Asked<'_>, path: &str) -> Result<Self, Fault> {
-        if matches!(*asked.method, Method::GET | Method::HEAD) {
+    fn require_get_or_head(self, request_head: &RequestHead<'_>, path: &str) -> Result<Self, HttpError> {
+        if matches!(*request_head.method, Method::GET | Method::HEAD) {
             return Ok(self);
         }
-        Err(Fault::Method { path: path.to_owned(), allowed: "GET, HEAD" })
+        Err(HttpError::Method { path: path.to_owned(), allowed: "GET, HEAD" })
     }
 
     /// Returns the operation of the route.
@@ -180,7 +182,7 @@ impl Route {
     }
 }
 
-fn window(query: Query<'_>) -> Result<TaskWindow, Fault> {
+fn window(query: Query<'_>) -> Result<TaskWindow, HttpError> {
     let state = query.get("state").map(|name| {
         let known = TaskState::ALL.into_iter().find(|state| state.name() == name);
         known.ok_or_else(|| {
@@ -193,21 +195,21 @@ fn window(query: Query<'_>) -> Result<TaskWindow, Fault> {
 }
 
 /// Returns the height of a thumbnail in pixels.
-fn height(query: Query<'_>) -> Result<u32, Fault> {
+fn height(query: Query<'_>) -> Result<u32, HttpError> {
     let height = query.number("height")?.unwrap_or(90);
     if (1..=1024).contains(&height) { Ok(height) } else { Err(invalid("height", "expected a number from 1 to 1024")) }
 }
 
-fn invalid(field: &str, message: &str) -> Fault {
-    Fault::Invalid { field: field.into(), message: message.into() }
+fn invalid(field: &str, message: &str) -> HttpError {
+    HttpError::Invalid { field: field.into(), message: message.into() }
 }
 
 /// Parses a number or an identifier in a path.
-fn number<T: std::str::FromStr>(field: &str, text: &str) -> Result<T, Fault>
+fn number<T: std::str::FromStr>(field: &str, text: &str) -> Result<T, HttpError>
 where
     T::Err: std::fmt::Display,
 {
-    text.parse().map_err(|error| Fault::Invalid { field: field.into(), message: format!("`{text}`: {error}") })
+    text.parse().map_err(|error| HttpError::Invalid { field: field.into(), message: format!("`{text}`: {error}") })
 }
 
 /// Query part of a URL.
@@ -222,7 +224,7 @@ impl Query<'_> {
     }
 
     /// Returns the first value with this name, as a number.
-    pub(super) fn number<T: std::str::FromStr>(self, name: &str) -> Result<Option<T>, Fault>
+    pub(super) fn number<T: std::str::FromStr>(self, name: &str) -> Result<Option<T>, HttpError>
     where
         T::Err: std::fmt::Display,
     {
@@ -240,9 +242,9 @@ mod tests {
     use super::*;
     use crate::operation::Right;
 
-    fn route(method: &Method, path: &str) -> Result<Route, Fault> {
+    fn route(method: &Method, path: &str) -> Result<Route, HttpError> {
         let (uri, headers): (Uri, _) = (path.parse().expect("a path"), HeaderMap::new());
-        Route::of(&Asked { method, uri: &uri, headers: &headers })
+        Route::parse(&RequestHead { method, uri: &uri, headers: &headers })
     }
 
     #[test]
@@ -253,7 +255,7 @@ mod tests {
         for row in rows.iter().filter(|row| row.len() == 3 && row[0].starts_with("| `")) {
             let right = match row[2].trim_end_matches(" |") {
                 "everybody" => Right::Public,
-                "any identity" => Right::Anybody,
+                "any identity" => Right::AnyIdentity,
                 "viewers" => Right::User(Role::Viewer),
                 "the owner, if a submitter; operators" => Right::User(Role::Submitter),
                 "operators" => Right::User(Role::Operator),
@@ -287,7 +289,7 @@ mod tests {
             "/api/v1/jobs/7/frames/1/image.png",
             "/api/v1/jobs/7/clip/x",
         ] {
-            assert!(matches!(route(&Method::GET, path), Err(Fault::Nowhere { .. })), "{path}");
+            assert!(matches!(route(&Method::GET, path), Err(HttpError::UnknownPath { .. })), "{path}");
         }
         for path in [
             "/api/v1/jobs/",
@@ -299,7 +301,7 @@ mod tests {
             "/api/v1/jobs/7/logs?since=yesterday",
             "/api/v1/jobs/7/logs?task=7",
         ] {
-            assert!(matches!(route(&Method::GET, path), Err(Fault::Invalid { .. })), "{path}");
+            assert!(matches!(route(&Method::GET, path), Err(HttpError::Invalid { .. })), "{path}");
         }
         for (method, path) in [
             (Method::POST, "/api/v1/jobs"),
@@ -307,7 +309,7 @@ mod tests {
             (Method::DELETE, "/"),
             (Method::POST, "/api/v1/jobs/7/clip"),
         ] {
-            assert!(matches!(route(&method, path), Err(Fault::Method { .. })), "{method} {path}");
+            assert!(matches!(route(&method, path), Err(HttpError::Method { .. })), "{method} {path}");
         }
         assert_eq!(route(&Method::GET, "/login").expect("the page"), Route::Page("/login".into()));
         let Ok(Route::Tasks(job, window)) =

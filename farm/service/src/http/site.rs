@@ -11,10 +11,10 @@ use std::net::IpAddr;
 use ::http::header::{AUTHORIZATION, CONTENT_TYPE, COOKIE, HOST, HeaderName, HeaderValue, ORIGIN};
 use ::http::{HeaderMap, Method};
 
-use super::Asked;
-use super::fault::Fault;
+use super::RequestHead;
+use super::connected_client::ConnectedClient;
+use super::error::HttpError;
 use super::route::Route;
-use super::visitor::Visitor;
 
 /// Name of the cookie.
 const COOKIE_NAME: &str = "femc";
@@ -24,7 +24,7 @@ const FETCH_SITE: HeaderName = HeaderName::from_static("sec-fetch-site");
 const FETCH_MODE: HeaderName = HeaderName::from_static("sec-fetch-mode");
 
 /// Returns the token of a request, from the header or else from the cookie.
-pub(super) fn token(headers: &HeaderMap) -> Result<Option<&str>, Fault> {
+pub(super) fn token(headers: &HeaderMap) -> Result<Option<&str>, HttpError> {
     if let Some(header) = headers.get(AUTHORIZATION) {
         // A header that is not a bearer token gives an empty token, which is invalid.
         return Ok(Some(text(header).strip_prefix("Bearer ").unwrap_or_default()));
@@ -42,8 +42,8 @@ fn text(value: &HeaderValue) -> &str {
     value.to_str().unwrap_or_default()
 }
 
-fn invalid(field: &str, message: &str) -> Fault {
-    Fault::Invalid { field: field.into(), message: message.into() }
+fn invalid(field: &str, message: &str) -> HttpError {
+    HttpError::Invalid { field: field.into(), message: message.into() }
 }
 
 /// Makes the cookie that holds a token; `None` deletes the cookie.
@@ -58,20 +58,26 @@ pub(super) fn cookie(token: Option<&str>, is_encrypted: bool) -> Option<HeaderVa
 }
 
 /// Refuses requests that a page of another site may have sent.
-pub(super) fn check(route: &Route, asked: &Asked<'_>, visitor: &Visitor, asks: bool) -> Result<(), Fault> {
-    let host = host(asked);
-    if !asks && visitor.address.is_some() && !is_own(&host, visitor) {
-        return Err(Fault::Host { host });
+pub(super) fn check(
+    route: &Route,
+    request_head: &RequestHead<'_>,
+    client: &ConnectedClient,
+    requires_authentication: bool,
+) -> Result<(), HttpError> {
+    let host = host(request_head);
+    if !requires_authentication && client.address.is_some() && !is_own(&host, client) {
+        return Err(HttpError::ForeignHost { host });
     }
-    if let Some(origin) = asked.headers.get(ORIGIN).map(text)
+    if let Some(origin) = request_head.headers.get(ORIGIN).map(text)
         && origin.split_once("://").is_none_or(|(_, authority)| !authority.eq_ignore_ascii_case(&host))
     {
-        return Err(Fault::CrossSite { origin: origin.to_owned() });
+        return Err(HttpError::CrossSite { origin: origin.to_owned() });
     }
-    let header = |name: HeaderName| asked.headers.get(name).map(text).unwrap_or_default();
-    let is_visit = *asked.method == Method::GET && header(FETCH_MODE) == "navigate" && matches!(route, Route::Page(_));
+    let header = |name: HeaderName| request_head.headers.get(name).map(text).unwrap_or_default();
+    let is_visit =
+        *request_head.method == Method::GET && header(FETCH_MODE) == "navigate" && matches!(route, Route::Page(_));
     if matches!(header(FETCH_SITE), "cross-site" | "same-site") && !is_visit {
-        return Err(Fault::CrossSite { origin: "another site".into() });
+        return Err(HttpError::CrossSite { origin: "another site".into() });
     }
     if route.is_change() {
         let kind = header(CONTENT_TYPE).split(';').next().unwrap_or_default().trim();
@@ -86,14 +92,14 @@ pub(super) fn check(route: &Route, asked: &Asked<'_>, visitor: &Visitor, asks: b
 }
 
 /// Returns the host name, with the port, by which the client names the server.
-fn host(asked: &Asked<'_>) -> String {
-    let authority = asked.uri.authority().map(|authority| authority.as_str().to_owned());
-    authority.or_else(|| asked.headers.get(HOST).map(|host| text(host).to_owned())).unwrap_or_default()
+fn host(request_head: &RequestHead<'_>) -> String {
+    let authority = request_head.uri.authority().map(|authority| authority.as_str().to_owned());
+    authority.or_else(|| request_head.headers.get(HOST).map(|host| text(host).to_owned())).unwrap_or_default()
 }
 
 /// Returns whether a host name is this machine's loopback, or the address at which the client reached the server. The port may
 /// differ, because of tunnels.
-fn is_own(host: &str, visitor: &Visitor) -> bool {
+fn is_own(host: &str, client: &ConnectedClient) -> bool {
     let name = match host.strip_prefix('[').and_then(|rest| rest.split_once(']')) {
         Some((ip, _)) => ip,
         None => host.rsplit_once(':').map_or(host, |(name, _)| name),
@@ -101,7 +107,7 @@ fn is_own(host: &str, visitor: &Visitor) -> bool {
     if name.eq_ignore_ascii_case("localhost") {
         return true;
     }
-    let reached = visitor.reached.map(|address| address.ip().to_canonical());
+    let reached = client.local_address.map(|address| address.ip().to_canonical());
     name.parse::<IpAddr>().is_ok_and(|ip| ip.to_canonical().is_loopback() || Some(ip.to_canonical()) == reached)
 }
 
@@ -118,7 +124,7 @@ mod tests {
     #[test]
     fn a_host_is_the_coordinators_own_if_it_is_an_address_of_it() {
         let reached = Some("10.0.0.5:7878".parse().unwrap());
-        let visitor = Visitor { address: reached, reached, ..Visitor::default() };
+        let visitor = ConnectedClient { address: reached, local_address: reached, ..ConnectedClient::default() };
         for own in ["localhost", "LOCALHOST:9000", "127.0.0.1:7878", "127.9.9.9", "[::1]:7878", "10.0.0.5:7878"] {
             assert!(is_own(own, &visitor), "{own}");
         }
@@ -143,21 +149,21 @@ mod tests {
     #[test]
     fn what_another_site_may_have_sent_is_refused() {
         let address = Some("127.0.0.1:7878".parse().unwrap());
-        let visitor = Visitor { address, reached: address, ..Visitor::default() };
+        let visitor = ConnectedClient { address, local_address: address, ..ConnectedClient::default() };
         let uri: Uri = "/api/v1/jobs".parse().unwrap();
         let checked = |pairs: &[(&'static str, &str)]| {
             let headers = headers(pairs);
-            let asked = Asked { method: &Method::GET, uri: &uri, headers: &headers };
+            let asked = RequestHead { method: &Method::GET, uri: &uri, headers: &headers };
             check(&Route::Jobs, &asked, &visitor, false)
         };
         let own = ("host", "127.0.0.1:7878");
         assert!(checked(&[own]).is_ok());
         assert!(checked(&[own, ("origin", "http://127.0.0.1:7878"), ("sec-fetch-site", "same-origin")]).is_ok());
         for origin in ["http://evil.example", "null", "http://127.0.0.1:80", "http://127.0.0.1:7878.evil.example"] {
-            assert!(matches!(checked(&[own, ("origin", origin)]), Err(Fault::CrossSite { .. })), "{origin}");
+            assert!(matches!(checked(&[own, ("origin", origin)]), Err(HttpError::CrossSite { .. })), "{origin}");
         }
-        assert!(matches!(checked(&[own, ("sec-fetch-site", "cross-site")]), Err(Fault::CrossSite { .. })));
-        assert!(matches!(checked(&[("host", "evil.example:7878")]), Err(Fault::Host { .. })));
-        assert!(matches!(checked(&[]), Err(Fault::Host { .. })));
+        assert!(matches!(checked(&[own, ("sec-fetch-site", "cross-site")]), Err(HttpError::CrossSite { .. })));
+        assert!(matches!(checked(&[("host", "evil.example:7878")]), Err(HttpError::ForeignHost { .. })));
+        assert!(matches!(checked(&[]), Err(HttpError::ForeignHost { .. })));
     }
 }

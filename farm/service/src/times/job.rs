@@ -5,7 +5,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::ops::RangeInclusive;
 
 use femc_model::{
-    AttemptRecord, Ending, FrameStatus, Grains, Stage, TaskKey, TaskState, TaskStatus, Tick, Times, Usage,
+    AttemptRecord, AttemptTimes, Chunks, FrameStatus, LeaseEnding, ResourceUsage, Stage, TaskKey, TaskState,
+    TaskStatus, Tick,
 };
 
 use super::sum::{Span, Sum};
@@ -13,7 +14,7 @@ use crate::call::JobShape;
 
 /// Key of an attempt: frame, number of the stage, and task (not counting chunks).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-struct Key {
+struct AttemptKey {
     frame: u32,
     number: u16,
     item: u32,
@@ -22,15 +23,15 @@ struct Key {
     epoch: u64,
 }
 
-impl Key {
+impl AttemptKey {
     /// Returns the range of attempts at all tasks of a frame.
-    fn of_frame(frame: u32) -> RangeInclusive<Self> {
+    fn frame_range(frame: u32) -> RangeInclusive<Self> {
         let first = Self { frame, number: 0, item: 0, round: 0, index: 0, epoch: 0 };
         first..=Self { number: u16::MAX, item: u32::MAX, ..first.last(u32::MAX) }
     }
 
     /// Returns the range of attempts at a task in these rounds.
-    fn of_task(frame: u32, number: u16, item: u32, rounds: RangeInclusive<u32>) -> RangeInclusive<Self> {
+    fn task_range(frame: u32, number: u16, item: u32, rounds: RangeInclusive<u32>) -> RangeInclusive<Self> {
         let first = Self { frame, number, item, round: *rounds.start(), index: 0, epoch: 0 };
         first..=first.last(*rounds.end())
     }
@@ -45,7 +46,7 @@ impl Key {
 struct Entry {
     granted: Tick,
     ended: Tick,
-    ending: Ending,
+    ending: LeaseEnding,
     worker: u32,
     /// Wait, wall and processor seconds, as measured by the worker.
     measured: Option<[f64; 3]>,
@@ -53,7 +54,8 @@ struct Entry {
 
 impl Entry {
     fn span(&self) -> Span {
-        let usage = self.measured.map(|[wait, wall, cpu]| Usage { wait, wall, cpu, ..Usage::default() });
+        let usage =
+            self.measured.map(|[wait, wall, cpu]| ResourceUsage { wait, wall, cpu, ..ResourceUsage::default() });
         Span::new(self.granted, self.ended, usage)
     }
 
@@ -67,9 +69,9 @@ impl Entry {
 /// Ended attempts at a job's tasks, and their sums.
 #[derive(Debug, Default)]
 pub struct JobTimes {
-    attempts: BTreeMap<Key, Entry>,
+    attempts: BTreeMap<AttemptKey, Entry>,
     workers: Vec<String>,
-    frames: BTreeMap<u32, Times>,
+    frames: BTreeMap<u32, AttemptTimes>,
     /// Frames with attempts that are not in the sums yet.
     stale: BTreeSet<u32>,
     /// Record at which the next read starts.
@@ -91,8 +93,8 @@ impl JobTimes {
     pub fn put(&mut self, shape: &JobShape, record: &AttemptRecord) {
         let Stage { frame, round, number, .. } = record.task.stage;
         let Some(template) = shape.spec.graph.stage(number) else { return };
-        let item = Grains::of(template, round, None, shape.cut).task(record.task.index);
-        let key = Key { frame, number, item, round, index: record.task.index, epoch: record.epoch.0 };
+        let item = Chunks::new(template, round, None, shape.cut).task(record.task.index);
+        let key = AttemptKey { frame, number, item, round, index: record.task.index, epoch: record.epoch.0 };
         let new = Entry {
             granted: record.granted,
             ended: record.ended,
@@ -120,36 +122,36 @@ impl JobTimes {
     }
 
     /// Updates the sums of frames that have new attempts.
-    pub fn add_up(&mut self) {
+    pub fn update_sums(&mut self) {
         for frame in std::mem::take(&mut self.stale) {
-            let sum: Sum = self.attempts.range(Key::of_frame(frame)).map(|(_, entry)| entry.span()).collect();
+            let sum: Sum = self.attempts.range(AttemptKey::frame_range(frame)).map(|(_, entry)| entry.span()).collect();
             self.frames.extend(sum.times().map(|times| (frame, times)));
         }
     }
 
     /// Returns the times of a frame, or of the job's own stages; `None`: no attempt at its tasks has ended.
-    pub fn frame(&self, frame: u32) -> Option<Times> {
+    pub fn frame(&self, frame: u32) -> Option<AttemptTimes> {
         self.frames.get(&frame).copied()
     }
 
     /// Returns the processor seconds and wall seconds of all frames and of the job's own stages.
-    pub fn job(&self) -> (f64, f64) {
+    pub fn totals(&self) -> (f64, f64) {
         let all = self.frames.values();
         (all.clone().map(|times| times.processor).sum(), all.map(|times| times.wall).sum())
     }
 
     /// Fills in the times of a frame.
-    pub fn tell_frame(&self, status: &mut FrameStatus) {
+    pub fn fill_frame(&self, status: &mut FrameStatus) {
         status.times = self.frame(status.frame);
     }
 
     /// Fills in the times of a task. For a task that is done or failed, also fills in the workers; for one that is done, also the
     /// number of attempts.
-    pub fn tell_task(&self, status: &mut TaskStatus) {
+    pub fn fill_task(&self, status: &mut TaskStatus) {
         let TaskKey { stage: Stage { frame, round, number, .. }, index: item, .. } = status.task;
-        let rounds = if status.is_of_all_rounds { 0..=u32::MAX } else { round..=round };
+        let rounds = if status.covers_all_rounds { 0..=u32::MAX } else { round..=round };
         let mut entries: Vec<&Entry> =
-            self.attempts.range(Key::of_task(frame, number, item, rounds)).map(|(_, entry)| entry).collect();
+            self.attempts.range(AttemptKey::task_range(frame, number, item, rounds)).map(|(_, entry)| entry).collect();
         status.times = entries.iter().map(|entry| entry.span()).collect::<Sum>().times();
         let Some(times) = status.times else { return };
         if matches!(status.state, TaskState::Done | TaskState::Failed) {

@@ -4,12 +4,12 @@
 //! the ledger does not grow with the number of attempts. A job's records are read once, and later only from where the last read
 //! ended.
 
-mod book;
+mod cache;
 mod job;
 mod sum;
 #[cfg(test)]
 mod tests;
 
-pub use book::Book;
+pub use cache::TimesCache;
 pub use job::JobTimes;
 pub use sum::{Span, Sum};

@@ -1,6 +1,6 @@
 //! Sums of the times of several attempts.
 
-use femc_model::{Tick, Times, Usage};
+use femc_model::{AttemptTimes, ResourceUsage, Tick};
 
 /// Time span and usage of an attempt, in seconds of the farm's clock.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -22,7 +22,7 @@ pub struct Span {
 impl Span {
     /// Makes the span of an attempt.
     /// - `usage`: measurement of the worker, if known.
-    pub fn new(granted: Tick, ended: Tick, usage: Option<Usage>) -> Self {
+    pub fn new(granted: Tick, ended: Tick, usage: Option<ResourceUsage>) -> Self {
         let seconds = |tick: Tick| tick.0 as f64 / 1000.0;
         let granted = seconds(granted);
         let ended = seconds(ended).max(granted);
@@ -43,7 +43,7 @@ impl Span {
 /// negative. Waiting plus wall seconds are at least the time from the first lease to the end of the last one.
 #[derive(Debug, Clone, Default)]
 pub struct Sum {
-    times: Times,
+    times: AttemptTimes,
     lease: Option<(f64, f64)>,
     runs: Vec<(f64, f64)>,
 }
@@ -60,7 +60,7 @@ impl Sum {
     }
 
     /// Returns the sums; `None`: nothing was added.
-    pub fn times(mut self) -> Option<Times> {
+    pub fn times(mut self) -> Option<AttemptTimes> {
         let (first, last) = self.lease?;
         self.runs.sort_by(|a, b| a.0.total_cmp(&b.0));
         let (mut busy, mut until) = (0.0, first);
@@ -68,7 +68,7 @@ impl Sum {
             busy += (stopped - began.max(until)).max(0.0);
             until = f64::max(until, stopped);
         }
-        Some(Times { waiting: (last - first - busy).max(0.0), ..self.times })
+        Some(AttemptTimes { waiting: (last - first - busy).max(0.0), ..self.times })
     }
 }
 

@@ -4,18 +4,18 @@ use std::num::NonZeroU64;
 
 use femc_model::*;
 
-use super::{Book, JobTimes};
-use crate::attempts::{By, JobRecord, rows};
+use super::{JobTimes, TimesCache};
+use crate::attempts::{GroupBy, JobRecord, rows};
 use crate::call::{AttemptPage, Call, JobShape};
 use crate::farm::Farm;
 
 /// Makes a job with tiles of 64 units in two rounds of 8 steps each, and an image.
 fn shape() -> JobShape {
-    let tiles = Template::new(StageKind::Render, Scope::Frame, [(4, 64)].into_iter().collect(), &[Role::Tile]);
-    let image = Template::new(StageKind::Image, Scope::Frame, [(1, 1)].into_iter().collect(), &[Role::Image]);
+    let tiles = StageTemplate::new(StageKind::Render, Scope::Frame, [(4, 64)].into_iter().collect(), &[Role::Tile]);
+    let image = StageTemplate::new(StageKind::Image, Scope::Frame, [(1, 1)].into_iter().collect(), &[Role::Image]);
     let spec = JobSpec {
         name: "drive".into(),
-        bundle: Digest::of(b"scene"),
+        bundle: Digest::compute(b"scene"),
         entry: "drive.mgf".into(),
         settings: "{}".into(),
         frames: vec![1, 2, 3],
@@ -28,7 +28,7 @@ fn shape() -> JobShape {
         notes: JobNotes::default(),
     };
     // Two chunks for each task and round.
-    JobShape { spec: Box::new(spec), cut: Cut::Grains(NonZeroU64::new(256).expect("not zero")) }
+    JobShape { spec: Box::new(spec), cut: ChunkSize::Units(NonZeroU64::new(256).expect("not zero")) }
 }
 
 fn task(frame: u32, round: u32, index: u32) -> TaskKey {
@@ -45,17 +45,17 @@ fn attempt(task: TaskKey, epoch: u64, [granted, ended]: [u64; 2], [wait, wall, c
         instance: epoch % 2,
         granted: Tick(granted),
         ended: Tick(ended),
-        ending: Ending::Done,
+        ending: LeaseEnding::Done,
         samples: 64,
         relative_error: None,
-        usage: Some(Usage { wait, wall, cpu, ..Usage::default() }),
+        usage: Some(ResourceUsage { wait, wall, cpu, ..ResourceUsage::default() }),
     }
 }
 
 fn times(records: &[AttemptRecord]) -> JobTimes {
     let (shape, mut times) = (shape(), JobTimes::default());
     records.iter().for_each(|record| times.put(&shape, record));
-    times.add_up();
+    times.update_sums();
     times
 }
 
@@ -63,7 +63,7 @@ fn status(task: TaskKey, state: TaskState, is_of_all_rounds: bool) -> TaskStatus
     TaskStatus {
         task,
         state,
-        is_of_all_rounds,
+        covers_all_rounds: is_of_all_rounds,
         workers: Vec::new(),
         attempts: 0,
         seconds: None,
@@ -119,15 +119,15 @@ fn frames_and_tasks_add_up_to_job_and_rows_of_statistics() {
         // Some leases end before the time that the worker measured, and some long after it.
         let ended = granted + ((wait + wall) * 1000.0 * (0.9 + next())) as u64;
         let record = attempt(task, epoch, [granted, ended], [wait, wall, wall * next()]);
-        let ending = Ending::ALL[epoch as usize % 5];
-        let usage = record.usage.filter(|_| ending != Ending::Lost);
+        let ending = LeaseEnding::ALL[epoch as usize % 5];
+        let usage = record.usage.filter(|_| ending != LeaseEnding::Lost);
         records.push(AttemptRecord { ending, usage, ..record });
     }
     let times = times(&records);
-    let frames: Vec<Times> = [1, 2, 3].map(|frame| times.frame(frame).expect("it has attempts")).into();
+    let frames: Vec<AttemptTimes> = [1, 2, 3].map(|frame| times.frame(frame).expect("it has attempts")).into();
     let near = |a: f64, b: f64| (a - b).abs() < 1e-6 * b.abs().max(1.0);
-    let sum = |of: fn(&Times) -> f64| frames.iter().map(of).sum::<f64>();
-    let (processor, wall) = times.job();
+    let sum = |of: fn(&AttemptTimes) -> f64| frames.iter().map(of).sum::<f64>();
+    let (processor, wall) = times.totals();
     assert!(near(processor, sum(|times| times.processor)) && near(wall, sum(|times| times.wall)));
     assert_eq!(frames.iter().map(|times| times.attempts as usize).sum::<usize>(), records.len());
 
@@ -135,7 +135,7 @@ fn frames_and_tasks_add_up_to_job_and_rows_of_statistics() {
     let attempts: Attempts = records.iter().cloned().collect();
     let attempts = attempts.iter().cloned().collect();
     let record = JobRecord { job: JobId(1), run: 0, variant: None, spec: *spec, cut, attempts, failures: Vec::new() };
-    for (row, frame) in rows(&[record], By::Frame).iter().zip(&frames) {
+    for (row, frame) in rows(&[record], GroupBy::Frame).iter().zip(&frames) {
         assert!(near(row.cpu, frame.processor) && near(row.wall, frame.wall) && near(row.waiting, frame.waiting));
         let leases = records.iter().filter(|record| Some(record.task.stage.frame) == row.task.map(|it| it.stage.frame));
         let (first, last) =
@@ -148,10 +148,10 @@ fn frames_and_tasks_add_up_to_job_and_rows_of_statistics() {
     // Tasks of a finished frame cover all rounds, tasks of an unfinished frame one round.
     for is_of_all_rounds in [true, false] {
         let rounds = if is_of_all_rounds { 0..1 } else { 0..2 };
-        let mut sums = Times::default();
+        let mut sums = AttemptTimes::default();
         for (round, index) in rounds.flat_map(|round| (0..4).map(move |index| (round, index))) {
             let mut status = status(task(1, round, index), TaskState::Done, is_of_all_rounds);
-            times.tell_task(&mut status);
+            times.fill_task(&mut status);
             let of_task = status.times.expect("it has attempts");
             assert_eq!(status.attempts, of_task.attempts);
             assert_eq!(status.workers.len(), 2, "{status:?}");
@@ -167,7 +167,7 @@ fn frames_and_tasks_add_up_to_job_and_rows_of_statistics() {
 #[test]
 fn attempt_noted_twice_counts_once_in_either_order() {
     let whole = attempt(task(1, 0, 0), 1, [1_000, 4_000], [0.5, 2.0, 1.5]);
-    let lost = AttemptRecord { ending: Ending::Lost, granted: Tick(0), usage: None, ..whole.clone() };
+    let lost = AttemptRecord { ending: LeaseEnding::Lost, granted: Tick(0), usage: None, ..whole.clone() };
     for records in [[lost.clone(), whole.clone()], [whole, lost]] {
         let found = times(&records).frame(1).expect("it has attempts");
         assert_eq!((found.attempts, found.processor, found.wall, found.waiting), (1, 1.5, 2.0, 2.0));
@@ -177,24 +177,24 @@ fn attempt_noted_twice_counts_once_in_either_order() {
 #[test]
 fn tasks_keep_who_did_them_and_a_waiting_task_has_no_worker() {
     let records = [
-        AttemptRecord { ending: Ending::Failed, ..attempt(task(1, 0, 0), 2, [0, 1_000], [0.0, 1.0, 1.0]) },
+        AttemptRecord { ending: LeaseEnding::Failed, ..attempt(task(1, 0, 0), 2, [0, 1_000], [0.0, 1.0, 1.0]) },
         attempt(task(1, 0, 0), 3, [1_000, 2_000], [0.0, 1.0, 1.0]),
     ];
     let times = times(&records);
-    let told = |state| {
+    let filled = |state| {
         let mut status = status(task(1, 0, 0), state, false);
-        times.tell_task(&mut status);
+        times.fill_task(&mut status);
         (status.workers, status.attempts, status.times.map(|times| times.attempts))
     };
     assert_eq!(
-        told(TaskState::Done),
+        filled(TaskState::Done),
         (vec!["w1".to_owned(), "w0".to_owned()], 2, Some(2)),
         "first whose result counts"
     );
-    assert_eq!(told(TaskState::Failed).0.len(), 2);
-    assert_eq!(told(TaskState::Waiting), (Vec::new(), 0, Some(2)), "an attempt at it has failed");
+    assert_eq!(filled(TaskState::Failed).0.len(), 2);
+    assert_eq!(filled(TaskState::Waiting), (Vec::new(), 0, Some(2)), "an attempt at it has failed");
     let mut other = status(task(2, 0, 0), TaskState::Done, true);
-    times.tell_task(&mut other);
+    times.fill_task(&mut other);
     assert_eq!((other.workers, other.attempts, other.times), (Vec::new(), 0, None));
 }
 
@@ -214,16 +214,16 @@ async fn notes_are_read_incrementally_and_dropped_when_unused() {
             there = if next.is_none() { 5 } else { there };
         }
     });
-    let (farm, shape, book) = (Farm::new(calls), shape(), Book::default());
+    let (farm, shape, book) = (Farm::new(calls), shape(), TimesCache::default());
     let mut attempts = Vec::new();
     for _ in 0..3 {
-        let times = book.of(&farm, JobId(1), &shape).await.expect("it is answered").expect("there are few");
+        let times = book.get(&farm, JobId(1), &shape).await.expect("it is answered").expect("there are few");
         attempts.push(times.frame(1).expect("it has attempts").attempts);
     }
     assert_eq!(attempts, [3, 5, 5]);
     let mut read = |count| (0..count).map(|_| pages.try_recv().expect("a page")).collect::<Vec<u64>>();
     assert_eq!(read(5), [0, 2, 2, 4, 4]);
     tokio::time::sleep(std::time::Duration::from_secs(100)).await;
-    drop(book.of(&farm, JobId(1), &shape).await);
+    drop(book.get(&farm, JobId(1), &shape).await);
     assert_eq!(read(3), [0, 2, 4], "it had been forgotten");
 }

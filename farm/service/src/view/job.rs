@@ -2,10 +2,10 @@
 
 use std::collections::BTreeMap;
 
-use femc_model::{Failure, FrameProgress, FrameStop, JobState, JobStatus, Stage, Wait};
+use femc_model::{Failure, FrameProgress, FrameStop, JobState, JobStatus, Stage, WaitReason};
 use serde::Serialize;
 
-use super::words::count;
+use super::words::counted_noun;
 
 /// A job as JSON. State names are in lower case, so that scripts do not depend on the spelling in the program.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -121,28 +121,28 @@ impl From<&JobStatus> for JobJson {
                     failure: q.failure.to_string(),
                 })
                 .collect(),
-            waits_for: waits_for(job),
-            waits: job.waits.iter().map(|it| wait(job, it)).collect(),
+            waits_for: awaited_resource(job),
+            waits: job.waits.iter().map(|it| describe_wait(job, it)).collect(),
         }
     }
 }
 
 /// Returns the resource that all tasks of a job wait for: `memory` or `store`, if the suitable workers are in a back-off because it
 /// is lacking. `None`: some of the job is done, or it waits for another reason.
-pub fn waits_for(job: &JobStatus) -> Option<&'static str> {
+pub fn awaited_resource(job: &JobStatus) -> Option<&'static str> {
     let wanted = job.waits.iter().find_map(|wait| match wait {
-        Wait::WorkersInTrouble { failure: Failure::Resources { .. }, .. } => Some("memory"),
-        Wait::WorkersInTrouble { failure: Failure::Store { .. }, .. } => Some("store"),
+        WaitReason::WorkersBackingOff { failure: Failure::Resources { .. }, .. } => Some("memory"),
+        WaitReason::WorkersBackingOff { failure: Failure::Store { .. }, .. } => Some("store"),
         _ => None,
     });
     // Another worker may be suitable and merely busy: then the job does not wait for memory.
-    let all_rest = job.workers == 0 && job.waits.contains(&Wait::WorkersResting);
+    let all_rest = job.workers == 0 && job.waits.contains(&WaitReason::AllWorkersBackingOff);
     wanted.filter(|_| all_rest && matches!(job.state, JobState::Queued | JobState::Running))
 }
 
-/// Returns the state in words: `running`, or `waits for memory` (see [`waits_for`]).
-pub fn state(job: &JobStatus) -> String {
-    waits_for(job).map_or_else(|| job.state.name().to_owned(), |wanted| format!("waits for {wanted}"))
+/// Returns the state in words: `running`, or `waits for memory` (see [`awaited_resource`]).
+pub fn state_text(job: &JobStatus) -> String {
+    awaited_resource(job).map_or_else(|| job.state.name().to_owned(), |wanted| format!("waits for {wanted}"))
 }
 
 /// Returns why the error of a job's worst frame is above its target; `None`: it is not, or there is no target.
@@ -170,8 +170,8 @@ impl From<&FrameProgress> for ActiveJson {
 }
 
 /// Returns the name of a frame, or "the whole job".
-pub fn unit(frame: u32) -> String {
-    if frame == Stage::OF_JOB { "the whole job".to_owned() } else { format!("frame {frame}") }
+pub fn frame_label(frame: u32) -> String {
+    if frame == Stage::JOB_FRAME { "the whole job".to_owned() } else { format!("frame {frame}") }
 }
 
 fn has(n: u32) -> &'static str {
@@ -179,93 +179,93 @@ fn has(n: u32) -> &'static str {
 }
 
 /// Describes why tasks of the job wait.
-pub fn wait(job: &JobStatus, wait: &Wait) -> String {
+pub fn describe_wait(job: &JobStatus, wait: &WaitReason) -> String {
     match wait {
-        Wait::Paused => "the job is paused".to_owned(),
-        Wait::NoWorkers => "no worker is connected; start one with `femc worker --join URL`".to_owned(),
-        Wait::NoWorkerWithTags(tags) => format!("no worker has all the tags {}", tags.join(", ")),
-        Wait::WorkersBusy { workers: 1 } => "the only suitable worker is busy".to_owned(),
-        Wait::WorkersBusy { workers } => format!("all {workers} suitable workers are busy"),
-        Wait::WorkersDraining { workers: 1 } => {
+        WaitReason::Paused => "the job is paused".to_owned(),
+        WaitReason::NoWorkers => "no worker is connected; start one with `femc worker --join URL`".to_owned(),
+        WaitReason::NoWorkerWithTags(tags) => format!("no worker has all the tags {}", tags.join(", ")),
+        WaitReason::WorkersBusy { workers: 1 } => "the only suitable worker is busy".to_owned(),
+        WaitReason::WorkersBusy { workers } => format!("all {workers} suitable workers are busy"),
+        WaitReason::WorkersDraining { workers: 1 } => {
             "the only suitable worker accepts no new tasks; see `femc workers`".to_owned()
         }
-        Wait::WorkersDraining { workers } => {
+        WaitReason::WorkersDraining { workers } => {
             format!("all {workers} suitable workers accept no new tasks; see `femc workers`")
         }
-        Wait::WorkersResting => {
+        WaitReason::AllWorkersBackingOff => {
             "the suitable workers rest after a failure of memory, disk, store or network".to_owned()
         }
-        Wait::WorkersSilent { workers, seconds } => {
-            let (workers, verb) = (count(u64::from(*workers), "worker"), has(*workers));
+        WaitReason::WorkersSilent { workers, seconds } => {
+            let (workers, verb) = (counted_noun(u64::from(*workers), "worker"), has(*workers));
             format!(
                 "{workers} {verb} not responded for {seconds} s: stopped, disconnected or overloaded; see `femc workers`"
             )
         }
-        Wait::WorkersInTrouble { workers: 1, seconds, failure } => {
+        WaitReason::WorkersBackingOff { workers: 1, seconds, failure } => {
             format!("1 worker rests for another {seconds} s after this failure: {failure}")
         }
-        Wait::WorkersInTrouble { workers, seconds, failure } => {
+        WaitReason::WorkersBackingOff { workers, seconds, failure } => {
             format!("{workers} workers rest, the first one for another {seconds} s, after this failure: {failure}")
         }
-        Wait::WorkersQuarantined { workers, seconds } => format!(
+        WaitReason::WorkersQuarantined { workers, seconds } => format!(
             "tasks failed repeatedly on {}; the next attempt there is in {seconds} s",
-            count(u64::from(*workers), "worker")
+            counted_noun(u64::from(*workers), "worker")
         ),
-        Wait::WorkersAvoided { tasks } => format!(
+        WaitReason::WorkersAvoided { tasks } => format!(
             "the last attempt at {} failed on the workers that are free now; another worker must retry",
-            count(u64::from(*tasks), "task")
+            counted_noun(u64::from(*tasks), "task")
         ),
-        Wait::OtherBuild { frames } => format!(
+        WaitReason::OtherBuild { frames } => format!(
             "the free workers have another engine build than the one that began {}; \
              rendering restarts one minute after the last worker with that build disconnects",
-            count(u64::from(*frames), "frame")
+            counted_noun(u64::from(*frames), "frame")
         ),
-        Wait::Regrouping { milliseconds } => {
+        WaitReason::Regrouping { milliseconds } => {
             format!(
                 "the coordinator has just started and waits until workers reconnect; \
                  it dispatches tasks in {milliseconds} ms"
             )
         }
-        Wait::BehindJob(job) => format!("job {job} is ahead in the queue"),
-        Wait::StageWaits { frame, stage, needs, tasks } => {
-            let tasks = count(u64::from(*tasks), &format!("{} task", needs.name()));
-            format!("the {} stage of {} waits for {tasks}", stage.name(), unit(*frame))
+        WaitReason::BehindJob(job) => format!("job {job} is ahead in the queue"),
+        WaitReason::StageWaits { frame, stage, needs, tasks } => {
+            let tasks = counted_noun(u64::from(*tasks), &format!("{} task", needs.name()));
+            format!("the {} stage of {} waits for {tasks}", stage.name(), frame_label(*frame))
         }
-        Wait::SharedStage { shared, stage, done, tasks, jobs } => {
-            let jobs = count(u64::from(*jobs), "job");
+        WaitReason::SharedStage { shared, stage, done, tasks, jobs } => {
+            let jobs = counted_noun(u64::from(*jobs), "job");
             let stage = stage.name();
             format!(
                 "frames wait for {shared}, which is computed once for {jobs}: \
                  {done} of {tasks} {stage} tasks are done"
             )
         }
-        Wait::SharedQuarantined { shared, frames, tasks } => {
-            let (frames, tasks) = (count(u64::from(*frames), "frame"), count(u64::from(*tasks), "task"));
+        WaitReason::SharedQuarantined { shared, frames, tasks } => {
+            let (frames, tasks) = (counted_noun(u64::from(*frames), "frame"), counted_noun(u64::from(*tasks), "task"));
             format!("{frames} cannot continue: {shared}, which they need, has {tasks} without attempts left")
         }
-        Wait::Mishaps { tasks, message } => {
+        WaitReason::InfrastructureFailures { tasks, message } => {
             format!(
                 "attempts at {} failed because of their environment (store, network or memory) \
                  and will be retried: {message}",
-                count(u64::from(*tasks), "task")
+                counted_noun(u64::from(*tasks), "task")
             )
         }
-        Wait::ImageLost { frame: Stage::OF_JOB } => {
+        WaitReason::ImageLost { frame: Stage::JOB_FRAME } => {
             "a still, the contact sheet or the clip is damaged or missing in the store; the job's own stages make it again"
                 .to_owned()
         }
-        Wait::ImageLost { frame } => {
+        WaitReason::ImageLost { frame } => {
             format!(
                 "the finished image of frame {frame} is damaged or missing in the store; the frame is rendered again"
             )
         }
-        Wait::Quarantined { frame: Stage::OF_JOB, tasks: 0 } => format!(
+        WaitReason::Quarantined { frame: Stage::JOB_FRAME, tasks: 0 } => format!(
             "the job's own stages (stills, contact sheet, clip) wait for {} that failed; retry with `femc retry {}`",
-            count(u64::from(job.frames_failed), "frame"),
+            counted_noun(u64::from(job.frames_failed), "frame"),
             job.job
         ),
-        Wait::Quarantined { frame, tasks } => {
-            format!("{} cannot continue: {} without attempts left", unit(*frame), count(u64::from(*tasks), "task"))
+        WaitReason::Quarantined { frame, tasks } => {
+            format!("{} cannot continue: {} without attempts left", frame_label(*frame), counted_noun(u64::from(*tasks), "task"))
         }
     }
 }
@@ -311,30 +311,34 @@ mod tests {
     #[test]
     fn job_with_nothing_running_states_that_it_waits_for_memory() {
         let failure = Failure::Resources { message: "full".into() };
-        let waits = vec![Wait::WorkersResting, Wait::WorkersInTrouble { workers: 1, seconds: 3, failure }];
+        let waits =
+            vec![WaitReason::AllWorkersBackingOff, WaitReason::WorkersBackingOff { workers: 1, seconds: 3, failure }];
         let waiting = JobStatus { state: JobState::Running, workers: 0, waits, ..status() };
-        assert_eq!((state(&waiting), waits_for(&waiting)), ("waits for memory".to_owned(), Some("memory")));
+        assert_eq!((state_text(&waiting), awaited_resource(&waiting)), ("waits for memory".to_owned(), Some("memory")));
         for other in [
             JobStatus { workers: 1, ..waiting.clone() },
             JobStatus { state: JobState::Done, ..waiting.clone() },
-            JobStatus { waits: vec![Wait::WorkersResting], ..waiting.clone() },
-            JobStatus { waits: vec![Wait::WorkersBusy { workers: 1 }, waiting.waits[1].clone()], ..waiting.clone() },
+            JobStatus { waits: vec![WaitReason::AllWorkersBackingOff], ..waiting.clone() },
+            JobStatus {
+                waits: vec![WaitReason::WorkersBusy { workers: 1 }, waiting.waits[1].clone()],
+                ..waiting.clone()
+            },
         ] {
-            assert_eq!((state(&other), waits_for(&other)), (other.state.name().to_owned(), None));
+            assert_eq!((state_text(&other), awaited_resource(&other)), (other.state.name().to_owned(), None));
         }
     }
 
     #[test]
     fn stages_of_the_whole_job_are_no_frame_in_what_a_job_waits_for() {
         let job = status();
-        let said = |reason| wait(&job, &reason);
-        let waits = said(Wait::Quarantined { frame: Stage::OF_JOB, tasks: 0 });
+        let said = |reason| describe_wait(&job, &reason);
+        let waits = said(WaitReason::Quarantined { frame: Stage::JOB_FRAME, tasks: 0 });
         assert!(waits.contains("wait for 3 frames that failed") && waits.contains("`femc retry 7`"), "{waits}");
-        let lost = said(Wait::ImageLost { frame: Stage::OF_JOB });
+        let lost = said(WaitReason::ImageLost { frame: Stage::JOB_FRAME });
         assert!(lost.contains("clip") && !lost.contains("frame"), "{lost}");
-        assert!(said(Wait::ImageLost { frame: 3 }).contains("image of frame 3"));
+        assert!(said(WaitReason::ImageLost { frame: 3 }).contains("image of frame 3"));
         assert!(
-            said(Wait::Quarantined { frame: 3, tasks: 1 })
+            said(WaitReason::Quarantined { frame: 3, tasks: 1 })
                 .contains("frame 3 cannot continue: 1 task without attempts left")
         );
     }

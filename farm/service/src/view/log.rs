@@ -1,6 +1,6 @@
 //! JSON of the log of an attempt.
 
-use femc_model::{Attempt, LogRecord};
+use femc_model::{AttemptOutcome, LogRecord};
 use serde::Serialize;
 
 /// A log as JSON.
@@ -21,9 +21,9 @@ impl LogJson {
             task: record.task.to_string(),
             epoch: record.epoch.0,
             worker: record.worker.clone(),
-            attempt: match record.log.attempt {
-                Attempt::Done => "done",
-                Attempt::Failed => "failed",
+            attempt: match record.log.outcome {
+                AttemptOutcome::Done => "done",
+                AttemptOutcome::Failed => "failed",
             },
             seconds: record.log.seconds,
             text,

@@ -9,10 +9,10 @@ mod usage;
 mod words;
 mod worker;
 
-pub use job::{JobJson, above_target, state, unit, wait, waits_for};
+pub use job::{JobJson, above_target, awaited_resource, describe_wait, frame_label, state_text};
 pub use log::LogJson;
 pub use spec::{SpecJson, error_target};
 pub use table::{FrameJson, TaskJson};
 pub use usage::usage_columns;
-pub use words::count;
-pub use worker::{OfflineJson, WorkerJson, intake};
+pub use words::counted_noun;
+pub use worker::{OfflineJson, WorkerJson, intake_name};

@@ -1,6 +1,6 @@
 //! JSON of a job's frames and tasks.
 
-use femc_model::{FrameStatus, Output, Role, TaskStatus, Times};
+use femc_model::{AttemptTimes, FrameStatus, Output, Role, TaskStatus};
 use serde::Serialize;
 
 /// A frame as JSON. Number 0 stands for the job's own stages.
@@ -43,8 +43,8 @@ struct TimesJson {
     waiting_seconds: Option<f64>,
 }
 
-impl From<Option<Times>> for TimesJson {
-    fn from(times: Option<Times>) -> Self {
+impl From<Option<AttemptTimes>> for TimesJson {
+    fn from(times: Option<AttemptTimes>) -> Self {
         Self {
             processor_seconds: times.map(|times| times.processor),
             wall_seconds: times.map(|times| times.wall),

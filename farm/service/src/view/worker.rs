@@ -29,7 +29,7 @@ impl From<&WorkerStatus> for WorkerJson {
             silent_seconds: worker.silent as f64 / 1000.0,
             completed: worker.completed,
             failed: worker.failed,
-            intake: intake(worker.intake),
+            intake: intake_name(worker.intake),
             engine: worker.engine.clone(),
         }
     }
@@ -37,7 +37,7 @@ impl From<&WorkerStatus> for WorkerJson {
 
 impl WorkerJson {
     /// Replaces the time of silence with a transformed one.
-    pub fn silent(self, measure: impl FnOnce(f64) -> f64) -> Self {
+    pub fn map_silence(self, measure: impl FnOnce(f64) -> f64) -> Self {
         Self { silent_seconds: measure(self.silent_seconds), ..self }
     }
 }
@@ -60,13 +60,13 @@ impl OfflineJson {
 
 impl From<&OfflineWorker> for OfflineJson {
     fn from(worker: &OfflineWorker) -> Self {
-        let OfflineWorker { name, threads, tags, engine, heard } = worker.clone();
+        let OfflineWorker { name, threads, tags, engine, last_contact: heard } = worker.clone();
         Self { name, threads, tags, engine, intake: Self::OFFLINE, last_contact: heard as f64 / 1000.0 }
     }
 }
 
 /// Returns in one word whether a worker gets more tasks.
-pub fn intake(intake: Intake) -> &'static str {
+pub fn intake_name(intake: Intake) -> &'static str {
     match intake {
         Intake::Open => "open",
         Intake::Off => "off",

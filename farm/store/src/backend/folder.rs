@@ -7,10 +7,10 @@ use std::{fs, io};
 use femc_model::Digest;
 
 /// A file of an upload, with its size in bytes.
-pub(crate) type Staged = (PathBuf, u64);
+pub(crate) type UploadFile = (PathBuf, u64);
 
 /// Returns the upload files below `root` that have not changed for `idle`.
-pub(crate) fn staged(root: &Path, idle: Duration) -> io::Result<Vec<Staged>> {
+pub(crate) fn upload_files(root: &Path, idle: Duration) -> io::Result<Vec<UploadFile>> {
     let mut all = Vec::new();
     for folder in fs::read_dir(root)? {
         let folder = folder?;
@@ -19,7 +19,7 @@ pub(crate) fn staged(root: &Path, idle: Duration) -> io::Result<Vec<Staged>> {
         }
         for file in fs::read_dir(folder.path())? {
             let file = file?;
-            if !is_staged(&folder.file_name().to_string_lossy(), &file.file_name().to_string_lossy()) {
+            if !is_upload_file(&folder.file_name().to_string_lossy(), &file.file_name().to_string_lossy()) {
                 continue;
             }
             // A file that has been renamed or removed meanwhile is skipped.
@@ -41,7 +41,7 @@ pub(crate) fn remove(path: &Path) -> io::Result<()> {
 }
 
 /// Checks for an upload file: `object_store` writes `ab/cdef...#1` and renames it at the end.
-fn is_staged(folder: &str, file: &str) -> bool {
+fn is_upload_file(folder: &str, file: &str) -> bool {
     let Some((name, number)) = file.split_once('#') else { return false };
     format!("{folder}{name}").parse::<Digest>().is_ok() && number.parse::<u64>().is_ok()
 }

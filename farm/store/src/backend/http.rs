@@ -30,12 +30,12 @@ const PIECE: Duration = Duration::from_secs(20);
 
 /// Factory of HTTP clients.
 #[derive(Debug)]
-pub(super) struct Https;
+pub(super) struct HttpsConnectorFactory;
 
-impl HttpConnector for Https {
+impl HttpConnector for HttpsConnectorFactory {
     fn connect(&self, options: &ClientOptions) -> object_store::Result<HttpClient> {
         let is_plain = options.get_config_value(&ClientConfigKey::AllowHttp).is_some_and(|value| value == "true");
-        let connector = connector(if is_plain { Plain::Allowed } else { Plain::Refused });
+        let connector = https_connector(if is_plain { PlaintextPolicy::Allowed } else { PlaintextPolicy::Refused });
         let connector = connector.map_err(|source| object_store::Error::Generic { store: "TLS", source })?;
         let client = Client::builder(TokioExecutor::new()).pool_timer(TokioTimer::new()).build(connector);
         Ok(HttpClient::new(Service { client }))
@@ -44,7 +44,7 @@ impl HttpConnector for Https {
 
 /// Policy for connections without encryption.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Plain {
+pub enum PlaintextPolicy {
     /// `http:` and `https:`.
     Allowed,
     /// `https:` only.
@@ -55,18 +55,20 @@ pub enum Plain {
 ///
 /// # Errors
 /// The machine has no root certificates and plain connections are refused; or TLS cannot be set up.
-pub fn connector(plain: Plain) -> Result<HttpsConnector<connect::HttpConnector>, Box<dyn Error + Send + Sync>> {
+pub fn https_connector(
+    policy: PlaintextPolicy,
+) -> Result<HttpsConnector<connect::HttpConnector>, Box<dyn Error + Send + Sync>> {
     let mut tcp = connect::HttpConnector::new();
     tcp.set_connect_timeout(Some(CONNECT));
     tcp.set_nodelay(true);
     tcp.enforce_http(false);
     let provider = rustls::crypto::ring::default_provider();
-    Ok(match (HttpsConnectorBuilder::new().with_provider_and_native_roots(provider), plain) {
-        (Ok(tls), Plain::Allowed) => tls.https_or_http().enable_http1().wrap_connector(tcp),
-        (Ok(tls), Plain::Refused) => tls.https_only().enable_http1().wrap_connector(tcp),
+    Ok(match (HttpsConnectorBuilder::new().with_provider_and_native_roots(provider), policy) {
+        (Ok(tls), PlaintextPolicy::Allowed) => tls.https_or_http().enable_http1().wrap_connector(tcp),
+        (Ok(tls), PlaintextPolicy::Refused) => tls.https_only().enable_http1().wrap_connector(tcp),
         // Without root certificates, a machine can still connect to servers without TLS.
-        (Err(_), Plain::Allowed) => without_roots()?.https_or_http().enable_http1().wrap_connector(tcp),
-        (Err(error), Plain::Refused) => return Err(error.into()),
+        (Err(_), PlaintextPolicy::Allowed) => without_roots()?.https_or_http().enable_http1().wrap_connector(tcp),
+        (Err(error), PlaintextPolicy::Refused) => return Err(error.into()),
     })
 }
 
@@ -90,7 +92,7 @@ impl HttpService for Service {
         let answer = tokio::time::timeout(ANSWER, self.client.request(request)).await;
         let answer = answer.map_err(|late| HttpError::new(HttpErrorKind::Timeout, late))?;
         let (head, body) = answer.map_err(|error| HttpError::new(kind(&error), error))?.into_parts();
-        Ok(HttpResponse::from_parts(head, HttpResponseBody::new(Patient::new(body))))
+        Ok(HttpResponse::from_parts(head, HttpResponseBody::new(TimeoutBody::new(body))))
     }
 }
 
@@ -99,10 +101,10 @@ fn kind(error: &hyper_util::client::legacy::Error) -> HttpErrorKind {
         return HttpErrorKind::Connect;
     }
     let cause = error.source().and_then(|cause| cause.downcast_ref::<hyper::Error>());
-    cause.map_or(HttpErrorKind::Interrupted, broken)
+    cause.map_or(HttpErrorKind::Interrupted, transfer_error_kind)
 }
 
-fn broken(error: &hyper::Error) -> HttpErrorKind {
+fn transfer_error_kind(error: &hyper::Error) -> HttpErrorKind {
     if error.is_timeout() {
         HttpErrorKind::Timeout
     } else if error.is_canceled() || error.is_closed() || error.is_incomplete_message() {
@@ -113,28 +115,30 @@ fn broken(error: &hyper::Error) -> HttpErrorKind {
 }
 
 /// A body that fails when no data arrives for [`PIECE`].
-struct Patient {
+struct TimeoutBody {
     body: Incoming,
-    silence: Pin<Box<Sleep>>,
+    idle_timer: Pin<Box<Sleep>>,
 }
 
-impl Patient {
+impl TimeoutBody {
     fn new(body: Incoming) -> Self {
-        Self { body, silence: Box::pin(tokio::time::sleep(PIECE)) }
+        Self { body, idle_timer: Box::pin(tokio::time::sleep(PIECE)) }
     }
 }
 
-impl Body for Patient {
+impl Body for TimeoutBody {
     type Data = Bytes;
     type Error = HttpError;
 
     fn poll_frame(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, HttpError>>> {
         if let Poll::Ready(frame) = Pin::new(&mut self.body).poll_frame(cx) {
-            self.silence.as_mut().reset(Instant::now() + PIECE);
-            return Poll::Ready(frame.map(|frame| frame.map_err(|error| HttpError::new(broken(&error), error))));
+            self.idle_timer.as_mut().reset(Instant::now() + PIECE);
+            return Poll::Ready(
+                frame.map(|frame| frame.map_err(|error| HttpError::new(transfer_error_kind(&error), error))),
+            );
         }
         let late = || std::io::Error::new(std::io::ErrorKind::TimedOut, "the response stopped before its end");
-        self.silence.as_mut().poll(cx).map(|()| Some(Err(HttpError::new(HttpErrorKind::Timeout, late()))))
+        self.idle_timer.as_mut().poll(cx).map(|()| Some(Err(HttpError::new(HttpErrorKind::Timeout, late()))))
     }
 
     fn size_hint(&self) -> SizeHint {
@@ -154,7 +158,9 @@ mod tests {
         let url = format!("http://{}/", server.local_addr().unwrap());
         for is_allowed in [false, true] {
             // A machine without root certificates refuses already here.
-            let Ok(client) = Https.connect(&ClientOptions::new().with_allow_http(is_allowed)) else { continue };
+            let Ok(client) = HttpsConnectorFactory.connect(&ClientOptions::new().with_allow_http(is_allowed)) else {
+                continue;
+            };
             let request = hyper::Request::get(&url).body(HttpRequestBody::empty()).unwrap();
             let reached = tokio::select! {
                 biased;

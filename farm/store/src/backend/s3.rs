@@ -12,11 +12,11 @@ use object_store::path::Path;
 use object_store::prefix::PrefixStore;
 use object_store::{BackoffConfig, ObjectStore, RetryConfig};
 
-use super::http::Https;
+use super::http::HttpsConnectorFactory;
 use crate::StoreError;
 
 /// Timeout of one S3 call with its retries; longer outages are retried per task.
-const PATIENCE: Duration = Duration::from_secs(20);
+const RETRY_TIMEOUT: Duration = Duration::from_secs(20);
 
 /// Opens the store at `url`. No request is sent yet.
 pub(crate) fn open(url: &str) -> Result<Arc<dyn ObjectStore>, StoreError> {
@@ -27,10 +27,10 @@ pub(crate) fn open(url: &str) -> Result<Arc<dyn ObjectStore>, StoreError> {
         return Err(wrong("a bucket name (letters, digits, `.`, `-` and `_`) must follow s3://"));
     }
     let prefix = Path::parse(prefix).map_err(|error| wrong(&error.to_string()))?;
-    let retry = RetryConfig { backoff: BackoffConfig::default(), max_retries: 5, retry_timeout: PATIENCE };
+    let retry = RetryConfig { backoff: BackoffConfig::default(), max_retries: 5, retry_timeout: RETRY_TIMEOUT };
     let bucket = AmazonS3Builder::from_env()
         .with_bucket_name(bucket)
-        .with_http_connector(Https)
+        .with_http_connector(HttpsConnectorFactory)
         .with_retry(retry)
         .build()
         .map_err(|error| StoreError::Medium { store: url.to_owned(), error })?;

@@ -9,7 +9,7 @@ use super::operation;
 use crate::wire;
 
 /// Returns the path of each call with its documented callers: the words after "Who may:" in its comment.
-fn documented() -> Vec<(String, String)> {
+fn documented_callers() -> Vec<(String, String)> {
     let all = FileDescriptorSet::decode(wire::DESCRIPTORS).expect("a descriptor");
     let mut found = Vec::new();
     for file in &all.file {
@@ -28,7 +28,7 @@ fn documented() -> Vec<(String, String)> {
 
 #[test]
 fn who_may_call_by_the_documentation_may_call() {
-    let documented = documented();
+    let documented = documented_callers();
     assert!(documented.len() > 15, "{documented:?}");
     for (path, who) in documented {
         let right = match who.as_str() {

@@ -1,4 +1,4 @@
 //! Tests of the painter and of its committed pictures.
 
-mod sight;
+mod render_view;
 mod styles;

@@ -1,12 +1,12 @@
 //! Checks that this program makes the committed pictures from the committed guides, byte for byte.
 
 use femc_painter::guides::LAYERS;
-use femc_painter::{Guides, PainterError, STYLES, Sight};
+use femc_painter::{Guides, PainterError, RenderView, STYLES};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-fn shipped(name: &str) -> PathBuf {
+fn shipped_path(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../styles").join(name)
 }
 
@@ -15,7 +15,7 @@ fn painter(arguments: &[&str]) -> Output {
 }
 
 /// Returns a gray ball-like slope of light of 24 x 16 pixels on a floor of another color.
-fn small() -> Guides {
+fn small_guides() -> Guides {
     let (width, height) = (24u32, 16u32);
     let column = |at: u32| (at % width) as f32;
     let upper = |at: u32| at / width < 10;
@@ -34,11 +34,11 @@ fn small() -> Guides {
 #[test]
 fn shipped_pictures_equal_paintings_of_shipped_guides_exactly() {
     let folder = tempfile::tempdir().expect("a folder");
-    let out = painter(&["paint", shipped("ball.layers.exr").to_str().unwrap(), folder.path().to_str().unwrap()]);
+    let out = painter(&["paint", shipped_path("ball.layers.exr").to_str().unwrap(), folder.path().to_str().unwrap()]);
     assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
     for style in STYLES {
         let name = format!("{}.png", style.name);
-        let (painted, kept) = (std::fs::read(folder.path().join(&name)), std::fs::read(shipped(&name)));
+        let (painted, kept) = (std::fs::read(folder.path().join(&name)), std::fs::read(shipped_path(&name)));
         let same = painted.expect("painted") == kept.expect("shipped");
         assert!(same, "scenes/styles/{name} is not what the painter makes: paint it again, look at it and commit it");
     }
@@ -46,8 +46,8 @@ fn shipped_pictures_equal_paintings_of_shipped_guides_exactly() {
 
 #[test]
 fn each_style_paints_small_render_at_its_size_and_differently() {
-    let sight = Sight::of(&small()).unwrap();
-    let pictures = STYLES.map(|style| (style.paint)(&sight));
+    let view = RenderView::from_guides(&small_guides()).unwrap();
+    let pictures = STYLES.map(|style| (style.paint)(&view));
     for (style, picture) in STYLES.iter().zip(&pictures) {
         assert_eq!((picture.width, picture.height), (24, 16), "{}", style.name);
         let [dark, light] = [0..6, 18..24].map(|columns: std::ops::Range<usize>| {
@@ -77,9 +77,9 @@ fn any_size_and_any_values_are_painted_without_a_panic() {
         guides.layers[1][0] = [8.0; 3];
         guides.albedo[0] = [0.5; 3];
         // The analysis may succeed or find no light.
-        let Ok(sight) = Sight::of(&guides) else { continue };
+        let Ok(view) = RenderView::from_guides(&guides) else { continue };
         for style in STYLES {
-            let picture = (style.paint)(&sight);
+            let picture = (style.paint)(&view);
             assert_eq!((picture.pixels.len(), picture.width), (width * height, width as u32), "{}", style.name);
         }
     }
@@ -89,10 +89,10 @@ fn any_size_and_any_values_are_painted_without_a_panic() {
 fn guides_survive_their_file_within_half_precision() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("small.exr");
-    std::fs::write(&path, small().encode(&BTreeMap::new()).unwrap()).unwrap();
+    std::fs::write(&path, small_guides().encode(&BTreeMap::new()).unwrap()).unwrap();
     let read = Guides::read(&path).unwrap();
-    assert_eq!(read.depth, small().depth);
-    for ((name, a), b) in LAYERS.iter().zip(&read.layers).zip(&small().layers) {
+    assert_eq!(read.depth, small_guides().depth);
+    for ((name, a), b) in LAYERS.iter().zip(&read.layers).zip(&small_guides().layers) {
         let close = a.as_flattened().iter().zip(b.as_flattened()).all(|(a, b)| (a - b).abs() <= b.abs() / 2048.0);
         assert!(close, "{name}");
     }
@@ -100,9 +100,9 @@ fn guides_survive_their_file_within_half_precision() {
 
 #[test]
 fn render_without_light_or_layers_is_refused() {
-    let mut dark = small();
+    let mut dark = small_guides();
     dark.layers[1].fill([0.0; 3]);
-    assert!(matches!(Sight::of(&dark), Err(PainterError::Dark)));
+    assert!(matches!(RenderView::from_guides(&dark), Err(PainterError::Dark)));
 
     let folder = tempfile::tempdir().unwrap();
     let [plain, missing] = ["plain.exr", "missing.exr"].map(|name| folder.path().join(name).display().to_string());
@@ -115,7 +115,7 @@ fn render_without_light_or_layers_is_refused() {
         precision: femc_film::exr::Precision::Half,
     });
     let named: Vec<_> = named.collect();
-    std::fs::write(&plain, femc_film::exr::encode_named([2, 2], &named, &BTreeMap::new()).unwrap()).unwrap();
+    std::fs::write(&plain, femc_film::exr::encode_named_channels([2, 2], &named, &BTreeMap::new()).unwrap()).unwrap();
     let said = |arguments: &[&str]| {
         let out = painter(arguments);
         (out.status.code(), String::from_utf8_lossy(&out.stderr).into_owned())

@@ -2,15 +2,15 @@
 
 use femc_math::glam::DVec3;
 use femc_tests::closed_forms::{
-    Case, Errors, SLABS, Slab, ball, discs, errors, floor_alone, furnace, furnace_fog, lamp_in_fog, of_discs, sphere,
-    third_exponential_integral,
+    Case, Errors, SLABS, Slab, ball_over_plate, coaxial_discs, disc_form_factor, furnace, furnace_fog, lamp_in_fog,
+    reflecting_floor, relative_errors, sphere, third_exponential_integral,
 };
 
 /// Computes the errors of a case, and checks that all of its light is a number.
-fn found(case: &Case, error: f32) -> Errors {
+fn case_errors(case: &Case, error: f32) -> Errors {
     let (solved, pairs) = case.solve(error);
     assert!(pairs.iter().flatten().all(|value| value.is_finite() && *value >= 0.0), "{}", case.name);
-    let errors = errors(&pairs);
+    let errors = relative_errors(&pairs);
     println!("{} at {error}: {errors:?}, {} leaves, {} links", case.name, solved.report.leaves, solved.report.links);
     errors
 }
@@ -22,14 +22,14 @@ fn coaxial_discs_have_their_form_factors() {
     for ([r1, r2, h], want) in
         [([1.0, 1.0, 1.0], 0.381_966), ([1.0, 2.0, 1.0], 0.763_932), ([0.5, 1.0, 2.0], 0.192_236)]
     {
-        assert!((of_discs(r1, r2, h) - want).abs() < 1e-6);
-        let case = discs(r1, r2, h);
+        assert!((disc_form_factor(r1, r2, h) - want).abs() < 1e-6);
+        let case = coaxial_discs(r1, r2, h);
         let (_, pairs) = case.solve(0.1);
         // The closed form averaged over points equals the form factor of the discs.
         let mean = pairs.iter().map(|pair| pair[1]).sum::<f64>() / pairs.len() as f64;
         assert!((mean / want - 1.0).abs() < 2e-3, "{mean}, not {want}");
         for (error, of_mean, rms) in [(0.3, 0.03, 0.05), (0.1, 0.01, 0.02), (0.03, 0.004, 0.006)] {
-            let errors = found(&case, error);
+            let errors = case_errors(&case, error);
             assert!(errors.mean.abs() < of_mean && errors.rms < rms, "{}, {error}: {errors:?}", case.name);
         }
     }
@@ -37,7 +37,7 @@ fn coaxial_discs_have_their_form_factors() {
 
 #[test]
 fn points_of_a_cube_have_the_form_factor_of_its_floor() {
-    let found = [0.1, 0.03, 0.01].map(|error| found(&floor_alone(), error));
+    let found = [0.1, 0.03, 0.01].map(|error| case_errors(&reflecting_floor(), error));
     for (errors, rms) in found.iter().zip([0.1, 0.02, 0.01]) {
         assert!(errors.mean.abs() < 1e-3 && errors.rms < rms, "{errors:?}");
     }
@@ -46,7 +46,7 @@ fn points_of_a_cube_have_the_form_factor_of_its_floor() {
 
 #[test]
 fn a_plate_under_a_ball_has_the_ball_s_form_factor() {
-    let found = found(&ball(), 0.3);
+    let found = case_errors(&ball_over_plate(), 0.3);
     assert!(found.mean.abs() < 0.05 && found.rms < 0.08, "{found:?}");
 }
 
@@ -55,7 +55,7 @@ fn a_plate_under_a_ball_has_the_ball_s_form_factor() {
 fn non_absorbing_fog_keeps_furnace_light_on_walls_and_in_fog() {
     for (scattering, most) in [(0.3, 0.05), (1.0, 0.05), (3.0, 0.13)] {
         for case in [furnace(0.5, scattering), furnace_fog(0.5, scattering)] {
-            let found = found(&case, 0.3);
+            let found = case_errors(&case, 0.3);
             assert!(found.rms < most, "{}: {found:?}", case.name);
         }
     }
@@ -70,7 +70,7 @@ fn spheres_integrate_with_a_port_and_with_gas_that_absorbs() {
         (sphere(0.5, 0.1, 0.0), 0.05, 0.06),
         (sphere(0.5, 0.0, 1.0), 0.01, 0.04),
     ] {
-        let found = found(&case, 2.0);
+        let found = case_errors(&case, 2.0);
         assert!(found.mean.abs() < mean && found.rms < rms, "{}: {found:?}", case.name);
     }
 }
@@ -82,7 +82,7 @@ fn slab_transmits_directly_twice_third_exponential_integral() {
     for (thickness, albedo) in [(1.0, 0.0), (2.0, 0.0), (1.0, 0.2)] {
         let slab = Slab { thickness, albedo, reach: 6.0, lamps: 12 };
         let (solved, _) = slab.case(0.0, 0.0).solve(if albedo == 0.0 { 0.1 } else { 1.0 });
-        let [_, _, straight] = Slab::read(&solved);
+        let [_, _, straight] = Slab::reflected_and_transmitted(&solved);
         let want = 2.0 * third_exponential_integral(thickness);
         println!("{slab:?}: {straight}, wanted {want}");
         assert!((straight / want - 1.0).abs() < 0.03, "{slab:?}: {straight}, not {want}");
@@ -96,11 +96,11 @@ fn light_of_a_lamp_in_fog_without_end_falls_off() {
     for is_walled in [true, false] {
         let case = lamp_in_fog(0.5, 5.0, is_walled);
         let (solved, pairs) = case.solve(1.0);
-        let of_distance: Vec<Errors> = pairs.chunks(7).map(errors).collect();
+        let of_distance: Vec<Errors> = pairs.chunks(7).map(relative_errors).collect();
         println!("{is_walled}: {of_distance:?}, {} elements", solved.report.elements);
         let near = of_distance[0];
         assert!(near.mean > -0.45 && near.mean < 0.1 && near.rms < 0.6, "{is_walled}: {of_distance:?}");
-        let [near, middle, far] = [1.0, 2.0, 3.0].map(|x| solved.in_fog(DVec3::X * x));
+        let [near, middle, far] = [1.0, 2.0, 3.0].map(|x| solved.fog_mean_radiance(DVec3::X * x));
         assert!(near > middle && middle > far && far > 0.0, "{near} {middle} {far}");
     }
 }
@@ -112,7 +112,7 @@ fn non_absorbing_slabs_reflect_and_transmit_as_in_closed_form() {
         let (thickness, albedo, reflected, transmitted) = SLABS[number];
         let case = Slab { thickness, albedo, reach: 6.0, lamps: 3 }.case(reflected, transmitted);
         for (error, most) in [0.3, 0.1, 0.03].into_iter().zip(most).take(4 - number) {
-            let found = found(&case, error);
+            let found = case_errors(&case, error);
             assert!(found.rms < most, "{}, error {error}: {found:?}", case.name);
         }
     }

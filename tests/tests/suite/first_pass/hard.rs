@@ -2,17 +2,17 @@
 
 use super::{CAMERA, cube};
 use femc_field::Leaf;
-use femc_pipeline::radiosity::Options;
-use femc_tests::closed_forms::Solved;
-use femc_tests::irradiance::{Point, compare, points};
+use femc_pipeline::radiosity::SolveOptions;
+use femc_tests::closed_forms::SolvedScene;
+use femc_tests::irradiance::{IrradiancePoint, compare, sample_points};
 use femc_tests::two_rooms::{WALL, two_rooms};
 use std::fmt::Write as _;
 
 const LAMP: &str = "m lamp =\n  ed 100\nv l =\n  p .5 .5 .5\nsph l .05\n";
 
 /// Solves a scene within a memory limit in bytes, and checks every number of its light.
-fn solve(text: &str, error: f32, memory: usize) -> Solved {
-    let solved = Solved::new(text, &Options { error, memory, ..Options::default() });
+fn solve(text: &str, error: f32, memory: usize) -> SolvedScene {
+    let solved = SolvedScene::new(text, &SolveOptions { error, memory, ..SolveOptions::default() });
     for leaf in solved.field.leaves.iter().chain(&solved.direct.leaves) {
         let is_number = match leaf {
             Leaf::Triangle(values) => values.iter().all(|value| value.is_finite()),
@@ -84,17 +84,17 @@ fn a_closed_room_that_takes_nothing_ends_and_says_so() {
 #[test]
 fn two_rooms_that_an_opening_joins_are_both_lit() {
     let text = two_rooms();
-    let scene = femc_tests::scene(&text);
-    let points = points(&scene, 300, 2048).unwrap_or_else(|e| panic!("{e}"));
+    let scene = femc_tests::parse_scene(&text);
+    let points = sample_points(&scene, 300, 2048).unwrap_or_else(|e| panic!("{e}"));
     let solution = super::solve_to(&text, 0.1);
     let solved = solve(&text, 0.1, 1 << 30);
-    let inside = |far: bool, point: &&Point| {
+    let inside = |far: bool, point: &&IrradiancePoint| {
         let at = solved.prepared.origin + point.position.as_dvec3() + 0.01 * point.normal.as_dvec3();
         let is_inside = at.min_element() > 0.0 && at.x < 2.0 * WALL && at.y < 4.0 && at.z < 3.0;
         is_inside && (at.x > WALL) == far
     };
     for (far, rms, least) in [(false, 0.08, 0.8), (true, 0.7, 0.1)] {
-        let side: Vec<Point> = points.iter().filter(|point| inside(far, point)).copied().collect();
+        let side: Vec<IrradiancePoint> = points.iter().filter(|point| inside(far, point)).copied().collect();
         let all = compare(&scene, &solution, &side).unwrap_or_else(|e| panic!("{e}"));
         println!("far {far}: {all:?}");
         assert!(side.len() > 50 && all.relmse.max(0.0).sqrt() < rms, "far {far}: {all:?}");

@@ -86,7 +86,7 @@ impl Parameter {
 
 impl Range {
     /// Returns the values of an axis: numbers if the specification supports them, else texts.
-    pub fn of(changes: &[&Change]) -> Self {
+    pub fn from_changes(changes: &[&Change]) -> Self {
         let numbers = || changes.iter().map(|change| change.text().parse().ok()).collect::<Option<Vec<_>>>();
         let fits = |change: &&&Change| match change {
             Change::Spp(_) | Change::MaxDepth(_) => true,
@@ -103,9 +103,10 @@ impl Range {
     }
 
     /// Returns the range of some frames, ascending.
-    pub fn frames(all: &[u32]) -> Self {
+    pub fn from_frames(all: &[u32]) -> Self {
         let whole = || Self::IntList(all.iter().map(|&frame| frame.into()).collect());
-        Frames::of(all).map_or_else(whole, |frames| Self::Ints(frames.to_string().replace("..", "-").replace('+', ":")))
+        Frames::from_even_steps(all)
+            .map_or_else(whole, |frames| Self::Ints(frames.to_string().replace("..", "-").replace('+', ":")))
     }
 
     fn kind(&self) -> &'static str {
@@ -119,7 +120,7 @@ impl Range {
 
 #[derive(Serialize)]
 #[serde(rename_all = "camelCase")]
-struct Whole<'a> {
+struct TemplateDocument<'a> {
     specification_version: &'static str,
     name: &'a str,
     description: &'a str,
@@ -152,7 +153,7 @@ struct Definition<'a> {
 }
 
 impl<'a> Definition<'a> {
-    fn of(of: &'a TaskParameter) -> Self {
+    fn from_parameter(of: &'a TaskParameter) -> Self {
         Self { name: &of.name, r#type: of.range.kind(), range: &of.range }
     }
 }
@@ -182,7 +183,7 @@ struct Action<'a> {
 impl Document {
     /// Writes the template as JSON if `out` ends in `.json`, else as YAML.
     pub fn write(&self, out: &Path) -> Result<String, TemplateError> {
-        let whole = Whole {
+        let whole = TemplateDocument {
             specification_version: "jobtemplate-2023-09",
             name: &self.name,
             description: &self.description,
@@ -190,7 +191,7 @@ impl Document {
             steps: [Step {
                 name: "Render",
                 parameter_space: Space {
-                    task_parameter_definitions: self.space.iter().map(Definition::of).collect(),
+                    task_parameter_definitions: self.space.iter().map(Definition::from_parameter).collect(),
                     combination: &self.combination,
                 },
                 host_requirements: self.attributes.as_ref().map(|attribute| Hosts { attributes: [attribute] }),

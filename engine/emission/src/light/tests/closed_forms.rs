@@ -31,8 +31,8 @@ fn corner(a: f64, b: f64, h: f64) -> f64 {
     (x / p * (y / p).atan() + y / q * (x / q).atan()) / (2.0 * PI)
 }
 
-fn grey(sides: Sides) -> Emission {
-    Emission { emittance: Rgb::ONE, profile: Profile::Lambertian, sides }
+fn gray_emission(sides: EmittingSides) -> Emission {
+    Emission { emittance: Rgb::ONE, profile: AngularProfile::Lambertian, sides }
 }
 
 #[test]
@@ -47,15 +47,15 @@ fn rectangle_gives_lamberts_irradiance_at_every_scale() {
                 origin + Vec3A::Z * (h * scale),
                 Vec3A::Y * (b * scale),
                 Vec3A::X * (a * scale),
-                grey(Sides::One),
+                gray_emission(EmittingSides::One),
             );
             let halves = Triangle::new(
                 [Vec3A::ZERO, Vec3A::Y * b, Vec3A::X * a].map(|p| origin + (Vec3A::Z * h + p) * scale),
-                grey(Sides::One),
+                gray_emission(EmittingSides::One),
             );
             let other = Triangle::new(
                 [Vec3A::X * a + Vec3A::Y * b, Vec3A::X * a, Vec3A::Y * b].map(|p| origin + (Vec3A::Z * h + p) * scale),
-                grey(Sides::One),
+                gray_emission(EmittingSides::One),
             );
             let (one, error) = irradiance(&Light::Parallelogram(light), origin, Vec3A::Z, 1);
             assert!((one - expected).abs() < 4.0 * error + 2e-5 * expected, "{scale} {a} {b} {h}: {one} {expected}");
@@ -72,8 +72,9 @@ fn rectangle_gives_lamberts_irradiance_at_every_scale() {
 
 #[test]
 fn far_and_tiny_flat_lights_follow_the_inverse_square_law() {
-    let square = Parallelogram::new(v(-5e-5, -5e-5, 0.0), Vec3A::Y * 1e-4, Vec3A::X * 1e-4, grey(Sides::Two));
-    let half = Triangle::new([Vec3A::ZERO, Vec3A::Y * 1e-4, Vec3A::X * 1e-4], grey(Sides::Two));
+    let square =
+        Parallelogram::new(v(-5e-5, -5e-5, 0.0), Vec3A::Y * 1e-4, Vec3A::X * 1e-4, gray_emission(EmittingSides::Two));
+    let half = Triangle::new([Vec3A::ZERO, Vec3A::Y * 1e-4, Vec3A::X * 1e-4], gray_emission(EmittingSides::Two));
     for (light, area) in [(Light::Parallelogram(square), 1e-8), (Light::Triangle(half), 0.5e-8)] {
         for d in [0.01f32, 1.0, 1e2, 1e4] {
             let (e, _) = irradiance(&light, v(0.0, 0.0, -d), Vec3A::Z, 4);
@@ -86,7 +87,7 @@ fn far_and_tiny_flat_lights_follow_the_inverse_square_law() {
 #[test]
 fn a_sphere_gives_the_squared_ratio_of_radius_and_distance() {
     for (radius, distance) in [(1.0f32, 1.001f32), (1.0, 2.0), (1e-4, 1.0), (1e-4, 1e4), (1e3, 1.5e3), (0.05, 7.0)] {
-        let light = Light::Sphere(Sphere::new(v(0.0, 0.0, distance), radius, grey(Sides::One)));
+        let light = Light::Sphere(Sphere::new(v(0.0, 0.0, distance), radius, gray_emission(EmittingSides::One)));
         let (e, error) = irradiance(&light, Vec3A::ZERO, Vec3A::Z, 5);
         let ratio = f64::from(radius) / f64::from(distance);
         let expected = ratio * ratio;
@@ -96,7 +97,7 @@ fn a_sphere_gives_the_squared_ratio_of_radius_and_distance() {
 
 #[test]
 fn irradiance_inside_closed_lamps_is_the_emittance_everywhere() {
-    let light = Light::Sphere(Sphere::new(v(1.0, 2.0, 3.0), -2.0, grey(Sides::One)));
+    let light = Light::Sphere(Sphere::new(v(1.0, 2.0, 3.0), -2.0, gray_emission(EmittingSides::One)));
     for i in 0..20 {
         let reference = v(1.0, 2.0, 3.0) + warp::sphere(uniform_pair(8, i)) * (0.099 * i as f32);
         let normal = warp::sphere(uniform_pair(9, i));
@@ -109,9 +110,9 @@ fn irradiance_inside_closed_lamps_is_the_emittance_everywhere() {
 fn sphere_inner_wall_gets_the_emittance_on_either_rounding_side() {
     // Regression: points that were rounded outward, half of all, saw the near wall instead, and 15 percent of the light was
     // missing.
-    for sides in [Sides::One, Sides::Two] {
+    for sides in [EmittingSides::One, EmittingSides::Two] {
         let center = v(1.0, 2.0, 3.0);
-        let sphere = Sphere::new(center, -0.7, grey(sides));
+        let sphere = Sphere::new(center, -0.7, gray_emission(sides));
         let light = Light::Sphere(sphere);
         for i in 0..200 {
             let outward = warp::sphere(uniform_pair(8, i));
@@ -131,7 +132,7 @@ fn sphere_inner_wall_gets_the_emittance_on_either_rounding_side() {
 #[test]
 fn a_coaxial_disc_gives_its_sine_squared() {
     for (r, h) in [(1.0f32, 1.0f32), (0.3, 2.0), (2.0, 1.5)] {
-        let light = Light::Ring(Ring::new(v(0.0, 0.0, h), -Vec3A::Z, 0.0, r, grey(Sides::One)));
+        let light = Light::Ring(Ring::new(v(0.0, 0.0, h), -Vec3A::Z, 0.0, r, gray_emission(EmittingSides::One)));
         let (e, error) = irradiance(&light, Vec3A::ZERO, Vec3A::Z, 6);
         let expected = f64::from(r * r) / f64::from(r * r + h * h);
         assert!((e - expected).abs() < 4.0 * error + 1e-4, "{r} {h}: {e} against {expected}");
@@ -170,13 +171,18 @@ fn the_power_is_the_flux_through_a_surrounding_sphere() {
 
 #[test]
 fn power_has_the_closed_forms() {
-    let e = grey(Sides::One);
+    let e = gray_emission(EmittingSides::One);
     let pi = std::f32::consts::PI;
     let close = |light: Light, expected: f32| assert!((light.power() / expected - 1.0).abs() < 1e-5, "{light:?}");
     close(Light::Triangle(Triangle::new([Vec3A::ZERO, Vec3A::X * 2.0, Vec3A::Y * 3.0], e)), 3.0);
     close(Light::Parallelogram(Parallelogram::new(Vec3A::ONE, v(2.0, 0.0, 0.0), v(1.0, 3.0, 0.0), e)), 6.0);
     close(
-        Light::Parallelogram(Parallelogram::new(Vec3A::ONE, v(2.0, 0.0, 0.0), v(1.0, 3.0, 0.0), grey(Sides::Two))),
+        Light::Parallelogram(Parallelogram::new(
+            Vec3A::ONE,
+            v(2.0, 0.0, 0.0),
+            v(1.0, 3.0, 0.0),
+            gray_emission(EmittingSides::Two),
+        )),
         12.0,
     );
     close(Light::Sphere(Sphere::new(Vec3A::ONE, -2.0, e)), 16.0 * pi);

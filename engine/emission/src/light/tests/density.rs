@@ -13,16 +13,16 @@ const SAMPLES: u64 = 10_000;
 /// Points that a light can sample. Lights sampled by area also draw hidden points; those sampled by direction draw only the
 /// nearest.
 #[derive(Clone, Copy, PartialEq)]
-enum Drawn {
-    Every,
+enum SampledPoints {
+    All,
     Nearest,
 }
 
-fn drawn_points(light: &Light) -> Drawn {
+fn sampled_points(light: &Light) -> SampledPoints {
     match light {
-        Light::Cone(_) | Light::Torus(_) => Drawn::Every,
-        Light::PhotometricSolid(l) if matches!(l.solid, Solid::Cylinder { .. }) => Drawn::Every,
-        _ => Drawn::Nearest,
+        Light::Cone(_) | Light::Torus(_) => SampledPoints::All,
+        Light::PhotometricSolid(l) if matches!(l.solid, Solid::Cylinder { .. }) => SampledPoints::All,
+        _ => SampledPoints::Nearest,
     }
 }
 
@@ -35,14 +35,14 @@ fn density(case: &Case, reference: Vec3A, dir: Vec3A) -> f64 {
             let position = (reference.as_dvec3() + dir.as_dvec3() * t).as_vec3a();
             f64::from(case.light.pdf(reference, position, n.as_vec3a(), dir))
         });
-    match drawn_points(&case.light) {
-        Drawn::Every => shining.sum(),
-        Drawn::Nearest => shining.take(1).sum(),
+    match sampled_points(&case.light) {
+        SampledPoints::All => shining.sum(),
+        SampledPoints::Nearest => shining.take(1).sum(),
     }
 }
 
 /// Returns the cone about the directions of a light's samples: axis and 1 - cos of the half angle, with a margin.
-fn cone_of(light: &Light, reference: Vec3A) -> Option<(Frame, f32)> {
+fn sample_cone(light: &Light, reference: Vec3A) -> Option<(Frame, f32)> {
     let frame = Frame::from_normal((light.center() - reference).normalize_or(Vec3A::Z));
     let widest = (0..4000)
         .filter_map(|i| light.sample(reference, uniform_pair(99, i)))
@@ -59,7 +59,7 @@ fn samples_follow_the_density_from_near_far_and_inside() {
         let mut lit = 0;
         for (j, &reference) in references.iter().enumerate() {
             let what = format!("{} from {reference}", case.name);
-            let Some((frame, widest)) = cone_of(&case.light, reference) else { continue };
+            let Some((frame, widest)) = sample_cone(&case.light, reference) else { continue };
             lit += 1;
             let cell = |x: f32, azimuth: f32| {
                 let row = ((x / widest * CELLS as f32) as usize).min(CELLS - 1);
@@ -68,9 +68,9 @@ fn samples_follow_the_density_from_near_far_and_inside() {
             let mut expected = vec![0.0; CELLS * CELLS];
             // Grid points along a cell. More are needed where the density is singular at the silhouette, like 1 / cos.
             let fine = CELLS
-                * match drawn_points(&case.light) {
-                    Drawn::Every => 44,
-                    Drawn::Nearest => 20,
+                * match sampled_points(&case.light) {
+                    SampledPoints::All => 44,
+                    SampledPoints::Nearest => 20,
                 };
             let solid_angle = TAU * f64::from(widest) / (fine * fine) as f64;
             for i in 0..fine * fine {
@@ -147,7 +147,7 @@ fn sample_fields_agree_with_each_other_and_the_later_density() {
 
 #[test]
 fn dark_sides_of_one_sided_lights_have_no_samples_or_density() {
-    let one = emission(Sides::One);
+    let one = emission(EmittingSides::One);
     let behind = v(0.1, 0.0, -1.0);
     for light in [
         Light::Triangle(Triangle::new([v(0.0, 0.0, 0.0), v(1.0, 0.0, 0.0), v(0.0, 1.0, 0.0)], one)),

@@ -5,7 +5,7 @@ mod density;
 mod tracer;
 
 use super::*;
-use crate::{Emission, IntensityDistribution, PhotometryKind, Profile, Sides};
+use crate::{AngularProfile, Emission, EmittingSides, IntensityDistribution, PhotometryKind};
 use femc_math::Frame;
 use femc_math::hash::{combine, unit_f32};
 use femc_stats::testing::assert_covers;
@@ -19,8 +19,8 @@ fn uniform_pair(seed: u64, i: u64) -> [f32; 2] {
     [0, 1].map(|d| unit_f32((combine(&[seed, i, d]) >> 32) as u32))
 }
 
-fn emission(sides: Sides) -> Emission {
-    Emission { emittance: Rgb::new(3.0, 2.0, 1.0), profile: Profile::Lambertian, sides }
+fn emission(sides: EmittingSides) -> Emission {
+    Emission { emittance: Rgb::new(3.0, 2.0, 1.0), profile: AngularProfile::Lambertian, sides }
 }
 
 fn v(x: f32, y: f32, z: f32) -> Vec3A {
@@ -65,8 +65,8 @@ struct Case {
 
 /// Makes every kind of light about the origin, about a meter in size.
 fn cases() -> Vec<Case> {
-    let (one, two) = (emission(Sides::One), emission(Sides::Two));
-    let lobe = Emission { profile: Profile::Lobe { exponent: 6.0 }, ..one };
+    let (one, two) = (emission(EmittingSides::One), emission(EmittingSides::Two));
+    let lobe = Emission { profile: AngularProfile::Lobe { exponent: 6.0 }, ..one };
     let mut list = Vec::new();
     let mut add = |name, light, patches| list.push(Case { name, light, patches });
 

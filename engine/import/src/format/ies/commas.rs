@@ -7,7 +7,7 @@
 //! (Only the count of tilt factors may change to one that happens to match.)
 
 use super::numbers::{Comma, Numbers, decimal_end};
-use crate::{Fault, ImportError, Position, text::excerpt};
+use crate::{ImportError, ImportFault, Position, text::excerpt};
 
 /// Reads numbers with `read`. If decimal commas caused an error, the returned error says so.
 /// - `line`: line of the file in which `text` starts.
@@ -30,7 +30,7 @@ pub(super) fn read_numbers<T>(
     let culprit = match *error.fault {
         _ if is_proved(first) || standard_lines_have_decimal_commas(text) => Some(first),
         // Each decimal comma adds one number.
-        Fault::LeftOver { numbers: excess @ 1.., .. } => {
+        ImportFault::LeftOver { numbers: excess @ 1.., .. } => {
             nth_last_decimal_comma(text, excess).filter(|&at| is_proved(at))
         }
         _ => None,
@@ -46,7 +46,7 @@ fn decimal_comma(path: &str, text: &[u8], line: u32, at: usize) -> Option<Import
     let breaks = before.iter().filter(|&&byte| byte == b'\n').count() as u32;
     let column = (at - start) as u32 + 1;
     let at = Position { file: path.to_owned(), line: line.saturating_add(breaks), column };
-    Some(ImportError::new(at, Fault::DecimalComma { found }))
+    Some(ImportError::new(at, ImportFault::DecimalComma { found }))
 }
 
 /// Iterates over the offsets of fields that may be numbers with a decimal comma.

@@ -35,7 +35,7 @@ impl Edition {
     }
 
     /// Returns the latest edition of `year` or earlier.
-    pub fn of_year(year: u32) -> Option<Self> {
+    pub fn from_year(year: u32) -> Option<Self> {
         Self::ALL.into_iter().rev().find(|edition| edition.year() <= year)
     }
 

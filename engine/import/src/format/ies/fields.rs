@@ -3,7 +3,7 @@
 use super::{
     Remarks,
     edition::{SecondFactor, is_generation_type},
-    header::{Header, Named},
+    header::{EditionSource, Header},
     numbers::Numbers,
     opening::opening,
 };
@@ -31,8 +31,8 @@ pub(super) struct Fields {
 
 impl Fields {
     pub fn read(header: &Header<'_>, numbers: &mut Numbers<'_>, remarks: &mut Remarks) -> Result<Self, ImportError> {
-        numbers.token();
-        let lamps_at = numbers.here();
+        numbers.peek_field();
+        let lamps_at = numbers.position();
         let lamps = numbers.number_in("number of lamps", ">= 0", |x| x >= 0.0)?;
         if lamps < 1.0 || lamps != lamps.trunc() {
             remarks.warn(
@@ -42,8 +42,8 @@ impl Fields {
                 ),
             );
         }
-        numbers.token();
-        let lumens_at = numbers.here();
+        numbers.peek_field();
+        let lumens_at = numbers.position();
         let lumens = numbers.number("lumens per lamp")?;
         if lumens <= 0.0 && lumens != -1.0 {
             let what = format!(
@@ -54,19 +54,19 @@ impl Fields {
         let multiplier = numbers.number_in("candela multiplier", "> 0", |x| x > 0.0)?;
         // A table with a single vertical angle covers no solid angle, so the lamp would emit no light.
         let [two, one] = ["a whole number in [2, 100000]", "a whole number in [1, 100000]"];
-        let vertical = numbers.whole("number of vertical angles", 2.0, MAX_ANGLES, two)?;
-        let horizontal = numbers.whole("number of horizontal angles", 1.0, MAX_ANGLES, one)?;
-        let kind = match numbers.whole("photometric type", 1.0, 3.0, "1 (C), 2 (B) or 3 (A)")? {
+        let vertical = numbers.whole_number("number of vertical angles", 2.0, MAX_ANGLES, two)?;
+        let horizontal = numbers.whole_number("number of horizontal angles", 1.0, MAX_ANGLES, one)?;
+        let kind = match numbers.whole_number("photometric type", 1.0, 3.0, "1 (C), 2 (B) or 3 (A)")? {
             1 => PhotometryType::C,
             2 => PhotometryType::B,
             _ => PhotometryType::A,
         };
-        let unit = match numbers.whole("units", 1.0, 2.0, "1 (feet) or 2 (meters)")? {
+        let unit = match numbers.whole_number("units", 1.0, 2.0, "1 (feet) or 2 (meters)")? {
             1 => FOOT,
             _ => 1.0,
         };
-        numbers.token();
-        let size_at = numbers.here();
+        numbers.peek_field();
+        let size_at = numbers.position();
         let mut size = [0.0; 3];
         for (value, what) in size.iter_mut().zip(["width", "length", "height"]) {
             *value = numbers.number(what)? * unit;
@@ -89,10 +89,10 @@ impl Fields {
 
 /// Reads the field after the ballast factor. Returns its value if it is a factor in this edition, and 1 otherwise.
 fn second_factor(header: &Header<'_>, numbers: &mut Numbers<'_>, remarks: &mut Remarks) -> Result<f64, ImportError> {
-    numbers.token();
-    let at = numbers.here();
+    numbers.peek_field();
+    let at = numbers.position();
     let year = header.edition.year();
-    if let Named::Unclear { line } = &header.named {
+    if let EditionSource::Unclear { line } = &header.edition_source {
         let mut ahead = numbers.clone();
         let value = ahead.number("field after the ballast factor")?;
         if value != 1.0 {
@@ -100,7 +100,7 @@ fn second_factor(header: &Header<'_>, numbers: &mut Numbers<'_>, remarks: &mut R
                 "the field after the ballast factor is {value}; only the editions of 1986 and 1991 use it as a factor, and `{line}` does \
                  not name a known edition"
             );
-            return Err(numbers.bad(reason, "name the edition in the first line, as in `IESNA:LM-63-2002`"));
+            return Err(numbers.bad_file(reason, "name the edition in the first line, as in `IESNA:LM-63-2002`"));
         }
     }
     match header.edition.second_factor() {
@@ -110,7 +110,7 @@ fn second_factor(header: &Header<'_>, numbers: &mut Numbers<'_>, remarks: &mut R
                 remarks.warn(at, "ballast-lamp factor is 0: treated as 1");
                 return Ok(1.0);
             }
-            if factor != 1.0 && header.named == (Named::Nowhere { keywords: true }) {
+            if factor != 1.0 && header.edition_source == (EditionSource::Nowhere { keywords: true }) {
                 let what = format!(
                     "ballast-lamp factor {factor} is applied: no line names an edition, so the file is read as the edition of 1986, but \
                      its keywords are newer; name the edition in the first line"

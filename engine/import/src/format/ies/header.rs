@@ -1,11 +1,11 @@
 //! Reader of the lines above the numbers: the edition, keywords, and `TILT=`.
 
 use super::{Remarks, edition::Edition};
-use crate::{Fault, ImportError, Position, text::excerpt};
+use crate::{ImportError, ImportFault, Position, text::excerpt};
 
 /// Source of a file's edition.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) enum Named {
+pub(super) enum EditionSource {
     /// A line that names the edition.
     Line,
     /// No line names an edition, so the file is of 1986. That edition had no keywords yet.
@@ -24,7 +24,7 @@ pub(super) enum Named {
 pub(super) struct Header<'t> {
     /// Edition; 2002 if the header is unclear. The openings of 2002 and 2019 have the same shapes.
     pub edition: Edition,
-    pub named: Named,
+    pub edition_source: EditionSource,
     /// Position and value of `TILT=`.
     pub tilt_at: Position,
     pub tilt: String,
@@ -38,23 +38,24 @@ impl<'t> Header<'t> {
         let (mut rest, mut line) = (text, 0);
         let mut first_text = true;
         let mut keywords = false;
-        let mut named: Option<(Edition, Named)> = None;
+        let mut known_edition: Option<(Edition, EditionSource)> = None;
         while !rest.is_empty() {
             let end = rest.iter().position(|&byte| byte == b'\n').unwrap_or(rest.len());
             let this = without_mark(rest[..end].trim_ascii()).trim_ascii();
             rest = rest.get(end + 1..).unwrap_or_default();
             line += 1;
             if let Some(tilt) = tilt_value(this) {
-                let (edition, named) = named.unwrap_or((Edition::E1986, Named::Nowhere { keywords }));
+                let (edition, edition_source) =
+                    known_edition.unwrap_or((Edition::E1986, EditionSource::Nowhere { keywords }));
                 let tilt = String::from_utf8_lossy(tilt).into_owned();
-                return Ok(Self { edition, named, tilt_at: place(line, 1), tilt, rest });
+                return Ok(Self { edition, edition_source, tilt_at: place(line, 1), tilt, rest });
             }
             keywords |= this.starts_with(b"[");
-            let year = if named.is_none() { edition_year(this) } else { None };
+            let year = if known_edition.is_none() { edition_year(this) } else { None };
             // Below the first line, a mention of LM-63 without a year is a label.
             if let Some(year) = year.filter(|year| first_text || year.is_some()) {
                 let shown = excerpt(this);
-                let read = year.and_then(Edition::of_year);
+                let read = year.and_then(Edition::from_year);
                 if let Some(edition) = read.filter(|edition| Some(edition.year()) != year) {
                     let year = edition.year();
                     remarks.warn(
@@ -69,12 +70,12 @@ impl<'t> Header<'t> {
                         format!("the edition is not in the first line: read as the edition of {year}"),
                     );
                 }
-                let unclear = (Edition::E2002, Named::Unclear { line: shown });
-                named = Some(read.map_or(unclear, |edition| (edition, Named::Line)));
+                let unclear = (Edition::E2002, EditionSource::Unclear { line: shown });
+                known_edition = Some(read.map_or(unclear, |edition| (edition, EditionSource::Line)));
             }
             first_text &= this.is_empty();
         }
-        let fault = Fault::BadFile {
+        let fault = ImportFault::BadFile {
             path: path.to_owned(),
             reason: "the file has no TILT= line".into(),
             advice: "check that it is an IES (LM-63) file",
@@ -116,7 +117,7 @@ fn edition_year(line: &[u8]) -> Option<Option<u32>> {
     }
     // `IESNA91` alone is the line of that edition. Other text after the society's name is a label of 1986.
     let exact =
-        digits == text.len() && year.is_some_and(|year| Edition::of_year(year).is_some_and(|e| e.year() == year));
+        digits == text.len() && year.is_some_and(|year| Edition::from_year(year).is_some_and(|e| e.year() == year));
     (has_society && exact).then_some(year)
 }
 

@@ -25,7 +25,7 @@ pub(super) fn more_than_lamps(fields: &Fields, lumens: f64) -> Option<Remark> {
 
 /// Returns a hint if the file may be normalized to 1000 lm: the table has that flux, or its lamps have that flux and nothing scales
 /// them.
-pub(super) fn normalized(fields: &Fields, lumens: f64) -> Option<Remark> {
+pub(super) fn normalization_hint(fields: &Fields, lumens: f64) -> Option<Remark> {
     let is_1000 = |lumens: f64| (lumens / 1000.0 - 1.0).abs() <= EQUAL;
     let excess = more_than_lamps(fields, lumens).is_some();
     let gives = if is_1000(lumens) {

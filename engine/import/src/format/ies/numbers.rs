@@ -3,7 +3,7 @@
 //! Blanks, line ends, or one comma with or without blanks after it separate numbers. Two commas in a row are rejected, and so is a
 //! comma directly before a number that does not follow a number: `,5` may be a decimal fraction.
 
-use crate::{Fault, ImportError, Position, text::excerpt};
+use crate::{ImportError, ImportFault, Position, text::excerpt};
 
 /// Meaning of a comma.
 #[derive(Clone, Copy, PartialEq)]
@@ -42,12 +42,12 @@ impl<'t> Numbers<'t> {
     }
 
     /// Returns the position of the next field.
-    pub fn here(&self) -> Position {
+    pub fn position(&self) -> Position {
         Position { file: self.file.to_owned(), line: self.line, column: self.column }
     }
 
     /// Moves to the next field and returns it without consuming it.
-    pub fn token(&mut self) -> Option<&'t [u8]> {
+    pub fn peek_field(&mut self) -> Option<&'t [u8]> {
         let rest = self.rest();
         let skip = rest.iter().position(|byte| !separates(*byte)).unwrap_or(rest.len());
         for byte in &rest[..skip] {
@@ -70,29 +70,32 @@ impl<'t> Numbers<'t> {
     }
 
     /// Consumes the next field, which is `field`.
-    pub fn take(&mut self, field: &[u8]) {
+    pub fn consume(&mut self, field: &[u8]) {
         self.at += field.len();
         self.end = self.at;
         self.column = self.column.saturating_add(field.len() as u32);
     }
 
     /// Returns an error at the next field.
-    pub fn bad(&self, reason: String, advice: &'static str) -> ImportError {
-        ImportError::new(self.here(), Fault::BadFile { path: self.file.to_owned(), reason, advice })
+    pub fn bad_file(&self, reason: String, advice: &'static str) -> ImportError {
+        ImportError::new(self.position(), ImportFault::BadFile { path: self.file.to_owned(), reason, advice })
     }
 
     pub fn number(&mut self, what: &'static str) -> Result<f64, ImportError> {
-        let Some(field) = self.token() else {
-            return Err(self.bad(format!("the file ends before the {what}"), "check whether it is truncated"));
+        let Some(field) = self.peek_field() else {
+            return Err(self.bad_file(format!("the file ends before the {what}"), "check whether it is truncated"));
         };
         self.check_commas(field)?;
         let Some(value) = parse(field) else {
-            return Err(ImportError::new(self.here(), Fault::NotANumber { found: excerpt(field), expected: what }));
+            return Err(ImportError::new(
+                self.position(),
+                ImportFault::NotANumber { found: excerpt(field), expected: what },
+            ));
         };
         if !value.is_finite() {
-            return Err(ImportError::new(self.here(), Fault::NotFinite { what }));
+            return Err(ImportError::new(self.position(), ImportFault::NotFinite { what }));
         }
-        self.take(field);
+        self.consume(field);
         Ok(value)
     }
 
@@ -102,14 +105,14 @@ impl<'t> Numbers<'t> {
         let commas = gap.iter().filter(|&&byte| byte == b',').count();
         let leading = gap.ends_with(b",") && (gap.len() > 1 || self.end == 0);
         if leading && field.first().is_some_and(u8::is_ascii_digit) {
-            let mut at = self.here();
+            let mut at = self.position();
             at.column = at.column.saturating_sub(1);
             let found = format!(",{}", excerpt(field));
-            return Err(ImportError::new(at, Fault::DecimalComma { found }));
+            return Err(ImportError::new(at, ImportFault::DecimalComma { found }));
         }
         if commas > 1 || (commas > 0 && self.end == 0) {
             let advice = "separate two numbers with one comma, or with spaces only";
-            return Err(self.bad("a number is missing between commas".into(), advice));
+            return Err(self.bad_file("a number is missing between commas".into(), advice));
         }
         Ok(())
     }
@@ -120,17 +123,17 @@ impl<'t> Numbers<'t> {
         domain: &'static str,
         allowed: impl Fn(f64) -> bool,
     ) -> Result<f64, ImportError> {
-        self.token();
+        self.peek_field();
         let (line, column) = (self.line, self.column);
         let value = self.number(what)?;
         if allowed(value) {
             return Ok(value);
         }
         let at = Position { file: self.file.to_owned(), line, column };
-        Err(ImportError::new(at, Fault::OutOfRange { what, value, allowed: domain }))
+        Err(ImportError::new(at, ImportFault::OutOfRange { what, value, allowed: domain }))
     }
 
-    pub fn whole(
+    pub fn whole_number(
         &mut self,
         what: &'static str,
         low: f64,
@@ -140,7 +143,7 @@ impl<'t> Numbers<'t> {
         Ok(self.number_in(what, domain, |x| x >= low && x <= high && x == x.trunc())? as usize)
     }
 
-    pub fn ascending(
+    pub fn ascending_numbers(
         &mut self,
         count: usize,
         what: &'static str,
@@ -160,21 +163,21 @@ impl<'t> Numbers<'t> {
     /// - `last`: name of the last number of the file.
     pub fn finish(&mut self, last: &'static str) -> Result<(), ImportError> {
         let mut ahead = self.clone();
-        let Some(first) = ahead.token() else { return Ok(()) };
+        let Some(first) = ahead.peek_field() else { return Ok(()) };
         if first.eq_ignore_ascii_case(b"END") || first.eq_ignore_ascii_case(b"[END]") {
-            ahead.take(first);
-            if ahead.token().is_none() {
+            ahead.consume(first);
+            if ahead.peek_field().is_none() {
                 return Ok(());
             }
         }
-        self.token();
+        self.peek_field();
         let mut count = 0;
         let mut counting = self.clone();
         while counting.number(last).is_ok() {
             count += 1;
         }
         let found = excerpt(first);
-        Err(ImportError::new(self.here(), Fault::LeftOver { found, numbers: count, last }))
+        Err(ImportError::new(self.position(), ImportFault::LeftOver { found, numbers: count, last }))
     }
 }
 

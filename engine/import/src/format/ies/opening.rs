@@ -41,12 +41,12 @@ pub(super) fn opening(edition: Edition, size: [f64; 3]) -> (Opening, Option<&'st
         (false, false, true) if l == 0.0 => (Opening::Box { width: w, length: h, height: h }, Some(LYING)),
         (false, false, true) => (around, Some(LYING)),
         (true, true, false) | (true, false, false) | (false, true, false) => {
-            let (diameter, ellipse) = mean(w, l);
+            let (diameter, ellipse) = circle_diameter(w, l);
             (Opening::Cylinder { diameter, height: h }, ellipse.then_some(ELLIPSE))
         }
         (true, false, true) | (false, true, true) if edition.has_shapes_of_2002() => (around, Some(LYING)),
         (true, _, true) | (_, true, true) => {
-            let (across, ellipse) = mean(w, l);
+            let (across, ellipse) = circle_diameter(w, l);
             let sphere = !ellipse && h == across;
             (Opening::Sphere { diameter: cbrt(across * across * h) }, (!sphere).then_some(ELLIPSOID))
         }
@@ -55,7 +55,7 @@ pub(super) fn opening(edition: Edition, size: [f64; 3]) -> (Opening, Option<&'st
 
 /// Returns the diameter of the circle with the area of an ellipse, and whether the sizes differ. A size of 0 is replaced by the
 /// other size.
-fn mean(a: f64, b: f64) -> (f64, bool) {
+fn circle_diameter(a: f64, b: f64) -> (f64, bool) {
     if a == 0.0 || b == 0.0 || a == b {
         return (a.max(b), false);
     }

@@ -5,18 +5,18 @@ mod flux;
 use super::*;
 use femc_scene::{Opening, PhotometryType};
 
-fn read(text: &str) -> Result<Luminaire, ImportError> {
+fn read(text: &str) -> Result<PhotometricFile, ImportError> {
     parse("lamp.ies", text.as_bytes(), &mut |name| match name {
         "bend.tlt" => Ok((name.to_owned(), Arc::new(b"1\n3\n0 45 90\n1 .9 .5\nEND\n".to_vec()))),
         "commas.tlt" => Ok((name.to_owned(), Arc::new(b"1\n3\n0 45 90\n1 0,9 0,5\n".to_vec()))),
         "long.tlt" => Ok((name.to_owned(), Arc::new(b"1\n3\n0 45 90\n1 .9 .5 .1\n".to_vec()))),
         _ if name.len() > 100 => crate::files::resolve("lamp.ies", name).map(|path| (path, Arc::default())),
-        _ => Err(Fault::Unreadable { path: name.to_owned(), reason: "not found".into(), near: None }),
+        _ => Err(ImportFault::Unreadable { path: name.to_owned(), reason: "not found".into(), near: None }),
     })
 }
 
 /// Returns the warnings of a file.
-fn warnings(lamp: &Luminaire) -> Vec<&str> {
+fn warnings(lamp: &PhotometricFile) -> Vec<&str> {
     lamp.remarks.warnings.iter().map(|(_, what)| &**what).collect()
 }
 
@@ -57,7 +57,7 @@ fn types_a_b_and_c_have_their_own_ranges() {
 #[test]
 fn factors_multiply_and_feet_become_metres() {
     let text = "TILT=NONE\n1 -1 10 2 1 1 1 1 2 .5\n.5 .8 60\n0 90\n0\n100 50\n";
-    let Luminaire { photometry, .. } = read(text).unwrap();
+    let PhotometricFile { photometry, .. } = read(text).unwrap();
     assert_eq!(photometry.candela, [400.0, 200.0]);
     assert_eq!(photometry.opening, Opening::Box { width: 0.3048, length: 0.6096, height: 0.1524 });
 }

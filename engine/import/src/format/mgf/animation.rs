@@ -6,7 +6,7 @@ use super::{
     table::nearest,
     transform::{self, is_mirror, undefined_path},
 };
-use crate::{Fault, ImportError, Kind, Oddity};
+use crate::{EntityKind, ImportError, ImportFault, WarningKind};
 use femc_scene::{Clip, Interpolation, Key, MotionPath, PathId, Vary};
 
 /// Maximum number of frames of a clip.
@@ -15,16 +15,16 @@ const MAX_FRAMES: f64 = 1e7;
 impl Reader<'_> {
     /// Reads `time t0 t1 fps`.
     pub(super) fn time(&mut self, args: &Args<'_>) -> Result<()> {
-        args.count(3..=3, "t0 t1 fps")?;
+        args.check_count(3..=3, "t0 t1 fps")?;
         let start = args.number(0, "start (s)")?;
         let end = args.number_in(1, "end (s)", "at or after the start", |t| t >= start)?;
         let fps = args.number_in(2, "frames per second", "> 0", |f| f > 0.0)?;
         let within = (end - start) * fps <= MAX_FRAMES;
         if !within {
-            return Err(args.fault(Fault::TooMany { what: "frames", limit: MAX_FRAMES as u64 }));
+            return Err(args.fault(ImportFault::TooMany { what: "frames", limit: MAX_FRAMES as u64 }));
         }
         if self.scene.clip.replace(Clip { start, end, fps }).is_some() {
-            self.warn(args, Oddity::Replaced { what: "time".into() });
+            self.warn(args, WarningKind::DefinitionReplaced { what: "time".into() });
         }
         Ok(())
     }
@@ -36,9 +36,9 @@ impl Reader<'_> {
             self.path = Some(self.find_path(&args.text(0)).map_err(|fault| args.fault_at(0, fault))?);
             return Ok(());
         }
-        args.count(3..=3, expected)?;
+        args.check_count(3..=3, expected)?;
         let unexpected =
-            |i, expected| args.fault_at(i, Fault::Unexpected { found: args.text(i).into_owned(), expected });
+            |i, expected| args.fault_at(i, ImportFault::Unexpected { found: args.text(i).into_owned(), expected });
         if args.raw(1) != b"=" {
             return Err(unexpected(1, "`=`"));
         }
@@ -51,7 +51,7 @@ impl Reader<'_> {
         let known = self.paths.get(&name);
         if let Some(known) = known.filter(|id| !self.faulty_paths.contains(id)) {
             let line = self.scene.paths[known.index()].location.line;
-            return Err(args.fault_at(0, Fault::Redefined { kind: Kind::Path, name, line }));
+            return Err(args.fault_at(0, ImportFault::Redefined { kind: EntityKind::Path, name, line }));
         }
         let id = PathId(self.scene.paths.len() as u32);
         self.scene.paths.push(MotionPath {
@@ -68,20 +68,20 @@ impl Reader<'_> {
     /// Reads `key t [xf args]`.
     pub(super) fn key(&mut self, args: &Args<'_>) -> Result<()> {
         let Some(path) = self.path else {
-            return Err(args.fault(Fault::NoContext { entity: "key".into(), kind: Kind::Path }));
+            return Err(args.fault(ImportFault::NoContext { entity: "key".into(), kind: EntityKind::Path }));
         };
-        args.count(1.., "a time and transform arguments")?;
+        args.check_count(1.., "a time and transform arguments")?;
         let time = args.number(0, "time (s)")?;
         let spec = {
             let find = |name: &str| self.find_path(name);
             transform::parse(args.tail(1), &find)?
         };
         if !spec.layers.is_empty() {
-            let fault = Fault::Shape { what: "a key holds a single pose", advice: "remove -a and -path from it" };
+            let fault = ImportFault::Shape { what: "a key holds a single pose", advice: "remove -a and -path from it" };
             return Err(args.fault(fault));
         }
         if is_mirror(&spec.baked) {
-            let fault = Fault::Shape {
+            let fault = ImportFault::Shape {
                 what: "a key cannot mirror: poses between keys are interpolated by rotation",
                 advice: "mirror in the `xf` instead",
             };
@@ -89,7 +89,7 @@ impl Reader<'_> {
         }
         let keys = &mut self.scene.paths[path.index()].keys;
         if let Some(last) = keys.last().filter(|last| last.time >= time) {
-            return Err(args.fault_at(0, Fault::TimeOrder { time, previous: last.time }));
+            return Err(args.fault_at(0, ImportFault::TimeOrder { time, previous: last.time }));
         }
         keys.push(Key { time, pose: spec.baked });
         Ok(())
@@ -97,12 +97,12 @@ impl Reader<'_> {
 
     /// Reads `vary SELECTOR = t v t v ...`. A later line for the same selector continues the earlier one.
     pub(super) fn vary(&mut self, args: &Args<'_>) -> Result<()> {
-        args.count(4.., "SELECTOR = t v t v ...")?;
+        args.check_count(4.., "SELECTOR = t v t v ...")?;
         if args.raw(1) != b"=" {
-            return Err(args.fault_at(1, Fault::Unexpected { found: args.text(1).into_owned(), expected: "`=`" }));
+            return Err(args.fault_at(1, ImportFault::Unexpected { found: args.text(1).into_owned(), expected: "`=`" }));
         }
         if !args.len().is_multiple_of(2) {
-            args.count(0..0, "SELECTOR = and pairs of time and value")?;
+            args.check_count(0..0, "SELECTOR = and pairs of time and value")?;
         }
         let selector = args.text(0).into_owned();
         let known = self.scene.varies.iter_mut().position(|vary| vary.selector == selector);
@@ -110,7 +110,7 @@ impl Reader<'_> {
         for i in (2..args.len()).step_by(2) {
             let (time, value) = (args.number(i, "time (s)")?, args.number(i + 1, "value")?);
             if let Some((previous, _)) = keys.last().filter(|(last, _)| *last >= time) {
-                return Err(args.fault_at(i, Fault::TimeOrder { time, previous: *previous }));
+                return Err(args.fault_at(i, ImportFault::TimeOrder { time, previous: *previous }));
             }
             keys.push((time, value));
         }
@@ -122,7 +122,7 @@ impl Reader<'_> {
     }
 
     /// Returns the path of that name.
-    pub(super) fn find_path(&self, name: &str) -> std::result::Result<PathId, Fault> {
+    pub(super) fn find_path(&self, name: &str) -> std::result::Result<PathId, ImportFault> {
         self.paths.get(name).copied().ok_or_else(|| undefined_path(name, nearest(name, self.paths.keys())))
     }
 
@@ -130,8 +130,10 @@ impl Reader<'_> {
     pub(super) fn finish_paths(&mut self) -> Result<()> {
         for (i, path) in self.scene.paths.iter().enumerate() {
             if path.keys.is_empty() && !self.faulty_paths.contains(&PathId(i as u32)) {
-                let fault =
-                    Fault::Shape { what: "this path has no keys", advice: "add `key t [xf args]` lines after it" };
+                let fault = ImportFault::Shape {
+                    what: "this path has no keys",
+                    advice: "add `key t [xf args]` lines after it",
+                };
                 self.errors.report(ImportError::new(self.position(path.location), fault))?;
             }
         }

@@ -1,7 +1,7 @@
 //! Arguments of one entity: typed access with the position of each argument.
 
 use super::lexer::{Quotes, Token};
-use crate::{Fault, ImportError, Position};
+use crate::{ImportError, ImportFault, Position};
 use femc_math::glam::DVec3;
 use std::borrow::Cow;
 
@@ -46,7 +46,7 @@ impl<'a> Args<'a> {
     }
 
     /// Returns an error for the entity as a whole.
-    pub fn fault(&self, fault: Fault) -> ImportError {
+    pub fn fault(&self, fault: ImportFault) -> ImportError {
         ImportError::new(self.at(), fault)
     }
 
@@ -56,16 +56,16 @@ impl<'a> Args<'a> {
     }
 
     /// Returns an error for argument `i`.
-    pub fn fault_at(&self, i: usize, fault: Fault) -> ImportError {
+    pub fn fault_at(&self, i: usize, fault: ImportFault) -> ImportError {
         ImportError::new(self.argument_at(i), fault)
     }
 
-    /// Checks that the number of arguments is in `range`. `expected` describes the range in words.
-    pub fn count(&self, range: impl std::ops::RangeBounds<usize>, expected: &'static str) -> Result<()> {
+    /// Checks that the number of arguments is in `out_of_range`. `expected` describes the range in words.
+    pub fn check_count(&self, range: impl std::ops::RangeBounds<usize>, expected: &'static str) -> Result<()> {
         if range.contains(&self.len()) {
             return Ok(());
         }
-        Err(self.fault(Fault::ArgumentCount { entity: self.entity().into_owned(), expected, found: self.len() }))
+        Err(self.fault(ImportFault::ArgumentCount { entity: self.entity().into_owned(), expected, found: self.len() }))
     }
 
     /// Returns argument `i` as bytes; empty if there is none.
@@ -87,12 +87,12 @@ impl<'a> Args<'a> {
     pub fn check_quotes(&self) -> Result<()> {
         let Some(name) = self.tokens.get(1) else { return Ok(()) };
         if name.quotes == Quotes::Open {
-            return Err(self.fault_at(0, Fault::UnclosedQuote));
+            return Err(self.fault_at(0, ImportFault::UnclosedQuote));
         }
         let end = name.column as usize + name.text.len() + 2;
         match self.tokens.get(2) {
             Some(next) if self.is_quoted() && next.line == name.line && next.column as usize == end => {
-                Err(self.fault_at(1, Fault::AfterQuote { found: self.text(1).into_owned() }))
+                Err(self.fault_at(1, ImportFault::AfterQuote { found: self.text(1).into_owned() }))
             }
             _ => Ok(()),
         }
@@ -117,9 +117,9 @@ impl<'a> Args<'a> {
             std::str::from_utf8(raw).ok().filter(|text| numeric(text)).and_then(|text| text.parse::<f64>().ok());
         match value {
             Some(value) if value.is_finite() => Ok(value),
-            Some(_) => Err(self.fault_at(i, Fault::NotFinite { what })),
-            None if self.is_non_finite_word(i) => Err(self.fault_at(i, Fault::NotFinite { what })),
-            None => Err(self.fault_at(i, Fault::NotANumber { found: self.text(i).into_owned(), expected: what })),
+            Some(_) => Err(self.fault_at(i, ImportFault::NotFinite { what })),
+            None if self.is_non_finite_word(i) => Err(self.fault_at(i, ImportFault::NotFinite { what })),
+            None => Err(self.fault_at(i, ImportFault::NotANumber { found: self.text(i).into_owned(), expected: what })),
         }
     }
 
@@ -137,16 +137,16 @@ impl<'a> Args<'a> {
         allowed: impl Fn(f64) -> bool,
     ) -> Result<f64> {
         let value = self.number(i, what)?;
-        if allowed(value) { Ok(value) } else { Err(self.range(i, what, value, domain)) }
+        if allowed(value) { Ok(value) } else { Err(self.out_of_range(i, what, value, domain)) }
     }
 
     /// Returns the error for a number outside its domain.
-    pub fn range(&self, i: usize, what: &'static str, value: f64, allowed: &'static str) -> ImportError {
-        self.fault_at(i, Fault::OutOfRange { what, value, allowed })
+    pub fn out_of_range(&self, i: usize, what: &'static str, value: f64, allowed: &'static str) -> ImportError {
+        self.fault_at(i, ImportFault::OutOfRange { what, value, allowed })
     }
 
     /// Returns argument `i` as a whole number in `[low, high]`.
-    pub fn whole(&self, i: usize, what: &'static str, range: [u64; 2], domain: &'static str) -> Result<u64> {
+    pub fn whole_number(&self, i: usize, what: &'static str, range: [u64; 2], domain: &'static str) -> Result<u64> {
         let [low, high] = range;
         let value = self.number_in(i, what, domain, |x| x >= low as f64 && x <= high as f64 && x == x.trunc())?;
         Ok(value as u64)

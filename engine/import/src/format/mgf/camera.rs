@@ -3,9 +3,9 @@
 use super::{
     args::{Args, Result},
     reader::Reader,
-    table::Opened,
+    table::ContextChange,
 };
-use crate::{Fault, ImportError, Kind, Oddity, Position, Warning};
+use crate::{EntityKind, ImportError, ImportFault, Position, Warning, WarningKind};
 use femc_math::glam::DVec3;
 use femc_scene::{Camera, Location, default_camera as place_camera};
 
@@ -36,19 +36,19 @@ pub(super) fn default_camera() -> Camera {
 
 impl Reader<'_> {
     pub(super) fn camera(&mut self, args: &Args<'_>) -> Result<()> {
-        args.count(1..=3, "NAME [= [TEMPLATE]]")?;
-        let replaced = args.len() > 1 && self.cameras.defined(&args.text(0)).is_some();
-        if self.cameras.select(args, &mut self.errors)? == Opened::Again {
+        args.check_count(1..=3, "NAME [= [TEMPLATE]]")?;
+        let replaced = args.len() > 1 && self.cameras.slot_of(&args.text(0)).is_some();
+        if self.cameras.select(args, &mut self.errors)? == ContextChange::Selected {
             return Ok(());
         }
         let camera = self.cameras.current_mut();
         camera.name = args.text(0).into_owned();
         camera.location = args.location();
         if replaced {
-            self.warn(args, Oddity::Replaced { what: format!("camera {}", args.text(0)) });
+            self.warn(args, WarningKind::DefinitionReplaced { what: format!("camera {}", args.text(0)) });
         }
         if self.is_transformed() {
-            self.warn(args, Oddity::NotTransformed { what: "camera" });
+            self.warn(args, WarningKind::NotTransformed { what: "camera" });
         }
         Ok(())
     }
@@ -56,11 +56,13 @@ impl Reader<'_> {
     /// Reads `origin`, `target`, `up`, `fov`, `film`, `lens`, `shutter` or `along`.
     pub(super) fn camera_field(&mut self, entity: &[u8], args: &Args<'_>) -> Result<()> {
         if !self.cameras.is_named() {
-            return Err(args.fault(Fault::NoContext { entity: args.entity().into_owned(), kind: Kind::Camera }));
+            return Err(
+                args.fault(ImportFault::NoContext { entity: args.entity().into_owned(), kind: EntityKind::Camera })
+            );
         }
         let mut camera = self.cameras.current().clone();
         let vector = || {
-            args.count(3..=3, "x y z")?;
+            args.check_count(3..=3, "x y z")?;
             args.vector(0, "coordinate (m)")
         };
         match entity {
@@ -69,27 +71,27 @@ impl Reader<'_> {
             b"up" => {
                 camera.up = vector()?;
                 if camera.up.try_normalize().is_none() {
-                    let fault = Fault::Shape { what: "`up` has no direction", advice: "give it a length near 1" };
+                    let fault = ImportFault::Shape { what: "`up` has no direction", advice: "give it a length near 1" };
                     return Err(args.fault(fault));
                 }
             }
             b"fov" => {
-                args.count(1..=1, "an angle in degrees")?;
+                args.check_count(1..=1, "an angle in degrees")?;
                 camera.fov = args.number_in(0, "field of view (degrees)", "in (0, 180)", |a| a > 0.0 && a < 180.0)?;
             }
             b"film" => camera.film = film(args)?,
             b"lens" => {
-                args.count(2..=2, "radius and focus")?;
+                args.check_count(2..=2, "radius and focus")?;
                 camera.lens_radius = args.number_in(0, "lens radius (m)", ">= 0", |r| r >= 0.0)?;
                 camera.focus =
                     args.number_in(1, "focus distance (m)", "> 0", |f| f > 0.0 || camera.lens_radius == 0.0)?;
             }
             b"shutter" => {
-                args.count(2..=2, "open and close")?;
+                args.check_count(2..=2, "open and close")?;
                 let unit = |i| args.number_in(i, "shutter time", "in [0, 1]", |x| (0.0..=1.0).contains(&x));
                 (camera.shutter_open, camera.shutter_close) = (unit(0)?, unit(1)?);
                 if camera.shutter_close < camera.shutter_open {
-                    return Err(args.range(
+                    return Err(args.out_of_range(
                         1,
                         "closing time of the shutter",
                         camera.shutter_close,
@@ -98,7 +100,7 @@ impl Reader<'_> {
                 }
             }
             _ => {
-                args.count(1..=1, "the name of a path")?;
+                args.check_count(1..=1, "the name of a path")?;
                 camera.along = Some(self.find_path(&args.text(0)).map_err(|fault| args.fault_at(0, fault))?);
             }
         }
@@ -115,12 +117,12 @@ impl Reader<'_> {
         let (origin, target) = (camera.origin.to_array(), camera.target.to_array());
         self.scene.cameras.push(camera);
         let at = Position { file: self.scene.files.first()?.clone(), line: 0, column: 0 };
-        Some(Warning { at, oddity: Oddity::DefaultCamera { standpoint, origin, target } })
+        Some(Warning { at, kind: WarningKind::DefaultCamera { standpoint, origin, target } })
     }
 
     /// Checks constraints between fields and adds the cameras to the scene.
     pub(super) fn finish_cameras(&mut self) -> Result<()> {
-        for camera in self.cameras.sound() {
+        for camera in self.cameras.valid_contexts() {
             let [what, advice] = match (camera.target - camera.origin).try_normalize() {
                 None => [
                     "this camera has no view direction: origin and target are the same point",
@@ -131,20 +133,20 @@ impl Reader<'_> {
                 }
                 Some(_) => continue,
             };
-            let error = ImportError::new(self.position(camera.location), Fault::Shape { what, advice });
+            let error = ImportError::new(self.position(camera.location), ImportFault::Shape { what, advice });
             self.errors.report(error)?;
         }
-        self.scene.cameras = self.cameras.named().cloned().collect();
+        self.scene.cameras = self.cameras.named_contexts().cloned().collect();
         Ok(())
     }
 }
 
 fn film(args: &Args<'_>) -> Result<[u32; 2]> {
-    args.count(2..=2, "width and height")?;
-    let side = |i| args.whole(i, "film size (pixels)", [1, MAX_SIDE], "a whole number in [1, 32768]");
+    args.check_count(2..=2, "width and height")?;
+    let side = |i| args.whole_number(i, "film size (pixels)", [1, MAX_SIDE], "a whole number in [1, 32768]");
     let (width, height) = (side(0)?, side(1)?);
     if width * height > MAX_PIXELS {
-        return Err(args.fault(Fault::TooMany { what: "pixels of film", limit: MAX_PIXELS }));
+        return Err(args.fault(ImportFault::TooMany { what: "pixels of film", limit: MAX_PIXELS }));
     }
     Ok([width as u32, height as u32])
 }

@@ -5,7 +5,7 @@ use super::{
     lexer::{Lexer, MAX_LINE},
     reader::Reader,
 };
-use crate::{Fault, Files, ImportError, Oddity, Position, files, text};
+use crate::{FileSource, ImportError, ImportFault, Position, WarningKind, files, text};
 use std::sync::Arc;
 
 /// Maximum depth of nested files.
@@ -29,20 +29,24 @@ pub(super) struct OpenFile {
 }
 
 /// Returns the fault of a file that cannot be read.
-pub(super) fn unreadable(files: &dyn Files, path: &str, reason: &std::io::Error) -> Fault {
-    Fault::Unreadable { path: path.to_owned(), reason: reason.to_string(), near: files::near(files, path) }
+pub(super) fn unreadable(files: &dyn FileSource, path: &str, reason: &std::io::Error) -> ImportFault {
+    ImportFault::Unreadable {
+        path: path.to_owned(),
+        reason: reason.to_string(),
+        near: files::similar_name(files, path),
+    }
 }
 
 impl Reader<'_> {
     /// Reads `i path [xf args]`.
     pub(super) fn i(&mut self, args: &Args<'_>) -> Result<()> {
-        args.count(1.., "a path and transform arguments")?;
+        args.check_count(1.., "a path and transform arguments")?;
         let path = self.resolve(args)?;
         if args.len() == 1 {
-            return self.run(&path, args.argument_at(0));
+            return self.read_file(&path, args.argument_at(0));
         }
         self.push_frame(args, 1)?;
-        self.run(&path, args.argument_at(0))?;
+        self.read_file(&path, args.argument_at(0))?;
         self.pop_frame()
     }
 
@@ -59,8 +63,8 @@ impl Reader<'_> {
         }
         self.check_blanks(args, resolved.as_deref().ok())?;
         let path = resolved.map_err(|fault| args.fault_at(0, fault))?;
-        if !path.starts_with(&self.folder) && self.outside.insert(path.clone()) {
-            self.warnings.push(args.argument_at(0), Oddity::OutsideFolder { path: path.clone() });
+        if !path.starts_with(&self.folder) && self.reported_outside.insert(path.clone()) {
+            self.warnings.push(args.argument_at(0), WarningKind::OutsideFolder { path: path.clone() });
         }
         Ok(path)
     }
@@ -79,69 +83,73 @@ impl Reader<'_> {
         let name = (2..=parts).rev().map(|n| args.joined(n)).find(is_file);
         let entity = args.entity().into_owned();
         match name {
-            Some(name) => Err(args.fault_at(0, Fault::BlankName { entity, name, exists: true })),
+            Some(name) => Err(args.fault_at(0, ImportFault::BlankName { entity, name, exists: true })),
             None if may_be_option => Ok(()),
             None => {
                 let parts = (1..parts).find(|&i| args.raw(i).starts_with(b"-")).unwrap_or(parts);
                 let name = args.joined(parts);
-                Err(args.fault_at(0, Fault::BlankName { entity, name, exists: false }))
+                Err(args.fault_at(0, ImportFault::BlankName { entity, name, exists: false }))
             }
         }
     }
 
     /// Returns the transforms and objects that were open when the current file began.
-    pub(super) fn open_at_start(&self) -> &OpenFile {
-        self.open.last().expect("entities come from an open file")
+    pub(super) fn current_file(&self) -> &OpenFile {
+        self.open_files.last().expect("entities come from an open file")
     }
 
-    /// Reads the file `path`, which is named at `by`.
-    pub(super) fn run(&mut self, path: &str, by: Position) -> Result<()> {
-        if let Some(first) = self.open.iter().position(|file| file.path == path) {
-            let chain = self.open[first..].iter().map(|file| file.path.as_str()).chain([path]).collect::<Vec<_>>();
-            return Err(ImportError::new(by, Fault::IncludeCycle { path: path.into(), chain: chain.join(" > ") }));
+    /// Reads the file `path`, which is named at `named_at`.
+    pub(super) fn read_file(&mut self, path: &str, named_at: Position) -> Result<()> {
+        if let Some(first) = self.open_files.iter().position(|file| file.path == path) {
+            let chain =
+                self.open_files[first..].iter().map(|file| file.path.as_str()).chain([path]).collect::<Vec<_>>();
+            return Err(ImportError::new(
+                named_at,
+                ImportFault::IncludeCycle { path: path.into(), chain: chain.join(" > ") },
+            ));
         }
-        if self.open.len() > MAX_DEPTH {
-            return Err(ImportError::new(by, Fault::IncludeDepth { limit: MAX_DEPTH }));
+        if self.open_files.len() > MAX_DEPTH {
+            return Err(ImportError::new(named_at, ImportFault::IncludeDepth { limit: MAX_DEPTH }));
         }
-        let text = self.text(path).map_err(|fault| ImportError::new(by.clone(), fault))?;
+        let text = self.text(path).map_err(|fault| ImportError::new(named_at.clone(), fault))?;
         self.includes += 1;
         self.included_bytes += text.len() as u64;
         if self.includes > MAX_INCLUDES {
-            self.errors.end();
-            return Err(ImportError::new(by, Fault::IncludeVolume { limit: MAX_INCLUDES, unit: "files" }));
+            self.errors.end_at_next_error();
+            return Err(ImportError::new(named_at, ImportFault::IncludeVolume { limit: MAX_INCLUDES, unit: "files" }));
         }
         if self.included_bytes > MAX_VOLUME {
-            self.errors.end();
-            return Err(ImportError::new(by, Fault::IncludeVolume { limit: MAX_VOLUME, unit: "bytes" }));
+            self.errors.end_at_next_error();
+            return Err(ImportError::new(named_at, ImportFault::IncludeVolume { limit: MAX_VOLUME, unit: "bytes" }));
         }
         let index = self.file_index(path);
-        self.open.push(OpenFile { path: path.into(), frames: self.frames.len(), objects: self.objects.len() });
+        self.open_files.push(OpenFile { path: path.into(), frames: self.frames.len(), objects: self.objects.len() });
         let (mut lexer, mut tokens) = (Lexer::new(&text), Vec::new());
         loop {
-            match lexer.next(&mut tokens) {
-                Ok(true) => self.step(tokens[0].text, &Args::new(path, index, &tokens))?,
+            match lexer.next_line(&mut tokens) {
+                Ok(true) => self.process_entity(tokens[0].text, &Args::new(path, index, &tokens))?,
                 Ok(false) => break,
                 Err(long) => {
                     let at = Position { file: path.into(), line: long.line, column: 0 };
-                    self.errors.report(ImportError::new(at, Fault::LineTooLong { limit: MAX_LINE }))?;
+                    self.errors.report(ImportError::new(at, ImportFault::LineTooLong { limit: MAX_LINE }))?;
                 }
             }
         }
         self.close_frames()?;
         self.close_objects();
-        self.open.pop();
+        self.open_files.pop();
         Ok(())
     }
 
     /// Returns the decoded text of a file. Each file is read once, after a check of its size.
-    pub(super) fn text(&mut self, path: &str) -> std::result::Result<Arc<Vec<u8>>, Fault> {
+    pub(super) fn text(&mut self, path: &str) -> std::result::Result<Arc<Vec<u8>>, ImportFault> {
         if let Some(text) = self.texts.get(path) {
             return Ok(text.clone());
         }
         let files = self.files;
         let size = files.size(path).map_err(|e| unreadable(files, path, &e))?;
         if size > MAX_TEXT {
-            return Err(Fault::TextTooLarge { path: path.into(), size, limit: MAX_TEXT });
+            return Err(ImportFault::TextTooLarge { path: path.into(), size, limit: MAX_TEXT });
         }
         let bytes = files.read(path).map_err(|e| unreadable(files, path, &e))?;
         self.note_read(path);
@@ -152,8 +160,8 @@ impl Reader<'_> {
 
     /// Records that `path` belongs to the scene.
     pub(super) fn note_read(&mut self, path: &str) {
-        if !self.read.iter().any(|known| known == path) {
-            self.read.push(path.into());
+        if !self.files_read.iter().any(|known| known == path) {
+            self.files_read.push(path.into());
         }
     }
 

@@ -30,7 +30,7 @@ pub(super) enum Quotes {
 
 /// Error for a line that is too long, with the line where it starts.
 #[derive(Debug, PartialEq)]
-pub(super) struct TooLong {
+pub(super) struct LineTooLong {
     pub line: u32,
 }
 
@@ -46,13 +46,13 @@ impl<'t> Lexer<'t> {
     }
 
     /// Fills `tokens` with the fields of the next line that has any; returns false at the end of the text. Skips comments.
-    pub fn next(&mut self, tokens: &mut Vec<Token<'t>>) -> Result<bool, TooLong> {
+    pub fn next_line(&mut self, tokens: &mut Vec<Token<'t>>) -> Result<bool, LineTooLong> {
         loop {
             tokens.clear();
             let mut length = 0;
             let first = self.line + 1;
             while !self.rest.is_empty() {
-                let (bytes, joined) = self.physical(tokens);
+                let (bytes, joined) = self.read_physical_line(tokens);
                 length += bytes;
                 if !joined {
                     break;
@@ -60,7 +60,7 @@ impl<'t> Lexer<'t> {
             }
             let comment = tokens.first().is_some_and(|token| token.text[0] == b'#');
             if length > MAX_LINE && !comment {
-                return Err(TooLong { line: first });
+                return Err(LineTooLong { line: first });
             }
             if !tokens.is_empty() && !comment {
                 return Ok(true);
@@ -72,7 +72,7 @@ impl<'t> Lexer<'t> {
     }
 
     /// Adds the fields of one physical line. Returns its length and whether a `\` joins the next line to it.
-    fn physical(&mut self, tokens: &mut Vec<Token<'t>>) -> (usize, bool) {
+    fn read_physical_line(&mut self, tokens: &mut Vec<Token<'t>>) -> (usize, bool) {
         let bytes = self.rest;
         self.line = self.line.saturating_add(1);
         let mut at = 0;
@@ -138,7 +138,7 @@ mod tests {
 
     fn all(text: &[u8]) -> Vec<Vec<(String, u32, u32)>> {
         let (mut lexer, mut tokens, mut lines) = (Lexer::new(text), Vec::new(), Vec::new());
-        while lexer.next(&mut tokens).unwrap() {
+        while lexer.next_line(&mut tokens).unwrap() {
             let field = |t: &Token<'_>| (String::from_utf8_lossy(t.text).into_owned(), t.line, t.column);
             lines.push(tokens.iter().map(field).collect());
         }
@@ -190,10 +190,10 @@ mod tests {
 
     #[test]
     fn a_line_of_a_million_fields_takes_no_memory_for_them() {
-        for (start, expected) in [("x ", Err(TooLong { line: 1 })), ("# ", Ok(false))] {
+        for (start, expected) in [("x ", Err(LineTooLong { line: 1 })), ("# ", Ok(false))] {
             let text = start.to_owned() + &"y ".repeat(1_000_000);
             let (mut lexer, mut tokens) = (Lexer::new(text.as_bytes()), Vec::new());
-            assert_eq!(lexer.next(&mut tokens), expected);
+            assert_eq!(lexer.next_line(&mut tokens), expected);
             assert!(tokens.capacity() <= 4 * MAX_LINE);
         }
     }
@@ -202,7 +202,7 @@ mod tests {
     fn the_limit_holds_for_joined_lines_and_not_for_comments() {
         let text = format!("# {}\nx {}\\\ny\n", "c".repeat(9000), "a".repeat(4094));
         let (mut lexer, mut tokens) = (Lexer::new(text.as_bytes()), Vec::new());
-        assert_eq!(lexer.next(&mut tokens), Err(TooLong { line: 2 }));
+        assert_eq!(lexer.next_line(&mut tokens), Err(LineTooLong { line: 2 }));
         let fits = format!("x {}\n", "a".repeat(4094));
         assert_eq!(all(fits.as_bytes()).len(), 1);
     }

@@ -6,7 +6,7 @@ use super::{
     spectrum,
 };
 use crate::{
-    Fault, Oddity, files,
+    ImportFault, WarningKind, files,
     format::ies::{self, Tilt},
 };
 use femc_math::{elementary::double as elementary, glam::DVec3};
@@ -14,21 +14,21 @@ use femc_scene::{Luminaire, PhotometryId};
 
 impl Reader<'_> {
     pub(super) fn ies(&mut self, args: &Args<'_>) -> Result<()> {
-        args.count(1.., "path [-m factor] [transform arguments]")?;
+        args.check_count(1.., "path [-m factor] [transform arguments]")?;
         let path = self.resolve(args)?;
         let (photometry, tilt) = self.photometry(args, &path)?;
         let (multiplier, first) = match args.raw(1) {
             b"-m" if args.len() > 2 => (args.number_in(2, "multiplier", ">= 0", |m| m >= 0.0)?, 3),
             b"-m" => {
-                let fault = Fault::ArgumentCount { entity: "-m".into(), expected: "one number", found: 0 };
+                let fault = ImportFault::ArgumentCount { entity: "-m".into(), expected: "one number", found: 0 };
                 return Err(args.fault_at(1, fault));
             }
             _ => (1.0, 1),
         };
         if first == 1
-            && let Some((at, what)) = self.normalized.remove(&photometry)
+            && let Some((at, what)) = self.normalization_hints.remove(&photometry)
         {
-            self.notes.push(at, Oddity::Photometry { what });
+            self.notes.push(at, WarningKind::Photometry { what });
         }
         if args.len() <= first {
             return self.add_luminaire(args, photometry, multiplier, tilt.as_ref());
@@ -45,17 +45,17 @@ impl Reader<'_> {
         multiplier: f64,
         tilt: Option<&Tilt>,
     ) -> Result<()> {
-        let fault = Fault::Shape { what: "the current color is black", advice: "choose a color before `ies`" };
-        let color = spectrum::normalized(self.used_color().rgb).ok_or_else(|| args.fault(fault))?;
+        let fault = ImportFault::Shape { what: "the current color is black", advice: "choose a color before `ies`" };
+        let color = spectrum::with_unit_luminance(self.used_color().rgb).ok_or_else(|| args.fault(fault))?;
         let multiplier = multiplier * tilt.map_or(1.0, |tilt| self.tilt_factor(args, tilt));
         if !multiplier.is_finite() {
-            return Err(args.fault(Fault::NotFinite { what: "multiplier" }));
+            return Err(args.fault(ImportFault::NotFinite { what: "multiplier" }));
         }
         let to_group = self.frame().to_group;
-        let (object, location) = (self.object(), args.location());
+        let (object, location) = (self.current_object(), args.location());
         let luminaire = Luminaire { photometry, to_group, multiplier, color, object, location };
         self.scene.groups[self.group.index()].luminaires.push(luminaire);
-        self.count(self.group, 1).map_err(|fault| args.fault(fault))
+        self.count_primitives(self.group, 1).map_err(|fault| args.fault(fault))
     }
 
     /// Returns the lamp's factor at the angle between the luminaire's axis and the vertical.
@@ -63,7 +63,7 @@ impl Reader<'_> {
         let poses = self.world_transforms(1).unwrap_or_default();
         let [pose] = poses[..] else {
             let what = "tilt factors ignore arrays and paths: the factor for the upright position is used";
-            self.warn(args, Oddity::Photometry { what: what.into() });
+            self.warn(args, WarningKind::Photometry { what: what.into() });
             return tilt.factor(0.0);
         };
         let axis = pose.transform_vector3(DVec3::Z).normalize_or_zero();
@@ -84,13 +84,13 @@ impl Reader<'_> {
             Ok((path, text))
         })?;
         for (at, what) in read.remarks.warnings {
-            self.warnings.push(at, Oddity::Photometry { what });
+            self.warnings.push(at, WarningKind::Photometry { what });
         }
         for (at, what) in read.remarks.notes {
-            self.notes.push(at, Oddity::Photometry { what });
+            self.notes.push(at, WarningKind::Photometry { what });
         }
         let id = PhotometryId(self.scene.photometry.len() as u32);
-        self.normalized.extend(read.normalized.map(|hint| (id, hint)));
+        self.normalization_hints.extend(read.normalization_hint.map(|hint| (id, hint)));
         let mut photometry = read.photometry;
         photometry.location = args.location();
         self.scene.photometry.push(photometry);

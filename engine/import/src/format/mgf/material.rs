@@ -8,10 +8,10 @@ use super::{
     args::{Args, Result},
     reader::Reader,
     spectrum::luminance,
-    table::Opened,
+    table::ContextChange,
 };
-use crate::Oddity;
-use femc_scene::{Ior, Location, Material, MaterialId, Sides, Tinted};
+use crate::WarningKind;
+use femc_scene::{Ior, Location, Material, MaterialId, Sides, TintedScalar};
 
 /// Tolerance of the sum of the reflectances, for decimal fractions that add up to 1.
 const SUM_TOLERANCE: f64 = 1e-6;
@@ -31,15 +31,15 @@ pub(super) struct MaterialState {
 }
 
 /// Returns the luminance that a surface reflects or transmits of unit light: the amount itself, unless the color is raw.
-fn returned(tinted: &Tinted) -> f64 {
+fn returned_luminance(tinted: &TintedScalar) -> f64 {
     tinted.amount * luminance(tinted.color)
 }
 
 impl Reader<'_> {
     pub(super) fn m(&mut self, args: &Args<'_>) -> Result<()> {
         self.seal_material();
-        let opened = self.materials.select(args, &mut self.errors)?;
-        if opened != Opened::Again {
+        let change = self.materials.select(args, &mut self.errors)?;
+        if change != ContextChange::Selected {
             let state = self.materials.current_mut();
             state.material.location = args.location();
             state.material.name = args.text(0).into_owned();
@@ -50,20 +50,20 @@ impl Reader<'_> {
     }
 
     /// Returns the entry of the current material.
-    pub(super) fn material(&mut self) -> MaterialId {
+    pub(super) fn current_material(&mut self) -> MaterialId {
         let state = self.materials.current();
         if let Some(entry) = state.entry {
             return entry;
         }
         let mut material = state.material.clone();
-        let sum = [material.rd, material.td, material.rs, material.ts].iter().map(returned).sum::<f64>();
+        let sum = [material.rd, material.td, material.rs, material.ts].iter().map(returned_luminance).sum::<f64>();
         if sum > 1.0 + SUM_TOLERANCE {
             let at = self.position(state.reflectance_at);
             let name = if material.name.is_empty() { "(unnamed)".into() } else { material.name.clone() };
             for tinted in [&mut material.rd, &mut material.td, &mut material.rs, &mut material.ts] {
                 tinted.amount /= sum;
             }
-            self.warnings.push(at, Oddity::TooBright { material: name, sum });
+            self.warnings.push(at, WarningKind::TooBright { material: name, sum });
         }
         let id = self.material_entry(material);
         self.materials.current_mut().entry = Some(id);
@@ -73,7 +73,7 @@ impl Reader<'_> {
     /// Makes an entry of the current named material before another one is selected.
     pub(super) fn seal_material(&mut self) {
         if self.materials.is_named() {
-            self.material();
+            self.current_material();
         }
     }
 
@@ -88,25 +88,25 @@ impl Reader<'_> {
         }
         let id = MaterialId(self.scene.materials.len() as u32);
         entries.push(id);
-        let brightest = (0..3).map(|channel| material.asked_of_channel(channel)).fold(0.0, f64::max);
+        let brightest = (0..3).map(|channel| material.channel_demand(channel)).fold(0.0, f64::max);
         if brightest > CHANNEL {
             let at = self.position(material.location);
-            self.warnings.push(at, Oddity::ChannelAboveOne { sum: brightest });
+            self.warnings.push(at, WarningKind::ChannelAboveOne { sum: brightest });
         }
         self.scene.materials.push(material);
         id
     }
 
     /// Returns the current material for a change.
-    pub(super) fn change_material(&mut self) -> &mut Material {
+    pub(super) fn current_material_mut(&mut self) -> &mut Material {
         let state = self.materials.current_mut();
         state.entry = None;
         &mut state.material
     }
 
     pub(super) fn sides(&mut self, args: &Args<'_>) -> Result<()> {
-        args.count(1..=1, "1 or 2")?;
-        self.change_material().sides = match args.whole(0, "number of sides", [1, 2], "1 or 2")? {
+        args.check_count(1..=1, "1 or 2")?;
+        self.current_material_mut().sides = match args.whole_number(0, "number of sides", [1, 2], "1 or 2")? {
             1 => Sides::One,
             _ => Sides::Two,
         };
@@ -117,15 +117,15 @@ impl Reader<'_> {
     pub(super) fn reflectance(&mut self, entity: &[u8], args: &Args<'_>) -> Result<()> {
         let specular = matches!(entity, b"rs" | b"ts");
         if specular {
-            args.count(2..=2, "a fraction and a roughness")?;
+            args.check_count(2..=2, "a fraction and a roughness")?;
         } else {
-            args.count(1..=1, "a fraction")?;
+            args.check_count(1..=1, "a fraction")?;
         }
         let unit = |i, what| args.number_in(i, what, "in [0, 1]", |x| (0.0..=1.0).contains(&x));
         let amount = unit(0, "reflectance or transmittance")?;
         let alpha = if specular { unit(1, "roughness")? } else { 0.0 };
         let tinted = self.used_color().tint(amount);
-        let material = self.change_material();
+        let material = self.current_material_mut();
         match entity {
             b"rd" => material.rd = tinted,
             b"td" => material.td = tinted,
@@ -137,32 +137,32 @@ impl Reader<'_> {
     }
 
     pub(super) fn ir(&mut self, args: &Args<'_>) -> Result<()> {
-        args.count(2..=2, "the real and the imaginary part")?;
+        args.check_count(2..=2, "the real and the imaginary part")?;
         let re = args.number_in(0, "real index of refraction", "> 0", |x| x > 0.0)?;
         let im = args.number_in(1, "imaginary index of refraction", ">= 0", |x| x >= 0.0)?;
-        self.change_material().ior = Some(Ior { re, im });
+        self.current_material_mut().ior = Some(Ior { re, im });
         Ok(())
     }
 
     pub(super) fn ed(&mut self, args: &Args<'_>) -> Result<()> {
-        args.count(1..=1, "an emittance in lm/m2")?;
+        args.check_count(1..=1, "an emittance in lm/m2")?;
         let emittance = args.number_in(0, "emittance (lm/m2)", ">= 0", |x| x >= 0.0)?;
         let tinted = self.used_color().tint(emittance);
-        self.change_material().ed = tinted;
+        self.current_material_mut().ed = tinted;
         Ok(())
     }
 
     pub(super) fn lobe(&mut self, args: &Args<'_>) -> Result<()> {
-        args.count(1..=1, "an exponent")?;
+        args.check_count(1..=1, "an exponent")?;
         let n = args.number_in(0, "exponent of the lobe", "in [0, 1e6]", |n| (0.0..=1e6).contains(&n))?;
-        self.change_material().lobe = Some(n);
+        self.current_material_mut().lobe = Some(n);
         Ok(())
     }
 
     pub(super) fn inside(&mut self, args: &Args<'_>) -> Result<()> {
-        args.count(1..=1, "the name of a medium")?;
+        args.check_count(1..=1, "the name of a medium")?;
         let medium = self.medium_named(args, 0)?;
-        self.change_material().inside = Some(medium);
+        self.current_material_mut().inside = Some(medium);
         Ok(())
     }
 }

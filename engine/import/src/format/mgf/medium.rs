@@ -3,10 +3,10 @@
 use super::{
     args::{Args, Result},
     reader::Reader,
-    stack::Placement,
-    table::Opened,
+    stack::NoWorldTransforms,
+    table::ContextChange,
 };
-use crate::{Fault, Kind};
+use crate::{EntityKind, ImportFault};
 use femc_scene::{Density, Location, Medium, MediumId, MediumRegion, Phase, RegionBounds};
 
 /// Maximum number of regions after array expansion.
@@ -40,10 +40,10 @@ impl Default for MediumState {
 
 impl Reader<'_> {
     pub(super) fn medium(&mut self, args: &Args<'_>) -> Result<()> {
-        args.count(1..=3, "NAME [= [TEMPLATE]]")?;
+        args.check_count(1..=3, "NAME [= [TEMPLATE]]")?;
         self.seal_medium()?;
         (self.medium_colored, self.absorption_colored) = (false, false);
-        if self.media.select(args, &mut self.errors)? != Opened::Again {
+        if self.media.select(args, &mut self.errors)? != ContextChange::Selected {
             let state = self.media.current_mut();
             state.medium.name = args.text(0).into_owned();
             state.medium.location = args.location();
@@ -55,12 +55,14 @@ impl Reader<'_> {
     /// Reads `sigma_s`, `sigma_a`, `phase`, `glow` or `density`.
     pub(super) fn medium_field(&mut self, entity: &[u8], args: &Args<'_>) -> Result<()> {
         if !self.media.is_named() {
-            return Err(args.fault(Fault::NoContext { entity: args.entity().into_owned(), kind: Kind::Medium }));
+            return Err(
+                args.fault(ImportFault::NoContext { entity: args.entity().into_owned(), kind: EntityKind::Medium })
+            );
         }
         let color = if self.medium_colored { *self.colors.current() } else { super::color::Color::default() };
         let tint = if color.raw { color.rgb } else { [1.0; 3] };
         let coefficient = |what| {
-            args.count(1..=1, "one number")?;
+            args.check_count(1..=1, "one number")?;
             args.number_in(0, what, ">= 0", |x| x >= 0.0)
         };
         let mut medium = self.media.current().medium.clone();
@@ -126,30 +128,32 @@ impl Reader<'_> {
 
     /// Reads `mbox NAME x0 y0 z0 x1 y1 z1`, which adds one region for each copy that the enclosing transforms make.
     pub(super) fn mbox(&mut self, args: &Args<'_>) -> Result<()> {
-        args.count(7..=7, "NAME x0 y0 z0 x1 y1 z1")?;
+        args.check_count(7..=7, "NAME x0 y0 z0 x1 y1 z1")?;
         let medium = self.medium_named(args, 0)?;
         let (a, b) = (args.vector(1, "coordinate (m)")?, args.vector(4, "coordinate (m)")?);
         let (min, max) = (a.min(b), a.max(b));
         if !(max - min).cmpgt(Default::default()).all() || !(max - min).is_finite() {
-            let fault =
-                Fault::Shape { what: "this box has no volume", advice: "use two corners that differ in x, y and z" };
+            let fault = ImportFault::Shape {
+                what: "this box has no volume",
+                advice: "use two corners that differ in x, y and z",
+            };
             return Err(args.fault(fault));
         }
         let left = MAX_REGIONS - (self.scene.regions.len() as u64).min(MAX_REGIONS);
-        let transforms = self.world_transforms(left).map_err(|placement| {
-            args.fault(match placement {
-                Placement::Moving => Fault::Unsupported {
+        let transforms = self.world_transforms(left).map_err(|reason| {
+            args.fault(match reason {
+                NoWorldTransforms::Moving => ImportFault::Unsupported {
                     what: "a medium box that moves along a path",
                     advice: "move it out of the `xf -path`",
                 },
-                Placement::TooMany => {
-                    Fault::TooMany { what: "regions of media after array expansion", limit: MAX_REGIONS }
+                NoWorldTransforms::TooMany => {
+                    ImportFault::TooMany { what: "regions of media after array expansion", limit: MAX_REGIONS }
                 }
             })
         })?;
         for to_world in transforms {
             if !to_world.is_finite() {
-                return Err(args.fault(Fault::NotFinite { what: "a transformed coordinate" }));
+                return Err(args.fault(ImportFault::NotFinite { what: "a transformed coordinate" }));
             }
             let bounds = RegionBounds::Box { min, max, to_world };
             self.scene.regions.push(MediumRegion { medium, bounds, location: args.location() });
@@ -158,7 +162,7 @@ impl Reader<'_> {
     }
 
     pub(super) fn mglobal(&mut self, args: &Args<'_>) -> Result<()> {
-        args.count(1..=1, "the name of a medium")?;
+        args.check_count(1..=1, "the name of a medium")?;
         let medium = self.medium_named(args, 0)?;
         self.scene.regions.push(MediumRegion { medium, bounds: RegionBounds::Everywhere, location: args.location() });
         Ok(())
@@ -166,40 +170,40 @@ impl Reader<'_> {
 }
 
 fn phase(args: &Args<'_>) -> Result<Phase> {
-    args.count(1..=2, "iso, hg G, schlick K or rayleigh")?;
+    args.check_count(1..=2, "iso, hg G, schlick K or rayleigh")?;
     let parameter = || {
-        args.count(2..=2, "the phase function and its parameter")?;
+        args.check_count(2..=2, "the phase function and its parameter")?;
         args.number_in(1, "phase function parameter", "in (-1, 1)", |x| x > -1.0 && x < 1.0)
     };
     match args.raw(0) {
         b"hg" => Ok(Phase::HenyeyGreenstein { g: parameter()? }),
         b"schlick" => Ok(Phase::Schlick { k: parameter()? }),
-        b"iso" => args.count(1..=1, "iso without a parameter").map(|()| Phase::Isotropic),
-        b"rayleigh" => args.count(1..=1, "rayleigh without a parameter").map(|()| Phase::Rayleigh),
+        b"iso" => args.check_count(1..=1, "iso without a parameter").map(|()| Phase::Isotropic),
+        b"rayleigh" => args.check_count(1..=1, "rayleigh without a parameter").map(|()| Phase::Rayleigh),
         _ => {
             let expected = "iso, hg G, schlick K or rayleigh";
-            Err(args.fault_at(0, Fault::Unexpected { found: args.text(0).into_owned(), expected }))
+            Err(args.fault_at(0, ImportFault::Unexpected { found: args.text(0).into_owned(), expected }))
         }
     }
 }
 
 fn density(args: &Args<'_>) -> Result<Density> {
-    args.count(1..=3, "uniform, height Z0 H or vdb FILE [GRID]")?;
+    args.check_count(1..=3, "uniform, height Z0 H or vdb FILE [GRID]")?;
     match args.raw(0) {
-        b"uniform" => args.count(1..=1, "uniform without a parameter").map(|()| Density::Uniform),
+        b"uniform" => args.check_count(1..=1, "uniform without a parameter").map(|()| Density::Uniform),
         b"height" => {
-            args.count(3..=3, "height Z0 H")?;
+            args.check_count(3..=3, "height Z0 H")?;
             let z0 = args.number(1, "height of full density (m)")?;
             let scale = args.number_in(2, "scale height (m)", "> 0", |h| h > 0.0)?;
             Ok(Density::Height { z0, scale })
         }
         b"vdb" => {
             let advice = "use `density uniform` or `density height Z0 H`";
-            Err(args.fault_at(0, Fault::Unsupported { what: "a grid medium (density vdb)", advice }))
+            Err(args.fault_at(0, ImportFault::Unsupported { what: "a grid medium (density vdb)", advice }))
         }
         _ => {
             let expected = "uniform, height Z0 H or vdb FILE [GRID]";
-            Err(args.fault_at(0, Fault::Unexpected { found: args.text(0).into_owned(), expected }))
+            Err(args.fault_at(0, ImportFault::Unexpected { found: args.text(0).into_owned(), expected }))
         }
     }
 }

@@ -15,7 +15,7 @@ const NO_AREA: f64 = 1e-15;
 
 /// Result of a triangulation.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Outcome {
+pub(super) struct Triangulation {
     /// Vector area of the outer contour minus the holes, m2, by the right-hand rule.
     pub area: DVec3,
     /// Largest distance of a vertex from the mean plane, divided by the size of the polygon.
@@ -38,7 +38,7 @@ pub(super) struct Triangulator {
 
 impl Triangulator {
     /// Triangulates the contours of `points`. `holes` are the first indices of the contours after the outer one.
-    pub fn run(&mut self, points: &[DVec3], holes: &[u32]) -> Outcome {
+    pub fn triangulate(&mut self, points: &[DVec3], holes: &[u32]) -> Triangulation {
         self.triangles.clear();
         let outer = &points[..holes.first().map_or(points.len(), |&first| first as usize)];
         let outer_area = vector_area(outer);
@@ -50,14 +50,14 @@ impl Triangulator {
         let area = hole_areas.iter().fold(outer_area, sum);
         let size = extent(outer);
         let deviation = deviation(points, outer_area.normalize_or_zero(), size);
-        let mut outcome = Outcome { area, deviation, covered: true, hole_wound_like_outer };
+        let mut outcome = Triangulation { area, deviation, covered: true, hole_wound_like_outer };
         // The comparison is written so that NaN also counts as no area.
         let has_area = area.length() > NO_AREA * size * size && area.is_finite();
         if !has_area {
             return outcome;
         }
         self.project(points, outer_area);
-        if !self.simple(points.len(), holes) {
+        if !self.triangulate_simple(points.len(), holes) {
             self.clip_ears(points.len(), holes);
         }
         let signed: f64 = self.triangles.iter().map(|&t| self.signed_area(t)).sum();
@@ -76,7 +76,7 @@ impl Triangulator {
     }
 
     /// Triangulates triangles and quadrangles without holes directly; returns false if that is not possible.
-    fn simple(&mut self, n: usize, holes: &[u32]) -> bool {
+    fn triangulate_simple(&mut self, n: usize, holes: &[u32]) -> bool {
         let candidates: &[&[[u32; 3]]] = match (n, holes) {
             (3, []) => &[&[[0, 1, 2]]],
             (4, []) => &[&[[0, 1, 2], [0, 2, 3]], &[[1, 2, 3], [1, 3, 0]]],

@@ -10,11 +10,11 @@ use super::{
     polygon::Triangulator,
     recovery::Errors,
     stack::Frame,
-    table::Table,
+    table::ContextTable,
     vertex::VertexState,
 };
 use crate::{
-    Files, ImportError, ImportErrors, Kind, Loaded, Oddity, Position, Warning,
+    EntityKind, FileSource, ImportError, ImportErrors, LoadedScene, Position, Warning, WarningKind,
     format::ies::{Remark, Tilt},
     image::Role,
     warning::Warnings,
@@ -32,34 +32,34 @@ pub(super) const MAX_PRIMITIVES: u64 = 100_000_000;
 
 /// State of one import. Hash tables are only used for lookups; their order never affects the scene.
 pub(super) struct Reader<'f> {
-    pub files: &'f dyn Files,
+    pub files: &'f dyn FileSource,
     pub scene: Scene,
     pub warnings: Warnings,
     pub notes: Warnings,
     pub errors: Errors,
     /// All files read.
-    pub read: Vec<String>,
+    pub files_read: Vec<String>,
     pub texts: HashMap<String, Arc<Vec<u8>>>,
     pub file_indices: HashMap<String, u32>,
     /// Open files, outermost first.
-    pub open: Vec<OpenFile>,
+    pub open_files: Vec<OpenFile>,
     pub includes: u64,
     pub included_bytes: u64,
-    pub unknown: HashSet<String>,
+    pub reported_unknown: HashSet<String>,
     /// Folder of the scene file, from the root: empty, or with a `/` at its end.
     pub folder: String,
     /// Files outside this folder that were already reported.
-    pub outside: HashSet<String>,
+    pub reported_outside: HashSet<String>,
 
-    pub colors: Table<Color>,
+    pub colors: ContextTable<Color>,
     /// Locations of clipped colors that were used.
     pub clipped_colors: HashSet<Location>,
-    pub materials: Table<MaterialState>,
+    pub materials: ContextTable<MaterialState>,
     /// Entries of the scene by name, newest last.
     pub material_entries: HashMap<String, Vec<MaterialId>>,
-    pub vertices: Table<VertexState>,
-    pub cameras: Table<Camera>,
-    pub media: Table<MediumState>,
+    pub vertices: ContextTable<VertexState>,
+    pub cameras: ContextTable<Camera>,
+    pub media: ContextTable<MediumState>,
     /// Whether a color was given since the medium was opened. Earlier colors do not tint media.
     pub medium_colored: bool,
     /// Whether a color was given since the medium was opened and since its latest `sigma_s`.
@@ -67,7 +67,7 @@ pub(super) struct Reader<'f> {
     pub medium_entries: HashMap<String, Vec<MediumId>>,
     pub photometries: HashMap<String, (PhotometryId, Option<Tilt>)>,
     /// Hints about photometry that no luminaire has scaled yet.
-    pub normalized: HashMap<PhotometryId, Remark>,
+    pub normalization_hints: HashMap<PhotometryId, Remark>,
     /// Textured materials found on surfaces without texture coordinates.
     pub without_uv: HashSet<MaterialId>,
     pub images: HashMap<(String, Role), ImageId>,
@@ -82,24 +82,28 @@ pub(super) struct Reader<'f> {
     pub objects: Vec<(ObjectId, Location)>,
     pub object_ids: HashMap<String, ObjectId>,
     /// Position that first opened each object; `None` once a second position that opens it has been reported.
-    pub object_places: Vec<Option<Position>>,
+    pub object_positions: Vec<Option<Position>>,
     pub frames: Vec<Frame>,
     pub frame_ids: u32,
     /// Group that receives new surfaces.
     pub group: GroupId,
     /// Number of primitives of each group after expansion.
-    pub counts: Vec<u64>,
+    pub primitive_counts: Vec<u64>,
     /// Approximate number of instances and steps of their motions.
-    pub stored: u64,
+    pub stored_instances: u64,
     /// Mirror images of groups.
-    pub twins: HashMap<GroupId, GroupId>,
+    pub mirror_images: HashMap<GroupId, GroupId>,
     pub triangulator: Triangulator,
 }
 
 /// Imports `entry` of `files`. Stops at error number `limit`.
-pub(crate) fn load(files: &dyn Files, entry: &str, limit: usize) -> std::result::Result<Loaded, ImportErrors> {
+pub(crate) fn load(
+    files: &dyn FileSource,
+    entry: &str,
+    limit: usize,
+) -> std::result::Result<LoadedScene, ImportErrors> {
     let mut reader = Reader::new(files, limit);
-    let notes = match reader.read(entry) {
+    let notes = match reader.read_scene(entry) {
         Ok(notes) => notes,
         Err(error) => {
             // `finish` returns this error together with the earlier ones.
@@ -107,38 +111,38 @@ pub(crate) fn load(files: &dyn Files, entry: &str, limit: usize) -> std::result:
             Vec::new()
         }
     };
-    let Reader { scene, warnings, read, errors, .. } = reader;
+    let Reader { scene, warnings, files_read: read, errors, .. } = reader;
     errors.finish(&scene.files)?;
-    Ok(Loaded { scene, warnings: warnings.0, notes, files: read })
+    Ok(LoadedScene { scene, warnings: warnings.0, notes, files: read })
 }
 
 impl<'f> Reader<'f> {
-    fn new(files: &'f dyn Files, limit: usize) -> Self {
+    fn new(files: &'f dyn FileSource, limit: usize) -> Self {
         Self {
             files,
             scene: Scene { groups: vec![Group::default()], ..Scene::default() },
             warnings: Warnings::default(),
             notes: Warnings::default(),
             errors: Errors::new(limit),
-            read: Vec::new(),
+            files_read: Vec::new(),
             texts: HashMap::new(),
             file_indices: HashMap::new(),
-            open: Vec::new(),
+            open_files: Vec::new(),
             includes: 0,
             included_bytes: 0,
-            unknown: HashSet::new(),
+            reported_unknown: HashSet::new(),
             folder: String::new(),
-            outside: HashSet::new(),
+            reported_outside: HashSet::new(),
             clipped_colors: HashSet::new(),
-            colors: Table::new(Kind::Color, Color::default()),
-            materials: Table::new(Kind::Material, MaterialState::default()),
+            colors: ContextTable::new(EntityKind::Color, Color::default()),
+            materials: ContextTable::new(EntityKind::Material, MaterialState::default()),
             material_entries: HashMap::new(),
-            vertices: Table::new(Kind::Vertex, VertexState::default()),
-            cameras: Table::new(Kind::Camera, camera::default_camera()),
-            media: Table::new(Kind::Medium, MediumState::default()),
+            vertices: ContextTable::new(EntityKind::Vertex, VertexState::default()),
+            cameras: ContextTable::new(EntityKind::Camera, camera::default_camera()),
+            media: ContextTable::new(EntityKind::Medium, MediumState::default()),
             medium_entries: HashMap::new(),
             photometries: HashMap::new(),
-            normalized: HashMap::new(),
+            normalization_hints: HashMap::new(),
             without_uv: HashSet::new(),
             images: HashMap::new(),
             reflectance_maps: HashSet::new(),
@@ -147,13 +151,13 @@ impl<'f> Reader<'f> {
             faulty_paths: HashSet::new(),
             objects: Vec::new(),
             object_ids: HashMap::new(),
-            object_places: Vec::new(),
+            object_positions: Vec::new(),
             frames: vec![Frame::world()],
             frame_ids: 0,
             group: GroupId(0),
-            counts: vec![0],
-            stored: 0,
-            twins: HashMap::new(),
+            primitive_counts: vec![0],
+            stored_instances: 0,
+            mirror_images: HashMap::new(),
             medium_colored: false,
             absorption_colored: false,
             triangulator: Triangulator::default(),
@@ -161,7 +165,7 @@ impl<'f> Reader<'f> {
     }
 
     /// Dispatches one entity.
-    pub(super) fn entity(&mut self, entity: &[u8], args: &Args<'_>) -> Result<()> {
+    pub(super) fn dispatch(&mut self, entity: &[u8], args: &Args<'_>) -> Result<()> {
         match entity {
             b"v" => self.vertices.select(args, &mut self.errors).map(|_| ()),
             b"p" => self.p(args),
@@ -210,8 +214,8 @@ impl<'f> Reader<'f> {
             b"vary" => self.vary(args),
             _ => {
                 let name = args.entity();
-                if self.unknown.insert(name.clone().into_owned()) {
-                    self.warn(args, Oddity::UnknownEntity { name: name.into_owned() });
+                if self.reported_unknown.insert(name.clone().into_owned()) {
+                    self.warn(args, WarningKind::UnknownEntity { name: name.into_owned() });
                 }
                 Ok(())
             }
@@ -219,13 +223,13 @@ impl<'f> Reader<'f> {
     }
 
     /// Reads the scene and returns notes.
-    fn read(&mut self, entry: &str) -> Result<Vec<Warning>> {
+    fn read_scene(&mut self, entry: &str) -> Result<Vec<Warning>> {
         let path = crate::files::resolve("", entry)
             .map_err(|fault| ImportError::new(Position { file: entry.to_owned(), line: 0, column: 0 }, fault))?;
         let (folder, file) = path.split_at(path.rfind('/').map_or(0, |slash| slash + 1));
         self.folder = folder.to_owned();
         self.scene.name = file.rsplit_once('.').map_or(file, |(stem, _)| stem).to_owned();
-        self.run(&path, Position { file: path.clone(), line: 0, column: 0 })?;
+        self.read_file(&path, Position { file: path.clone(), line: 0, column: 0 })?;
         self.seal_material();
         self.seal_medium()?;
         self.finish_cameras()?;
@@ -235,8 +239,8 @@ impl<'f> Reader<'f> {
     }
 
     /// Adds a warning at the entity.
-    pub(super) fn warn(&mut self, args: &Args<'_>, oddity: Oddity) {
-        self.warnings.push(args.at(), oddity);
+    pub(super) fn warn(&mut self, args: &Args<'_>, kind: WarningKind) {
+        self.warnings.push(args.at(), kind);
     }
 
     /// Converts a location of the description to a position for messages.

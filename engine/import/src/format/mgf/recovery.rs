@@ -8,7 +8,7 @@ use super::{
     reader::Reader,
     stack::Frame,
 };
-use crate::{Fault, ImportError, ImportErrors, Kind, Position};
+use crate::{EntityKind, ImportError, ImportErrors, ImportFault, Position};
 use femc_scene::{Interpolation, Location, MotionPath, Object, PathId};
 use std::collections::HashMap;
 
@@ -16,7 +16,7 @@ use std::collections::HashMap;
 #[derive(Debug)]
 pub(super) struct Errors {
     /// Errors in order of reading, without duplicates.
-    list: Vec<ImportError>,
+    errors: Vec<ImportError>,
     /// Number of errors that ends the import, >= 1.
     limit: usize,
     /// Whether the current entity uses a faulty name: its further errors are dropped.
@@ -26,14 +26,14 @@ pub(super) struct Errors {
     /// Whether an include was skipped. Any name may be defined in it.
     lost_include: bool,
     /// Faults of unusable files, by path.
-    failed: HashMap<String, Fault>,
+    unusable_files: HashMap<String, ImportFault>,
 }
 
 impl Errors {
     /// Creates an empty list. The import ends with error number `limit`.
     pub fn new(limit: usize) -> Self {
-        let (list, failed) = (Vec::new(), HashMap::new());
-        Self { list, limit: limit.max(1), tainted: false, ended: false, lost_include: false, failed }
+        let (errors, unusable_files) = (Vec::new(), HashMap::new());
+        Self { errors, limit: limit.max(1), tainted: false, ended: false, lost_include: false, unusable_files }
     }
 
     /// Records an error. Fails with it if it reaches the limit.
@@ -41,8 +41,8 @@ impl Errors {
         self.tainted = true;
         let again =
             |known: &ImportError| known.fault == error.fault && (known.at == error.at || known.fault.file().is_some());
-        if !self.follows(&error.fault) && self.list.len() < self.limit && !self.list.iter().any(again) {
-            self.list.push(error.clone());
+        if !self.may_follow(&error.fault) && self.errors.len() < self.limit && !self.errors.iter().any(again) {
+            self.errors.push(error.clone());
         }
         if self.is_over() { Err(error) } else { Ok(()) }
     }
@@ -50,17 +50,17 @@ impl Errors {
     /// Reports that `name` is undefined. `nearest` returns similar names.
     pub fn report_undefined(
         &mut self,
-        (at, kind, name): (Position, Kind, &str),
+        (at, kind, name): (Position, EntityKind, &str),
         nearest: impl FnOnce() -> Vec<String>,
     ) -> Result<()> {
         // A scene may use any number of names from a skipped include, so similar names are not searched.
         let nearest = if self.lost_include { Vec::new() } else { nearest() };
-        self.report(ImportError::new(at, Fault::Undefined { kind, name: name.to_owned(), nearest }))
+        self.report(ImportError::new(at, ImportFault::Undefined { kind, name: name.to_owned(), nearest }))
     }
 
     /// Returns whether an error may follow from a skipped include.
-    fn follows(&self, fault: &Fault) -> bool {
-        self.lost_include && matches!(fault, Fault::Undefined { .. } | Fault::NoContext { .. })
+    fn may_follow(&self, fault: &ImportFault) -> bool {
+        self.lost_include && matches!(fault, ImportFault::Undefined { .. } | ImportFault::NoContext { .. })
     }
 
     /// Drops further errors of the current entity.
@@ -69,22 +69,22 @@ impl Errors {
     }
 
     /// Makes the next error end the import.
-    pub fn end(&mut self) {
+    pub fn end_at_next_error(&mut self) {
         self.ended = true;
     }
 
     fn is_over(&self) -> bool {
-        self.ended || self.list.len() >= self.limit
+        self.ended || self.errors.len() >= self.limit
     }
 
     /// Returns the fault of the file `path`, if it is unusable and was reported.
-    pub fn fault_of_file(&self, path: &str) -> Option<&Fault> {
-        self.failed.get(path)
+    pub fn fault_of_file(&self, path: &str) -> Option<&ImportFault> {
+        self.unusable_files.get(path)
     }
 
     /// Returns the errors in order of position, if there are any. `files` are the source files in order of first use.
     pub fn finish(self, files: &[String]) -> std::result::Result<(), ImportErrors> {
-        let mut errors = self.list;
+        let mut errors = self.errors;
         let complete = !(self.ended || errors.len() >= self.limit);
         let file = |at: &Position| files.iter().position(|file| *file == at.file).unwrap_or(usize::MAX);
         errors.sort_by_key(|error| (file(&error.at), error.at.line, error.at.column));
@@ -94,10 +94,10 @@ impl Errors {
 
 impl Reader<'_> {
     /// Processes one entity of a file. Fails only if the import ends.
-    pub(super) fn step(&mut self, entity: &[u8], args: &Args<'_>) -> Result<()> {
+    pub(super) fn process_entity(&mut self, entity: &[u8], args: &Args<'_>) -> Result<()> {
         let outer = std::mem::replace(&mut self.errors.tainted, false);
         let open = (self.frames.len(), self.objects.len());
-        let outcome = match self.entity(entity, args) {
+        let outcome = match self.dispatch(entity, args) {
             Err(error) => self.recover(error, entity, args, open),
             Ok(()) => Ok(()),
         };
@@ -116,13 +116,15 @@ impl Reader<'_> {
         }
         let (frames, objects) = open;
         if let Some(path) = fault.file() {
-            self.errors.failed.entry(path.to_owned()).or_insert_with(|| (*fault).clone());
+            self.errors.unusable_files.entry(path.to_owned()).or_insert_with(|| (*fault).clone());
         }
         match (*fault, entity) {
-            (Fault::Undefined { kind: Kind::Path, name, .. }, _) => self.define_faulty_path(&name, args.location()),
-            (Fault::NoContext { kind, .. }, _) => match kind {
-                Kind::Camera => self.cameras.define_faulty(None),
-                Kind::Medium => self.media.define_faulty(None),
+            (ImportFault::Undefined { kind: EntityKind::Path, name, .. }, _) => {
+                self.define_faulty_path(&name, args.location());
+            }
+            (ImportFault::NoContext { kind, .. }, _) => match kind {
+                EntityKind::Camera => self.cameras.define_faulty(None),
+                EntityKind::Medium => self.media.define_faulty(None),
                 _ => {
                     self.define_faulty_path("", args.location());
                     self.path = self.paths.get("").copied();
@@ -146,7 +148,7 @@ impl Reader<'_> {
             }
             b"i" => self.errors.lost_include = true,
             b"xf" if args.len() > 0 && self.frames.len() == frames => {
-                let frame = Frame::like(self.frame(), args.at());
+                let frame = Frame::with_transform_of(self.frame(), args.at());
                 self.frames.push(frame);
                 return Ok(());
             }

@@ -65,23 +65,23 @@ const STEP: f64 = 10.0;
 
 /// A color of luminance 1, and whether it had to be clipped into Rec.709.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Gamut {
+pub(super) struct ClippedColor {
     /// Color without negative components.
     pub rgb: [f64; 3],
     /// Color before clipping. Equal to `rgb` if it was not clipped, or if it has no positive luminance.
-    pub wide: [f64; 3],
+    pub unclipped: [f64; 3],
     pub clipped: bool,
 }
 
-impl Gamut {
+impl ClippedColor {
     /// Scales the linear Rec.709 color `raw` to luminance 1 and clips negative components to 0. Returns `None` for black.
     pub fn new(raw: [f64; 3]) -> Option<Self> {
         // Rounding leaves the other components of a primary slightly below 0. That does not count as clipping.
         let clipped = raw.iter().any(|&x| x < -1e-6 * luminance(raw).max(0.0));
-        let rgb = normalized(raw.map(|x| x.max(0.0)))?;
+        let rgb = with_unit_luminance(raw.map(|x| x.max(0.0)))?;
         // Chromaticities far below the line of purples have no positive luminance after the adaptation to the white point.
-        let wide = if clipped { normalized(raw).unwrap_or(rgb) } else { rgb };
-        Some(Self { rgb, wide, clipped })
+        let unclipped = if clipped { with_unit_luminance(raw).unwrap_or(rgb) } else { rgb };
+        Some(Self { rgb, unclipped, clipped })
     }
 }
 
@@ -92,7 +92,7 @@ pub(super) fn luminance(rgb: [f64; 3]) -> f64 {
 }
 
 /// Returns `rgb` scaled to luminance 1; `None` for black.
-pub(super) fn normalized(rgb: [f64; 3]) -> Option<[f64; 3]> {
+pub(super) fn with_unit_luminance(rgb: [f64; 3]) -> Option<[f64; 3]> {
     let y = luminance(rgb);
     let scaled = rgb.map(|x| x / y);
     (y > 0.0 && scaled.iter().all(|x| x.is_finite())).then_some(scaled)
@@ -100,12 +100,12 @@ pub(super) fn normalized(rgb: [f64; 3]) -> Option<[f64; 3]> {
 
 /// Returns the Rec.709 color of a chromaticity, with luminance 1 and negative components clipped to 0. Returns `None` if the
 /// chromaticity has no finite color.
-pub(super) fn from_xy(x: f64, y: f64) -> Option<Gamut> {
+pub(super) fn from_xy(x: f64, y: f64) -> Option<ClippedColor> {
     from_xyz([x / y, 1.0, (1.0 - x - y) / y])
 }
 
-fn from_xyz(xyz: [f64; 3]) -> Option<Gamut> {
-    Gamut::new(XYZ_TO_RGB.map(|row| row[0] * xyz[0] + row[1] * xyz[1] + row[2] * xyz[2]))
+fn from_xyz(xyz: [f64; 3]) -> Option<ClippedColor> {
+    ClippedColor::new(XYZ_TO_RGB.map(|row| row[0] * xyz[0] + row[1] * xyz[1] + row[2] * xyz[2]))
 }
 
 /// Returns the physically possible chromaticity nearest to `[x, y]`: inside the spectral locus and the line of purples, or on them.
@@ -159,7 +159,7 @@ fn observer(nm: f64) -> [f64; 3] {
 
 /// Returns the color of evenly spaced samples from `first` to `last` nm, linear between them and 0 outside. Returns `None` without
 /// visible power.
-pub(super) fn from_samples(first: f64, last: f64, samples: &[f64]) -> Option<Gamut> {
+pub(super) fn from_samples(first: f64, last: f64, samples: &[f64]) -> Option<ClippedColor> {
     let spacing = (last - first) / (samples.len() - 1) as f64;
     let peak = samples.iter().copied().fold(0.0, f64::max);
     let power = |nm: f64| {
@@ -176,7 +176,7 @@ pub(super) fn from_samples(first: f64, last: f64, samples: &[f64]) -> Option<Gam
 }
 
 /// Returns the color of a black body of `kelvin`.
-pub(super) fn from_temperature(kelvin: f64) -> Option<Gamut> {
+pub(super) fn from_temperature(kelvin: f64) -> Option<ClippedColor> {
     let [x, y] = chromaticity(|nm| planck(nm, kelvin))?;
     from_xy(x, y)
 }
@@ -260,6 +260,6 @@ mod tests {
     fn invisible_spectra_have_no_colour() {
         assert_eq!(from_samples(100.0, 200.0, &[1.0, 1.0]), None);
         assert_eq!(from_samples(400.0, 700.0, &[0.0, 0.0]), None);
-        assert_eq!(normalized([0.0; 3]), None);
+        assert_eq!(with_unit_luminance([0.0; 3]), None);
     }
 }

@@ -8,9 +8,9 @@
 use super::{
     args::{Args, Result},
     reader::{MAX_PRIMITIVES, Reader},
-    transform::{self, Layer, Spec, is_mirror, power, push_step, scale_of},
+    transform::{self, InstanceLayer, TransformSpec, is_mirror, power, push_step, scale_of},
 };
-use crate::{Fault, ImportError, Oddity, Position};
+use crate::{ImportError, ImportFault, Position, WarningKind};
 use femc_math::{
     Transform,
     glam::{DMat3, DVec3},
@@ -35,7 +35,7 @@ pub(super) struct Frame {
     /// Id, unique among the frames of a scene.
     pub id: u32,
     /// Group that this frame opened.
-    opened: Option<Opened>,
+    opened: Option<OpenedGroup>,
     at: Position,
     /// Number of copies of the contents, over all enclosing frames, saturated.
     copies: u64,
@@ -43,15 +43,15 @@ pub(super) struct Frame {
     nesting: u64,
 }
 
-struct Opened {
-    layers: Vec<Layer>,
+struct OpenedGroup {
+    layers: Vec<InstanceLayer>,
     content: GroupId,
     outer: GroupId,
 }
 
 impl Frame {
     /// Returns a frame with the transform of `outer`, opened at `at`.
-    pub fn like(outer: &Self, at: Position) -> Self {
+    pub fn with_transform_of(outer: &Self, at: Position) -> Self {
         Self { opened: None, at, ..*outer }
     }
 
@@ -76,8 +76,8 @@ impl Reader<'_> {
         if args.len() > 0 {
             return self.push_frame(args, 0);
         }
-        if self.frames.len() <= self.open_at_start().frames {
-            return Err(args.fault(Fault::NothingToClose { entity: "xf" }));
+        if self.frames.len() <= self.current_file().frames {
+            return Err(args.fault(ImportFault::NothingToClose { entity: "xf" }));
         }
         self.pop_frame()
     }
@@ -93,25 +93,27 @@ impl Reader<'_> {
             let find = |name: &str| self.find_path(name);
             transform::parse(args.tail(first), &find)?
         };
-        let Spec { baked, layers } = spec;
+        let TransformSpec { baked, layers } = spec;
         let outer = self.frame();
         let copies = layers.iter().fold(outer.copies, |n, layer| n.saturating_mul(layer.count));
         if copies > MAX_PRIMITIVES {
-            return Err(args.fault(Fault::TooManyPrimitives { count: copies, limit: MAX_PRIMITIVES }));
+            return Err(args.fault(ImportFault::TooManyPrimitives { count: copies, limit: MAX_PRIMITIVES }));
         }
         let nesting = outer.nesting + layers.len() as u64;
         if nesting > MAX_NESTING {
-            return Err(args.fault(Fault::TooMany { what: "nested arrays and paths", limit: MAX_NESTING }));
+            return Err(args.fault(ImportFault::TooMany { what: "nested arrays and paths", limit: MAX_NESTING }));
         }
         let to_group = if layers.is_empty() { outer.to_group * baked } else { baked };
         let scale = scale_of(&to_group);
         if !to_group.is_finite() || !scale.is_normal() {
-            return Err(args.fault(Fault::NotFinite { what: "the transform combined with the enclosing transforms" }));
+            return Err(
+                args.fault(ImportFault::NotFinite { what: "the transform combined with the enclosing transforms" })
+            );
         }
         let mirrored = is_mirror(&to_group);
         let opened = (!layers.is_empty()).then(|| {
             let content = self.new_group();
-            Opened { layers, content, outer: std::mem::replace(&mut self.group, content) }
+            OpenedGroup { layers, content, outer: std::mem::replace(&mut self.group, content) }
         });
         self.frame_ids += 1;
         self.frames.push(Frame {
@@ -132,7 +134,7 @@ impl Reader<'_> {
         let Some(Frame { opened: Some(opened), at, .. }) = self.frames.pop() else { return Ok(()) };
         self.group = opened.outer;
         let mut child = opened.content;
-        if self.counts[child.index()] == 0 {
+        if self.primitive_counts[child.index()] == 0 {
             self.drop_if_last(child);
             return Ok(());
         }
@@ -143,17 +145,17 @@ impl Reader<'_> {
             if i == last {
                 push_step(&mut layer.after, outer);
             }
-            let total = self.counts[child.index()].saturating_mul(layer.count);
-            self.count(parent, total).map_err(|fault| ImportError::new(at.clone(), fault))?;
+            let total = self.primitive_counts[child.index()].saturating_mul(layer.count);
+            self.count_primitives(parent, total).map_err(|fault| ImportError::new(at.clone(), fault))?;
             let stored = if layer.count > FLAT_ARRAY { 4 * layer.count.isqrt() } else { layer.count };
             let steps = (layer.before.len() + layer.after.len() + 1) as u64 + layer.body.len() as u64 * stored / 2;
-            self.stored = self.stored.saturating_add(stored.saturating_mul(steps));
-            if self.stored > MAX_STORED {
-                self.errors.end();
-                let fault = Fault::TooMany { what: "instances (nest arrays in arrays)", limit: MAX_STORED };
+            self.stored_instances = self.stored_instances.saturating_add(stored.saturating_mul(steps));
+            if self.stored_instances > MAX_STORED {
+                self.errors.end_at_next_error();
+                let fault = ImportFault::TooMany { what: "instances (nest arrays in arrays)", limit: MAX_STORED };
                 return Err(ImportError::new(at, fault));
             }
-            self.place(child, &layer, parent);
+            self.place_copies(child, &layer, parent);
             child = parent;
         }
         Ok(())
@@ -161,9 +163,9 @@ impl Reader<'_> {
 
     /// Closes the transforms that the current file left open.
     pub(super) fn close_frames(&mut self) -> Result<()> {
-        while self.frames.len() > self.open_at_start().frames {
+        while self.frames.len() > self.current_file().frames {
             let at = self.frame().at.clone();
-            self.warnings.push(at, Oddity::LeftOpen { entity: "xf" });
+            self.warnings.push(at, WarningKind::LeftOpen { entity: "xf" });
             self.pop_frame()?;
         }
         Ok(())
@@ -172,29 +174,29 @@ impl Reader<'_> {
     fn new_group(&mut self) -> GroupId {
         let id = GroupId(self.scene.groups.len() as u32);
         self.scene.groups.push(Group::default());
-        self.counts.push(0);
+        self.primitive_counts.push(0);
         id
     }
 
     fn drop_if_last(&mut self, group: GroupId) {
         if group.index() + 1 == self.scene.groups.len() {
             self.scene.groups.pop();
-            self.counts.pop();
+            self.primitive_counts.pop();
         }
     }
 
     /// Counts `n` more primitives in `group`, after expansion.
-    pub(super) fn count(&mut self, group: GroupId, n: u64) -> std::result::Result<(), Fault> {
-        let count = &mut self.counts[group.index()];
+    pub(super) fn count_primitives(&mut self, group: GroupId, n: u64) -> std::result::Result<(), ImportFault> {
+        let count = &mut self.primitive_counts[group.index()];
         *count = count.saturating_add(n);
         if *count > MAX_PRIMITIVES {
-            self.errors.end();
-            return Err(Fault::TooManyPrimitives { count: *count, limit: MAX_PRIMITIVES });
+            self.errors.end_at_next_error();
+            return Err(ImportFault::TooManyPrimitives { count: *count, limit: MAX_PRIMITIVES });
         }
         Ok(())
     }
 
-    fn place(&mut self, child: GroupId, layer: &Layer, parent: GroupId) {
+    fn place_copies(&mut self, child: GroupId, layer: &InstanceLayer, parent: GroupId) {
         let block = layer.fixed_body().filter(|_| layer.count > FLAT_ARRAY).map(|body| {
             let side = layer.count.isqrt();
             (body, side, power(body, side))
@@ -207,13 +209,21 @@ impl Reader<'_> {
         };
         // Rows of `side` copies, then the rest of the last row.
         let row = self.new_group();
-        self.counts[row.index()] = self.counts[child.index()].saturating_mul(side);
-        let within =
-            Layer { before: layer.before.clone(), body: vec![MotionStep::Static(body)], count: side, after: vec![] };
+        self.primitive_counts[row.index()] = self.primitive_counts[child.index()].saturating_mul(side);
+        let within = InstanceLayer {
+            before: layer.before.clone(),
+            body: vec![MotionStep::Static(body)],
+            count: side,
+            after: vec![],
+        };
         for k in 0..side {
             self.add_instance(child, within.motion(k), row);
         }
-        let rows = Layer { body: vec![MotionStep::Static(stride)], after: layer.after.clone(), ..Layer::default() };
+        let rows = InstanceLayer {
+            body: vec![MotionStep::Static(stride)],
+            after: layer.after.clone(),
+            ..InstanceLayer::default()
+        };
         for k in 0..layer.count / side {
             self.add_instance(row, rows.motion(k), parent);
         }
@@ -226,34 +236,34 @@ impl Reader<'_> {
         let mirrors = steps.iter().filter(|step| matches!(step, MotionStep::Static(t) if is_mirror(t))).count();
         let (group, steps) = match mirrors % 2 {
             0 => (child, steps),
-            _ => (self.twin(child), around_mirror(&steps, Some(mirror_x()), None)),
+            _ => (self.mirror_image(child), around_mirror(&steps, Some(mirror_x()), None)),
         };
         self.scene.groups[parent.index()].instances.push(Instance { group, motion: Motion { steps } });
     }
 
     /// Returns the mirror image of `group` about its x = 0 plane.
-    fn twin(&mut self, group: GroupId) -> GroupId {
-        if let Some(&twin) = self.twins.get(&group) {
-            return twin;
+    fn mirror_image(&mut self, group: GroupId) -> GroupId {
+        if let Some(&known) = self.mirror_images.get(&group) {
+            return known;
         }
         let mut image = self.scene.groups[group.index()].clone();
         mirror_surfaces(&mut image);
         for instance in &mut image.instances {
-            instance.group = self.twin(instance.group);
+            instance.group = self.mirror_image(instance.group);
             instance.motion.steps = around_mirror(&instance.motion.steps, Some(mirror_x()), Some(mirror_x()));
         }
-        let twin = self.new_group();
-        self.counts[twin.index()] = self.counts[group.index()];
-        self.scene.groups[twin.index()] = image;
-        self.twins.insert(group, twin);
-        self.twins.insert(twin, group);
-        twin
+        let mirrored = self.new_group();
+        self.primitive_counts[mirrored.index()] = self.primitive_counts[group.index()];
+        self.scene.groups[mirrored.index()] = image;
+        self.mirror_images.insert(group, mirrored);
+        self.mirror_images.insert(mirrored, group);
+        mirrored
     }
 
     /// Returns the world transforms of anything created now, one for each copy.
-    pub(super) fn world_transforms(&self, limit: u64) -> std::result::Result<Vec<Transform>, Placement> {
+    pub(super) fn world_transforms(&self, limit: u64) -> std::result::Result<Vec<Transform>, NoWorldTransforms> {
         if self.frame().copies > limit {
-            return Err(Placement::TooMany);
+            return Err(NoWorldTransforms::TooMany);
         }
         let mut transforms = vec![self.frame().to_group];
         for (i, frame) in self.frames.iter().enumerate().rev() {
@@ -262,7 +272,7 @@ impl Reader<'_> {
             for layer in &opened.layers {
                 let mut placed = Vec::with_capacity(transforms.len() * layer.count as usize);
                 for k in 0..layer.count {
-                    let motion = Motion { steps: layer.motion(k) }.as_static().ok_or(Placement::Moving)?;
+                    let motion = Motion { steps: layer.motion(k) }.as_static().ok_or(NoWorldTransforms::Moving)?;
                     placed.extend(transforms.iter().map(|t| motion * *t));
                 }
                 transforms = placed;
@@ -282,7 +292,7 @@ impl Reader<'_> {
 
 /// Reason why an element has no list of world transforms.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Placement {
+pub(super) enum NoWorldTransforms {
     /// A path moves the element.
     Moving,
     /// The element has more copies than the limit.

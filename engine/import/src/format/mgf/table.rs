@@ -4,23 +4,23 @@ use super::{
     args::{Args, Result},
     recovery::Errors,
 };
-use crate::{Fault, Kind};
+use crate::{EntityKind, ImportFault};
 use std::collections::{HashMap, HashSet};
 
 /// Effect of one context line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Opened {
+pub(super) enum ContextChange {
     /// The unnamed context was reset and selected.
     Unnamed,
     /// An existing context was selected unchanged.
-    Again,
+    Selected,
     /// A context was set to the default or to a template.
     New,
 }
 
 /// The contexts of one kind. Slot 0 is the unnamed context.
-pub(super) struct Table<T> {
-    kind: Kind,
+pub(super) struct ContextTable<T> {
+    kind: EntityKind,
     default: T,
     slots: Vec<T>,
     names: HashMap<String, u32>,
@@ -29,26 +29,26 @@ pub(super) struct Table<T> {
     current: u32,
 }
 
-impl<T: Clone> Table<T> {
-    pub fn new(kind: Kind, default: T) -> Self {
+impl<T: Clone> ContextTable<T> {
+    pub fn new(kind: EntityKind, default: T) -> Self {
         Self { kind, slots: vec![default.clone()], default, names: HashMap::new(), faulty: HashSet::new(), current: 0 }
     }
 
     /// Handles `[id [= [template]]]`.
-    pub fn select(&mut self, args: &Args<'_>, errors: &mut Errors) -> Result<Opened> {
-        args.count(..=3, "[NAME [= [TEMPLATE]]]")?;
+    pub fn select(&mut self, args: &Args<'_>, errors: &mut Errors) -> Result<ContextChange> {
+        args.check_count(..=3, "[NAME [= [TEMPLATE]]]")?;
         if args.len() == 0 {
             self.slots[0] = self.default.clone();
             self.faulty.remove(&0);
             self.current = 0;
-            return Ok(Opened::Unnamed);
+            return Ok(ContextChange::Unnamed);
         }
         if args.len() == 1 {
             self.current = self.index(args, 0, errors)?;
-            return Ok(Opened::Again);
+            return Ok(ContextChange::Selected);
         }
         if args.raw(1) != b"=" {
-            return Err(args.fault_at(1, Fault::Unexpected { found: args.text(1).into_owned(), expected: "`=`" }));
+            return Err(args.fault_at(1, ImportFault::Unexpected { found: args.text(1).into_owned(), expected: "`=`" }));
         }
         let (value, faulty) = match args.len() {
             2 => (self.default.clone(), false),
@@ -57,17 +57,17 @@ impl<T: Clone> Table<T> {
                 (self.slots[template as usize].clone(), self.faulty.contains(&template))
             }
         };
-        self.current = self.put(&args.text(0), value);
+        self.current = self.set_slot(&args.text(0), value);
         if faulty {
             self.faulty.insert(self.current);
         } else {
             self.faulty.remove(&self.current);
         }
-        Ok(Opened::New)
+        Ok(ContextChange::New)
     }
 
     /// Sets the slot of `name` to a value; creates the slot if it is missing.
-    fn put(&mut self, name: &str, value: T) -> u32 {
+    fn set_slot(&mut self, name: &str, value: T) -> u32 {
         if let Some(&index) = self.names.get(name) {
             self.slots[index as usize] = value;
             return index;
@@ -91,7 +91,7 @@ impl<T: Clone> Table<T> {
             let sound = self.names.iter().filter(|(_, slot)| !self.faulty.contains(slot));
             nearest(&name, sound.map(|(name, _)| name))
         })?;
-        let index = self.put(&name, self.default.clone());
+        let index = self.set_slot(&name, self.default.clone());
         self.faulty.insert(index);
         Ok(index)
     }
@@ -99,7 +99,7 @@ impl<T: Clone> Table<T> {
     /// Defines a context whose definition failed, and selects it.
     pub fn define_faulty(&mut self, name: Option<&str>) {
         self.current = match name {
-            Some(name) => self.put(name, self.default.clone()),
+            Some(name) => self.set_slot(name, self.default.clone()),
             None => {
                 self.slots.push(self.default.clone());
                 self.slots.len() as u32 - 1
@@ -140,17 +140,17 @@ impl<T: Clone> Table<T> {
     }
 
     /// Iterates over the named contexts in order of first definition.
-    pub fn named(&self) -> impl Iterator<Item = &T> {
+    pub fn named_contexts(&self) -> impl Iterator<Item = &T> {
         self.slots.iter().skip(1)
     }
 
     /// Iterates over the named contexts whose definition did not fail.
-    pub fn sound(&self) -> impl Iterator<Item = &T> {
+    pub fn valid_contexts(&self) -> impl Iterator<Item = &T> {
         let named = self.slots.iter().enumerate().skip(1);
         named.filter(|(i, _)| !self.faulty.contains(&(*i as u32))).map(|(_, value)| value)
     }
 
-    pub fn defined(&self, name: &str) -> Option<u32> {
+    pub fn slot_of(&self, name: &str) -> Option<u32> {
         self.names.get(name).copied()
     }
 }

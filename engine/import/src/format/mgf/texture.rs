@@ -6,7 +6,7 @@ use super::{
     reader::Reader,
 };
 use crate::{
-    Fault, Oddity,
+    ImportFault, WarningKind,
     image::{self, Role},
 };
 use femc_scene::ImageId;
@@ -16,16 +16,16 @@ const MAX_FILE: u64 = 1 << 31;
 
 impl Reader<'_> {
     pub(super) fn map(&mut self, entity: &[u8], args: &Args<'_>) -> Result<()> {
-        args.count(1.., "the path of a PNG, JPEG or EXR file")?;
+        args.check_count(1.., "the path of a PNG, JPEG or EXR file")?;
         let role = if entity == b"map_n" { Role::Normals } else { Role::Color };
         let path = self.resolve(args)?;
-        args.count(1..=1, "the path of a PNG, JPEG or EXR file")?;
+        args.check_count(1..=1, "the path of a PNG, JPEG or EXR file")?;
         let id = self.image(args, &path, role)?;
         if entity == b"map_rd" {
             self.check_factors(args, id);
         }
         let image = Some(id);
-        let material = self.change_material();
+        let material = self.current_material_mut();
         match entity {
             b"map_rd" => material.map_rd = image,
             b"map_ed" => material.map_ed = image,
@@ -46,11 +46,11 @@ impl Reader<'_> {
         if size > MAX_FILE {
             let reason = format!("the file has {size} bytes; the limit for images is {MAX_FILE} bytes");
             let advice = "make it smaller";
-            return Err(args.fault_at(0, Fault::BadFile { path: path.into(), reason, advice }));
+            return Err(args.fault_at(0, ImportFault::BadFile { path: path.into(), reason, advice }));
         }
         let bytes = files.read(path).map_err(unreadable)?;
         self.note_read(path);
-        let used: u64 = self.scene.images.iter().map(|image| image::memory(image.width, image.height)).sum();
+        let used: u64 = self.scene.images.iter().map(|image| image::memory_size(image.width, image.height)).sum();
         let decoded = image::decode(path, &bytes, role, used).map_err(|fault| args.fault_at(0, fault))?;
         for what in decoded.remarks {
             self.texture_remark(args, path, what);
@@ -62,10 +62,10 @@ impl Reader<'_> {
     }
 
     /// Warns once about an image file.
-    fn texture_remark(&mut self, args: &Args<'_>, path: &str, what: String) {
-        let oddity = Oddity::Texture { path: path.to_owned(), what };
-        if !self.warnings.0.iter().any(|known| known.oddity == oddity) {
-            self.warn(args, oddity);
+    fn texture_remark(&mut self, args: &Args<'_>, path: &str, remark: String) {
+        let kind = WarningKind::Texture { path: path.to_owned(), what: remark };
+        if !self.warnings.0.iter().any(|known| known.kind == kind) {
+            self.warn(args, kind);
         }
     }
 

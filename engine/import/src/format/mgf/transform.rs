@@ -5,7 +5,7 @@
 //! later array or path is a layer of instances around the layer before it.
 
 use super::args::{Args, Result, Tail};
-use crate::{Fault, Kind};
+use crate::{EntityKind, ImportFault};
 use femc_math::{
     Transform, elementary,
     glam::{DMat3, DVec3},
@@ -19,16 +19,16 @@ const MAX_STEPS: u64 = 10_000;
 
 /// Parsed transform of an `xf`.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Spec {
+pub(super) struct TransformSpec {
     /// Transform that is applied first, to vertices.
     pub baked: Transform,
     /// Placements of the contents, from the innermost outward.
-    pub layers: Vec<Layer>,
+    pub layers: Vec<InstanceLayer>,
 }
 
 /// One array (or a single path). Copy k is transformed by `before`, then k times by `body`, then by `after`.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct Layer {
+pub(super) struct InstanceLayer {
     pub before: Vec<MotionStep>,
     pub body: Vec<MotionStep>,
     /// Number of copies, >= 1.
@@ -36,7 +36,7 @@ pub(super) struct Layer {
     pub after: Vec<MotionStep>,
 }
 
-impl Layer {
+impl InstanceLayer {
     /// Returns the motion of copy `k`.
     pub fn motion(&self, k: u64) -> Vec<MotionStep> {
         let mut steps = Vec::new();
@@ -110,9 +110,12 @@ enum Repeat {
 }
 
 /// Parses transform arguments. `find` looks a path up by name.
-pub(super) fn parse(tail: Tail<'_>, find: &dyn Fn(&str) -> std::result::Result<PathId, Fault>) -> Result<Spec> {
+pub(super) fn parse(
+    tail: Tail<'_>,
+    find: &dyn Fn(&str) -> std::result::Result<PathId, ImportFault>,
+) -> Result<TransformSpec> {
     let args = tail.args;
-    let mut builder = Builder { spec: Spec { baked: Transform::IDENTITY, layers: Vec::new() }, open: None };
+    let mut builder = Builder { spec: TransformSpec { baked: Transform::IDENTITY, layers: Vec::new() }, open: None };
     let mut block = Vec::new();
     let mut mode = (Repeat::Once, tail.first);
     let mut i = tail.first;
@@ -121,9 +124,9 @@ pub(super) fn parse(tail: Tail<'_>, find: &dyn Fn(&str) -> std::result::Result<P
         if let b"-i" | b"-a" = option {
             builder.close(&args, &mode, &block)?;
             block.clear();
-            let n = need(&args, i, 1).and_then(|()| match option {
-                b"-a" => args.whole(i + 1, "number of copies", [1, MAX_COPIES], "a whole number in [1, 1e8]"),
-                _ => args.whole(i + 1, "number of repetitions", [0, MAX_COPIES], "a whole number in [0, 1e8]"),
+            let n = require_fields(&args, i, 1).and_then(|()| match option {
+                b"-a" => args.whole_number(i + 1, "number of copies", [1, MAX_COPIES], "a whole number in [1, 1e8]"),
+                _ => args.whole_number(i + 1, "number of repetitions", [0, MAX_COPIES], "a whole number in [0, 1e8]"),
             })?;
             mode = (if option == b"-a" { Repeat::Array(n) } else { Repeat::Times(n) }, i);
             i += 2;
@@ -140,16 +143,17 @@ pub(super) fn parse(tail: Tail<'_>, find: &dyn Fn(&str) -> std::result::Result<P
 }
 
 struct Builder {
-    spec: Spec,
+    spec: TransformSpec,
     /// Layer that receives further steps.
-    open: Option<Layer>,
+    open: Option<InstanceLayer>,
 }
 
 impl Builder {
     fn close(&mut self, args: &Args<'_>, mode: &(Repeat, usize), block: &[MotionStep]) -> Result<()> {
         let (repetition, at) = mode;
         let moving = block.iter().any(|step| matches!(step, MotionStep::Along(_)));
-        let too_many = || args.fault_at(*at, Fault::TooMany { what: "repeated paths in one `xf`", limit: MAX_STEPS });
+        let too_many =
+            || args.fault_at(*at, ImportFault::TooMany { what: "repeated paths in one `xf`", limit: MAX_STEPS });
         let length = block.len() as u64;
         match *repetition {
             Repeat::Array(n) if n > 1 => {
@@ -161,7 +165,7 @@ impl Builder {
                     Some(layer) if layer.count == 1 => layer,
                     open => {
                         self.spec.layers.extend(open);
-                        Layer::default()
+                        InstanceLayer::default()
                     }
                 };
                 layer.before.append(&mut layer.after);
@@ -187,14 +191,14 @@ impl Builder {
             match (&mut self.open, step) {
                 (None, MotionStep::Static(t)) => self.spec.baked = t * self.spec.baked,
                 (None, MotionStep::Along(_)) => {
-                    self.open = Some(Layer { count: 1, after: vec![step], ..Layer::default() });
+                    self.open = Some(InstanceLayer { count: 1, after: vec![step], ..InstanceLayer::default() });
                 }
                 (Some(layer), step) => push_step(&mut layer.after, step),
             }
         }
     }
 
-    fn finish(mut self) -> Spec {
+    fn finish(mut self) -> TransformSpec {
         self.spec.layers.extend(self.open);
         self.spec
     }
@@ -204,23 +208,23 @@ impl Builder {
 fn step(
     args: &Args<'_>,
     i: usize,
-    find: &dyn Fn(&str) -> std::result::Result<PathId, Fault>,
+    find: &dyn Fn(&str) -> std::result::Result<PathId, ImportFault>,
 ) -> Result<(MotionStep, usize)> {
     let fixed = |matrix: DMat3, used: usize| {
         Ok((MotionStep::Static(Transform::from_mat3_translation(matrix, DVec3::ZERO)), used))
     };
-    let angle = || need(args, i, 1).and_then(|()| args.number(i + 1, "angle (degrees)")).map(sin_cos_degrees);
+    let angle = || require_fields(args, i, 1).and_then(|()| args.number(i + 1, "angle (degrees)")).map(sin_cos_degrees);
     let mirror = |x, y, z| fixed(DMat3::from_diagonal(DVec3::new(x, y, z)), 1);
     match args.raw(i) {
         b"-t" => {
-            need(args, i, 3)?;
+            require_fields(args, i, 3)?;
             Ok((MotionStep::Static(Transform::from_translation(args.vector(i + 1, "translation (m)")?)), 4))
         }
         b"-rx" => angle().and_then(|(s, c)| fixed(rows([1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]), 2)),
         b"-ry" => angle().and_then(|(s, c)| fixed(rows([c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]), 2)),
         b"-rz" => angle().and_then(|(s, c)| fixed(rows([c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]), 2)),
         b"-s" => {
-            need(args, i, 1)?;
+            require_fields(args, i, 1)?;
             let scale = args.number_in(i + 1, "scale factor", "not 0", |s| s != 0.0)?;
             fixed(DMat3::from_diagonal(DVec3::splat(scale)), 2)
         }
@@ -228,25 +232,25 @@ fn step(
         b"-my" => mirror(1.0, -1.0, 1.0),
         b"-mz" => mirror(1.0, 1.0, -1.0),
         b"-path" => {
-            need(args, i, 1)?;
+            require_fields(args, i, 1)?;
             let path = find(&args.text(i + 1)).map_err(|fault| args.fault_at(i + 1, fault))?;
             Ok((MotionStep::Along(path), 2))
         }
         _ => {
             let expected = "-t x y z, -rx a, -ry a, -rz a, -s f, -mx, -my, -mz, -i n, -a n or -path NAME";
-            Err(args.fault_at(i, Fault::Unexpected { found: args.text(i).into_owned(), expected }))
+            Err(args.fault_at(i, ImportFault::Unexpected { found: args.text(i).into_owned(), expected }))
         }
     }
 }
 
 /// Checks that `n` more fields follow the option at `i`.
-fn need(args: &Args<'_>, i: usize, n: usize) -> Result<()> {
+fn require_fields(args: &Args<'_>, i: usize, n: usize) -> Result<()> {
     let found = args.len() - i - 1;
     if found >= n {
         return Ok(());
     }
     let expected = if n == 3 { "three numbers" } else { "one argument" };
-    Err(args.fault_at(i, Fault::ArgumentCount { entity: args.text(i).into_owned(), expected, found }))
+    Err(args.fault_at(i, ImportFault::ArgumentCount { entity: args.text(i).into_owned(), expected, found }))
 }
 
 fn rows(x: [f64; 3], y: [f64; 3], z: [f64; 3]) -> DMat3 {
@@ -265,7 +269,7 @@ fn sin_cos_degrees(degrees: f64) -> (f64, f64) {
     }
 }
 
-fn check_finite(args: &Args<'_>, spec: &Spec) -> Result<()> {
+fn check_finite(args: &Args<'_>, spec: &TransformSpec) -> Result<()> {
     let fixed = |steps: &[MotionStep]| {
         steps.iter().all(|step| match step {
             MotionStep::Static(t) => t.is_finite(),
@@ -274,12 +278,12 @@ fn check_finite(args: &Args<'_>, spec: &Spec) -> Result<()> {
     };
     let finite = spec.baked.is_finite()
         && spec.layers.iter().all(|layer| [&layer.before, &layer.body, &layer.after].into_iter().all(|s| fixed(s)));
-    if finite { Ok(()) } else { Err(args.fault(Fault::NotFinite { what: "the transform" })) }
+    if finite { Ok(()) } else { Err(args.fault(ImportFault::NotFinite { what: "the transform" })) }
 }
 
 /// Returns the fault of an undefined path.
-pub(super) fn undefined_path(name: &str, nearest: Vec<String>) -> Fault {
-    Fault::Undefined { kind: Kind::Path, name: name.to_owned(), nearest }
+pub(super) fn undefined_path(name: &str, nearest: Vec<String>) -> ImportFault {
+    ImportFault::Undefined { kind: EntityKind::Path, name: name.to_owned(), nearest }
 }
 
 #[cfg(test)]

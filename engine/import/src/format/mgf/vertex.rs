@@ -4,7 +4,7 @@ use super::{
     args::{Args, Result},
     reader::Reader,
 };
-use crate::Fault;
+use crate::ImportFault;
 use femc_math::glam::{DVec2, DVec3};
 use femc_scene::{GroupId, Vertex};
 
@@ -18,18 +18,20 @@ pub(super) struct VertexState {
 
 impl Reader<'_> {
     pub(super) fn p(&mut self, args: &Args<'_>) -> Result<()> {
-        args.count(3..=3, "x y z")?;
+        args.check_count(3..=3, "x y z")?;
         let position = args.vector(0, "coordinate (m)")?;
-        self.change_vertex().position = position;
+        self.current_vertex_mut().position = position;
         Ok(())
     }
 
     pub(super) fn n(&mut self, args: &Args<'_>) -> Result<()> {
-        args.count(3..=3, "x y z")?;
+        args.check_count(3..=3, "x y z")?;
         let normal = args.vector(0, "normal component")?;
-        let fault =
-            Fault::Shape { what: "this normal has no direction in double precision", advice: "scale it to length 1" };
-        self.change_vertex().normal = match normal {
+        let fault = ImportFault::Shape {
+            what: "this normal has no direction in double precision",
+            advice: "scale it to length 1",
+        };
+        self.current_vertex_mut().normal = match normal {
             DVec3::ZERO => None,
             n => Some(n.try_normalize().ok_or_else(|| args.fault(fault))?),
         };
@@ -37,13 +39,13 @@ impl Reader<'_> {
     }
 
     pub(super) fn uv(&mut self, args: &Args<'_>) -> Result<()> {
-        args.count(2..=2, "u v")?;
+        args.check_count(2..=2, "u v")?;
         let uv = DVec2::new(args.number(0, "texture coordinate")?, args.number(1, "texture coordinate")?);
-        self.change_vertex().uv = Some(uv);
+        self.current_vertex_mut().uv = Some(uv);
         Ok(())
     }
 
-    fn change_vertex(&mut self) -> &mut Vertex {
+    fn current_vertex_mut(&mut self) -> &mut Vertex {
         let state = self.vertices.current_mut();
         state.placed = None;
         &mut state.vertex
@@ -56,15 +58,15 @@ impl Reader<'_> {
     }
 
     /// Returns `vertex` in the group's frame.
-    pub(super) fn transformed(&self, args: &Args<'_>, vertex: Vertex) -> Result<Vertex> {
+    pub(super) fn transform_vertex(&self, args: &Args<'_>, vertex: Vertex) -> Result<Vertex> {
         let frame = self.frame();
         let position = frame.to_group.transform_point3(vertex.position);
         if !position.is_finite() {
-            return Err(args.fault(Fault::NotFinite { what: "a transformed coordinate" }));
+            return Err(args.fault(ImportFault::NotFinite { what: "a transformed coordinate" }));
         }
         let normal = vertex.normal.map(|n| frame.to_group.transform_vector3(n).normalize());
         if normal.is_some_and(|n| !n.is_finite()) {
-            return Err(args.fault(Fault::NotFinite { what: "a transformed normal" }));
+            return Err(args.fault(ImportFault::NotFinite { what: "a transformed normal" }));
         }
         Ok(Vertex { position, normal, uv: vertex.uv })
     }
@@ -74,8 +76,8 @@ impl Reader<'_> {
         let vertices = &mut self.scene.groups[self.group.index()].vertices;
         let limit = u64::from(u32::MAX - 1);
         let Some(index) = u32::try_from(vertices.len()).ok().filter(|&n| u64::from(n) < limit) else {
-            self.errors.end();
-            return Err(args.fault(Fault::TooMany { what: "vertices in one group", limit }));
+            self.errors.end_at_next_error();
+            return Err(args.fault(ImportFault::TooMany { what: "vertices in one group", limit }));
         };
         vertices.push(vertex);
         Ok(index)
@@ -91,7 +93,7 @@ impl Reader<'_> {
         {
             return Ok(index);
         }
-        let vertex = self.transformed(args, state.vertex)?;
+        let vertex = self.transform_vertex(args, state.vertex)?;
         let index = self.add_vertex(args, vertex)?;
         self.vertices.get_mut(slot).placed = Some((frame, self.group, index));
         Ok(index)

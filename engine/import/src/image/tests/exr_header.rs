@@ -159,7 +159,7 @@ fn attributes_that_are_not_used_are_named() {
 #[test]
 fn chromaticities_are_converted_to_rec_709() {
     use ::exr::meta::attribute::Chromaticities;
-    let of = |[r, g, b, white]: [(f32, f32); 4]| {
+    let with_primaries = |[r, g, b, white]: [(f32, f32); 4]| {
         let at = |(x, y)| Vec2(x, y);
         let chromaticities = Chromaticities { red: at(r), green: at(g), blue: at(b), white: at(white) };
         ImageAttributes { chromaticities: Some(chromaticities), ..display() }
@@ -168,8 +168,8 @@ fn chromaticities_are_converted_to_rec_709() {
     let rec2020 = [(0.708, 0.292), (0.170, 0.797), (0.131, 0.046), (0.3127, 0.3290)];
     let rgb = [("R", 0.25), ("G", 0.5), ("B", 0.5)];
     let bytes = |shared| file(vec![layer(&rgb, LayerAttributes::default())], shared);
-    assert_eq!(read(&bytes(of(rec709)), Role::Color), Ok(([0.25, 0.5, 0.5], vec![])));
-    let (converted, remarks) = read(&bytes(of(rec2020)), Role::Color).unwrap();
+    assert_eq!(read(&bytes(with_primaries(rec709)), Role::Color), Ok(([0.25, 0.5, 0.5], vec![])));
+    let (converted, remarks) = read(&bytes(with_primaries(rec2020)), Role::Color).unwrap();
     let matrix = [[1.6605, -0.5876, -0.0728], [-0.1246, 1.1329, -0.0083], [-0.0182, -0.1006, 1.1187]];
     for (value, row) in converted.iter().zip(matrix) {
         let wanted: f64 = row[0] * 0.25 + row[1] * 0.5 + row[2] * 0.5;
@@ -177,8 +177,8 @@ fn chromaticities_are_converted_to_rec_709() {
     }
     assert!(remarks.is_empty(), "{remarks:?}");
     // Normal maps have no primaries, and collinear primaries span no color space.
-    assert_eq!(read(&bytes(of(rec2020)), Role::Normals), Ok(([-0.5, 0.0, 0.0], vec![])));
-    let (same, remarks) = read(&bytes(of([(0.3, 0.3); 4])), Role::Color).unwrap();
+    assert_eq!(read(&bytes(with_primaries(rec2020)), Role::Normals), Ok(([-0.5, 0.0, 0.0], vec![])));
+    let (same, remarks) = read(&bytes(with_primaries([(0.3, 0.3); 4])), Role::Color).unwrap();
     assert!(same == [0.25, 0.5, 0.5] && remarks[0].contains("are degenerate"), "{remarks:?}");
 }
 

@@ -6,7 +6,7 @@ use crate::image::{exif, icc};
 const ORANGE: &[u8] = include_bytes!("../../../tests/files/orange.jpg");
 
 /// Returns the file with a segment before all others.
-fn with(marker: u8, data: &[u8]) -> Vec<u8> {
+fn with_segment(marker: u8, data: &[u8]) -> Vec<u8> {
     let length = (data.len() as u16 + 2).to_be_bytes();
     [&ORANGE[..2], &[0xff, marker], &length, data, &ORANGE[2..]].concat()
 }
@@ -37,7 +37,7 @@ fn orientation_profile_and_color_space_are_named() {
         (0xfe, b"a comment".to_vec(), "", false),
     ] {
         for role in [Role::Color, Role::Normals] {
-            let said = remarks(&with(marker, &data), role);
+            let said = remarks(&with_segment(marker, &data), role);
             if remark.is_empty() || of_colors && role == Role::Normals {
                 assert!(said.is_empty(), "{marker:x}: {said:?}");
             } else {
@@ -49,7 +49,7 @@ fn orientation_profile_and_color_space_are_named() {
 
 #[test]
 fn the_transform_of_adobes_segment_is_used() {
-    let adobe = |transform: u8| with(0xee, &[&b"Adobe\0\x64\0\0\0\0"[..], &[transform]].concat());
+    let adobe = |transform: u8| with_segment(0xee, &[&b"Adobe\0\x64\0\0\0\0"[..], &[transform]].concat());
     let pixel = |file: &[u8]| decode("t.jpg", file, Role::Normals, 0).unwrap().image.pixels[0];
     assert_eq!(pixel(&adobe(1)), pixel(ORANGE));
     // Y, Cb, Cr of orange (255, 128, 0), read as red, green and blue.

@@ -46,7 +46,7 @@ fn srgb_becomes_linear_for_any_depth_alpha_and_palette() {
         (ColorType::Indexed, BitDepth::Eight, &[0]),
     ] {
         let bytes = png_of((2, 1), color, depth, &pixel.repeat(2));
-        let Decoded { image, remarks } = decode("t.png", &bytes, Role::Color, 0).unwrap();
+        let DecodedImage { image, remarks } = decode("t.png", &bytes, Role::Color, 0).unwrap();
         assert_eq!(
             (image.width, image.height, image.pixels.len(), remarks.is_empty() || color == ColorType::Rgba),
             (2, 1, 2, true)

@@ -14,7 +14,7 @@ fn chunk((kind, data): Chunk<'_>) -> Vec<u8> {
 }
 
 /// Returns the file with chunks after its header.
-fn with(png: &[u8], chunks: &[Chunk<'_>]) -> Vec<u8> {
+fn with_chunks(png: &[u8], chunks: &[Chunk<'_>]) -> Vec<u8> {
     let (head, tail) = png.split_at(33);
     [head, &chunks.iter().flat_map(|&it| chunk(it)).collect::<Vec<u8>>(), tail].concat()
 }
@@ -25,8 +25,8 @@ fn pixel(rgb: [u16; 3]) -> Vec<u8> {
 }
 
 /// Returns the green value of middle gray with these chunks, and the remarks.
-fn gray_under(chunks: &[Chunk<'_>]) -> (f32, Vec<String>) {
-    let decoded = decode("t.png", &with(&pixel([32_768; 3]), chunks), Role::Color, 0);
+fn decode_gray(chunks: &[Chunk<'_>]) -> (f32, Vec<String>) {
+    let decoded = decode("t.png", &with_chunks(&pixel([32_768; 3]), chunks), Role::Color, 0);
     let decoded = decoded.unwrap_or_else(|fault| panic!("{chunks:?}: {fault}"));
     (decoded.image.pixels[0][1], decoded.remarks)
 }
@@ -95,7 +95,7 @@ fn transfer_functions_of_chunks_are_used_by_their_precedence() {
         (&[(b"cHRM", &[0; 32])], SRGB, "are degenerate"),
     ];
     for (i, (chunks, wanted, remark)) in rows.iter().enumerate() {
-        let (value, remarks) = gray_under(chunks);
+        let (value, remarks) = decode_gray(chunks);
         assert!((f64::from(value) - wanted).abs() < 2e-5, "row {i}: {value}, not {wanted}");
         match *remark {
             "" => assert!(remarks.is_empty(), "row {i}: {remarks:?}"),
@@ -103,9 +103,9 @@ fn transfer_functions_of_chunks_are_used_by_their_precedence() {
         }
     }
     // PNG has red, green and blue, and no matrix.
-    assert!(decode("t.png", &with(&pixel([9; 3]), &[(b"cICP", &[1, 8, 1, 1])]), Role::Color, 0).is_err());
+    assert!(decode("t.png", &with_chunks(&pixel([9; 3]), &[(b"cICP", &[1, 8, 1, 1])]), Role::Color, 0).is_err());
     for (code, name) in [(16, "16 (PQ)"), (18, "18 (HLG)"), (7, "7"), (200, "200")] {
-        let file = with(&pixel([9; 3]), &[(b"cICP", &[9, code, 0, 1])]);
+        let file = with_chunks(&pixel([9; 3]), &[(b"cICP", &[9, code, 0, 1])]);
         let fault = decode("t.png", &file, Role::Color, 0).unwrap_err().to_string();
         assert!(fault.contains(&format!("transfer function {name} of cICP")), "{fault}");
     }
@@ -113,7 +113,7 @@ fn transfer_functions_of_chunks_are_used_by_their_precedence() {
 
 #[test]
 fn damaged_or_misplaced_color_chunks_are_named() {
-    let mut file = with(&pixel([32_768; 3]), &[(b"gAMA", &gamma(100_000))]);
+    let mut file = with_chunks(&pixel([32_768; 3]), &[(b"gAMA", &gamma(100_000))]);
     file[33 + 12] ^= 1;
     let decoded = decode("t.png", &file, Role::Color, 0).unwrap();
     assert!((f64::from(decoded.image.pixels[0][1]) - SRGB).abs() < 1e-5);
@@ -128,7 +128,8 @@ fn damaged_or_misplaced_color_chunks_are_named() {
 #[test]
 fn primaries_of_chunks_are_converted() {
     let decoded = |rgb: [u16; 3], chunks: &[Chunk<'_>]| {
-        let Decoded { image, remarks } = decode("t.png", &with(&pixel(rgb), chunks), Role::Color, 0).unwrap();
+        let DecodedImage { image, remarks } =
+            decode("t.png", &with_chunks(&pixel(rgb), chunks), Role::Color, 0).unwrap();
         (image.pixels[0], remarks)
     };
     let linear = gamma(100_000);
@@ -151,7 +152,7 @@ fn primaries_of_chunks_are_converted() {
     // The primaries of Rec.709 change no bit, and neither does the white point of a gray image.
     let plain = decoded([1000, 20_000, 65_535], &[]).0;
     assert_eq!(decoded([1000, 20_000, 65_535], &[(b"cHRM", &chrm(REC709))]), (plain, vec![]));
-    let gray = with(&png_of((1, 1), ColorType::Grayscale, BitDepth::Eight, &[188]), &[(b"cHRM", &chrm(P3))]);
+    let gray = with_chunks(&png_of((1, 1), ColorType::Grayscale, BitDepth::Eight, &[188]), &[(b"cHRM", &chrm(P3))]);
     let gray = decode("t.png", &gray, Role::Color, 0).unwrap();
     assert!(gray.image.pixels[0][0] == gray.image.pixels[0][2] && gray.remarks.is_empty());
 }
@@ -165,18 +166,18 @@ fn alpha_animation_and_orientation_are_named_where_they_matter() {
         assert!(remarks(&rgba(254), role)[0].contains("alpha is not used"));
         // A transparent gray level that no pixel has, and one that a pixel has.
         let gray = png_of((1, 1), ColorType::Grayscale, BitDepth::Eight, &[7]);
-        assert!(remarks(&with(&gray, &[(b"tRNS", &[0, 8])]), role).is_empty());
-        assert!(remarks(&with(&gray, &[(b"tRNS", &[0, 7])]), role)[0].contains("alpha is not used"));
+        assert!(remarks(&with_chunks(&gray, &[(b"tRNS", &[0, 8])]), role).is_empty());
+        assert!(remarks(&with_chunks(&gray, &[(b"tRNS", &[0, 7])]), role)[0].contains("alpha is not used"));
         let animated = [&b"acTL"[..4]].concat();
         let kind: &[u8; 4] = animated.as_slice().try_into().unwrap();
-        let said = remarks(&with(&gray, &[(kind, &[0, 0, 0, 1, 0, 0, 0, 0])]), role);
+        let said = remarks(&with_chunks(&gray, &[(kind, &[0, 0, 0, 1, 0, 0, 0, 0])]), role);
         assert!(said[0].contains("animation is not used"), "{said:?}");
-        let said = remarks(&with(&gray, &[(b"eXIf", &exif::tests::tiff(true, 8, 65_535))]), role);
+        let said = remarks(&with_chunks(&gray, &[(b"eXIf", &exif::tests::tiff(true, 8, 65_535))]), role);
         assert!(said.len() == 1 && said[0].contains("orientation 8"), "{said:?}");
         // Chunks that change no value give no warning.
         let harmless: &[Chunk<'_>] =
             &[(b"sBIT", &[5]), (b"pHYs", &[0, 0, 0, 1, 0, 0, 0, 2, 0]), (b"tEXt", b"a\0b"), (b"bKGD", &[0, 1])];
-        assert!(remarks(&with(&gray, harmless), role).is_empty());
+        assert!(remarks(&with_chunks(&gray, harmless), role).is_empty());
     }
 }
 
@@ -190,7 +191,7 @@ fn color_chunks_mean_nothing_to_normals() {
         &[(b"cICP", &[9, 16, 0, 0][..])],
         &[(b"iCCP", &adobe[..])],
     ] {
-        let decoded = decode("t.png", &with(&file, chunks), Role::Normals, 0).unwrap();
+        let decoded = decode("t.png", &with_chunks(&file, chunks), Role::Normals, 0).unwrap();
         assert_eq!((decoded.image.pixels, decoded.remarks), (plain.image.pixels.clone(), vec![]));
     }
 }

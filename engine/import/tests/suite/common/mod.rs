@@ -1,7 +1,7 @@
 //! Helpers: scenes in memory.
 #![allow(dead_code, reason = "each test file uses its part")]
 
-use femc_import::{Bundle, ImportError, Loaded, load};
+use femc_import::{Bundle, ImportError, LoadedScene, load_scene};
 use femc_math::{Transform, glam::DVec3};
 use femc_scene::{GroupId, Motion, Scene, Shape};
 use std::collections::BTreeMap;
@@ -11,11 +11,11 @@ pub fn bundle(files: &[(&str, &str)]) -> Bundle {
     Bundle(files.iter().map(|(name, text)| ((*name).to_owned(), text.as_bytes().to_vec())).collect::<BTreeMap<_, _>>())
 }
 
-pub fn try_files(files: &[(&str, &str)]) -> Result<Loaded, ImportError> {
-    load(&bundle(files), files[0].0)
+pub fn try_files(files: &[(&str, &str)]) -> Result<LoadedScene, ImportError> {
+    load_scene(&bundle(files), files[0].0)
 }
 
-pub fn try_scene(text: &str) -> Result<Loaded, ImportError> {
+pub fn try_scene(text: &str) -> Result<LoadedScene, ImportError> {
     try_files(&[("t.mgf", text)])
 }
 

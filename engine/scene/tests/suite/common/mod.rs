@@ -12,8 +12,8 @@ pub fn line(line: u32) -> Location {
     Location { file: 0, line, column: 0 }
 }
 
-pub fn tinted(amount: f64) -> Tinted {
-    Tinted { amount, ..Tinted::default() }
+pub fn tinted(amount: f64) -> TintedScalar {
+    TintedScalar { amount, ..TintedScalar::default() }
 }
 
 pub fn material(name: &str, at: u32) -> Material {

@@ -32,7 +32,7 @@ pub(super) enum Commit {
 
 impl Database {
     /// Timeout for establishing a connection and for answering a small query.
-    const PATIENCE: Duration = Duration::from_secs(5);
+    const TIMEOUT: Duration = Duration::from_secs(5);
 
     pub(super) async fn connect(&self, commit: Commit) -> Result<PgConnection, QueueError> {
         let setting = match commit {
@@ -40,26 +40,26 @@ impl Database {
             Commit::Fleeting => "off",
         };
         let options = self.options.as_ref().clone().options([("synchronous_commit", setting)]);
-        self.answers(options.connect()).await
+        self.with_timeout(options.connect()).await
     }
 
-    /// Waits for the server's answer to `asked`, with a timeout.
-    pub(super) async fn answers<T>(
+    /// Waits for the server's answer to `request`, with a timeout.
+    pub(super) async fn with_timeout<T>(
         &self,
-        asked: impl Future<Output = Result<T, sqlx::Error>>,
+        request: impl Future<Output = Result<T, sqlx::Error>>,
     ) -> Result<T, QueueError> {
-        match tokio::time::timeout(Self::PATIENCE, asked).await {
+        match tokio::time::timeout(Self::TIMEOUT, request).await {
             Ok(answer) => answer.map_err(|error| self.map_sql_error(&error)),
-            Err(_) => Err(self.away("it does not answer")),
+            Err(_) => Err(self.unreachable_error("it does not answer")),
         }
     }
 
-    pub(super) fn away(&self, message: impl fmt::Display) -> QueueError {
-        QueueError::Away { database: self.to_string(), message: message.to_string() }
+    pub(super) fn unreachable_error(&self, message: impl fmt::Display) -> QueueError {
+        QueueError::Unreachable { database: self.to_string(), message: message.to_string() }
     }
 
     /// Returns the reason if a failed connection would fail again.
-    fn hopeless(&self, error: &io::Error) -> Option<String> {
+    fn permanent_cause(&self, error: &io::Error) -> Option<String> {
         use rustls::Error::{AlertReceived, InvalidCertificate, PeerIncompatible};
         let cause = error.get_ref().and_then(|cause| cause.downcast_ref::<rustls::Error>());
         match (cause, error.kind()) {
@@ -82,23 +82,25 @@ impl Database {
     pub(super) fn map_sql_error(&self, error: &sqlx::Error) -> QueueError {
         let rejected = |message: String| QueueError::Rejected { database: self.to_string(), message };
         match error {
-            sqlx::Error::Database(said) => match said.code().as_deref().map(|code| code.split_at(2)) {
+            sqlx::Error::Database(db_error) => match db_error.code().as_deref().map(|code| code.split_at(2)) {
                 // Invalid authorization; unknown database; insufficient privilege.
-                Some(("28", _) | ("3D", _) | ("42", "501")) => rejected(said.message().to_owned()),
+                Some(("28", _) | ("3D", _) | ("42", "501")) => rejected(db_error.message().to_owned()),
                 // Disk full: the server keeps running.
-                Some(("53", "100")) => QueueError::Full { place: self.to_string(), message: said.message().to_owned() },
+                Some(("53", "100")) => {
+                    QueueError::OutOfSpace { place: self.to_string(), message: db_error.message().to_owned() }
+                }
                 // Connection error, transaction rollback, read-only server, insufficient resources, shutdown, system error.
-                Some(("08" | "25" | "40" | "53" | "57" | "58", _)) => self.away(said.message()),
-                _ => QueueError::Database { database: self.to_string(), message: said.message().to_owned() },
+                Some(("08" | "25" | "40" | "53" | "57" | "58", _)) => self.unreachable_error(db_error.message()),
+                _ => QueueError::Database { database: self.to_string(), message: db_error.message().to_owned() },
             },
             sqlx::Error::Tls(error) => rejected(format!(
                 "no encrypted connection: {error}; to connect without encryption, append `?sslmode=disable` to the address"
             )),
-            sqlx::Error::Io(error) => match self.hopeless(error) {
+            sqlx::Error::Io(error) => match self.permanent_cause(error) {
                 Some(message) => rejected(message),
-                None => self.away(error),
+                None => self.unreachable_error(error),
             },
-            sqlx::Error::Protocol(message) => self.away(message),
+            sqlx::Error::Protocol(message) => self.unreachable_error(message),
             other => QueueError::Database { database: self.to_string(), message: other.to_string() },
         }
     }
@@ -108,17 +110,17 @@ impl FromStr for Database {
     type Err = QueueError;
 
     fn from_str(url: &str) -> Result<Self, QueueError> {
-        let no_address = |message: String| QueueError::Address { message };
+        let invalid_address = |message: String| QueueError::Address { message };
         if !["postgres://", "postgresql://"].iter().any(|scheme| url.starts_with(scheme)) {
-            return Err(no_address("it does not begin with postgres://".into()));
+            return Err(invalid_address("it does not begin with postgres://".into()));
         }
         let options: PgConnectOptions = url.parse().map_err(|error: sqlx::Error| match error {
-            sqlx::Error::Configuration(error) => no_address(error.to_string()),
-            other => no_address(other.to_string()),
+            sqlx::Error::Configuration(error) => invalid_address(error.to_string()),
+            other => invalid_address(other.to_string()),
         })?;
-        let is_here =
+        let is_local =
             options.get_socket().is_some() || matches!(options.get_host(), "localhost" | "127.0.0.1" | "::1" | "[::1]");
-        let options = match (options.get_ssl_mode(), is_here) {
+        let options = match (options.get_ssl_mode(), is_local) {
             (PgSslMode::Prefer, true) => options.ssl_mode(PgSslMode::Disable),
             (PgSslMode::Prefer, false) => options.ssl_mode(PgSslMode::Require),
             _ => options,

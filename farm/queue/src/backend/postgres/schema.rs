@@ -10,7 +10,7 @@ use crate::QueueError;
 pub(super) const VERSION: i32 = 2;
 
 /// Key of the advisory lock that is held while the tables are created: the letters `fems`.
-const MAKING: i64 = 0x6665_6d73;
+const CREATION_LOCK: i64 = 0x6665_6d73;
 
 /// Statements that create the tables.
 ///
@@ -34,35 +34,35 @@ const TABLES: &str = "
 
 /// Creates the tables if they are missing. Tables of another program or version are refused and not changed.
 pub(super) async fn prepare(database: &Database, connection: &mut PgConnection) -> Result<(), QueueError> {
-    let found = made_or_found(connection).await.map_err(|error| database.map_sql_error(&error))?;
+    let found = create_or_find_tables(connection).await.map_err(|error| database.map_sql_error(&error))?;
     if found.as_deref() == Some(VERSION.to_string().as_str()) {
         return Ok(());
     }
     Err(QueueError::ForeignTables { database: database.to_string(), found })
 }
 
-async fn made_or_found(connection: &mut PgConnection) -> Result<Option<String>, sqlx::Error> {
-    let mut making = connection.begin().await?;
+async fn create_or_find_tables(connection: &mut PgConnection) -> Result<Option<String>, sqlx::Error> {
+    let mut transaction = connection.begin().await?;
     // Two coordinators may start at the same time.
-    sqlx::query("SELECT pg_advisory_xact_lock($1)").bind(MAKING).execute(&mut *making).await?;
-    let look = "SELECT to_regnamespace('femc') IS NOT NULL, to_regclass('femc.header') IS NOT NULL,
+    sqlx::query("SELECT pg_advisory_xact_lock($1)").bind(CREATION_LOCK).execute(&mut *transaction).await?;
+    let query = "SELECT to_regnamespace('femc') IS NOT NULL, to_regclass('femc.header') IS NOT NULL,
         EXISTS (SELECT FROM pg_class WHERE relnamespace = to_regnamespace('femc'))";
-    let looked = sqlx::query(look).fetch_one(&mut *making).await?;
+    let found = sqlx::query(query).fetch_one(&mut *transaction).await?;
     let (has_schema, has_header, has_tables): (bool, bool, bool) =
-        (looked.try_get(0)?, looked.try_get(1)?, looked.try_get(2)?);
+        (found.try_get(0)?, found.try_get(1)?, found.try_get(2)?);
     if !has_tables {
         if !has_schema {
-            sqlx::raw_sql("CREATE SCHEMA femc").execute(&mut *making).await?;
+            sqlx::raw_sql("CREATE SCHEMA femc").execute(&mut *transaction).await?;
         }
-        sqlx::raw_sql(TABLES).execute(&mut *making).await?;
+        sqlx::raw_sql(TABLES).execute(&mut *transaction).await?;
     }
     // Read through JSON, because the header of another program may have other columns.
-    let ask = "SELECT to_jsonb(header) ->> 'version' FROM femc.header LIMIT 1";
+    let query = "SELECT to_jsonb(header) ->> 'version' FROM femc.header LIMIT 1";
     let version: Option<String> = if has_tables && !has_header {
         None
     } else {
-        sqlx::query(ask).fetch_optional(&mut *making).await?.map(|row| row.try_get(0)).transpose()?.flatten()
+        sqlx::query(query).fetch_optional(&mut *transaction).await?.map(|row| row.try_get(0)).transpose()?.flatten()
     };
-    making.commit().await?;
+    transaction.commit().await?;
     Ok(version)
 }

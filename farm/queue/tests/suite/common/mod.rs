@@ -3,13 +3,13 @@
 
 use std::collections::BTreeMap;
 
-use femc_queue::{Batch, Contents, Note, Page, Queue};
+use femc_queue::{Batch, LogContents, Note, NotePage, Queue};
 
 /// SplitMix64 generator: the same seed gives the same numbers.
 #[derive(Debug, Clone)]
-pub struct Chance(pub u64);
+pub struct SplitMix64(pub u64);
 
-impl Chance {
+impl SplitMix64 {
     pub fn next(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mut z = self.0;
@@ -32,20 +32,20 @@ impl Chance {
 
 /// A batch that owns its data.
 #[derive(Debug, Clone, Default)]
-pub struct Work {
+pub struct OwnedBatch {
     pub records: Vec<Vec<u8>>,
     pub notes: Vec<Note>,
     pub forgotten: Vec<u64>,
 }
 
-impl Work {
+impl OwnedBatch {
     /// Creates a random batch, sometimes an empty one.
-    pub fn by(chance: &mut Chance) -> Self {
-        let most = [1, 3, 9, 80][chance.below(4) as usize];
-        let records = (0..chance.below(most)).map(|_| chance.bytes(400)).collect();
-        let some = if chance.below(2) == 0 { 0 } else { chance.below(5) };
-        let notes = (0..some).map(|_| Note { subject: chance.below(4), bytes: chance.bytes(300) }).collect();
-        let forgotten = (0..chance.below(8).saturating_sub(6)).map(|_| chance.below(4)).collect();
+    pub fn random(rng: &mut SplitMix64) -> Self {
+        let most = [1, 3, 9, 80][rng.below(4) as usize];
+        let records = (0..rng.below(most)).map(|_| rng.bytes(400)).collect();
+        let some = if rng.below(2) == 0 { 0 } else { rng.below(5) };
+        let notes = (0..some).map(|_| Note { subject: rng.below(4), bytes: rng.bytes(300) }).collect();
+        let forgotten = (0..rng.below(8).saturating_sub(6)).map(|_| rng.below(4)).collect();
         Self { records, notes, forgotten }
     }
 
@@ -56,19 +56,19 @@ impl Work {
 
 /// Expected contents of a log.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Model {
+pub struct LogModel {
     pub snapshot: Option<Vec<u8>>,
     pub records: Vec<Vec<u8>>,
     notes: BTreeMap<u64, Vec<Vec<u8>>>,
 }
 
-impl Model {
-    pub fn append(&mut self, work: &Work) {
-        self.records.extend_from_slice(&work.records);
-        for subject in &work.forgotten {
+impl LogModel {
+    pub fn append(&mut self, batch: &OwnedBatch) {
+        self.records.extend_from_slice(&batch.records);
+        for subject in &batch.forgotten {
             self.notes.remove(subject);
         }
-        for Note { subject, bytes } in &work.notes {
+        for Note { subject, bytes } in &batch.notes {
             self.notes.entry(*subject).or_default().push(bytes.clone());
         }
     }
@@ -81,8 +81,8 @@ impl Model {
         self.notes.get(&subject).cloned().unwrap_or_default()
     }
 
-    pub fn check(&self, found: &Contents, when: &str) {
-        let Contents { snapshot, records, torn, lost } = found;
+    pub fn check(&self, contents: &LogContents, when: &str) {
+        let LogContents { snapshot, records, torn, missing: lost } = contents;
         let counts = |records: &[Vec<u8>]| (records.len(), records.iter().map(Vec::len).sum::<usize>());
         assert_eq!(counts(records), counts(&self.records), "{when}: records and their bytes");
         assert!(*records == self.records && *snapshot == self.snapshot, "{when}: other bytes");
@@ -94,12 +94,16 @@ impl Model {
 pub async fn all_notes<Q: Queue>(queue: &mut Q, subject: u64) -> Vec<Vec<u8>> {
     let (mut all, mut from) = (Vec::new(), Some(0));
     while let Some(at) = from {
-        let Page { notes, next } = queue.notes(subject, at).await.unwrap();
+        let NotePage { notes, next } = queue.notes(subject, at).await.unwrap();
         let bytes: usize = notes.iter().map(Vec::len).sum();
-        let is_full = notes.len() == Page::NOTES || bytes >= Page::BYTES;
-        assert!(notes.len() <= Page::NOTES && (is_full || next.is_none()), "{} notes, {bytes} bytes", notes.len());
+        let is_full = notes.len() == NotePage::MAX_NOTES || bytes >= NotePage::BYTES;
+        assert!(
+            notes.len() <= NotePage::MAX_NOTES && (is_full || next.is_none()),
+            "{} notes, {bytes} bytes",
+            notes.len()
+        );
         let before = bytes - notes.last().map_or(0, Vec::len);
-        assert!(before < Page::BYTES, "{before} bytes before the last");
+        assert!(before < NotePage::BYTES, "{before} bytes before the last");
         all.extend(notes);
         from = next;
     }

@@ -8,7 +8,7 @@ const FIELDS: [&str; 13] = ["1", "-1", "1", "3", "1", "1", "2", "0", "0", "0", "
 
 /// Effect of a value on a file.
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Does {
+enum Effect {
     /// Multiplies the intensities by this factor.
     Scales(f64),
     /// Multiplies the intensities and gives a warning.
@@ -18,14 +18,14 @@ enum Does {
     /// Gives an error.
     Fails,
 }
-use Does::{Fails, Notes, Scales, Warns};
+use Effect::{Fails, Notes, Scales, Warns};
 
 fn text(line: &str, fields: &[&str]) -> String {
     format!("{line}TILT=NONE\n{}\n{}\n0 45 90\n0\n10 5 2\n", fields[..10].join(" "), fields[10..].join(" "))
 }
 
-fn does(text: &str) -> Does {
-    let Ok(Luminaire { photometry, remarks, .. }) = read(text) else { return Fails };
+fn effect_of(text: &str) -> Effect {
+    let Ok(PhotometricFile { photometry, remarks, .. }) = read(text) else { return Fails };
     let scale = photometry.candela[0] / 10.0;
     for (value, written) in photometry.candela.iter().zip([10.0, 5.0, 2.0]) {
         assert!((value / written / scale - 1.0).abs() < 1e-12, "{text}");
@@ -40,9 +40,9 @@ fn does(text: &str) -> Does {
 
 #[test]
 fn every_field_of_every_edition_counts_or_is_said() {
-    let all = |does| [does; 5];
-    let second = |old: Does, reserved: Does, code: Does| [old, old, reserved, reserved, code];
-    let table: &[(usize, &str, [Does; 5])] = &[
+    let all = |effect| [effect; 5];
+    let second = |old: Effect, reserved: Effect, code: Effect| [old, old, reserved, reserved, code];
+    let table: &[(usize, &str, [Effect; 5])] = &[
         // Number of lamps and lumens per lamp have no effect.
         (0, "4", all(Scales(1.0))),
         (0, "0", all(Warns(1.0))),
@@ -95,13 +95,13 @@ fn every_field_of_every_edition_counts_or_is_said() {
         (12, "x", all(Fails)),
     ];
     for line in LINES {
-        assert_eq!(does(&text(line, &FIELDS)), Scales(1.0), "{line}");
+        assert_eq!(effect_of(&text(line, &FIELDS)), Scales(1.0), "{line}");
     }
     for (field, value, expected) in table {
         let mut fields = FIELDS;
         fields[*field] = value;
         for (line, expected) in LINES.iter().zip(expected) {
-            let found = does(&text(line, &fields));
+            let found = effect_of(&text(line, &fields));
             let near = match (found, *expected) {
                 (Scales(a), Scales(b)) | (Warns(a), Warns(b)) | (Notes(a), Notes(b)) => (a / b - 1.0).abs() < 1e-12,
                 (a, b) => a == b,
@@ -116,7 +116,7 @@ fn unclear_editions_are_read_with_a_warning_or_refused() {
     let with = |line: &str, second: &str| {
         let mut fields = FIELDS;
         fields[11] = second;
-        does(&text(line, &fields))
+        effect_of(&text(line, &fields))
     };
     for (line, at_1, at_1_1) in [
         ("IESNA95\n", Scales(1.0), Warns(1.0)),
@@ -190,7 +190,7 @@ fn a_file_of_1000_lumens_has_a_hint() {
         let text = format!(
             "IESNA91\nTILT=NONE\n1 {lumens} {multiplier} 2 1 1 2 0 0 0\n1 1 20\n0 180\n0\n{candela} {candela}\n"
         );
-        read(&text).unwrap().normalized
+        read(&text).unwrap().normalization_hint
     };
     let candela = 1000.0 / (4.0 * std::f64::consts::PI);
     let hint = even("-1", "1", candela).unwrap();

@@ -26,24 +26,24 @@ fn rendered(photometry: &Photometry) -> f64 {
 #[test]
 fn the_flux_of_simple_lamps_is_known() {
     let pi = std::f64::consts::PI;
-    let of = |kind: u32, vertical: &str, horizontal: &str, candela: &str| {
+    let flux_of = |kind: u32, vertical: &str, horizontal: &str, candela: &str| {
         let (v, h) = (vertical.split(' ').count(), horizontal.split(' ').count());
         let head = format!("IESNA91\nTILT=NONE\n1 -1 1 {v} {h} {kind} 2 0 0 0\n1 1 1\n");
         let lamp = read(&format!("{head}{vertical}\n{horizontal}\n{candela}\n")).unwrap();
         lumens(&lamp.photometry)
     };
     let near = |a: f64, b: f64| assert!((a / b - 1.0).abs() < 1e-9, "{a} for {b}");
-    near(of(1, "0 180", "0", "1 1"), 4.0 * pi);
-    near(of(1, "0 90", "0", "1 1"), 2.0 * pi);
-    near(of(1, "0 90", "0 90", "1 1 1 1"), 2.0 * pi);
-    near(of(1, "0 90", "90 270", "1 1 1 1"), 2.0 * pi);
-    near(of(1, "0 90", "0 120 240", "1 1 1 1 1 1"), 2.0 * pi);
+    near(flux_of(1, "0 180", "0", "1 1"), 4.0 * pi);
+    near(flux_of(1, "0 90", "0", "1 1"), 2.0 * pi);
+    near(flux_of(1, "0 90", "0 90", "1 1 1 1"), 2.0 * pi);
+    near(flux_of(1, "0 90", "90 270", "1 1 1 1"), 2.0 * pi);
+    near(flux_of(1, "0 90", "0 120 240", "1 1 1 1 1 1"), 2.0 * pi);
     // 2 pi times the integral of (1 - v 2/pi) sin v.
-    near(of(1, "0 90", "0", "1 0"), 2.0 * pi * (1.0 - 2.0 / pi));
-    near(of(2, "-90 90", "-90 90", "1 1 1 1"), 2.0 * pi);
-    near(of(2, "-90 90", "0 90", "1 1 1 1"), 2.0 * pi);
-    near(of(3, "-90 90", "-90 90", "1 1 1 1"), 2.0 * pi);
-    near(of(3, "0 90", "0 90", "1 1 1 1"), pi);
+    near(flux_of(1, "0 90", "0", "1 0"), 2.0 * pi * (1.0 - 2.0 / pi));
+    near(flux_of(2, "-90 90", "-90 90", "1 1 1 1"), 2.0 * pi);
+    near(flux_of(2, "-90 90", "0 90", "1 1 1 1"), 2.0 * pi);
+    near(flux_of(3, "-90 90", "-90 90", "1 1 1 1"), 2.0 * pi);
+    near(flux_of(3, "0 90", "0 90", "1 1 1 1"), pi);
 }
 
 proptest! {

@@ -5,9 +5,9 @@ fn flat(points: &[[f64; 2]]) -> Vec<DVec3> {
 }
 
 /// Triangulates, and checks area and orientation of every triangle. Returns the outcome and the triangles.
-fn triangulate(points: &[DVec3], holes: &[u32]) -> (Outcome, Vec<[u32; 3]>) {
+fn triangulate(points: &[DVec3], holes: &[u32]) -> (Triangulation, Vec<[u32; 3]>) {
     let mut triangulator = Triangulator::default();
-    let outcome = triangulator.run(points, holes);
+    let outcome = triangulator.triangulate(points, holes);
     let normal = outcome.area.normalize_or_zero();
     let mut sum = 0.0;
     for t in &triangulator.triangles {

@@ -1,9 +1,9 @@
 use super::{super::lexer::Lexer, *};
 
-fn spec(text: &str) -> Result<Spec> {
+fn spec(text: &str) -> Result<TransformSpec> {
     let text = format!("xf {text}");
     let mut tokens = Vec::new();
-    Lexer::new(text.as_bytes()).next(&mut tokens).unwrap();
+    Lexer::new(text.as_bytes()).next_line(&mut tokens).unwrap();
     let find = |name: &str| match name {
         "p" => Ok(PathId(0)),
         _ => Err(undefined_path(name, vec![])),
@@ -55,7 +55,7 @@ fn arrays_become_layers_and_what_is_before_them_is_baked() {
     let spec = spec("-t 1 0 0 -a 3 -t 0 1 0 -a 2 -t 0 0 1 -i 1 -s 2").unwrap();
     assert_eq!(at(&spec.baked, 0.0, 0.0, 0.0), [1.0, 0.0, 0.0]);
     assert_eq!(spec.layers.iter().map(|layer| layer.count).collect::<Vec<_>>(), [3, 2]);
-    let place = |layer: &Layer, k| Motion { steps: layer.motion(k) }.as_static().unwrap();
+    let place = |layer: &InstanceLayer, k| Motion { steps: layer.motion(k) }.as_static().unwrap();
     let both = place(&spec.layers[1], 1) * place(&spec.layers[0], 2) * spec.baked;
     assert_eq!(at(&both, 0.0, 0.0, 0.0), [2.0, 4.0, 2.0]);
 }
@@ -78,8 +78,8 @@ fn path_takes_surrounding_steps_and_joins_the_next_array() {
 #[test]
 fn paths_inside_arrays_are_repeated_within_bounds() {
     assert_eq!(spec("-a 3 -path p").unwrap().layers[0].motion(2).len(), 2);
-    assert!(matches!(*spec("-a 200 -path p").unwrap_err().fault, Fault::TooMany { .. }));
-    assert!(matches!(*spec("-i 10000000 -path p").unwrap_err().fault, Fault::TooMany { .. }));
+    assert!(matches!(*spec("-a 200 -path p").unwrap_err().fault, ImportFault::TooMany { .. }));
+    assert!(matches!(*spec("-i 10000000 -path p").unwrap_err().fault, ImportFault::TooMany { .. }));
 }
 
 #[test]
@@ -87,5 +87,5 @@ fn bad_arguments_name_their_column() {
     for (text, column) in [("-t 1 2", 4), ("-q", 4), ("-s 0", 7), ("-a 0", 7), ("-rz x", 8), ("-path q", 10)] {
         assert_eq!(spec(text).unwrap_err().at.column, column, "{text}");
     }
-    assert!(matches!(*spec("-i 5000 -s 10").unwrap_err().fault, Fault::NotFinite { .. }));
+    assert!(matches!(*spec("-i 5000 -s 10").unwrap_err().fault, ImportFault::NotFinite { .. }));
 }

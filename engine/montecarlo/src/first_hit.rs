@@ -1,0 +1,60 @@
+//! First surface that a camera ray hits, for the features of a frame.
+//!
+//! Fog is not a surface, nor is a boundary that only bounds a medium. A clear sheet is passed with a probability equal to the share
+//! of the straight-through light in all light that it scatters. A pane counts as itself in some samples, and as the surface behind
+//! it in the others, as for light paths. The random number of this decision is the one that chooses the lobe of a path there.
+
+use crate::dimensions as dim;
+use crate::path::{bsdf_at, local_wo};
+use femc_geometry::{Hit, Ray, offset_origin};
+use femc_math::color::luminance;
+use femc_math::glam::Vec3A;
+use femc_math::{Rgb, SampleStream};
+use femc_prepared::{Crossing, Prepared, ShadingPoint};
+
+/// Maximum number of surfaces that a ray may go through.
+const MAX_SURFACES: u32 = 1 << 12;
+
+/// First surface of a camera sample, prepared frame.
+#[derive(Clone, Copy, Debug)]
+pub struct FirstSurface {
+    /// Instance and primitive.
+    pub hit: Hit,
+    /// Point of the surface.
+    pub point: ShadingPoint,
+    /// Shading normal on the side of the camera, unit.
+    pub normal: Vec3A,
+    /// Albedo: the share of light reflected and transmitted, without the straight-through part.
+    pub albedo: Rgb,
+}
+
+/// Returns the first surface along `ray_base`, the ray of a camera sample with these random numbers. `None`: the ray leaves the
+/// scene.
+pub fn first_surface(scene: &Prepared, ray: &Ray, mut stream: SampleStream) -> Option<FirstSurface> {
+    let mut ray = *ray;
+    for number in 0..MAX_SURFACES {
+        let hit = scene.world.intersect(&ray)?;
+        let point = scene.shading_point(&ray, &hit);
+        let material = &scene.materials[point.material as usize];
+        let back = point.normal.dot(ray.dir) > 0.0;
+        let crossing = material.crossing[usize::from(back)];
+        let bsdf = bsdf_at(scene, material, &point);
+        let (frame, wo) = local_wo(material, &point, ray.dir);
+        let all = bsdf.albedo(wo);
+        let is_seen = match crossing {
+            Crossing::Scatter => true,
+            Crossing::Null { .. } => false,
+            Crossing::Clear { tint } => {
+                stream.seek(dim::ray_base(number) + dim::LOBE);
+                stream.next_1d() * luminance(all) >= luminance(tint)
+            }
+        };
+        if is_seen {
+            let normal = if frame.normal.dot(ray.dir) > 0.0 { -frame.normal } else { frame.normal };
+            let albedo = (all - crossing.straight_through()).max(Rgb::ZERO);
+            return Some(FirstSurface { hit, point, normal, albedo });
+        }
+        ray.origin = offset_origin(point.position, point.error, point.normal, ray.dir);
+    }
+    None
+}

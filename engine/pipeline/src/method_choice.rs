@@ -1,0 +1,445 @@
+//! Choice between path tracing alone and a first pass.
+//!
+//! A pilot traces some paths of the job's first frame, which do not count in any image. It estimates the work of the frame, and the
+//! part of the samples' variance that is in light which guides could find. Guides act where a path leaves a diffuse surface, so
+//! they can reduce only the noise of light found after that. If a first pass would be a small part of the work and much of the
+//! noise is in such light, the first pass is solved and the same samples are traced with its guides. They measure the gain. Work is
+//! counted in rays, not in seconds: the choice depends on the job, not on the machine.
+
+use crate::first_pass::first_pass_key;
+use crate::first_pass_steps::{count_surfaces, first_pass_blocks};
+use crate::pilot;
+use crate::plan::Plan;
+use crate::render::{RenderError, frame_key, prepare_frame, render_rows};
+use crate::settings::{Method, Settings, StopCondition};
+use femc_film::Rect;
+use femc_geometry::Ray;
+use femc_math::Rgb;
+use femc_math::color::luminance;
+use femc_montecarlo::record::{Continuation, Contribution, LightTechnique, RecordLevel, Recorder, Scatterer, Vertex};
+use femc_prepared::{PrepareError, Prepared, SceneSource};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
+use std::sync::atomic::{AtomicBool, AtomicU64};
+
+/// Number of samples of each pixel of the pilot, to measure the variance.
+const SAMPLES: u32 = 32;
+/// Number of rounds after which the samples needed for an error are extrapolated, and the number of samples by then.
+const ROUNDS: u32 = 3;
+const ROUNDS_SAMPLES: u32 = 16;
+/// Maximum share of the pilot's samples in the minimum number of samples of the job.
+const MAX_PILOT_SHARE: f64 = 0.05;
+/// Minimum number of pixels of a useful pilot.
+const MIN_PIXELS: f64 = 128.0;
+
+/// Work of a first pass, in rays of paths that take as long: a minimum, and an amount for each surface.
+const MIN_FIRST_PASS_RAYS: f64 = 7e6;
+const RAYS_PER_SURFACE: f64 = 1.5e3;
+/// Maximum work of a first pass that is tried, as a share of the work of path tracing. It is then solved twice.
+const MAX_FIRST_PASS_SHARE: f64 = 0.04;
+/// Maximum work of guided rendering, including the first pass, as a share of path tracing's work. A pilot draws few samples. With
+/// many samples, which are spread more evenly, path tracing improves more than guided sampling does, so the pilot must show a clear
+/// gain.
+const MAX_GUIDED_SHARE: f64 = 0.8;
+/// Work of a vertex at which guides sample directions, in rays of a scene whose rays are fast.
+const GUIDED_RAYS: f64 = 1.0;
+/// Minimum ratio of the samples' variance to the variance of the light that no guide can improve.
+const MIN_POSSIBLE_GAIN: f64 = 1.5;
+
+/// The method for a job, with the reason.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct MethodChoice {
+    /// Path tracing alone, or guided by a first pass.
+    pub method: Method,
+    /// Reason for the choice, as a sentence without a full stop.
+    pub reason: String,
+    /// Result of the pilot. `None`: the job is too small for one.
+    pub pilot: Option<Pilot>,
+}
+
+/// Estimates for a job from some of its paths.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Pilot {
+    /// Number of samples traced.
+    pub samples: u64,
+    /// Work of a sample of path tracing, in rays.
+    pub rays_a_sample: f64,
+    /// Expected number of samples a pixel of the frame.
+    pub samples_a_pixel: f64,
+    /// Variance of the samples divided by that of their light which no guide can improve: the maximum gain of guides.
+    pub most_gain: f64,
+    /// Variance times work of the samples, divided by that of guided ones. `None`: a first pass was not tried, or failed.
+    pub gain: Option<f64>,
+    /// Reason why the tested first pass cannot be used.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub untrusted: Option<String>,
+    /// Number of rays of all frames with path tracing.
+    pub rays: f64,
+    /// Work of the first passes that the frames share, in the same rays.
+    pub first_pass_rays: f64,
+}
+
+/// Reason why no method could be chosen.
+#[derive(Debug, thiserror::Error)]
+pub enum MethodChoiceError {
+    /// The frame could not be prepared.
+    #[error(transparent)]
+    Prepare(#[from] PrepareError),
+    /// A tile was not rendered.
+    #[error(transparent)]
+    Render(#[from] RenderError),
+}
+
+/// Chooses the method of a job whose settings leave it open ([`Method::Auto`]).
+/// - `source`: the scene, overrides applied;
+/// - `plan_job`: plan of `settings`.
+pub fn choose_method(
+    source: &SceneSource,
+    settings: &Settings,
+    plan: &Plan,
+) -> Result<MethodChoice, MethodChoiceError> {
+    let paths = |reason: &str| MethodChoice { method: Method::Pt, reason: reason.to_owned(), pilot: None };
+    if matches!(settings.stop, StopCondition::Time(_)) {
+        return Ok(paths("a frame with a time limit has no first pass, because its samples start at once"));
+    }
+    let Some(found) = run_pilot(source, settings, plan)? else {
+        return Ok(paths("the job is small, and path tracing finishes it before a first pass would be solved"));
+    };
+    let (method, reason) = found.method_and_reason();
+    Ok(MethodChoice { method, reason, pilot: Some(found) })
+}
+
+impl Pilot {
+    /// Returns the work of the first passes as a share of path tracing's.
+    fn first_pass_share(&self) -> f64 {
+        self.first_pass_rays / self.rays
+    }
+
+    /// Checks whether guides could gain enough to try a first pass.
+    fn is_promising(&self) -> bool {
+        self.most_gain >= MIN_POSSIBLE_GAIN && self.first_pass_share() <= MAX_FIRST_PASS_SHARE
+    }
+
+    /// Returns the method and the reason for it.
+    fn method_and_reason(&self) -> (Method, String) {
+        let work = 100.0 * self.first_pass_share();
+        let bounced = 100.0 * (1.0 - 1.0 / self.most_gain);
+        if let Some(reason) = &self.untrusted {
+            return (Method::Pt, format!("the first pass was tried, but {}", without_advice(reason)));
+        }
+        match self.gain {
+            None if self.most_gain < MIN_POSSIBLE_GAIN => (
+                Method::Pt,
+                format!(
+                    "only {bounced:.0} % of the noise comes from light that has left a diffuse surface, and \
+                     guides cannot reduce the rest"
+                ),
+            ),
+            None => (
+                Method::Pt,
+                format!("a first pass takes about {work:.0} % of the work of path tracing, which is too much"),
+            ),
+            Some(gain) => {
+                let is_worth = self.first_pass_share() + 1.0 / gain < MAX_GUIDED_SHARE;
+                let method = if is_worth { Method::Femc } else { Method::Pt };
+                let verdict = if is_worth { "" } else { ", which is not enough" };
+                (
+                    method,
+                    format!(
+                        "a first pass takes about {work:.1} % of the work of path tracing, and in a pilot, samples with guides have \
+                         1 / {gain:.2} of the variance for equal work{verdict}"
+                    ),
+                )
+            }
+        }
+    }
+}
+
+/// Traces some paths of the first frame, and the same samples with guides if that may pay. `None`: the job is too small for a
+/// pilot.
+pub fn run_pilot(source: &SceneSource, settings: &Settings, plan: &Plan) -> Result<Option<Pilot>, MethodChoiceError> {
+    let settings = Settings { method: Method::Pt, statistics: false, ..settings.clone() };
+    let Some(&frame) = plan.frames.first() else { return Ok(None) };
+    let drawn = match settings.stop {
+        StopCondition::Error(_) => SAMPLES + ROUNDS_SAMPLES,
+        StopCondition::Spp(_) | StopCondition::Time(_) => SAMPLES,
+    };
+    let frames = plan.frames.len() as f64;
+    let pixels = MAX_PILOT_SHARE * plan.samples_per_frame(1) as f64 * frames / f64::from(drawn);
+    if pixels < MIN_PIXELS {
+        return Ok(None);
+    }
+    let film = [plan.tiling.width, plan.tiling.height];
+    let settings = Settings { size: Some(pilot::scaled_film_size(film, pixels.min(pilot::PIXELS))), ..settings };
+    let prepared = prepare_frame(source, &settings, frame, None)?;
+    let paths = PilotSamples::trace(&prepared, &settings)?;
+    let samples_a_pixel = match settings.stop {
+        StopCondition::Spp(spp) => f64::from(spp),
+        StopCondition::Error(_) | StopCondition::Time(_) => {
+            let rounds = std::cell::Cell::new(0);
+            let is_over = || rounds.replace(rounds.get() + 1) + 1 >= ROUNDS;
+            pilot::estimate_samples(&prepared, &settings, is_over)?.unwrap_or(0.0)
+        }
+    };
+    let rays = paths.work * samples_a_pixel * f64::from(film[0]) * f64::from(film[1]) * frames;
+    let surfaces = count_surfaces(source.scene()) as f64;
+    let first_pass_rays =
+        (MIN_FIRST_PASS_RAYS + RAYS_PER_SURFACE * surfaces) * first_pass_count(source, &settings, plan)? as f64;
+    let mut found = Pilot {
+        samples: paths.samples,
+        rays_a_sample: paths.work,
+        samples_a_pixel,
+        most_gain: paths.most_gain(),
+        gain: None,
+        untrusted: None,
+        rays,
+        first_pass_rays,
+    };
+    if found.is_promising() {
+        // The work is known better now and may justify more pixels.
+        let all = samples_a_pixel * f64::from(film[0]) * f64::from(film[1]) * frames;
+        let pixels = (MAX_PILOT_SHARE * all / f64::from(2 * SAMPLES)).clamp(MIN_PIXELS, pilot::PIXELS);
+        let settings = Settings { size: Some(pilot::scaled_film_size(film, pixels)), ..settings };
+        let prepared = prepare_frame(source, &settings, frame, Some(&prepared))?;
+        let paths = PilotSamples::trace(&prepared, &settings)?;
+        let settings = Settings { method: Method::Femc, ..settings };
+        found.samples += paths.samples;
+        match prepare_frame(source, &settings, frame, Some(&prepared)) {
+            Ok(prepared) => {
+                let guided = PilotSamples::trace(&prepared, &settings)?;
+                found.samples += guided.samples;
+                found.gain = Some(paths.gain(&guided));
+            }
+            Err(PrepareError::FirstPass { reason }) => found.untrusted = Some(reason),
+            Err(error) => return Err(error.into()),
+        }
+    }
+    Ok(Some(found))
+}
+
+/// Returns a message without its advice.
+fn without_advice(message: &str) -> &str {
+    message.split_once(';').map_or(message, |(what, _)| what)
+}
+
+/// Samples of a pilot.
+struct PilotSamples {
+    samples: u64,
+    /// Mean work of a sample, in rays, including guided vertices.
+    work: f64,
+    film: [u32; 2],
+    /// Pixels by row and column.
+    pixels: Vec<PixelSums>,
+}
+
+impl PilotSamples {
+    /// Traces samples of all pixels of a frame.
+    fn trace(prepared: &Prepared, settings: &Settings) -> Result<Self, RenderError> {
+        let [width, height] = prepared.camera.film;
+        let whole = Rect { x: 0, y: 0, width, height };
+        let (never, progress) = (AtomicBool::new(false), AtomicU64::new(0));
+        let (rendered, noise) =
+            render_rows(prepared, settings, whole, 0..SAMPLES, &never, &progress, PixelNoise::default)?;
+        let samples = whole.area() * u64::from(SAMPLES);
+        let rays = (rendered.rays + rendered.shadow_rays) as f64 + GUIDED_RAYS * rendered.guided_vertices as f64;
+        let pixels = noise.into_iter().flat_map(PixelNoise::into_pixels).collect();
+        Ok(Self { samples, work: rays / samples as f64, film: [width, height], pixels })
+    }
+
+    /// Returns the relative variance of all light, divided by that of the light which no guide can improve.
+    fn most_gain(&self) -> f64 {
+        let weights = pixel_weights(&[self]);
+        let sum =
+            |part: fn(&PixelSums) -> f64| self.pixels.iter().zip(&weights).map(|(it, w)| part(it) * w).sum::<f64>();
+        let (all, rest) = (sum(PixelSums::variance), sum(PixelSums::variance_of_rest));
+        if all <= rest { 1.0 } else { (all / rest.max(1e-6 * all)).max(1.0) }
+    }
+
+    /// Returns variance times work, divided by that of guided samples of the same pixels.
+    fn gain(&self, guided: &Self) -> f64 {
+        let weights = pixel_weights(&[self, guided]);
+        let sum = |of: &Self| of.pixels.iter().zip(&weights).map(|(it, w)| it.variance() * w).sum::<f64>() * of.work;
+        let (paths, guided) = (sum(self), sum(guided));
+        if guided > 0.0 { paths / guided } else { 1.0 }
+    }
+}
+
+/// Edge of the blocks whose means weight their pixels, pixels.
+const BLOCK: u32 = 8;
+
+/// Returns the weight of each pixel: 1 over the squared mean of all samples of its block, to which a hundredth of the frame's
+/// squared mean is added, so that dark blocks do not dominate. A pixel's own samples are not used: a pixel with one bright sample
+/// would look bright, which would hide its variance.
+fn pixel_weights(all: &[&PilotSamples]) -> Vec<f64> {
+    let Some([width, height]) = all.first().map(|drawn| drawn.film) else { return Vec::new() };
+    let (across, down) = (width.div_ceil(BLOCK), height.div_ceil(BLOCK));
+    let block = |at: usize| {
+        let at = at as u32;
+        (at / width / BLOCK * across + at % width / BLOCK) as usize
+    };
+    let mut sums = vec![[0.0; 2]; (across * down) as usize];
+    for (at, pixel) in all.iter().flat_map(|drawn| drawn.pixels.iter().enumerate()) {
+        let [sum, count] = &mut sums[block(at)];
+        *sum += pixel.all.iter().sum::<f64>();
+        *count += pixel.counts.iter().sum::<f64>();
+    }
+    let floor = sums.iter().map(|[sum, _]| sum).sum::<f64>() / sums.iter().map(|[_, count]| count).sum::<f64>();
+    let weight = |at| {
+        let [sum, count] = sums[block(at)];
+        let weight = 1.0 / ((sum / count).powi(2) + 0.01 * floor * floor);
+        if weight.is_finite() { weight } else { 0.0 }
+    };
+    (0..all[0].pixels.len()).map(weight).collect()
+}
+
+/// Returns the number of first-pass solutions that the frames share.
+fn first_pass_count(source: &SceneSource, settings: &Settings, plan: &Plan) -> Result<usize, PrepareError> {
+    let blocks = first_pass_blocks(source.scene());
+    let key = |&frame: &u32| Ok(first_pass_key(&frame_key(source, settings, frame)?, Method::Femc, blocks));
+    let keys: Result<BTreeSet<_>, PrepareError> = plan.frames.iter().map(key).collect();
+    Ok(keys?.len())
+}
+
+/// Sums of the luminance of a pixel's samples, by half: of all light, and of the light that no guide can improve.
+#[derive(Clone, Copy, Debug, Default)]
+struct PixelSums {
+    counts: [f64; 2],
+    all: [f64; 2],
+    rest: [f64; 2],
+}
+
+impl PixelSums {
+    fn variance(&self) -> f64 {
+        self.mean_variance(self.all)
+    }
+
+    fn variance_of_rest(&self) -> f64 {
+        self.mean_variance(self.rest)
+    }
+
+    /// Returns the variance of the mean, multiplied by the number of samples. It uses the two halves, which are independent. The
+    /// samples of one half are evenly spread, and the benefit of that depends on how their directions are sampled.
+    fn mean_variance(&self, sums: [f64; 2]) -> f64 {
+        let [a, b] = [0, 1].map(|half| sums[half] / self.counts[half]);
+        let variance = self.counts.iter().sum::<f64>() * (0.5 * (a - b)).powi(2);
+        if variance.is_finite() { variance } else { 0.0 }
+    }
+}
+
+/// Recorder that measures, by pixel, how much of the samples' light arrived by way of a diffuse surface.
+#[derive(Debug, Default)]
+struct PixelNoise {
+    pixel: Option<u32>,
+    half: usize,
+    now: PixelSums,
+    done: Vec<PixelSums>,
+    /// Number of times that the path has left a diffuse surface, and luminance that a guide could have found.
+    diffuse_bounces: u32,
+    guidable: f64,
+}
+
+impl PixelNoise {
+    fn into_pixels(mut self) -> Vec<PixelSums> {
+        if self.now.counts != [0.0; 2] {
+            self.done.push(self.now);
+        }
+        self.done
+    }
+}
+
+impl Recorder for PixelNoise {
+    const WANTS_OCCLUDERS: bool = false;
+
+    fn begin_sample(&mut self, pixel: u32, sample: u32) -> RecordLevel {
+        self.half = sample as usize % 2;
+        if self.pixel != Some(pixel) && self.now.counts != [0.0; 2] {
+            self.done.push(std::mem::take(&mut self.now));
+        }
+        self.pixel = Some(pixel);
+        (self.diffuse_bounces, self.guidable) = (0, 0.0);
+        RecordLevel::All
+    }
+
+    fn vertex(&mut self, _: impl FnOnce() -> Vertex) {}
+
+    fn leave(&mut self, way: Continuation) {
+        self.diffuse_bounces += u32::from(matches!(way, Continuation::Scattered { scatterer: Scatterer::Diffuse, .. }));
+    }
+
+    fn occluded(&mut self, _: impl FnOnce() -> Ray) {}
+
+    fn contribution(&mut self, contribution: impl FnOnce() -> Contribution) {
+        let contribution = contribution();
+        // A lamp that is hit from the first surface is direct light: it is also sampled from there.
+        let before = u32::from(contribution.technique == LightTechnique::EmitterHit);
+        if self.diffuse_bounces > before {
+            self.guidable += f64::from(luminance(contribution.color));
+        }
+    }
+
+    fn terminate(&mut self, _: u32, _: femc_montecarlo::record::Termination, _: Rgb) {}
+
+    fn end_sample(&mut self, color: Option<Rgb>) {
+        let Some(all) = color.map(|color| f64::from(luminance(color))) else { return };
+        self.now.counts[self.half] += 1.0;
+        self.now.all[self.half] += all;
+        self.now.rest[self.half] += all - self.guidable;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::Arc;
+
+    fn source(name: &str) -> SceneSource {
+        let path = format!("{}/../../scenes/{name}.mgf", env!("CARGO_MANIFEST_DIR"));
+        SceneSource::new(Arc::new(femc_import::load_scene_file(path.as_ref()).expect("a scene").scene))
+    }
+
+    fn choose_for(source: &SceneSource, size: [u32; 2], stop: StopCondition) -> MethodChoice {
+        let settings = Settings { size: Some(size), stop, ..Settings::default() };
+        let plan = crate::plan_job(source.scene(), &settings, Some(&[1])).expect("a plan");
+        choose_method(source, &settings, &plan).expect("a choice")
+    }
+
+    #[test]
+    fn door_ajar_gets_a_first_pass_and_small_or_timed_frames_do_not() {
+        let source = source("door-ajar");
+        let large = choose_for(&source, [320, 240], StopCondition::Spp(1024));
+        assert_eq!(large.method, Method::Femc, "{large:?}");
+        let found = large.pilot.as_ref().expect("a pilot");
+        assert!(found.most_gain > 4.0 && found.gain.is_some_and(|gain| gain > 1.2), "{large:?}");
+        assert_eq!(choose_for(&source, [320, 240], StopCondition::Spp(1024)), large, "a fact of the job");
+        let few = choose_for(&source, [320, 240], StopCondition::Spp(16));
+        assert_eq!((few.method, few.pilot.is_some()), (Method::Pt, true), "{few:?}");
+        let small = choose_for(&source, [32, 24], StopCondition::Spp(16));
+        assert_eq!((small.method, small.pilot), (Method::Pt, None));
+        assert_eq!(choose_for(&source, [320, 240], StopCondition::Time(60.0)).method, Method::Pt);
+    }
+
+    /// With an error as the stop, the pilot estimates the number of samples.
+    #[test]
+    fn an_error_is_worth_as_much_as_the_samples_that_it_takes() {
+        let source = source("door-ajar");
+        let [coarse, fine] = [0.5, 0.005].map(|error| choose_for(&source, [160, 120], StopCondition::Error(error)));
+        let spp = |choice: &MethodChoice| choice.pilot.as_ref().expect("a pilot").samples_a_pixel;
+        assert!(spp(&fine) > 100.0 * spp(&coarse), "{coarse:?} {fine:?}");
+        assert_eq!((coarse.method, fine.method), (Method::Pt, Method::Femc));
+    }
+
+    /// A white floor under a small lamp, in the open: light that leaves the floor reaches nothing else.
+    #[test]
+    fn a_scene_without_light_by_way_of_surfaces_is_left_to_paths() {
+        let text = "camera main =\n\torigin 0 -3 2\n\ttarget 0 0 0\n\tfov 40\n\tfilm 64 64\nm white =\n\tsides 2\n\tc\n\trd 0.8\n\
+                    m lamp =\n\tsides 1\n\tc\n\ted 40000\nv a =\n\tp -9 -9 0\nv b =\n\tp 9 -9 0\nv c =\n\tp 9 9 0\nv d =\n\tp -9 9 0\n\
+                    m white\nf a b c d\nv l =\n\tp 0 0 2.5\nm lamp\nsph l 0.05\n";
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("floor.mgf");
+        std::fs::write(&path, text).expect("a file");
+        let scene = femc_import::load_scene_file(&path).expect("a scene").scene;
+        let choice = choose_for(&SceneSource::new(Arc::new(scene)), [512, 512], StopCondition::Spp(4096));
+        let pilot = choice.pilot.as_ref().expect("a pilot");
+        assert_eq!((choice.method, pilot.most_gain, pilot.gain), (Method::Pt, 1.0, None), "{choice:?}");
+    }
+}

@@ -1,0 +1,89 @@
+//! Verification of a solution: the light has converged, and surfaces do not absorb more than light sources send.
+//!
+//! Both conditions are necessary and can be checked on the solution itself. Neither proves that the light is in the right places. A
+//! solution that fails either check must not be used for pictures or for decisions of path tracing: its local values are as wrong
+//! as its total.
+
+use crate::solve::{Solution, SolveReport, TARGET_RESIDUAL};
+use crate::view::{LightTotals, SolutionView};
+use femc_prepared::Prepared;
+
+/// Maximum ratio of the absorbed flux to the flux that is sent. Links are approximate: valid solutions of closed rooms, especially
+/// in fog and for guides, absorb up to a tenth more than is sent (docs/first-pass.md).
+const MAX_ABSORBED_RATIO: f64 = 1.25;
+/// Maximum light that further iterations may add, as a share of all light. If surfaces absorb very little, iterations end with some
+/// light not yet absorbed.
+const MAX_RESIDUAL: f32 = 0.05;
+
+/// Reason why a solution cannot be trusted.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum VerifyError {
+    /// The light does not converge.
+    #[error("its light does not converge: after {iterations} iterations the residual is {residual}")]
+    NotConverged {
+        /// Number of iterations.
+        iterations: usize,
+        /// Light that further iterations would add, as a share of all light; NaN if it has grown without bound.
+        residual: f32,
+    },
+    /// Surfaces absorb more light than is sent.
+    #[error("surfaces absorb {ratio:.4} times the light that lamps emit")]
+    EnergyGain {
+        /// Flux that surfaces absorb, divided by the flux of all light sources.
+        ratio: f64,
+    },
+}
+
+impl Solution {
+    /// Checks that the light has converged, and that surfaces absorb no more than is sent.
+    /// - `prepared`: the frame that was solved.
+    /// - errors: [`VerifyError`]; a picture of the solution would be wrong.
+    pub fn verify(&self, prepared: &Prepared) -> Result<(), VerifyError> {
+        self.report.verify(&SolutionView::new(prepared, self).totals())
+    }
+}
+
+impl SolveReport {
+    /// Checks the solution with its light, see [`Solution::verify`].
+    pub fn verify(&self, totals: &LightTotals) -> Result<(), VerifyError> {
+        let Self { iterations, residual, bounded, .. } = *self;
+        // Light that grew, was bounded, and still changes cannot converge.
+        let most = if bounded { TARGET_RESIDUAL } else { MAX_RESIDUAL };
+        if !residual.is_finite() || residual > most {
+            return Err(VerifyError::NotConverged { iterations, residual });
+        }
+        let LightTotals { absorbed, emitted_at_most: emitted, .. } = *totals;
+        if absorbed > MAX_ABSORBED_RATIO * emitted || !absorbed.is_finite() {
+            return Err(VerifyError::EnergyGain { ratio: absorbed / emitted });
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn verify_totals(residual: f32, emitted: f64, absorbed: f64) -> Result<(), VerifyError> {
+        let report = SolveReport { residual, iterations: 7, ..SolveReport::default() };
+        report.verify(&LightTotals { emitted, emitted_at_most: emitted, absorbed, ..LightTotals::default() })
+    }
+
+    #[test]
+    fn converged_solution_that_gains_no_energy_is_trusted() {
+        assert_eq!(verify_totals(1e-4, 100.0, 100.0), Ok(()));
+        assert_eq!(verify_totals(0.0, 0.0, 0.0), Ok(()), "a dark scene");
+    }
+
+    #[test]
+    fn growing_unconverged_or_nonfinite_light_is_not_trusted() {
+        assert_eq!(verify_totals(1e-5, 100.0, 177.0), Err(VerifyError::EnergyGain { ratio: 1.77 }));
+        assert!(matches!(verify_totals(1e-5, 100.0, f64::NAN), Err(VerifyError::EnergyGain { .. })));
+        assert!(matches!(verify_totals(1e-5, 0.0, 1.0), Err(VerifyError::EnergyGain { .. })), "light from nothing");
+        assert_eq!(verify_totals(0.5, 100.0, 50.0), Err(VerifyError::NotConverged { iterations: 7, residual: 0.5 }));
+        assert!(matches!(verify_totals(f32::NAN, 100.0, 50.0), Err(VerifyError::NotConverged { .. })));
+        let (bounded, light) =
+            (SolveReport { residual: 0.01, bounded: true, ..SolveReport::default() }, LightTotals::default());
+        assert!(matches!(bounded.verify(&light), Err(VerifyError::NotConverged { .. })));
+    }
+}

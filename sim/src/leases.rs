@@ -15,13 +15,13 @@ pub(crate) type SessionNumber = u64;
 /// Leases that were observed to be granted, brought along by workers, and ended.
 #[derive(Debug, Default)]
 pub(crate) struct Leases {
-    /// All granted leases, with the units that each covers.
+    /// All granted leases, with the steps that each covers.
     granted: BTreeMap<(TaskKey, Epoch), Vec<TaskStep>>,
-    /// Latest lease of each unit, and the lease that it copies. Epochs grow with the log.
+    /// Latest lease of each step, and the lease that it copies. Epochs grow with the log.
     latest: BTreeMap<TaskStep, (Epoch, Option<Epoch>)>,
     /// Leases that a worker brought along, with the sessions in which they were not revoked.
     carried_over: BTreeMap<(TaskKey, Epoch), BTreeSet<SessionNumber>>,
-    /// Units that the log counts under leases that no worker brought along.
+    /// Steps that the log counts under leases that no worker brought along.
     counted: BTreeMap<TaskStep, (TaskKey, Epoch)>,
     /// Jobs that are in the log.
     specs: BTreeMap<JobId, Box<JobSpec>>,
@@ -85,7 +85,7 @@ impl Leases {
         self.failures.entry(task).or_default().0.insert(attempt);
     }
 
-    /// Returns the units that a granted lease covers.
+    /// Returns the steps that a granted lease covers.
     pub(crate) fn steps(&self, task: TaskKey, epoch: Epoch) -> &[TaskStep] {
         self.granted.get(&(task, epoch)).map_or(&[], Vec::as_slice)
     }
@@ -119,7 +119,7 @@ impl Leases {
         self.failures.retain(|task, _| task.job > job);
     }
 
-    /// Checks a record that is being written. A result may count only under a valid lease: the latest lease of all its units, the
+    /// Checks a record that is being written. A result may count only under a valid lease: the latest lease of all its steps, the
     /// lease that the latest one copies, or a lease that a worker brought along and that may have been adopted. The worker's build
     /// must be that of the frame.
     pub(crate) fn check_fact(&mut self, fact: &Fact) -> Option<Violation> {
@@ -193,7 +193,7 @@ impl Leases {
         self.check_superseded(units)
     }
 
-    /// Checks that a counted unit is not leased again, except as a copy. The later lease may be observed before or after the
+    /// Checks that a counted step is not leased again, except as a copy. The later lease may be observed before or after the
     /// result.
     fn check_superseded(&self, steps: &[TaskStep]) -> Option<Violation> {
         steps.iter().find_map(|unit| {

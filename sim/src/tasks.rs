@@ -19,7 +19,7 @@ pub(crate) struct TaskStep {
     pub(crate) step: u32,
 }
 
-/// Returns the units that a lease covers.
+/// Returns the steps that a lease covers.
 pub(crate) fn steps_of_lease(lease: &Assignment) -> Vec<TaskStep> {
     let TaskKey { job, stage, .. } = lease.task;
     lease.spec.steps.clone().map(|step| TaskStep { job, stage, item: lease.spec.item, step }).collect()
@@ -131,7 +131,7 @@ pub(crate) struct Tally {
 pub(crate) type InstanceKey = (Digest, String);
 
 impl Tally {
-    /// Counts a result. Returns an earlier result of the same units, if any.
+    /// Counts a result. Returns an earlier result of the same steps, if any.
     pub(crate) fn count(&mut self, counted: &CountedResult<'_>, steps: &[TaskStep]) -> Option<(TaskKey, Epoch)> {
         let key = (counted.task, counted.epoch);
         if let (Some(instance), Some(spec)) = (self.instances.get(&key.0.job), self.specs.get(&key.0.job))

@@ -1,4 +1,4 @@
-//! Numbering of the tasks of a stage. The steps of each task are divided into equal chunks, the grains. One lease covers one or
+//! Numbering of the tasks of a stage. The steps of each task are divided into equal chunks. One lease covers one or
 //! more chunks of a task, depending on the time that they take.
 
 use std::num::NonZeroU64;
@@ -15,7 +15,7 @@ pub enum ChunkSize {
     #[default]
     Whole,
     /// Chunks of about this many units of work, up to twice as many. Chunks are smaller if the task has fewer units, and larger if
-    /// the task would otherwise have more than [`Grains::MAX_PER_TASK`] chunks.
+    /// the task would otherwise have more than [`Chunks::MAX_PER_TASK`] chunks.
     Units(NonZeroU64),
 }
 

@@ -34,7 +34,7 @@ pub struct TaskKey {
     pub job: JobId,
     /// The stage of the job.
     pub stage: Stage,
-    /// Number in the stage: the first of the lease's [`Grains`](crate::Grains).
+    /// Number in the stage: the first of the lease's [`Chunks`](crate::Chunks).
     pub index: u32,
 }
 

@@ -73,7 +73,7 @@ impl TaskFailures {
         self.failure = Failure::Killed { deaths: self.deaths.len() as u32, worker: death.worker.clone() };
     }
 
-    /// Withdraws the presumed deaths of a living process, unless the task is quarantined. Returns whether any trouble remains.
+    /// Withdraws the presumed deaths of a living process, unless the task is quarantined. Returns whether any failure remains.
     pub(super) fn withdraw_deaths(&mut self, instance: u64) -> bool {
         if self.is_quarantined() {
             return true;

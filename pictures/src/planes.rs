@@ -55,7 +55,7 @@ pub fn encode_frame(image: &FrameImage) -> Vec<u8> {
 }
 
 /// Encodes an image and its errors.
-/// - `block_error_plane`: relative errors of the pixels' blocks.
+/// - `errors`: relative errors of the pixels' blocks.
 /// - `variance`: variances of the pixels' luminance.
 fn encode(image: &Image, errors: &[f32], variance: &[f32], samples: &[f32]) -> Vec<u8> {
     let luminance: Vec<f32> = (0..image.pixels.len()).map(|at| image.luminance(at)).collect();

@@ -193,7 +193,7 @@ impl State {
     }
 
     /// Notes that the leases of a worker have changed.
-    /// - `begin_session`: start of its session.
+    /// - `joined`: start of its session.
     fn update_payers(&mut self, session: SessionNumber, running: &BTreeSet<(Epoch, TaskKey)>, joined: Duration) {
         let first = running.first().map(|(_, task)| task.job);
         let payers = first.and_then(|job| Some(Payers::from_owners(job, self.history.payers(job)?)));

@@ -154,7 +154,7 @@ const INWARD: [&[usize]; 6] =
     [&[0, 1, 2, 3], &[7, 6, 5, 4], &[0, 4, 5, 1], &[1, 5, 6, 2], &[2, 6, 7, 3], &[3, 7, 4, 0]];
 
 /// Computes the form factor from a point to a polygon above its horizon, with Lambert's formula.
-/// - `box_corners`: clockwise as seen from the point.
+/// - `corners`: clockwise as seen from the point.
 fn form_factor(point: DVec3, normal: DVec3, corners: &[DVec3]) -> f64 {
     let edge = |k: usize| {
         let [a, b] = [corners[k], corners[(k + 1) % corners.len()]].map(|corner| corner - point);

@@ -60,7 +60,7 @@ impl Experiment {
     }
 
     /// Prepares a frame.
-    /// - `render_by_rule`: counted from 1;
+    /// - `frame`: counted from 1;
     /// - errors: settings that do not fit the scene, or a missing frame.
     pub fn for_frame(scene: &Arc<Scene>, settings: Settings, frame: u32) -> Result<Self, PlanError> {
         let plan = plan_job(scene, &settings, Some(&[frame]))?;

@@ -70,10 +70,10 @@ struct CacheInner {
     frames: LruCache<(FrameKey, Option<Digest>), Arc<Prepared>>,
     /// Compiled layers of frames. The tiles of a frame share them.
     layers: LruCache<(FrameKey, Vec<Layer>), Arc<LayerPlan>>,
-    /// Lights of first passes: `fields` for lamps of brightness 1, `brightened` for the brightness of the frames' lamps.
+    /// Lights of first passes: `fields` for lamps of brightness 1, `scaled_fields` for the brightness of the frames' lamps.
     fields: LruCache<Digest, Arc<Field>>,
     scaled_fields: LruCache<(Digest, u32), Arc<Field>>,
-    /// Solver states of unfinished first passes, by their input artifacts: `aimed` before the rays, `settled` after them.
+    /// Solver states of unfinished first passes, by their input artifacts: `states_before_rays` before the rays, `states_after_rays` after them.
     states_before_rays: LruCache<Digest, Arc<CastingState>>,
     states_after_rays: LruCache<Digest, Arc<CorrectedState>>,
     pieces: PieceCache,
@@ -162,7 +162,7 @@ impl Cache {
     }
 
     /// Returns the frame, ready to render.
-    /// - `attach_first_pass`: output of the first pass of the frame's world; required exactly if the job's method has a first pass.
+    /// - `light`: output of the first pass of the frame's world; required exactly if the job's method has a first pass.
     pub(crate) fn frame(
         &self,
         spec: &JobSpec,

@@ -88,7 +88,7 @@ impl PieceCache {
         Self::with_state(limit, Storage::Memory, State::default())
     }
 
-    /// Creates a cache of up to `limit` bytes in `in_folder`. The folder is created if missing. Pieces from an earlier run count.
+    /// Creates a cache of up to `limit` bytes in `folder`. The folder is created if missing. Pieces from an earlier run count.
     pub fn in_folder(folder: &Path, limit: u64) -> io::Result<Self> {
         fs::create_dir_all(folder)?;
         let (mut found, mut state) = (Vec::new(), State::default());

@@ -52,14 +52,14 @@ fn with_units(mut rest: &str) -> Option<f64> {
 impl<'de> Deserialize<'de> for DurationArg {
     fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
         #[derive(Deserialize)]
-        #[serde(untagged)]
-        enum Written {
+        #[serde(untagged, expecting = "expected a number of seconds or a text such as \"10m\"")]
+        enum DurationValue {
             Number(f64),
             Text(String),
         }
-        let text = match Written::deserialize(from)? {
-            Written::Number(seconds) => seconds.to_string(),
-            Written::Text(text) => text,
+        let text = match DurationValue::deserialize(from)? {
+            DurationValue::Number(seconds) => seconds.to_string(),
+            DurationValue::Text(text) => text,
         };
         text.parse().map_err(D::Error::custom)
     }

@@ -175,14 +175,14 @@ fn parse_run(text: &str) -> Result<Run, Option<FramesError>> {
 impl<'de> Deserialize<'de> for Frames {
     fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
         #[derive(Deserialize)]
-        #[serde(untagged)]
-        enum Written {
+        #[serde(untagged, expecting = "expected a frame number or a text such as \"1..48\"")]
+        enum FramesValue {
             One(u32),
             Text(String),
         }
-        let text = match Written::deserialize(from)? {
-            Written::One(frame) => frame.to_string(),
-            Written::Text(text) => text,
+        let text = match FramesValue::deserialize(from)? {
+            FramesValue::One(frame) => frame.to_string(),
+            FramesValue::Text(text) => text,
         };
         text.parse().map_err(D::Error::custom)
     }

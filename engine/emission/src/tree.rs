@@ -51,7 +51,7 @@ pub struct LightBounds {
 #[derive(Clone, Debug, Default)]
 pub struct LightTree {
     nodes: Vec<Node>,
-    /// Rank of each light among the leaves from left to right; [`PLACEHOLDER`] if it is not in the tree.
+    /// Rank of each light among the leaves from left to right; [`ABSENT`] if it is not in the tree.
     ranks: Vec<u32>,
     /// Node of each rank.
     leaves: Vec<u32>,
@@ -106,7 +106,7 @@ impl LightTree {
         (share.is_finite()).then_some(share)
     }
 
-    /// Returns the nodes among which a choice for `importance` starts: those that are small as seen from there, breadth first.
+    /// Returns the nodes among which a choice for `context` starts: those that are small as seen from there, breadth first.
     #[inline]
     pub fn cut_for(&self, context: &impl NodeImportance) -> TreeCut {
         let mut cut = TreeCut { nodes: ArrayVec::new(), total: 0.0 };
@@ -165,8 +165,8 @@ impl LightTree {
         parts
     }
 
-    /// Chooses a light for `importance` with `u` in [0, 1): its index and probability > 0. `None`: no light can send anything.
-    /// - `cut_for`: from [`Self::cut_for`] for the same place.
+    /// Chooses a light for `context` with `u` in [0, 1): its index and probability > 0. `None`: no light can send anything.
+    /// - `cut`: from [`Self::cut_for`] for the same place.
     #[inline]
     pub fn choose_from(&self, cut: &TreeCut, context: &impl NodeImportance, u: f64) -> Option<(u32, f32)> {
         if !(cut.total > 0.0 && cut.total.is_finite()) {
@@ -201,7 +201,7 @@ impl LightTree {
         (probability > 0.0).then_some((node.light, probability))
     }
 
-    /// Returns the probability with which [`Self::choose_from`] chooses `light` for `importance`.
+    /// Returns the probability with which [`Self::choose_from`] chooses `light` for `context`.
     #[inline]
     pub fn probability_from(&self, cut: &TreeCut, context: &impl NodeImportance, light: u32) -> f32 {
         let rank = self.ranks[light as usize];

@@ -3,7 +3,7 @@
 //! Errors are measured over blocks of 16 x 16 pixels, because the variance of a single pixel is too noisy. The variance of a
 //! block's mean is estimated from the differences of its pixels' halves, which are independent ([`crate::tile`]). The estimate is
 //! unbiased, whatever the stratification. No safety margin is added here; the errors that decide on further samples are more
-//! cautious ([`crate::errors`]).
+//! cautious ([`crate::error_statistics`]).
 //!
 //! A block whose samples have all been black is **unlit**. Its error is unknown: no sample received light.
 

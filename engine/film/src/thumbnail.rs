@@ -1,7 +1,7 @@
 //! Thumbnails, which are exact sums in blocks of 8 x 8 pixels, and levels, which are luminance histograms of blocks.
 //!
 //! Both are integers, so the levels of a clip do not depend on the parts of its tiles or on the order in which frames were counted.
-//! They give one exposure for a clip ([`crate::ToneCurve::of_levels`]) without reading an image. The binary format of a thumbnail
+//! They give one exposure for a clip ([`crate::ToneCurve::from_levels`]) without reading an image. The binary format of a thumbnail
 //! is like that of a tile ([`crate::codec`]). The format of levels is
 //!
 //! | bytes | content |

@@ -67,7 +67,7 @@ impl FileSource for Bundle {
 }
 
 impl Bundle {
-    /// Reads `names` (as listed in [`crate::Loaded::files`]) from `files`.
+    /// Reads `names` (as listed in [`crate::LoadedScene::files`]) from `files`.
     pub fn from_files(files: &dyn FileSource, names: &[String]) -> io::Result<Self> {
         names.iter().map(|name| Ok((name.clone(), files.read(name)?))).collect::<io::Result<_>>().map(Self)
     }

@@ -83,11 +83,11 @@ impl EventPattern {
         Self { any: vec![class], negated: false }
     }
 
-    /// Checks whether an event of this kind matches, at something that has the labels for which `contains` is true.
+    /// Checks whether an event of this kind matches, at something that has the labels for which `has` is true.
     pub fn matches(&self, kind: EventKind, has: impl Fn(&str) -> bool) -> bool {
         let fits = |class: &EventClass| {
-            let labelled = |(labels, negated): &(Vec<String>, bool)| labels.iter().any(|label| has(label)) != *negated;
-            class.kinds & kind.bit() != 0 && class.labels.as_ref().is_none_or(labelled)
+            let labeled = |(labels, negated): &(Vec<String>, bool)| labels.iter().any(|label| has(label)) != *negated;
+            class.kinds & kind.bit() != 0 && class.labels.as_ref().is_none_or(labeled)
         };
         self.any.iter().any(fits) != self.negated
     }

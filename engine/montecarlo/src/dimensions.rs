@@ -12,7 +12,7 @@ pub const CAMERA_EMITTER: u32 = 5;
 /// Point on that emitter (2).
 pub const CAMERA_EMITTER_POINT: u32 = 6;
 
-/// Returns the first dimension of ray `ray_base` of a path (0: the camera's). A segment that goes through clear surfaces has
+/// Returns the first dimension of ray `ray` of a path (0: the camera's). A segment that goes through clear surfaces has
 /// several rays. Each has its own numbers: if a ray has passed a stretch of fog, that carries information about the number drawn
 /// for it.
 pub const fn ray_base(ray: u32) -> u32 {

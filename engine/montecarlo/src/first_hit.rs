@@ -28,7 +28,7 @@ pub struct FirstSurface {
     pub albedo: Rgb,
 }
 
-/// Returns the first surface along `ray_base`, the ray of a camera sample with these random numbers. `None`: the ray leaves the
+/// Returns the first surface along `ray`, the ray of a camera sample with these random numbers. `None`: the ray leaves the
 /// scene.
 pub fn first_surface(scene: &Prepared, ray: &Ray, mut stream: SampleStream) -> Option<FirstSurface> {
     let mut ray = *ray;

@@ -96,7 +96,8 @@ impl FoggyRay {
         if chosen <= 0.0 {
             return 0.0;
         }
-        airlight_distances(scene, self, light_context, light, time).map_or(0.0, |airlit| chosen * airlit.pdf(event))
+        airlight_distances(scene, self, light_context, light, time)
+            .map_or(0.0, |distances| chosen * distances.pdf(event))
     }
 }
 

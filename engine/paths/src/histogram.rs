@@ -1,7 +1,7 @@
 //! Histograms of records: of each attribute in 64 bins, and of each pair of attributes of one table in 64 x 64 bins.
 //!
 //! They are exact over the samples that [`LightStatistics::threshold`] chose: integer counts of the records. Divided by
-//! [`LightStatistics::share`] they estimate the counts of all samples. If the [scope is full](crate::Scope::is_full), histograms of
+//! [`LightStatistics::share`] they estimate the counts of all samples. If the [scope is full](crate::Scope::has_full_histograms), histograms of
 //! single attributes also exist for all samples ([`Histograms::attributes_of_all_samples`]). Each histogram exists twice:
 //!
 //! - by samples: a record counts 1;
@@ -115,7 +115,7 @@ impl Histograms {
     }
 
     /// Returns the histograms of single attributes over all samples, in order, or `None` if the [scope is not
-    /// full](crate::Scope::is_full).
+    /// full](crate::Scope::has_full_histograms).
     pub fn attributes_of_all_samples(statistics: &LightStatistics, table: Table) -> Option<Vec<Counts>> {
         if !statistics.scope.has_full_histograms {
             return None;

@@ -69,7 +69,7 @@ impl NameKind {
 pub type NameEntry = (NameKind, String);
 
 /// A stable key of an object, a material, a medium or a lamp. It is a hash of the kind and the name, so it is the same in all
-/// frames, jobs and variants. [`Statistics::names`](crate::Statistics::names) has the texts.
+/// frames, jobs and variants. [`LightStatistics::names`](crate::LightStatistics::names) has the texts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Name(pub u64);
 

@@ -138,7 +138,7 @@ pub struct SampleCounters {
     pub ends: [u64; ENDS],
     /// Sums of each pixel of the tile, row by row.
     pub pixels: Vec<PixelSums>,
-    /// Histograms of all attributes of all tables, one after the other, if the [scope is full](Scope::is_full); else empty.
+    /// Histograms of all attributes of all tables, one after the other, if the [scope is full](Scope::has_full_histograms); else empty.
     pub bins: BinCounts,
 }
 

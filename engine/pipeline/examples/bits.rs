@@ -72,7 +72,7 @@ fn render_frames(file: &str, camera: &str, size: [u32; 2], spp: u32, frames: &[u
 /// Prints digests of images as used by textures.
 fn print_image_digests() -> Result<(), Box<dyn Error>> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../import/tests/files");
-    for name in ["orange.jpg", "grey.jpg"] {
+    for name in ["orange.jpg", "gray.jpg"] {
         let scene = format!("m wall =\n rd .5\n map_rd {name}\n");
         let files =
             vec![("image.mgf".to_owned(), scene.into_bytes()), (name.to_owned(), std::fs::read(folder.join(name))?)];

@@ -36,7 +36,7 @@ pub struct RoundEnd<'a> {
 /// Renders a frame with its settings, on the calling thread's rayon pool.
 /// - `tiling`, `rounds`: values of the frame's plan;
 /// - `seconds`: returns the seconds since the frame's beginning from the rays traced so far, only for
-///   [`Stop::Time`](crate::Stop::Time);
+///   [`StopCondition::Time`](crate::StopCondition::Time);
 /// - `cancel`, `progress`: as for [`render_tile`].
 /// - errors: cancelled, or the plan does not belong to these settings.
 pub fn render_frame(

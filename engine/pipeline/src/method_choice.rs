@@ -92,7 +92,7 @@ pub enum MethodChoiceError {
 
 /// Chooses the method of a job whose settings leave it open ([`Method::Auto`]).
 /// - `source`: the scene, overrides applied;
-/// - `plan_job`: plan of `settings`.
+/// - `plan`: plan of `settings`.
 pub fn choose_method(
     source: &SceneSource,
     settings: &Settings,

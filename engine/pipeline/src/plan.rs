@@ -99,7 +99,7 @@ pub fn plan_job(scene: &Scene, settings: &Settings, frames: Option<&[u32]>) -> R
     if let Some(allocation) = &settings.allocation {
         allocation.check_tiles(&tiling).map_err(SettingsError::Allocation)?;
     }
-    // A pilot decides whether a first pass is worth it (`auto`). Settings that arrive here already contain its result.
+    // A pilot decides whether a first pass is worth it (`method_choice`). Settings that arrive here already contain its result.
     let method = if settings.method == Method::Auto { Method::Pt } else { settings.method };
     let stages = split_first_pass(
         job_stages(&tiling, &rounds, tiles_per_group(&tiling), method),

@@ -32,7 +32,7 @@ pub fn prepare_frame(
 }
 
 /// Prepares a frame as [`prepare_frame`] does, but without the first pass: [`solve_first_pass`](crate::solve_first_pass()) solves
-/// it, [`light`](crate::light) applies a solution.
+/// it, [`attach_first_pass`](crate::attach_first_pass) applies a solution.
 pub fn prepare_world(
     source: &SceneSource,
     settings: &Settings,

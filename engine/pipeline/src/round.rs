@@ -2,7 +2,7 @@
 //!
 //! The decision is a function of the tiles' own samples. It does not depend on clocks, order of arrival, or number of workers, so
 //! every process decides alike. The one exception is [`StopCondition::Time`], which the user requests ([`crate::budget`]): the
-//! image states how its samples were divided, and the same division gives the same image ([`Allocation`](crate::Allocation)).
+//! image states how its samples were divided, and the same division gives the same image ([`SampleAllocation`](crate::Allocation)).
 //!
 //! A rule that stops on the same estimates that it reports favors estimates that look good, and those are the ones that miss a rare
 //! bright path. Such images are too dark (by a third in examples with heavy tails). Here the samples of a tile form two independent

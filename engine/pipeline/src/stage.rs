@@ -7,7 +7,7 @@
 //! tiles, some kilobytes, and determines how many samples each tile gets in the next round. The image is made once, after the loop.
 //!
 //! A method with a first pass runs it before all other stages, once for all frames of one world. Each tile reads its light. The
-//! first pass is one task, or many tasks ([`in_blocks`](crate::in_blocks)).
+//! first pass is one task, or many tasks ([`split_first_pass`](crate::split_first_pass)).
 //!
 //! With light statistics, each tile outputs, in addition to its sums, the statistics of its samples' paths. When it is known which
 //! samples count, the image task unites those of all rounds, for many tiles by groups.
@@ -174,7 +174,7 @@ pub fn tiles_per_group(tiling: &Tiling) -> NonZeroU32 {
     NonZeroU32::new(tiles).unwrap_or(NonZeroU32::MIN)
 }
 
-/// Returns the stages of a job of frames: the first pass if the method has one; tiles; groups of `tiles_per_group` tiles if there
+/// Returns the stages of a job of frames: the first pass if the method has one; tiles; groups of `fan` tiles if there
 /// are more tiles or several rounds; a decision if there are several rounds; the image.
 /// - `rounds`: samples a pixel at the end of each round, ascending.
 pub fn job_stages(tiling: &Tiling, rounds: &[u32], fan: NonZeroU32, method: Method) -> Vec<Stage> {

@@ -121,7 +121,7 @@ impl Lights {
     /// Describes a ray segment that receives light.
     /// - `range`: first and last distance, m.
     /// - `fog`: its extinction, 1/m, and the parameter of its phase function
-    ///   ([`Media::character`](crate::media::Media::character)).
+    ///   ([`Media::mean_properties`](crate::media::Media::mean_properties)).
     /// - `angles`: angles at which each light is evaluated.
     #[inline]
     pub fn segment_context(

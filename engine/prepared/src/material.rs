@@ -71,7 +71,7 @@ fn product(tinted: &TintedScalar) -> Rgb {
 
 impl KernelMaterial {
     /// Converts a description. A channel that demands more light than the surface receives (a saturated color of luminance 1 can)
-    /// is limited, see [`MaterialParameters::conserving`]; the import warns of it.
+    /// is limited, see [`MaterialParameters::energy_conserving`]; the import warns of it.
     pub fn new(material: &Material) -> Self {
         let parameters = MaterialParameters {
             sides: match material.sides {

@@ -283,7 +283,7 @@ fn grid_steps(shape: &Quadric, scale: f32, extent: f32) -> [u32; 2] {
     [around, if straight { 1 } else { around / 2 }]
 }
 
-/// Returns both ends, and the multiples of 1 / `grid_steps` between them.
+/// Returns both ends, and the multiples of 1 / `steps` between them.
 fn grid_lines([from, to]: [f64; 2], steps: u32) -> Vec<f64> {
     let near = 1e-3 / f64::from(steps);
     let inner = (1..steps).map(|step| f64::from(step) / f64::from(steps));

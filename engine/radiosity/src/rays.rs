@@ -94,7 +94,7 @@ impl MisHeuristic {
     }
 }
 
-/// See [`RayHit::block_range`].
+/// See [`RayHit::part`].
 const ONE_WAY: u8 = u8::MAX;
 
 /// A way along which light reaches a leaf.

@@ -112,7 +112,7 @@ impl NotesError {
 mod tests {
     use super::*;
 
-    fn labelled(name: &str, value: &str) -> JobNotes {
+    fn labeled(name: &str, value: &str) -> JobNotes {
         JobNotes { labels: [(name.to_owned(), value.to_owned())].into(), ..JobNotes::default() }
     }
 
@@ -125,19 +125,19 @@ mod tests {
             notify: Some(long(2048)),
         };
         assert_eq!(good.check(), Ok(()));
-        assert_eq!(labelled("medium.fog.sigma_s", "").check(), Ok(()));
+        assert_eq!(labeled("medium.fog.sigma_s", "").check(), Ok(()));
         let refused = [
             JobNotes { comment: long(4097), ..good.clone() },
             JobNotes { comment: "a\u{1b}[2J".into(), ..good.clone() },
             JobNotes { labels: (0..65).map(|number| (number.to_string(), String::new())).collect(), ..good.clone() },
             JobNotes { notify: Some(long(2049)), ..good.clone() },
             JobNotes { notify: Some("http://a/\n".into()), ..good },
-            labelled("", "a"),
-            labelled("a=b", "c"),
-            labelled(&long(257), "a"),
-            labelled("a", &long(257)),
-            labelled("a\t", "b"),
-            labelled("a", "b\r"),
+            labeled("", "a"),
+            labeled("a=b", "c"),
+            labeled(&long(257), "a"),
+            labeled("a", &long(257)),
+            labeled("a\t", "b"),
+            labeled("a", "b\r"),
         ];
         for notes in refused {
             assert!(notes.check().is_err(), "{notes:?}");

@@ -100,7 +100,7 @@ pub struct FrameParts {
 /// A finished frame, or finished results of the job itself.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FrameRecord {
-    /// Frame number, or [`Stage::OF_JOB`](crate::Stage::OF_JOB) for the job's own results.
+    /// Frame number, or [`Stage::JOB_FRAME`](crate::Stage::JOB_FRAME) for the job's own results.
     pub frame: u32,
     /// Results of the frame.
     pub outputs: Vec<Output>,

@@ -52,7 +52,7 @@ pub struct HeldLease {
     pub task: TaskKey,
     /// Epoch of the lease.
     pub epoch: Epoch,
-    /// Steps that the lease covers: [`Work::steps`](crate::Work::steps).
+    /// Steps that the lease covers: [`TaskSpec::steps`](crate::TaskSpec::steps).
     pub steps: Range<u32>,
     /// [`JobSpec::key`] of the job. It prevents confusion with a job of the same number from another farm.
     pub job: Digest,

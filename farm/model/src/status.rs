@@ -208,7 +208,7 @@ pub enum WaitReason {
     BehindJob(JobId),
     /// No task of a frame is ready: the next stage waits for tasks that are running.
     StageWaits {
-        /// Frame number, or [`Stage::OF_JOB`](crate::Stage::OF_JOB) for the job's own stages.
+        /// Frame number, or [`Stage::JOB_FRAME`](crate::Stage::JOB_FRAME) for the job's own stages.
         frame: u32,
         /// Kind of the stage that waits.
         stage: StageKind,
@@ -240,7 +240,7 @@ pub enum WaitReason {
     /// A finished output was damaged in the store or is missing. If it belongs to a frame (its image or its preview), the frame is
     /// rendered again. If it belongs to the job (a still, the contact sheet or the clip), the job's own stages run again.
     ImageLost {
-        /// Frame number, or [`Stage::OF_JOB`](crate::Stage::OF_JOB).
+        /// Frame number, or [`Stage::JOB_FRAME`](crate::Stage::JOB_FRAME).
         frame: u32,
     },
     /// Frames need a shared result whose tasks used up their attempts.
@@ -254,7 +254,7 @@ pub enum WaitReason {
     },
     /// Tasks used up their attempts, so their frame cannot be finished. Or the job's own stages wait for frames that failed.
     Quarantined {
-        /// Frame number, or [`Stage::OF_JOB`](crate::Stage::OF_JOB).
+        /// Frame number, or [`Stage::JOB_FRAME`](crate::Stage::JOB_FRAME).
         frame: u32,
         /// Number of the frame's tasks; 0: the job's own stages wait for frames that failed.
         tasks: u32,

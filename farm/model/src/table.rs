@@ -58,7 +58,7 @@ pub struct TaskStatus {
     pub times: Option<AttemptTimes>,
 }
 
-/// Status of a frame, or of the job's own stages under [`Stage::OF_JOB`](crate::Stage::OF_JOB).
+/// Status of a frame, or of the job's own stages under [`Stage::JOB_FRAME`](crate::Stage::JOB_FRAME).
 #[derive(Debug, Clone, PartialEq)]
 pub struct FrameStatus {
     /// Frame number.

@@ -47,7 +47,7 @@ pub enum LossPolicy {
     /// The log is not opened.
     #[default]
     Refuse,
-    /// The log is opened without the missing records, permanently; [`LogContents::lost`] describes the loss.
+    /// The log is opened without the missing records, permanently; [`LogContents::missing`] describes the loss.
     Accept,
 }
 

@@ -201,7 +201,7 @@ impl Scheduler {
     }
 
     /// Removes a run of a task from the ready tasks and enters its lease.
-    /// - `unfinished`: units of work of the run.
+    /// - `units`: units of work of the run.
     pub(crate) fn grant_lease(&mut self, key: LeaseKey, run: &Range<u32>, units: u64, worker: WorkerId, now: Tick) {
         let (task, _) = &key;
         if let Some(ready_tasks) = self.ready.get_mut(&task.job) {

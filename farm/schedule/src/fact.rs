@@ -86,7 +86,7 @@ pub enum Fact {
     Restarted {
         /// The job.
         job: JobId,
-        /// Frame number; [`Stage::OF_JOB`](femc_model::Stage::OF_JOB): the job's own stages.
+        /// Frame number; [`Stage::JOB_FRAME`](femc_model::Stage::JOB_FRAME): the job's own stages.
         frame: u32,
     },
     /// The job cannot succeed.

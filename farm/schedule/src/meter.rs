@@ -1,6 +1,6 @@
 //! Usage by owner and month, for accounting. It is independent of the order of service, whose figures only serve fairness.
 //!
-//! Sums become durable every few seconds ([`Scheduler::NOTE_SHARES`]): a killed coordinator loses no more than that.
+//! Sums become durable every few seconds ([`Scheduler::CHARGE_INTERVAL`]): a killed coordinator loses no more than that.
 
 use std::collections::BTreeMap;
 

@@ -40,7 +40,7 @@ impl<S> Farm<S> {
         answer.await.map_err(|_| stopping())?
     }
 
-    /// Returns the times of a job's ended attempts; `None`: there are more than [`TimesCache::MOST`].
+    /// Returns the times of a job's ended attempts; `None`: there are more than [`TimesCache::MAX_ATTEMPTS`].
     pub async fn times(&self, job: JobId, shape: &JobShape) -> Result<Option<OwnedMutexGuard<JobTimes>>, Refusal> {
         self.times.get(self, job, shape).await
     }

@@ -138,7 +138,7 @@ impl State {
         }
     }
 
-    /// Returns the next event for a listener that knows the change `last_seq`, and the number that it knows afterwards.
+    /// Returns the next event for a listener that knows the change `known`, and the number that it knows afterwards.
     fn next_event(&mut self, known: Option<u64>) -> Option<(u64, Bytes)> {
         match known {
             Some(known) if known == self.seq => None,

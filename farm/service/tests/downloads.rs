@@ -108,7 +108,7 @@ async fn serve_calls(
 
 impl TestServer {
     /// Starts a coordinator.
-    /// - `tokens_path`: accepted tokens. `None`: the farm does not authenticate.
+    /// - `tokens`: accepted tokens. `None`: the farm does not authenticate.
     async fn start(name: &str, tokens: Option<Tokens>) -> Self {
         let store = Store::in_memory();
         let large: Vec<u8> = (0..9_000_001u32).map(|i| (i * 7 + i / 251) as u8).collect();

@@ -225,7 +225,7 @@ impl Store {
         Ok(())
     }
 
-    /// Returns a part of the artifact's bytes, unverified: call [`Store::verify`] or [`Store::known`] first.
+    /// Returns a part of the artifact's bytes, unverified: call [`Store::verify`] or [`Store::verify_unless_recent`] first.
     /// - `range`: within the artifact.
     pub async fn read_range(&self, digest: &Digest, range: std::ops::Range<u64>) -> Result<Bytes, StoreError> {
         let wanted = range.end.saturating_sub(range.start);

@@ -32,7 +32,7 @@ impl<T: Default> ReloadingFile<T> {
         Ok(file)
     }
 
-    /// Calls `with_content` with the current content. If the file cannot be read any more, its last valid content stays in force.
+    /// Calls `look` with the current content. If the file cannot be read any more, its last valid content stays in force.
     pub(crate) fn with_content<R>(&self, look: impl FnOnce(&T) -> R) -> R {
         if let Err(error) = self.refresh() {
             tracing::warn!(%error, "cannot reread the file: its last valid content stays in force");

@@ -242,7 +242,7 @@ struct Trial<'a> {
     baseline: BTreeMap<String, Duration>,
 }
 
-/// Key of the worlds' duration in [`Trial::usual`].
+/// Key of the worlds' duration in [`Trial::baseline`].
 const WORLDS: &str = "simulation";
 
 impl<'a> Trial<'a> {

@@ -122,7 +122,7 @@ impl ExtraOutputs {
         outputs.filter(Self::is_sound).unwrap_or_default()
     }
 
-    /// Adds the stages for the requested outputs to the graph of a job with `frame_graph` frames. The frames' images do not change.
+    /// Adds the stages for the requested outputs to the graph of a job with `frames` frames. The frames' images do not change.
     pub fn add_to(&self, graph: &mut Graph, frames: u32) {
         let makes = |graph: &Graph, role| {
             graph.stages_of(Scope::Frame).rfind(|(_, it)| it.outputs.contains(&role)).map(|(n, _)| n)

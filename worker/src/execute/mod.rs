@@ -53,7 +53,7 @@ impl Tools {
         Self { fetch: self.fetch.for_task(task), ..self.clone() }
     }
 
-    /// Runs `spec` for `task` on the pool. The task is not charged for processor time until a thread of the pool is free for it.
+    /// Runs `work` for `task` on the pool. The task is not charged for processor time until a thread of the pool is free for it.
     pub(crate) fn install<T: Send>(&self, task: &Task, work: impl FnOnce() -> T + Send) -> T {
         let span = Span::current();
         task.account.set_activity(Activity::Waiting);

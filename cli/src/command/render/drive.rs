@@ -163,7 +163,7 @@ async fn find_or_submit_job(
 }
 
 impl RenderRequest<'_> {
-    /// Returns whether a job of `render_frames` renders all missing frames, and only requested frames.
+    /// Returns whether a job of `frames` renders all missing frames, and only requested frames.
     fn is_satisfied_by(&self, frames: &[u32]) -> bool {
         let asked_for = frames.iter().all(|frame| self.frames.contains(frame));
         asked_for && self.missing.iter().all(|frame| frames.contains(frame))

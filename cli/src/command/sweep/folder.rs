@@ -129,7 +129,7 @@ impl SweepFolder {
         (!self.manifest.files.is_empty() && engine != femc_worker::engine()).then_some(engine)
     }
 
-    /// Returns whether the file `set_variants` exists and has this key.
+    /// Returns whether the file `name` exists and has this key.
     pub fn has(&self, name: &str, key: &str) -> bool {
         self.entry(name).is_some_and(|shot| shot.key == key)
     }
@@ -139,7 +139,7 @@ impl SweepFolder {
         self.by_key.contains_key(key)
     }
 
-    /// Links `set_variants` to the file that has this key; does nothing if there is none.
+    /// Links `name` to the file that has this key; does nothing if there is none.
     pub fn link(&mut self, name: &str, key: &str) -> Result<(), Failure> {
         let Some(source) = self.by_key.get(key).cloned().filter(|source| source != name) else { return Ok(()) };
         let Some(entry) = self.manifest.files.get(&source).cloned() else { return Ok(()) };

@@ -1,6 +1,6 @@
 //! Choice of one light among many.
 //!
-//! Up to 128 lights are weighted individually, eight at a time (`flat`): by the unoccluded light that they send to a point
+//! Up to 128 lights are weighted individually, eight at a time (`light_blocks`): by the unoccluded light that they send to a point
 //! (`point`), or that fog scatters on a segment (`segment`). The weights are kept, so that multiple importance sampling can later
 //! look up a probability at the same place. For more lights, the tree chooses one.
 
@@ -27,7 +27,7 @@ pub struct LightSampler {
     tree: LightTree,
     /// The lights from left to right in the tree if they are few, otherwise clusters of them.
     blocks: LightBlocks,
-    /// Nodes in the lanes of `flat`.
+    /// Nodes in the lanes of `blocks`.
     nodes: Vec<Node>,
     /// The light of each lane, if each lane holds a single light.
     lights: Option<Vec<u32>>,

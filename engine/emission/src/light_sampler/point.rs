@@ -39,7 +39,7 @@ impl Weigh for PointContext {
     }
 }
 
-/// Computes the luminance that the lobes scatter from `wo` (not unit), 1/sr, times the cosine.
+/// Computes the luminance that the lobes scatter from `toward` (not unit), 1/sr, times the cosine.
 /// - `cos`: of the light, > 0; `sin`: of the angle that its radius subtends.
 #[inline(always)]
 fn scattered_luminance<S: Simd>(

@@ -158,7 +158,7 @@ impl Node {
         cos / (self.exponent - self.exponent * cos + cos)
     }
 
-    /// Estimates the intensity, cd, toward a place from which the lights' middle lies along `wo` (m, not unit).
+    /// Estimates the intensity, cd, toward a place from which the lights' middle lies along `toward` (m, not unit).
     #[inline]
     fn estimate_intensity(&self, toward: Vec3A) -> f32 {
         if self.is_omnidirectional() {

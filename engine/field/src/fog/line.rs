@@ -208,7 +208,7 @@ impl FogTree {
     /// - `origin`: prepared frame, m;
     /// - `dir`: unit;
     /// - `t0`, `t1`: distances of the line's start and end from the origin, m;
-    /// - `radiance_along`: result. Its old contents are lost, its buffers are reused.
+    /// - `line`: result. Its old contents are lost, its buffers are reused.
     pub fn radiance_along(&self, origin: Vec3A, dir: Vec3A, t0: f32, t1: f32, line: &mut FogLine) {
         line.clear();
         if self.nodes.is_empty() {

@@ -96,7 +96,7 @@ fn a_sum_above_one_is_scaled_to_one_whatever_it_is() {
         assert!(loaded.warnings[0].to_string().starts_with("t.mgf:3:1: material `bright`"), "{}", loaded.warnings[0]);
     }
     let raw = scene("c\ncrgb .5 .05 .04\nm paint =\nrd 1\nc\ncrgb 1 1 1\nrs .05 .1");
-    assert_eq!(raw.materials[0].rd.amount, 1.0, "a raw colour counts by its luminance");
+    assert_eq!(raw.materials[0].rd.amount, 1.0, "a raw color counts by its luminance");
     let raw = try_scene("c\ncrgb 2 2 2\nm a =\nrd .9").unwrap();
     assert!((raw.scene.materials[0].rd.photometric_amount() - 1.0).abs() < 1e-6 && raw.warnings.len() == 1);
     scene("m ok =\nrd .8\nrs .5 0\nrd .5");
@@ -279,7 +279,7 @@ fn luminaire_has_its_transform_and_shares_its_photometry() {
     assert_eq!(scene.photometry[0].location, Location { file: 0, line: 4, column: 1 });
     let [first, second] = &scene.groups[0].luminaires[..] else { panic!("two luminaires") };
     assert_eq!((first.multiplier, first.to_group.translation), (0.5, DVec3::Z * 3.0));
-    assert!(is_close(first.color, [1.0; 3]), "the colour has luminance 1");
+    assert!(is_close(first.color, [1.0; 3]), "the color has luminance 1");
     assert_eq!((second.multiplier, second.object), (1.0, Some(ObjectId(0))));
     assert_eq!((scene.groups[0].instances.len(), scene.groups[1].luminaires.len()), (2, 1));
 }

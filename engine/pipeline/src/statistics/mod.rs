@@ -45,7 +45,7 @@ pub struct StatisticsPlan {
 
 impl StatisticsPlan {
     /// Creates the configuration for a frame.
-    /// - `tile_size`: width and height of its tiles, pixels.
+    /// - `edge`: width and height of its tiles, pixels.
     pub fn new(prepared: &Prepared, settings: &Settings, edge: u32) -> Self {
         let bounds = prepared.world.bounds();
         let (lower, upper) = snap_bounds(prepared.to_world(bounds.min), prepared.to_world(bounds.max));

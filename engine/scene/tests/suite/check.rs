@@ -43,8 +43,8 @@ fn a_sound_scene_has_no_fault() {
 #[test]
 fn each_fault_is_found_once_at_its_line() {
     type Change = fn(&mut Scene);
-    type Found = &'static [(K, S, u32)];
-    let table: [(&str, Change, Found); 36] = [
+    type ExpectedFaults = &'static [(K, S, u32)];
+    let table: [(&str, Change, ExpectedFaults); 36] = [
         (
             "a face without area",
             |s| add_face(&mut s.groups[0], &[[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [0.5, 0.0, 1.0]], 0, 20),

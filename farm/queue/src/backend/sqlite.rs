@@ -387,7 +387,7 @@ async fn insert_batch(connection: &mut SqliteConnection, batch: Batch<'_>, next:
 }
 
 /// Inserts a snapshot and removes all snapshots and records that it replaces.
-/// - `query_number`: number of the snapshot; it replaces all lower numbers.
+/// - `number`: number of the snapshot; it replaces all lower numbers.
 async fn insert_snapshot(connection: &mut SqliteConnection, number: i64, state: &[u8]) -> Result<(), sqlx::Error> {
     sqlx::query("INSERT OR REPLACE INTO snapshot (sequence, checksum, state) VALUES (?, ?, ?)")
         .bind(number)

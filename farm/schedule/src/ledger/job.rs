@@ -563,7 +563,7 @@ impl Job {
             }
             Control::RetryFrames(frames) => return self.retry_frames(frames),
             Control::Priority(priority) => self.spec.priority = *priority,
-            // Deletion is a separate fact: `Forgotten`.
+            // Deletion is a separate fact: `JobRemoved`.
             Control::Delete => {}
         }
         Vec::new()

@@ -230,7 +230,7 @@ fn task_steps(held: &Assignment) -> Vec<TaskStep> {
 
 impl Machine {
     /// Creates a machine.
-    /// - `chunk_size`: pixel samples of a sample chunk; a tile has 64 pixels.
+    /// - `grain`: pixel samples of a sample chunk; a tile has 64 pixels.
     /// - `prefetch`: tasks that a worker holds beyond the running one.
     fn new(grain: u64, prefetch: u32, keep_ended: Option<u64>) -> Self {
         let grain = NonZeroU64::new(grain).unwrap();

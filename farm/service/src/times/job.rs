@@ -89,7 +89,7 @@ impl JobTimes {
         self.attempts.is_empty()
     }
 
-    /// Adds a record of an attempt, with the rules of [`femc_model::Attempts::put`].
+    /// Adds a record of an attempt, with the rules of [`femc_model::Attempts::insert`].
     pub fn put(&mut self, shape: &JobShape, record: &AttemptRecord) {
         let Stage { frame, round, number, .. } = record.task.stage;
         let Some(template) = shape.spec.graph.stage(number) else { return };

@@ -60,7 +60,7 @@ impl<'a> Args<'a> {
         ImportError::new(self.argument_at(i), fault)
     }
 
-    /// Checks that the number of arguments is in `out_of_range`. `expected` describes the range in words.
+    /// Checks that the number of arguments is in `range`. `expected` describes the range in words.
     pub fn check_count(&self, range: impl std::ops::RangeBounds<usize>, expected: &'static str) -> Result<()> {
         if range.contains(&self.len()) {
             return Ok(());

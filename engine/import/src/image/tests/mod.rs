@@ -55,8 +55,8 @@ fn srgb_becomes_linear_for_any_depth_alpha_and_palette() {
         assert!(r == 0.0 && b == 1.0 && (g - 0.5029).abs() < 1e-4, "{color:?}: {:?}", image.pixels[1]);
     }
     // Gray: with alpha, and with one bit, where the last byte of a row has unused bits.
-    let grey = png_of((1, 1), ColorType::GrayscaleAlpha, BitDepth::Eight, &[255, 0]);
-    assert_eq!(decode("g.png", &grey, Role::Color, 0).unwrap().image.pixels, [[1.0; 3]]);
+    let gray = png_of((1, 1), ColorType::GrayscaleAlpha, BitDepth::Eight, &[255, 0]);
+    assert_eq!(decode("g.png", &gray, Role::Color, 0).unwrap().image.pixels, [[1.0; 3]]);
     let bits = png_of((3, 2), ColorType::Grayscale, BitDepth::One, &[0b0100_0000, 0b1010_0000]);
     let bits = decode("g.png", &bits, Role::Color, 0).unwrap().image.pixels;
     assert_eq!(bits, [0.0, 1.0, 0.0, 1.0, 0.0, 1.0].map(|x| [x; 3]));
@@ -69,9 +69,9 @@ fn jpeg_is_read_in_color_and_in_grey() {
     assert_eq!((color.width, color.height, color.pixels.len()), (8, 8, 64));
     let near = |pixel: &[f32; 3], wanted: [f32; 3]| (0..3).all(|i| (pixel[i] - wanted[i]).abs() < 0.03);
     assert!(color.pixels.iter().all(|p| near(p, [1.0, 0.2159, 0.0])), "{:?}", color.pixels[0]);
-    let grey = decode("t.jpg", include_bytes!("../../../tests/files/grey.jpg"), Role::Color, 0).unwrap().image;
-    assert_eq!((grey.width, grey.height, grey.pixels.len()), (5, 3, 15));
-    assert!(grey.pixels.iter().all(|p| near(p, [0.5029; 3])), "{:?}", grey.pixels[0]);
+    let gray = decode("t.jpg", include_bytes!("../../../tests/files/gray.jpg"), Role::Color, 0).unwrap().image;
+    assert_eq!((gray.width, gray.height, gray.pixels.len()), (5, 3, 15));
+    assert!(gray.pixels.iter().all(|p| near(p, [0.5029; 3])), "{:?}", gray.pixels[0]);
 }
 
 #[test]

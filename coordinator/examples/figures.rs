@@ -12,7 +12,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
-use femc_coordinator::{Artifacts, Config, Coordinator, Handle, Log};
+use femc_coordinator::{ArtifactStorage, Config, Coordinator, Handle, LogStorage};
 use femc_model::*;
 use femc_proto::{Client, SessionReceiver, SessionSender};
 use femc_schedule::{Fact, Ledger};
@@ -55,8 +55,8 @@ async fn measure() -> Result<()> {
 
 fn config(folder: &Path) -> Config {
     Config {
-        log: Log::Sqlite(folder.join("log.sqlite")),
-        artifacts: Artifacts::Folder(folder.join("artifacts")),
+        log: LogStorage::Sqlite(folder.join("log.sqlite")),
+        artifacts: ArtifactStorage::Folder(folder.join("artifacts")),
         ..Config::default()
     }
 }

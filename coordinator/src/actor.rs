@@ -132,7 +132,7 @@ impl<Q: Queue> Actor<Q> {
     /// Maximum number of messages that are made durable together.
     const BATCH: usize = 1024;
     /// Interval between two checks of deadlines and watchers.
-    const TIMER: Duration = Duration::from_millis(100);
+    const TIMER_INTERVAL: Duration = Duration::from_millis(100);
     /// Delay of the timer after which the loop is considered stalled. No worker's message was processed in this time.
     const STALL_THRESHOLD: Duration = Duration::from_millis(500);
     /// Interval between two roster notes. After a crash, the times of last contact are this accurate.
@@ -179,7 +179,7 @@ impl<Q: Queue> Actor<Q> {
             heartbeats: Vec::new(),
             numbers: 0,
             records,
-            snapshot_interval: config.snapshot,
+            snapshot_interval: config.snapshot_interval,
             next_snapshot: Instant::now(),
             session_events,
             session_inbox: heard,
@@ -194,7 +194,7 @@ impl<Q: Queue> Actor<Q> {
 
     /// Runs until `stop`'s sender is dropped, or the log fails.
     pub(crate) async fn run(mut self, mut inputs: ActorInputs) -> Result<(), CoordinatorError> {
-        let mut timer = tokio::time::interval(Self::TIMER);
+        let mut timer = tokio::time::interval(Self::TIMER_INTERVAL);
         timer.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
         let mut commands = Vec::new();
         self.announce_all();

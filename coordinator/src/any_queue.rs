@@ -13,7 +13,7 @@ trait DynQueue: Send {
     fn load(&mut self) -> QueueFuture<'_, LogContents>;
     fn append<'a>(&'a mut self, batch: Batch<'a>) -> QueueFuture<'a, ()>;
     fn snapshot<'a>(&'a mut self, state: &'a [u8]) -> QueueFuture<'a, ()>;
-    fn reserve(&mut self, least: u32) -> QueueFuture<'_, u32>;
+    fn reserve(&mut self, min_incarnation: u32) -> QueueFuture<'_, u32>;
     fn notes(&mut self, subject: u64, from: u64) -> QueueFuture<'_, NotePage>;
     fn check(&mut self) -> Result<(), QueueError>;
     fn copy(&mut self) -> QueueFuture<'_, File>;
@@ -33,8 +33,8 @@ impl<Q: Queue> DynQueue for Q {
         Box::pin(Queue::snapshot(self, state))
     }
 
-    fn reserve(&mut self, least: u32) -> QueueFuture<'_, u32> {
-        Box::pin(Queue::reserve(self, least))
+    fn reserve(&mut self, min_incarnation: u32) -> QueueFuture<'_, u32> {
+        Box::pin(Queue::reserve(self, min_incarnation))
     }
 
     fn notes(&mut self, subject: u64, from: u64) -> QueueFuture<'_, NotePage> {
@@ -76,8 +76,8 @@ impl Queue for AnyQueue {
         self.0.snapshot(state).await
     }
 
-    async fn reserve(&mut self, least: u32) -> Result<u32, QueueError> {
-        self.0.reserve(least).await
+    async fn reserve(&mut self, min_incarnation: u32) -> Result<u32, QueueError> {
+        self.0.reserve(min_incarnation).await
     }
 
     async fn notes(&mut self, subject: u64, from: u64) -> Result<NotePage, QueueError> {

@@ -58,6 +58,6 @@ pub(crate) fn decode_page(page: NotePage) -> AttemptPage {
 impl<Q: Queue> Actor<Q> {
     pub(crate) fn shape(&self, job: JobId) -> Result<JobShape, Refusal> {
         let spec = self.scheduler.spec(job).ok_or(Refusal::NoSuchJob { job })?;
-        Ok(JobShape { spec: Box::new(spec.clone()), cut: self.scheduler.chunk_size(job) })
+        Ok(JobShape { spec: Box::new(spec.clone()), chunk_size: self.scheduler.chunk_size(job) })
     }
 }

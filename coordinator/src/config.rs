@@ -16,7 +16,7 @@ use crate::metrics::Metrics;
 
 /// Location of the log.
 #[derive(Debug, Clone)]
-pub enum Log {
+pub enum LogStorage {
     /// In memory: nothing survives the process.
     Memory,
     /// A SQLite file at this path.
@@ -32,7 +32,7 @@ pub enum Log {
 
 /// Location of the artifacts.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Artifacts {
+pub enum ArtifactStorage {
     /// In memory: nothing survives the process.
     Memory,
     /// A folder at this path.
@@ -41,7 +41,7 @@ pub enum Artifacts {
     S3(String),
 }
 
-/// Clients that may connect to a coordinator without an entrance.
+/// Clients that may connect to a coordinator without access control.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Exposure {
     /// Only programs on this machine. Any other listen address is refused.
@@ -59,7 +59,7 @@ pub struct Config {
     pub exposure: Exposure,
     /// Identity of the coordinator and the identities that it accepts; `None`: connections are not encrypted, and everyone is
     /// accepted.
-    pub entrance: Option<AccessControl>,
+    pub access_control: Option<AccessControl>,
     /// Limits of connections and messages.
     pub limits: Limits,
     /// Audit log of changes and refusals.
@@ -69,17 +69,17 @@ pub struct Config {
     /// Content for browsers.
     pub site: Site,
     /// Location of the log.
-    pub log: Log,
+    pub log: LogStorage,
     /// Location of the artifacts.
-    pub artifacts: Artifacts,
+    pub artifacts: ArtifactStorage,
     /// Times and limits of the scheduler.
     pub scheduler: femc_schedule::Config,
     /// Number of log records after which a snapshot replaces them.
-    pub snapshot: usize,
+    pub snapshot_interval: usize,
     /// Bytes to keep free on the disks of the log and of the artifacts. With less, new jobs are refused. 0: no limit.
     pub keep_free: u64,
     /// Treatment of a log that lacks acknowledged records.
-    pub loss: LossPolicy,
+    pub loss_policy: LossPolicy,
     /// Source of time.
     pub time: TimeSource,
     /// Metrics of the coordinator.
@@ -91,17 +91,17 @@ impl Default for Config {
         Self {
             listen: SocketAddr::from(([127, 0, 0, 1], 0)),
             exposure: Exposure::Loopback,
-            entrance: None,
+            access_control: None,
             limits: Limits::default(),
             audit: None,
             announce: NotifyConfig::default(),
             site: Site::default(),
-            log: Log::Memory,
-            artifacts: Artifacts::Memory,
+            log: LogStorage::Memory,
+            artifacts: ArtifactStorage::Memory,
             scheduler: femc_schedule::Config::default(),
-            snapshot: 20_000,
+            snapshot_interval: 20_000,
             keep_free: 0,
-            loss: LossPolicy::Refuse,
+            loss_policy: LossPolicy::Refuse,
             time: TimeSource::default(),
             metrics: Metrics::default(),
         }
@@ -117,7 +117,7 @@ impl Config {
 
     /// Returns whether connections are encrypted.
     pub(crate) fn is_encrypted(&self) -> bool {
-        self.entrance.as_ref().is_some_and(|entrance| entrance.identity.is_some())
+        self.access_control.as_ref().is_some_and(|entrance| entrance.identity.is_some())
     }
 }
 

@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use femc_model::Refusal;
 use tokio::time::{Duration, Instant};
 
-use crate::config::{Artifacts, Config, Log};
+use crate::config::{ArtifactStorage, Config, LogStorage};
 
 /// Free space of the disks. Clones share it.
 #[derive(Debug, Clone)]
@@ -45,18 +45,18 @@ impl Disk {
 
 impl Disks {
     /// Multiple of `keep_free` below which a warning is given.
-    const WARN: u64 = 4;
+    const WARNING_FACTOR: u64 = 4;
     /// Interval between two checks.
     pub(crate) const CHECK_INTERVAL: Duration = Duration::from_secs(1);
 
     pub(crate) fn new(config: &Config) -> Self {
         let log = match &config.log {
-            Log::Sqlite(path) => Some(("the log", folder(path))),
-            Log::Memory | Log::Postgres { .. } => None,
+            LogStorage::Sqlite(path) => Some(("the log", folder(path))),
+            LogStorage::Memory | LogStorage::Postgres { .. } => None,
         };
         let artifacts = match &config.artifacts {
-            Artifacts::Folder(path) => Some(("the artifacts", path.clone())),
-            Artifacts::Memory | Artifacts::S3(_) => None,
+            ArtifactStorage::Folder(path) => Some(("the artifacts", path.clone())),
+            ArtifactStorage::Memory | ArtifactStorage::S3(_) => None,
         };
         let disk = |(holds, path)| Disk {
             content: holds,
@@ -76,7 +76,7 @@ impl Disks {
         for disk in disks {
             let free = femc_metrics::free_disk_bytes(&disk.path).unwrap_or(u64::MAX);
             disk.free.store(free, Ordering::Relaxed);
-            let is_low = free < Self::WARN.saturating_mul(*keep_free);
+            let is_low = free < Self::WARNING_FACTOR.saturating_mul(*keep_free);
             match (disk.was_low.swap(is_low, Ordering::Relaxed), is_low) {
                 (false, true) => tracing::warn!(place = disk.description(), free, keep_free, "disk space is low"),
                 (true, false) => tracing::info!(place = disk.description(), free, "there is enough disk space again"),
@@ -114,7 +114,7 @@ impl Disks {
     pub(crate) fn warnings(&self) -> Vec<String> {
         let keep = self.0.keep_free;
         let warning = |disk: &Disk| {
-            let free = disk.free().filter(|free| *free < Self::WARN.saturating_mul(keep))?;
+            let free = disk.free().filter(|free| *free < Self::WARNING_FACTOR.saturating_mul(keep))?;
             let (mib, place, keep) = (free >> 20, disk.description(), keep >> 20);
             let follows =
                 if free >> 20 < keep { "new jobs are refused until" } else { "new jobs will be refused if less than" };

@@ -12,7 +12,7 @@ use crate::actor::{Actor, PendingReply};
 #[derive(Debug)]
 pub(crate) struct WatchedJob {
     statuses: watch::Sender<JobStatus>,
-    sent: Tick,
+    last_sent: Tick,
 }
 
 impl<Q: Queue> Actor<Q> {
@@ -105,7 +105,7 @@ impl<Q: Queue> Actor<Q> {
             return Ok(watched.statuses.subscribe());
         }
         let (statuses, receiver) = watch::channel(status);
-        self.watched.insert(job, WatchedJob { statuses, sent: now });
+        self.watched.insert(job, WatchedJob { statuses, last_sent: now });
         Ok(receiver)
     }
 
@@ -115,7 +115,7 @@ impl<Q: Queue> Actor<Q> {
         let (scheduler, watched, targets) = (&self.scheduler, &mut self.watched, &mut self.targets);
         self.changed.retain(|&job| {
             let Some(watched) = watched.get_mut(&job) else { return false };
-            let is_due = now.since(watched.sent) >= Self::MIN_STATUS_INTERVAL;
+            let is_due = now.since(watched.last_sent) >= Self::MIN_STATUS_INTERVAL;
             if !is_due && !scheduler.has_ended(job) {
                 return true;
             }
@@ -132,7 +132,7 @@ impl<Q: Queue> Actor<Q> {
         let (scheduler, targets) = (&self.scheduler, &mut self.targets);
         self.watched.retain(|&job, watched| {
             let Ok(status) = targets.status(scheduler, job, now) else { return false };
-            if now.since(watched.sent) >= 4 * Self::MIN_STATUS_INTERVAL && !status.state.has_ended() {
+            if now.since(watched.last_sent) >= 4 * Self::MIN_STATUS_INTERVAL && !status.state.has_ended() {
                 watched.send(status, now);
             }
             watched.statuses.receiver_count() > 0
@@ -149,7 +149,7 @@ impl<Q: Queue> Actor<Q> {
 
 impl WatchedJob {
     fn send(&mut self, status: JobStatus, now: Tick) {
-        self.sent = now;
+        self.last_sent = now;
         self.statuses.send_if_modified(|old| {
             let is_new = *old != status;
             *old = status;

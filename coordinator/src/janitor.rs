@@ -20,7 +20,7 @@ use crate::full_log::ActorInputs;
 #[derive(Debug, Default)]
 pub(crate) struct Janitor {
     released: VecDeque<(Tick, Vec<Digest>)>,
-    swept: Tick,
+    last_sweep: Tick,
 }
 
 impl Janitor {
@@ -35,12 +35,12 @@ impl Janitor {
 
     /// Returns whether the released artifacts should be inspected now.
     fn is_due(&self, now: Tick) -> bool {
-        now.since(self.swept) >= Self::SWEEP_INTERVAL
+        now.since(self.last_sweep) >= Self::SWEEP_INTERVAL
     }
 
     fn take_due(&mut self, now: Tick) -> Vec<Digest> {
         let mut due = Vec::new();
-        self.swept = now;
+        self.last_sweep = now;
         while self.released.front().is_some_and(|(released, _)| now.since(*released) >= Self::REMOVAL_DELAY) {
             due.extend(self.released.pop_front().map(|(_, digests)| digests).unwrap_or_default());
         }

@@ -83,11 +83,11 @@ impl Candidate {
     /// First pause after the connection to the database was lost. Later pauses double.
     const FIRST_PAUSE: Duration = Duration::from_millis(100);
     /// Longest pause.
-    const LONGEST_PAUSE: Duration = Duration::from_secs(3);
+    const MAX_PAUSE: Duration = Duration::from_secs(3);
 
     async fn open_standby(&self) -> Result<Standby, QueueError> {
         let standby = Standby::open(self.database.clone(), self.config.url(self.config.listen), self.silence).await?;
-        Ok(standby.with_loss_policy(self.config.loss))
+        Ok(standby.with_loss_policy(self.config.loss_policy))
     }
 
     /// Runs until it is stopped, or an error occurs that retries cannot resolve.
@@ -120,7 +120,7 @@ impl Candidate {
             tokio::select! {
                 biased;
                 _ = stopped.changed() => return Ok(()),
-                () = tokio::time::sleep(pause) => pause = (2 * pause).min(Self::LONGEST_PAUSE),
+                () = tokio::time::sleep(pause) => pause = (2 * pause).min(Self::MAX_PAUSE),
             }
         }
     }

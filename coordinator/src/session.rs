@@ -4,7 +4,7 @@ use femc_model::{
     Artifact, BoundedMap, Digest, Failure, FromWorker, JobId, JobSpec, LogText, TaskResult, ToWorker, WorkerId,
 };
 use femc_proto::WorkerMessages;
-use femc_store::{Soundness, Store};
+use femc_store::{Integrity, Store};
 use tokio::sync::mpsc;
 
 use crate::actor::SessionEvent;
@@ -80,10 +80,10 @@ async fn first_missing_artifact(result: &TaskResult, store: &Store) -> Option<(D
     for artifact in result.artifacts() {
         let Artifact { digest, bytes } = artifact;
         let message = match store.verify_unless_recent(&artifact).await {
-            Ok(Soundness::Sound(found)) if found == bytes => continue,
-            Ok(Soundness::Sound(found)) => format!("artifact {digest} has {found} bytes, expected {bytes}"),
-            Ok(Soundness::Damaged) => format!("artifact {digest} is damaged in the store"),
-            Ok(Soundness::Missing) => format!("artifact {digest} is not in the store"),
+            Ok(Integrity::Intact(found)) if found == bytes => continue,
+            Ok(Integrity::Intact(found)) => format!("artifact {digest} has {found} bytes, expected {bytes}"),
+            Ok(Integrity::Damaged) => format!("artifact {digest} is damaged in the store"),
+            Ok(Integrity::Missing) => format!("artifact {digest} is not in the store"),
             Err(error) => error.to_string(),
         };
         return Some((digest, message));
@@ -97,7 +97,7 @@ async fn check_log(message: &mut FromWorker, store: &Store) {
         return;
     };
     if let LogText::Stored(artifact) = log.text
-        && !matches!(store.verify_unless_recent(&artifact).await, Ok(Soundness::Sound(bytes)) if bytes == artifact.bytes)
+        && !matches!(store.verify_unless_recent(&artifact).await, Ok(Integrity::Intact(bytes)) if bytes == artifact.bytes)
     {
         log.text = LogText::Inline("the coordinator did not receive the log".into());
     }

@@ -19,7 +19,7 @@ use tokio_stream::Stream;
 
 use crate::actor::{Actor, ROSTER_SUBJECT};
 use crate::any_queue::AnyQueue;
-use crate::config::{Artifacts, Config, CoordinatorError, Exposure, Log};
+use crate::config::{ArtifactStorage, Config, CoordinatorError, Exposure, LogStorage};
 use crate::full_log::ActorInputs;
 use crate::leadership::{self, Leadership};
 
@@ -55,9 +55,9 @@ impl Coordinator {
             return Err(CoordinatorError::Exposed { address: config.listen });
         }
         let store = match &config.artifacts {
-            Artifacts::Memory => Store::in_memory(),
-            Artifacts::Folder(path) => Store::open_folder(path)?,
-            Artifacts::S3(url) => Store::open_s3(url)?,
+            ArtifactStorage::Memory => Store::in_memory(),
+            ArtifactStorage::Folder(path) => Store::open_folder(path)?,
+            ArtifactStorage::S3(url) => Store::open_s3(url)?,
         };
         tokio::spawn({
             let store = store.clone();
@@ -69,13 +69,15 @@ impl Coordinator {
             }
         });
         match config.log.clone() {
-            Log::Memory => Self::start_with(config, store, Memory::default()).await,
-            Log::Sqlite(path) => {
-                let queue = Sqlite::open_with(&path, config.loss).await?;
+            LogStorage::Memory => Self::start_with(config, store, Memory::default()).await,
+            LogStorage::Sqlite(path) => {
+                let queue = Sqlite::open_with(&path, config.loss_policy).await?;
                 config.metrics.set_log_file(path);
                 Self::start_with(config, store, queue).await
             }
-            Log::Postgres { database, silence } => leadership::start_candidate(config, store, database, silence).await,
+            LogStorage::Postgres { database, silence } => {
+                leadership::start_candidate(config, store, database, silence).await
+            }
         }
     }
 
@@ -137,7 +139,7 @@ impl Coordinator {
         let (serving, mut until) = watch::channel(());
         let server = serve(
             Server::new(calls, store)
-                .with_access_control(config.entrance)
+                .with_access_control(config.access_control)
                 .with_traffic(config.metrics.traffic())
                 .with_limits(config.limits)
                 .with_audit(config.audit)

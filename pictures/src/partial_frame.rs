@@ -44,11 +44,14 @@ impl PartialFrame {
     }
 
     /// Returns the counts of samples that were left out.
-    pub fn bad(&self) -> BadSamples {
+    pub fn bad_samples(&self) -> BadSamples {
         let mut bad = BadSamples::default();
         let is_loose = |index: &usize| !self.pieces.iter().any(|piece| piece.tiles().contains(index));
         let loose = (0..self.frame.tiling().count()).filter(is_loose).filter_map(|index| self.frame.tile(index));
-        loose.map(Tile::bad).chain(self.pieces.iter().map(ImagePiece::bad)).for_each(|part| bad.merge(part));
+        loose
+            .map(Tile::bad_samples)
+            .chain(self.pieces.iter().map(ImagePiece::bad_samples))
+            .for_each(|part| bad.merge(part));
         bad
     }
 }

@@ -41,7 +41,7 @@ pub struct Client {
 
 impl Client {
     /// Timeout of the first call, if there are several coordinators: a frozen one still accepts connections.
-    const PATIENCE: Duration = Duration::from_millis(1500);
+    const FIRST_CALL_TIMEOUT: Duration = Duration::from_millis(1500);
 
     /// Connects to `urls`: one address, such as `http://127.0.0.1:7878`, or several separated by commas. The first one that answers
     /// is used.
@@ -64,7 +64,7 @@ impl Client {
                 message: "no answer".into(),
                 cause: UnreachableCause::Connection,
             };
-            match tokio::time::timeout(Self::PATIENCE, client.missing(&[])).await {
+            match tokio::time::timeout(Self::FIRST_CALL_TIMEOUT, client.missing(&[])).await {
                 Ok(Ok(_)) => return Ok(client),
                 Ok(Err(error)) if left == 0 => return Err(error),
                 Err(_) if left == 0 => return Err(silent()),

@@ -65,7 +65,7 @@ pub enum CallError {
 /// Cause why a coordinator cannot be reached, if the transport reveals it.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum UnreachableCause {
-    /// The address does not answer, the connection broke, or the server speaks another protocol; [`probe`](crate::probe)
+    /// The address does not answer, the connection broke, or the server speaks another protocol; [`probe_address`](crate::probe_address)
     /// distinguishes them.
     #[default]
     Connection,

@@ -257,17 +257,17 @@ impl Server {
     }
 
     /// Passes a call on to the coordinator and waits for its answer.
-    async fn ask<T>(&self, call: impl FnOnce(Reply<T>) -> Call) -> Result<T, tonic::Status> {
-        self.ask_raw(call).await.map_err(|refusal| crate::error::to_status(&refusal))
+    async fn call<T>(&self, call: impl FnOnce(Reply<T>) -> Call) -> Result<T, tonic::Status> {
+        self.call_raw(call).await.map_err(|refusal| crate::error::to_status(&refusal))
     }
 
     /// Passes a call on like [`Self::call`], for callers that need the refusal itself.
-    async fn ask_raw<T>(&self, call: impl FnOnce(Reply<T>) -> Call) -> Result<T, Refusal> {
+    async fn call_raw<T>(&self, call: impl FnOnce(Reply<T>) -> Call) -> Result<T, Refusal> {
         self.farm.call(call).await
     }
 }
 
 /// Returns the audit trail of this request's call.
-fn trail<T>(request: &Request<T>) -> AuditEntry {
+fn audit_entry<T>(request: &Request<T>) -> AuditEntry {
     request.extensions().get().cloned().unwrap_or_default()
 }

@@ -10,7 +10,7 @@ use std::fmt::Write;
 /// A point, m.
 pub type Point = [f64; 3];
 
-const UNITS_PER_METRE: f64 = 1e5;
+const UNITS_PER_METER: f64 = 1e5;
 
 /// A file under construction.
 pub struct MgfWriter {
@@ -105,7 +105,7 @@ impl MgfWriter {
     fn vertices(&mut self, corners: &[Point]) -> String {
         let mut names = String::new();
         for corner in corners {
-            let key = corner.map(|x| (x * UNITS_PER_METRE).round() as i64);
+            let key = corner.map(|x| (x * UNITS_PER_METER).round() as i64);
             let next = self.vertex_names.len();
             let index = *self.vertex_names.entry(key).or_insert_with(|| {
                 let [x, y, z] = corner.map(number);
@@ -120,7 +120,7 @@ impl MgfWriter {
 
 /// Formats `x` with at most five decimals.
 pub fn number(x: f64) -> String {
-    let rounded = (x * UNITS_PER_METRE).round() as i64;
+    let rounded = (x * UNITS_PER_METER).round() as i64;
     let (whole, part) = (rounded.unsigned_abs() / 100_000, rounded.unsigned_abs() % 100_000);
     let sign = if rounded < 0 { "-" } else { "" };
     let digits = format!("{part:05}");

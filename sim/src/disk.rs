@@ -145,7 +145,7 @@ impl Log {
 
     /// Writes, unless another coordinator leads, the disk is full, or the process is killed.
     async fn write(&self, write: impl FnOnce(&mut State) -> WriteOutcome) -> Result<(), QueueError> {
-        tokio::time::sleep(self.shared.pause(MAX_SEEK)).await;
+        tokio::time::sleep(self.shared.draw_duration(MAX_SEEK)).await;
         let written = {
             let mut state = self.shared.lock();
             if self.crashes_at(&mut state, CrashPoint::Before) {
@@ -159,7 +159,7 @@ impl Log {
         if written == WriteOutcome::Torn {
             pending::<()>().await;
         }
-        tokio::time::sleep(self.shared.pause(MAX_SEEK)).await;
+        tokio::time::sleep(self.shared.draw_duration(MAX_SEEK)).await;
         Ok(())
     }
 

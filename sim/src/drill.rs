@@ -39,15 +39,17 @@ impl Content {
             |stage| Need { stage, role: Role::Numbers, reach: Reach::All, round: Round::Previous, gaps: false };
         Graph {
             stages: vec![
-                drill(Scope::Content, self.blocks, &[Role::Numbers]).needs(before(0)).needs(before(1)),
-                drill(Scope::Content, 1, &[Role::Numbers]).reads(0, Role::Numbers, Reach::All).closes(0, self.rounds),
-                drill(Scope::Content, 1, &[Role::Numbers]).reads(0, Role::Numbers, Reach::All),
-                drill(Scope::Frame, 2, &[Role::Numbers]).reads(2, Role::Numbers, Reach::All).hinted_by(
+                drill(Scope::Content, self.blocks, &[Role::Numbers]).with_need(before(0)).with_need(before(1)),
+                drill(Scope::Content, 1, &[Role::Numbers])
+                    .with_input(0, Role::Numbers, Reach::All)
+                    .with_loop(0, self.rounds),
+                drill(Scope::Content, 1, &[Role::Numbers]).with_input(0, Role::Numbers, Reach::All),
+                drill(Scope::Frame, 2, &[Role::Numbers]).with_input(2, Role::Numbers, Reach::All).with_hint(
                     3,
                     Role::Numbers,
                     Reach::Same,
                 ),
-                drill(Scope::Frame, 1, &[Role::Answer]).reads(3, Role::Numbers, Reach::All),
+                drill(Scope::Frame, 1, &[Role::Answer]).with_input(3, Role::Numbers, Reach::All),
             ],
         }
     }

@@ -37,7 +37,7 @@ pub(crate) struct FaultInjector {
 
 impl FaultInjector {
     /// Plans a storm that begins `now`: the faults of a plan, then peace.
-    pub(crate) fn schedule(&mut self, now: Duration, plan: &FaultPlan, shared: &Shared) {
+    pub(crate) fn plan_storm(&mut self, now: Duration, plan: &FaultPlan, shared: &Shared) {
         {
             let mut state = shared.lock();
             (state.duplicated, state.delayed) = (plan.duplicated, plan.delayed);

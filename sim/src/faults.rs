@@ -13,20 +13,20 @@ pub(crate) enum RiskyFault {
     /// Artifacts that are too short or too long, at rest or after a torn upload.
     Resized,
     /// Several uploads of one artifact at once.
-    Senders,
+    ConcurrentUploads,
     /// Tasks that kill their workers.
-    Deadly,
+    WorkerKillers,
     /// Loss of the log, after which an empty one begins.
     LogLost,
     /// A full disk that must not terminate a coordinator.
-    FullLog,
+    LogFull,
 }
 
 impl RiskyFault {
     /// Hardships that the farm does not survive.
     const DISABLED: &[Self] = &[];
 
-    /// Checks whether worlds include the hardship.
+    /// Checks whether worlds include the risky fault.
     pub(crate) fn is_enabled(self) -> bool {
         !Self::DISABLED.contains(&self)
     }

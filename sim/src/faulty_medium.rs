@@ -115,15 +115,15 @@ impl FaultyMedium {
     }
 
     /// Damages an artifact. Returns `false` if it does not exist.
-    pub(crate) fn damage(&self, artifact: &Digest, harm: Damage) -> bool {
+    pub(crate) fn damage(&self, artifact: &Digest, damage_kind: Damage) -> bool {
         let at = artifact_path(artifact);
-        if harm == Damage::Lost {
+        if damage_kind == Damage::Lost {
             let was_there = self.lock_put_times().remove(&at).is_some();
             return was_there && self.objects.delete(&at).now_or_never().is_some_and(|gone| gone.is_ok());
         }
         let harmed = async {
             let bytes = self.objects.get(&at).await?.bytes().await?.to_vec();
-            self.objects.put(&at, harm.apply(bytes).into()).await
+            self.objects.put(&at, damage_kind.apply(bytes).into()).await
         };
         harmed.now_or_never().is_some_and(|harmed| harmed.is_ok())
     }
@@ -161,7 +161,7 @@ impl FaultyMedium {
     async fn access(&self) -> Result<()> {
         let MediumFaults { unavailable: away, delay: slow, .. } = self.faults();
         if !slow.is_zero() {
-            tokio::time::sleep(self.shared.pause(slow)).await;
+            tokio::time::sleep(self.shared.draw_duration(slow)).await;
         }
         if away { Err(medium_error(io::ErrorKind::NotConnected)) } else { Ok(()) }
     }

@@ -28,7 +28,7 @@ enum ControlState {
 struct JobSnapshot {
     finished: u32,
     control: ControlState,
-    doomed: bool,
+    has_failed: bool,
     priority: u8,
 }
 
@@ -62,9 +62,9 @@ impl TaskFailures {
         }
     }
 
-    fn add_death(&mut self, casualty: &WorkerDeath) {
-        let known = self.deaths.entry(casualty.epoch).or_insert_with(|| casualty.clone());
-        known.evidence = known.evidence.max(casualty.evidence);
+    fn add_death(&mut self, worker_death: &WorkerDeath) {
+        let known = self.deaths.entry(worker_death.epoch).or_insert_with(|| worker_death.clone());
+        known.evidence = known.evidence.max(worker_death.evidence);
     }
 
     /// Notes that a process is alive, so a presumed death of it is withdrawn. A quarantined task stays quarantined.
@@ -90,14 +90,15 @@ pub(crate) struct JobHistory {
     busy: BTreeMap<u32, f64>,
     /// Seconds of the results of each finished frame.
     finished: BTreeMap<u32, f64>,
-    doom: Option<Failure>,
+    failure: Option<Failure>,
     /// Time at which the job ended last, on the coordinator's clock.
     ended: Option<Tick>,
 }
 
 impl JobHistory {
     fn new(spec: Box<JobSpec>, frames: Vec<u32>, position: LogPosition) -> Self {
-        let first = JobSnapshot { finished: 0, control: ControlState::Free, doomed: false, priority: spec.priority };
+        let first =
+            JobSnapshot { finished: 0, control: ControlState::Free, has_failed: false, priority: spec.priority };
         Self {
             spec,
             frames,
@@ -106,31 +107,31 @@ impl JobHistory {
             task_failures: BTreeMap::new(),
             busy: BTreeMap::new(),
             finished: BTreeMap::new(),
-            doom: None,
+            failure: None,
             ended: None,
         }
     }
 
     fn current(&self) -> JobSnapshot {
         self.states.last().map_or(
-            JobSnapshot { finished: 0, control: ControlState::Free, doomed: false, priority: self.spec.priority },
+            JobSnapshot { finished: 0, control: ControlState::Free, has_failed: false, priority: self.spec.priority },
             |(_, last)| *last,
         )
     }
 
     pub(crate) fn has_ended(&self) -> bool {
-        self.is_cancelled_or_doomed() || self.current().finished as usize == self.frames.len()
+        self.is_cancelled_or_failed() || self.current().finished as usize == self.frames.len()
     }
 
     /// Checks whether the job is cancelled or doomed. Only a retry can continue it.
-    pub(crate) fn is_cancelled_or_doomed(&self) -> bool {
-        let JobSnapshot { control: hold, doomed, .. } = self.current();
+    pub(crate) fn is_cancelled_or_failed(&self) -> bool {
+        let JobSnapshot { control: hold, has_failed: doomed, .. } = self.current();
         hold == ControlState::Cancelled || doomed
     }
 
     /// Checks that the job is not paused, cancelled or doomed.
     pub(crate) fn may_run(&self) -> bool {
-        let JobSnapshot { control: hold, doomed, .. } = self.current();
+        let JobSnapshot { control: hold, has_failed: doomed, .. } = self.current();
         hold == ControlState::Free && !doomed
     }
 
@@ -266,8 +267,8 @@ impl History {
             }
             Fact::JobFailed { job, failure } => {
                 if let Some(record) = self.jobs.get_mut(job) {
-                    record.doom = Some(failure.clone());
-                    record.push_state(position, JobSnapshot { doomed: true, ..record.current() });
+                    record.failure = Some(failure.clone());
+                    record.push_state(position, JobSnapshot { has_failed: true, ..record.current() });
                 }
             }
             Fact::Failed { task, until, .. } => {
@@ -374,7 +375,7 @@ impl History {
         }
         let frames = status.frames_total;
         let is_so = |standing: JobSnapshot| {
-            let JobSnapshot { finished, control: hold, doomed, priority } = standing;
+            let JobSnapshot { finished, control: hold, has_failed: doomed, priority } = standing;
             let is_blocked = status.frames_failed > 0 && finished + status.frames_failed == frames;
             (status.frames_done, status.priority, status.failure.is_some()) == (finished, priority, doomed)
                 && match status.state {
@@ -414,7 +415,7 @@ impl History {
     /// Checks whether the failure of a job is explained: by its doom, or by quarantined tasks.
     pub(crate) fn explains_failure(&self, status: &JobStatus) -> bool {
         let Some(record) = self.jobs.get(&status.job) else { return true };
-        match &record.doom {
+        match &record.failure {
             Some(doom) => status.failure.as_ref() == Some(doom),
             None => !status.quarantined.is_empty(),
         }
@@ -429,7 +430,9 @@ impl History {
             Control::Resume => standing.control == ControlState::Free,
             // A deleted job has no record.
             Control::Cancel | Control::Delete => false,
-            Control::Retry | Control::RetryFrames(_) => standing.control != ControlState::Cancelled && !standing.doomed,
+            Control::Retry | Control::RetryFrames(_) => {
+                standing.control != ControlState::Cancelled && !standing.has_failed
+            }
             Control::Priority(priority) => standing.priority == *priority,
         };
         let holds = is_written || record.states_since(position).any(is_so);
@@ -443,7 +446,7 @@ impl History {
         let is_retry = matches!(control, Control::Retry | Control::RetryFrames(_));
         let has_ended = |standing: JobSnapshot| match is_retry {
             true => standing.finished == frames,
-            false => standing.control == ControlState::Cancelled || standing.doomed || standing.finished == frames,
+            false => standing.control == ControlState::Cancelled || standing.has_failed || standing.finished == frames,
         };
         let is_blocked = !is_retry && self.is_blocked(record);
         let is_right = is_blocked || record.states_since(position).any(has_ended);
@@ -475,7 +478,7 @@ impl JobHistory {
             Control::Pause => JobSnapshot { control: ControlState::Paused, ..before },
             Control::Resume => JobSnapshot { control: ControlState::Free, ..before },
             Control::Cancel => JobSnapshot { control: ControlState::Cancelled, ..before },
-            Control::Retry => JobSnapshot { control: ControlState::Free, doomed: false, ..before },
+            Control::Retry => JobSnapshot { control: ControlState::Free, has_failed: false, ..before },
             Control::Priority(priority) => JobSnapshot { priority: *priority, ..before },
             Control::RetryFrames(_) | Control::Delete => before,
         };
@@ -483,7 +486,7 @@ impl JobHistory {
         match control {
             Control::Retry => {
                 self.task_failures.clear();
-                self.doom = None;
+                self.failure = None;
             }
             Control::RetryFrames(frames) => self.task_failures.retain(|task, _| !frames.contains(&task.stage.frame)),
             Control::Pause | Control::Resume | Control::Cancel | Control::Priority(_) | Control::Delete => {}

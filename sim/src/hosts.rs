@@ -121,8 +121,12 @@ async fn coordinator(host: usize, shared: Shared, store: Store, scheduler: femc_
         let clock = shared.clone();
         let time = move || clock.lock().clocks[host].read(started.elapsed());
         let scheduler = femc_schedule::Config { clock_zero: Some(0), ..scheduler.clone() };
-        let config =
-            Config { scheduler, snapshot: SNAPSHOT_RECORDS, time: TimeSource::from_fn(time), ..Config::default() };
+        let config = Config {
+            scheduler,
+            snapshot_interval: SNAPSHOT_RECORDS,
+            time: TimeSource::from_fn(time),
+            ..Config::default()
+        };
         shared.trace(|| format!("c{host} leads"));
         let failed = async {
             match Coordinator::start_on_stream(
@@ -142,14 +146,14 @@ async fn coordinator(host: usize, shared: Shared, store: Store, scheduler: femc_
             while shared.lock().leader == host {
                 tokio::time::sleep(Duration::from_millis(50)).await;
             }
-            tokio::time::sleep(shared.pause(Duration::from_secs(10))).await;
+            tokio::time::sleep(shared.draw_duration(Duration::from_secs(10))).await;
         };
         tokio::select! {
             biased;
             (error, has_led) = failed => {
                 shared.trace(|| format!("c{host} fails: {error}"));
                 // A leader must wait until the disk has space.
-                if has_led && is_disk_full(&error) && RiskyFault::FullLog.is_enabled() {
+                if has_led && is_disk_full(&error) && RiskyFault::LogFull.is_enabled() {
                     shared.lock().violations.push(Violation::CoordinatorTerminated { message: error.to_string() });
                 }
             }
@@ -188,7 +192,7 @@ async fn worker(seed: u64, host: usize, shared: Shared, durations: TaskDurations
                 state.queues.observe_start(assignment.task, assignment.epoch);
                 durations.duration(assignment, state.history.spec(assignment.task.job))
             };
-            (time, fate(seed, host, &fates, assignment))
+            (time, draw_outcome(seed, host, &fates, assignment))
         })),
         ..femc_worker::Config::new(url(SWITCH))
     };
@@ -201,8 +205,8 @@ fn build(seed: u64, boot: u64) -> &'static str {
     if seed.is_multiple_of(4) && boot > WORKERS as u64 { "new" } else { "old" }
 }
 
-/// Decides the fate of a task according to the curse of its job.
-fn fate(seed: u64, host: usize, shared: &Shared, assignment: &Assignment) -> SimulatedOutcome {
+/// Draws the outcome of a task according to the injected failure of its job.
+fn draw_outcome(seed: u64, host: usize, shared: &Shared, assignment: &Assignment) -> SimulatedOutcome {
     /// Percentage of failing tasks in a job in which some fail.
     const FAILURE_PERCENT: u64 = 12;
     /// Percentage for the first task of shared stages, high enough that the task is sometimes quarantined.
@@ -224,12 +228,14 @@ fn fate(seed: u64, host: usize, shared: &Shared, assignment: &Assignment) -> Sim
         || draw_16_bits(&format!("{seed} fate {} {}", assignment.task, assignment.epoch.0)) * 100 / 65_536 < percent;
     match injected {
         InjectedFailure::Nothing => SimulatedOutcome::Done,
-        InjectedFailure::Sometimes if is_unlucky() => SimulatedOutcome::Panic,
-        InjectedFailure::Always if is_the_one => SimulatedOutcome::Panic,
+        InjectedFailure::RandomPanics if is_unlucky() => SimulatedOutcome::Panic,
+        InjectedFailure::RepeatedPanic if is_the_one => SimulatedOutcome::Panic,
         InjectedFailure::KillsWorker if is_the_one => {
             let shared = shared.clone();
             SimulatedOutcome::KillProcess(Arc::new(move || shared.lock().killed_workers.push(host)))
         }
-        InjectedFailure::Sometimes | InjectedFailure::Always | InjectedFailure::KillsWorker => SimulatedOutcome::Done,
+        InjectedFailure::RandomPanics | InjectedFailure::RepeatedPanic | InjectedFailure::KillsWorker => {
+            SimulatedOutcome::Done
+        }
     }
 }

@@ -36,5 +36,5 @@ mod world;
 
 pub use audit::Violation;
 pub use faults::{Damage, Fault, FaultPlan};
-pub use soak::{Gauge, Soak, SoakReport};
+pub use soak::{Measurement, Soak, SoakReport};
 pub use world::{Outcome, RunDetail, run_world};

@@ -4,7 +4,7 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use clap::Subcommand;
-use femc_sim::{Gauge, RunDetail, Soak, SoakReport};
+use femc_sim::{Measurement, RunDetail, Soak, SoakReport};
 
 /// Kind of long run.
 #[derive(Debug, Subcommand)]
@@ -53,7 +53,7 @@ fn soak(args: &Args) -> anyhow::Result<ExitCode> {
     let detail = if args.story { RunDetail::Story } else { RunDetail::Outcome };
     let soak = Soak { seed: args.seed, time, detail };
     let report = soak.run(|gauge| {
-        let Gauge { hours, seconds, jobs_ended, resident_bytes, ends, .. } = gauge;
+        let Measurement { hours, seconds, jobs_ended, resident_bytes, ends, .. } = gauge;
         let memory = *resident_bytes as f64 / f64::from(1 << 20);
         eprintln!(
             "{hours:6.2} h of {:.2} after {seconds:.0} s: {jobs_ended} jobs, {memory:.1} MiB, {ends} connection ends",
@@ -72,7 +72,7 @@ fn soak(args: &Args) -> anyhow::Result<ExitCode> {
 fn print_report(args: &Args, report: &SoakReport) {
     println!(" hours  memory   jobs   kept    log  snapshots  artifacts   store  audited  faults");
     println!("           MiB  ended           KiB                          KiB  records");
-    for Gauge {
+    for Measurement {
         hours,
         resident_bytes,
         jobs_ended,

@@ -28,33 +28,33 @@ const RETRY_INTERVAL: Duration = Duration::from_millis(300);
 pub(crate) enum InjectedFailure {
     Nothing,
     /// A task panics now and then.
-    Sometimes,
+    RandomPanics,
     /// One task panics each time.
-    Always,
+    RepeatedPanic,
     /// One task kills its worker each time.
     KillsWorker,
 }
 
 impl InjectedFailure {
-    const ALL: [Self; 4] = [Self::Nothing, Self::Sometimes, Self::Always, Self::KillsWorker];
+    const ALL: [Self; 4] = [Self::Nothing, Self::RandomPanics, Self::RepeatedPanic, Self::KillsWorker];
 
     pub(crate) const fn name(self) -> &'static str {
         match self {
             Self::Nothing => "haze",
-            Self::Sometimes => "haze-now-and-then",
-            Self::Always => "haze-always",
+            Self::RandomPanics => "haze-now-and-then",
+            Self::RepeatedPanic => "haze-always",
             Self::KillsWorker => "haze-deadly",
         }
     }
 
-    /// Returns the curse of a job.
+    /// Returns the injected failure of a job.
     pub(crate) fn from_spec(spec: &JobSpec) -> Self {
-        Self::ALL.into_iter().find(|curse| curse.name() == spec.name).unwrap_or(Self::Nothing)
+        Self::ALL.into_iter().find(|failure| failure.name() == spec.name).unwrap_or(Self::Nothing)
     }
 
     /// Checks whether a job may fail however often it is retried.
     pub(crate) fn is_permanent(self) -> bool {
-        matches!(self, Self::Always | Self::KillsWorker)
+        matches!(self, Self::RepeatedPanic | Self::KillsWorker)
     }
 }
 
@@ -69,7 +69,7 @@ pub(crate) enum Intervention {
 }
 
 impl Intervention {
-    /// Draws a whim; half of the time, nothing.
+    /// Draws an intervention; half of the time, none.
     pub(crate) fn draw(rng: &mut SmallRng) -> Self {
         match rng.random_range(0..10) {
             0 => Self::PauseAWhile,
@@ -97,7 +97,7 @@ pub(crate) struct JobRequest {
     pub(crate) spec: JobSpec,
     pub(crate) test_job: TestJob,
     pub(crate) intervention: Intervention,
-    /// Time until the whim is carried out, and time from then until it is undone.
+    /// Time until the intervention, and time from then until it is undone.
     pub(crate) pauses: [Duration; 2],
 }
 
@@ -365,7 +365,7 @@ impl Person<'_> {
         answered
     }
 
-    /// Carries out the person's whim, and returns how the job may end then. A request without an answer may still be on its way.
+    /// Carries out the intervention, and returns how the job may end then. A request without an answer may still be on its way.
     /// The pause before the next request is long enough that the next one arrives last.
     async fn intervene(
         &self,
@@ -454,13 +454,13 @@ fn log_lost() -> Refusal {
 pub(crate) async fn ask_leader<T>(
     shared: &Shared,
     asked_at: RequestTime,
-    ask: &impl AsyncFn(Client) -> Result<T, CallError>,
+    request: &impl AsyncFn(Client) -> Result<T, CallError>,
 ) -> Result<T, Refusal> {
     while !shared.is_log_lost(asked_at) {
         let leader = url(&coordinator_name(shared.lock().leader));
         let answer = tokio::time::timeout(Duration::from_secs(5), async {
             let client = Client::connect_with(&dialer(shared, "person"), &leader).await?;
-            ask(client).await
+            request(client).await
         });
         match answer.await {
             Ok(Ok(answer)) => return Ok(answer),

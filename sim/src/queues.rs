@@ -42,7 +42,7 @@ fn lane(task: &TaskKey) -> Lane {
 #[derive(Debug, Clone, Copy)]
 struct LeaseState {
     /// Shortest duration that its coordinator can expect, in milliseconds.
-    least: u64,
+    min_milliseconds: u64,
     /// Its worker had to pause before this lease.
     is_probe: bool,
     /// Its worker has reported that it is computed.
@@ -53,7 +53,7 @@ struct LeaseState {
 
 impl LeaseState {
     /// A lease of an earlier session.
-    const CARRIED_OVER: Self = Self { least: 0, is_probe: false, is_computed: false, panicked: None };
+    const CARRIED_OVER: Self = Self { min_milliseconds: 0, is_probe: false, is_computed: false, panicked: None };
 }
 
 /// Failures of one job on one worker with no task done in between.
@@ -136,7 +136,7 @@ pub(crate) struct WorkerQueues {
     /// Leases whose computation has begun.
     begun: BTreeSet<LeaseKey>,
     /// Stages of jobs of which a coordinator knows a finished task, with the time of that result.
-    known: BTreeMap<(u32, JobId, u16), Duration>,
+    measured_stages: BTreeMap<(u32, JobId, u16), Duration>,
     /// Stages of jobs whose leases outlived a session. A coordinator may expect too little time of their tasks.
     inexact: BTreeSet<(JobId, u16)>,
     /// Jobs whose tasks failed on a worker, with its process.
@@ -160,7 +160,7 @@ impl WorkerQueues {
 
     /// Drops the jobs of a log that is lost.
     pub(crate) fn reset(&mut self) {
-        self.known.clear();
+        self.measured_stages.clear();
         self.inexact.clear();
         self.failed_on.clear();
         self.leased.clear();
@@ -173,7 +173,7 @@ impl WorkerQueues {
     /// Drops this job and all earlier ones.
     pub(crate) fn drop_until(&mut self, last: JobId) {
         self.begun.retain(|(_, task)| task.job > last);
-        self.known.retain(|(_, job, _), _| *job > last);
+        self.measured_stages.retain(|(_, job, _), _| *job > last);
         self.inexact.retain(|(job, _)| *job > last);
         self.failed_on.retain(|(job, _)| *job > last);
         self.leased.retain(|task| task.job > last);
@@ -242,7 +242,7 @@ impl State {
         message: &FromWorker,
         now: Duration,
     ) -> Option<Violation> {
-        let Self { queues, history: chronicle, delayed: late, .. } = self;
+        let Self { queues, history: log_history, delayed: late, .. } = self;
         let worker = queues.workers.get_mut(&session)?;
         match message {
             FromWorker::Heartbeat { tasks, .. } => {
@@ -251,11 +251,11 @@ impl State {
                         held.is_computed = true;
                     }
                 }
-                let since = chronicle.drained_since(worker.instance)?;
+                let since = log_history.drained_since(worker.instance)?;
                 /// Extra time for worlds in which messages of workers may be late, even several heartbeats in a row.
-                const LATE: Duration = Duration::from_secs(20);
-                let slack =
-                    if *late > 0 { LATE } else { Duration::ZERO } + chronicle.shared_stages.propagation_delay.get();
+                const LATE_MESSAGE_SLACK: Duration = Duration::from_secs(20);
+                let slack = if *late > 0 { LATE_MESSAGE_SLACK } else { Duration::ZERO }
+                    + log_history.shared_stages.propagation_delay.get();
                 let waits = tasks.iter().find(|progress| progress.phase == Phase::Waiting)?;
                 let milliseconds = now.saturating_sub(since).as_millis() as u64;
                 let kept =
@@ -274,7 +274,7 @@ impl State {
                 }
                 if !is_given_back {
                     queues.failed_on.insert((task.job, worker.instance));
-                } else if chronicle.drained_since(worker.instance).is_some() {
+                } else if log_history.drained_since(worker.instance).is_some() {
                     self.count_action("tasks given back by drained workers");
                 }
                 None
@@ -286,17 +286,17 @@ impl State {
     /// Notes that a coordinator has accepted a report, which ends the lease.
     pub(crate) fn observe_accepted(&mut self, session: SessionNumber, task: TaskKey, epoch: Epoch, now: Duration) {
         let is_done = self.reported.contains(&(task, epoch));
-        let sick = self.failing_worker;
+        let failing_host = self.failing_worker;
         let Self { queues, .. } = self;
         let Some(worker) = queues.workers.get_mut(&session) else { return };
         let Some(held) = worker.held.remove(&(epoch, task)) else { return };
         if is_done {
             worker.streaks.remove(&task.job);
-            queues.known.entry((incarnation(epoch), task.job, task.stage.number)).or_insert(now);
+            queues.measured_stages.entry((incarnation(epoch), task.job, task.stage.number)).or_insert(now);
         }
         if let Some(at) = held.panicked {
             let pauses = worker.streaks.entry(task.job).or_default().add_failure(task, held.is_probe, at);
-            let is_alone = sick == Some(worker.host);
+            let is_alone = failing_host == Some(worker.host);
             if pauses {
                 self.count_action(if is_alone {
                     "pauses of lone sick workers"
@@ -315,12 +315,12 @@ impl State {
             self.check_order(session, lease),
         ];
         let patience = self.history.shared_stages.propagation_delay.get();
-        let Self { queues, history: chronicle, .. } = self;
+        let Self { queues, history: log_history, .. } = self;
         let Some(worker) = queues.workers.get_mut(&session) else { return Vec::new() };
         let (task, key) = (lease.task, (lease.epoch, lease.task));
-        let spec = chronicle.spec(task.job);
+        let spec = log_history.spec(task.job);
         let own = queues.settings.as_ref().zip(spec).map_or(0, |((paces, _), spec)| paces.min_duration(lease, spec));
-        let known = queues.known.get(&(incarnation(lease.epoch), task.job, task.stage.number));
+        let known = queues.measured_stages.get(&(incarnation(lease.epoch), task.job, task.stage.number));
         let is_known = known.is_some_and(|&since| now.saturating_sub(since) > patience);
         let least = if queues.inexact.contains(&(task.job, task.stage.number)) {
             0
@@ -337,7 +337,7 @@ impl State {
                 queues.grants.pop_front();
             }
         }
-        worker.held.insert(key, LeaseState { least, is_probe, is_computed: false, panicked: None });
+        worker.held.insert(key, LeaseState { min_milliseconds: least, is_probe, is_computed: false, panicked: None });
         queues.leased.insert(task);
         wrong.into_iter().flatten().collect()
     }
@@ -375,7 +375,7 @@ impl State {
     fn check_depth(&mut self, session: SessionNumber, lease: &Assignment, now: Duration) -> Option<Violation> {
         let (_, limits) = self.queues.settings.as_ref().filter(|_| !self.queues.has_wrong_clocks)?;
         let worker = self.queues.workers.get(&session).filter(|_| lane(&lease.task) == Lane::Compute)?;
-        let waiting: Vec<u64> = worker.waiting(&self.queues.begun).map(|(_, held)| held.least).collect();
+        let waiting: Vec<u64> = worker.waiting(&self.queues.begun).map(|(_, held)| held.min_milliseconds).collect();
         let (count, milliseconds) = (waiting.len(), waiting.iter().sum::<u64>());
         let is_too_much = match count {
             0 => false,

@@ -163,7 +163,7 @@ impl Shared {
     }
 
     /// Draws a duration below `most`.
-    pub(crate) fn pause(&self, most: Duration) -> Duration {
+    pub(crate) fn draw_duration(&self, most: Duration) -> Duration {
         Duration::from_micros(self.lock().rng.random_range(0..most.as_micros().max(1) as u64))
     }
 
@@ -193,7 +193,7 @@ impl State {
     }
 
     /// Returns true with a probability of `percent`.
-    pub(crate) fn chance(&mut self, percent: u32) -> bool {
+    pub(crate) fn draw_bool(&mut self, percent: u32) -> bool {
         self.rng.random_range(0..100) < percent
     }
 }

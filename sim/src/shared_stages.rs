@@ -188,7 +188,7 @@ impl History {
                 let (key, _) = *self.shared_stages.instance_key(*job)?;
                 let is_done = self.jobs.get(job).is_some_and(JobHistory::has_ended);
                 let is_needed =
-                    || self.jobs_needing(key).any(|record| !record.is_cancelled_or_doomed()) && !self.needs_retry(key);
+                    || self.jobs_needing(key).any(|record| !record.is_cancelled_or_failed()) && !self.needs_retry(key);
                 (is_done && is_needed()).then_some(Violation::ExpiredEarly { job: *job })
             }
             _ => None,

@@ -162,7 +162,7 @@ impl State {
         let FromWorker::Completed { result, .. } = message else { return };
         // Worlds without misstated sizes draw no random number.
         let (percent, count) = (self.misstated, result.outputs.len());
-        if percent == 0 || count == 0 || !self.chance(percent) {
+        if percent == 0 || count == 0 || !self.draw_bool(percent) {
             return;
         }
         let Artifact { digest, bytes } = &mut result.outputs[self.rng.random_range(0..count)].artifact;
@@ -175,14 +175,14 @@ impl State {
     /// are leased here.
     fn draw_foreign_lease(&mut self, registration: &Registration) -> Option<HeldLease> {
         /// Number of latest leases to choose from. Most of them are still held.
-        const LAST: usize = 6;
+        const MAX_CANDIDATES: usize = 6;
         // Worlds without foreign leases draw no random number.
         let percent = self.foreign_leases;
-        if percent == 0 || !self.chance(percent) {
+        if percent == 0 || !self.draw_bool(percent) {
             return None;
         }
         let is_own = |task, epoch| registration.held.iter().any(|held| (held.task, held.epoch) == (task, epoch));
-        let others = self.leases.latest_granted(LAST).filter(|&(task, epoch, _)| !is_own(task, epoch));
+        let others = self.leases.latest_granted(MAX_CANDIDATES).filter(|&(task, epoch, _)| !is_own(task, epoch));
         let mut others: Vec<(TaskKey, Epoch, Range<u32>)> = others.collect();
         if others.is_empty() {
             return None;
@@ -206,11 +206,11 @@ async fn forward(message: FromWorker, up: &SessionSender, shared: &Shared) {
     let (is_twice, is_late) = {
         let mut state = shared.lock();
         let (twice, late) = (state.duplicated, state.delayed);
-        (state.chance(twice), state.chance(late))
+        (state.draw_bool(twice), state.draw_bool(late))
     };
     if is_twice || is_late {
         shared.lock().count_fault(if is_twice { "sent twice" } else { "sent late" });
-        let (again, up, pause) = (message.clone(), up.clone(), shared.pause(MAX_DELAY));
+        let (again, up, pause) = (message.clone(), up.clone(), shared.draw_duration(MAX_DELAY));
         tokio::spawn(async move {
             tokio::time::sleep(pause).await;
             up.send(again).await;

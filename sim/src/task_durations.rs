@@ -55,7 +55,7 @@ impl TaskDurations {
     /// Shortest and longest task of a tile that is not cut, whatever its size.
     const TILE: [u64; 2] = [200, 3_000];
 
-    /// - `chunk_size`: pixel samples of a sample chunk, from the farm's settings.
+    /// - `chunk`: pixel samples of a sample chunk, from the farm's settings.
     pub(crate) fn new(seed: u64, chunk: NonZeroU64) -> Self {
         Self { seed, is_chunked: chunk == test_jobs::chunked_config().chunk_size }
     }

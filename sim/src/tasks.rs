@@ -211,7 +211,7 @@ impl Tally {
         let Some(first) = steps.first().copied() else { return };
         let Some(spec) = self.specs.get(&first.job) else { return };
         let read = inputs_of(spec, &first.stage, first.item, self.round(&first)).into_iter();
-        let gone = read.filter(|(need, stage, item)| !self.is_kept(spec, first.job, need, stage, *item));
+        let gone = read.filter(|(need, stage, item)| !self.is_retained(spec, first.job, need, stage, *item));
         let gone: Vec<(Stage, u32)> = gone.map(|(_, stage, item)| (stage, item)).collect();
         self.done.retain(|unit, _| !steps.contains(unit));
         self.lost.extend(steps.iter().map(|unit| (*unit, now)));
@@ -223,7 +223,7 @@ impl Tally {
     }
 
     /// Checks whether an output is kept after a task has read it: another task has yet to read it, or the next round is not over.
-    fn is_kept(&self, spec: &JobSpec, job: JobId, need: &Need, made: &Stage, item: u32) -> bool {
+    fn is_retained(&self, spec: &JobSpec, job: JobId, need: &Need, made: &Stage, item: u32) -> bool {
         let (round, is_over) = self.rounds.get(&(job, made.frame)).copied().unwrap_or_default();
         if need.round == Round::Previous && !is_over && round <= made.round + 1 {
             return true;

@@ -108,11 +108,11 @@ impl TestJob {
 }
 
 /// Time that a farm waits for workers of a missing build, in milliseconds. The default is longer than a world lasts.
-const ORPHAN_WAIT: u64 = 5_000;
+const ORPHAN_TIMEOUT: u64 = 5_000;
 
 /// Returns settings without sample chunks. Workers hold many tiles.
 fn unchunked_config() -> Config {
-    Config { ahead: 100_000, orphaned_after: ORPHAN_WAIT, ..Config::default() }
+    Config { ahead: 100_000, orphaned_after: ORPHAN_TIMEOUT, ..Config::default() }
 }
 
 /// Returns settings with sample chunks of one sample per pixel.
@@ -122,7 +122,7 @@ pub(crate) fn chunked_config() -> Config {
         chunk_size: chunk,
         work_per_lease: 2_000,
         min_work_per_lease: 500,
-        orphaned_after: ORPHAN_WAIT,
+        orphaned_after: ORPHAN_TIMEOUT,
         ..Config::default()
     }
 }

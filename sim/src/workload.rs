@@ -28,13 +28,13 @@ const TIMING: Timing = Timing { poll_interval: Duration::from_millis(400), timeo
 /// Approximate number of frames of all jobs of a world.
 const FRAMES: usize = 5;
 /// Age below which an artifact is never garbage.
-const GRACE: Duration = Duration::from_secs(60);
+const GRACE_PERIOD: Duration = Duration::from_secs(60);
 /// Bytes of a large artifact, which is sent in several pieces.
-const LARGE: usize = 5 << 19;
+const LARGE_ARTIFACT_BYTES: usize = 5 << 19;
 /// Longest time for which a worker is drained.
 const MAX_DRAIN: Duration = Duration::from_secs(15);
 
-/// The people of a world, and their errands.
+/// The people of a world, and their job requests.
 #[derive(Debug)]
 pub(crate) struct Workload {
     seed: u64,
@@ -43,7 +43,7 @@ pub(crate) struct Workload {
     /// An operator drains workers.
     drains: bool,
     /// Number of people who upload the same large artifact at once. Some of them give up and start again.
-    senders: u64,
+    concurrent_uploaders: u64,
     /// An operator collects garbage at the end.
     collects: bool,
     /// Jobs with very different task durations, with the time at which each is submitted.
@@ -85,12 +85,12 @@ impl Workload {
             left -= request.spec.frames.len().min(left);
             people[number].push(request);
         }
-        people.retain(|errands| !errands.is_empty());
+        people.retain(|requests| !requests.is_empty());
         Ok(Self {
             seed,
             people,
             drains: rng.random_range(0..3) == 0,
-            senders: if rng.random_range(0..8) == 0 && RiskyFault::Senders.is_enabled() {
+            concurrent_uploaders: if rng.random_range(0..8) == 0 && RiskyFault::ConcurrentUploads.is_enabled() {
                 rng.random_range(2..4)
             } else {
                 0
@@ -113,13 +113,14 @@ impl Workload {
         Config { weights, keep_ended, shared_bytes, ..schedule }
     }
 
-    /// Runs all errands, and returns when all jobs have ended.
+    /// Runs all job requests, and returns when all jobs have ended.
     pub(crate) async fn run(self, shared: Shared, medium: FaultyMedium) -> turmoil::Result {
         let mut rng = SmallRng::seed_from_u64(self.seed ^ 0x11fe_0000);
         let seeds: Vec<u64> = self.people.iter().map(|_| rng.random()).collect();
-        let people = self.people.iter().zip(seeds).map(|(errands, seed)| run_person(errands, seed, &shared, &medium));
+        let people = self.people.iter().zip(seeds).map(|(requests, seed)| run_person(requests, seed, &shared, &medium));
         let large = large_artifact(self.seed);
-        let senders = (0..self.senders).map(|number| upload_large(&shared, &medium, &large, self.seed ^ number));
+        let senders =
+            (0..self.concurrent_uploaders).map(|number| upload_large(&shared, &medium, &large, self.seed ^ number));
         let drains = async {
             if self.drains {
                 tokio::time::sleep(Duration::from_millis(rng.random_range(0..12_000))).await;
@@ -132,7 +133,7 @@ impl Workload {
             }
         };
         let paced =
-            self.paced_jobs.iter().map(|(errand, later)| run_later(errand, *later, self.seed, &shared, &medium));
+            self.paced_jobs.iter().map(|(request, later)| run_later(request, *later, self.seed, &shared, &medium));
         let lives = async {
             let (lived, paced, _) =
                 futures_util::future::join3(join_all(people), join_all(paced), join_all(senders)).await;
@@ -213,9 +214,9 @@ fn draw_request(rng: &mut SmallRng, most: usize, special: Option<TestJob>) -> an
     let rendered = test_jobs::path_traced_job(rng.random_range(0..TestJob::COUNT))?;
     let test_job = special.unwrap_or_else(|| rendered.clone());
     let injected = match rng.random_range(0..24) {
-        0..4 => InjectedFailure::Sometimes,
-        4 => InjectedFailure::Always,
-        5 if RiskyFault::Deadly.is_enabled() => InjectedFailure::KillsWorker,
+        0..4 => InjectedFailure::RandomPanics,
+        4 => InjectedFailure::RepeatedPanic,
+        5 if RiskyFault::WorkerKillers.is_enabled() => InjectedFailure::KillsWorker,
         _ => InjectedFailure::Nothing,
     };
     let frames = choose_frames(&test_job.spec.frames, most, rng);
@@ -236,7 +237,7 @@ fn draw_paced_jobs(seed: u64) -> anyhow::Result<Vec<(JobRequest, Duration)>> {
     if rng.random_range(0..4) > 0 {
         return Ok(Vec::new());
     }
-    let mut errand = |tempo: JobPace, rounds: usize, frames: usize| {
+    let mut request = |tempo: JobPace, rounds: usize, frames: usize| {
         let test_job = test_jobs::even_job(rounds)?;
         let frames = test_job.spec.frames[..frames].to_vec();
         let spec = JobSpec { owner: tempo.owner().into(), ..test_job.with_frames(frames) };
@@ -247,7 +248,7 @@ fn draw_paced_jobs(seed: u64) -> anyhow::Result<Vec<(JobRequest, Duration)>> {
             later,
         ))
     };
-    Ok(vec![errand(JobPace::Quick, 3, 3)?, errand(JobPace::Slow, 1, 2)?])
+    Ok(vec![request(JobPace::Quick, 3, 3)?, request(JobPace::Slow, 1, 2)?])
 }
 
 async fn run_later(
@@ -280,7 +281,7 @@ async fn run_person(requests: &[JobRequest], seed: u64, shared: &Shared, medium:
 /// Returns the bytes of a large artifact that differs from all others.
 fn large_artifact(seed: u64) -> Bytes {
     let block: [u8; 32] = *blake3::hash(&seed.to_le_bytes()).as_bytes();
-    block.iter().copied().cycle().take(LARGE).collect()
+    block.iter().copied().cycle().take(LARGE_ARTIFACT_BYTES).collect()
 }
 
 /// Uploads a large artifact that others upload at the same time. The first try may be abandoned and repeated. No upload may be
@@ -312,8 +313,8 @@ async fn upload_large(shared: &Shared, medium: &FaultyMedium, bytes: &Bytes, see
 /// Collects garbage when all jobs have ended and all artifacts are old. Then the store must contain exactly the artifacts that the
 /// log references.
 async fn collect_garbage(shared: &Shared, medium: &FaultyMedium) {
-    tokio::time::sleep(GRACE + Duration::from_secs(5)).await;
-    let collect = async |client: Client| client.collect(CollectMode::Remove, GRACE).await;
+    tokio::time::sleep(GRACE_PERIOD + Duration::from_secs(5)).await;
+    let collect = async |client: Client| client.collect(CollectMode::Remove, GRACE_PERIOD).await;
     let asked_at = shared.request_time();
     if ask_leader(shared, asked_at, &collect).await.is_err() {
         return;

@@ -14,7 +14,7 @@ use crate::workload::Workload;
 /// Step of the simulated time.
 const TICK: Duration = Duration::from_millis(5);
 /// Time by which all jobs must have ended.
-const END: Duration = Duration::from_secs(360);
+const WORLD_TIMEOUT: Duration = Duration::from_secs(360);
 
 /// Result of a world.
 #[derive(Debug, Clone)]
@@ -43,10 +43,10 @@ pub fn run_world(seed: u64, plan: &FaultPlan, detail: RunDetail) -> anyhow::Resu
     let (medium, scheduler) = (FaultyMedium::new(&shared), workload.config());
     shared.lock().history.keep_ended = scheduler.keep_ended;
     shared.lock().charges.weights = scheduler.weights.clone();
-    let mut sim = hosts::build_sim(seed, [TICK, END], &shared, &medium, &scheduler);
+    let mut sim = hosts::build_sim(seed, [TICK, WORLD_TIMEOUT], &shared, &medium, &scheduler);
     sim.client("people", workload.run(shared.clone(), medium.clone()));
     let mut injector = FaultInjector::default();
-    injector.schedule(Duration::ZERO, plan, &shared);
+    injector.plan_storm(Duration::ZERO, plan, &shared);
     let broken = loop {
         match sim.step() {
             Ok(true) => break None,

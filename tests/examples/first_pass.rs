@@ -65,7 +65,7 @@ const ESTIMATES: [&str; 6] = ["error", "corrected", "|checked-1|", "sum of both"
 
 fn estimates(error: f32, solved: &SolvedScene) -> [f64; 6] {
     let report = &solved.report;
-    let (corrected, checked) = (f64::from(report.corrected), f64::from((report.checked - 1.0).abs()));
+    let (corrected, checked) = (f64::from(report.ray_correction), f64::from((report.ray_link_ratio - 1.0).abs()));
     let error = f64::from(error);
     [error, corrected, checked, corrected + checked, f64::from((report.row_sum - 1.0).abs()), 0.25 * error]
 }
@@ -85,12 +85,12 @@ fn table(cases: &[Case], wanted_errors: &[f32]) {
                 case.name,
                 start.elapsed().as_secs_f64(),
                 report.leaves,
-                report.refused,
+                report.inexact_links,
                 found.mean,
                 found.rms,
                 found.max_abs,
-                report.checked,
-                report.corrected,
+                report.ray_link_ratio,
+                report.ray_correction,
                 report.row_sum,
                 report.residual
             );
@@ -189,11 +189,11 @@ fn growth(kind: Kind, faces: &[f32], options: SolveOptions) {
             report.leaves,
             report.links,
             report.lamp_links,
-            report.refused,
+            report.inexact_links,
             report.rays,
             report.bytes >> 20,
             report.row_sum,
-            report.bounded
+            report.is_energy_bounded
         );
         rows.push([report.elements as f64, seconds, spent, report.links as f64]);
     }

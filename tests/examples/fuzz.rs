@@ -5,7 +5,7 @@
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
-use femc_tests::fuzz::{Tally, execute, peak_memory, targets};
+use femc_tests::fuzz::{FuzzStatistics, execute, peak_memory, targets};
 
 fn main() -> ExitCode {
     let (mut seconds, mut seed, mut only) = (60.0, 1u64, None);
@@ -29,7 +29,7 @@ fn main() -> ExitCode {
     std::panic::set_hook(Box::new(|_| {}));
     let mut targets = targets();
     targets.retain(|target| only.as_ref().is_none_or(|only| target.name == *only));
-    let mut tallies: Vec<Tally> = targets.iter().map(|_| Tally::default()).collect();
+    let mut tallies: Vec<FuzzStatistics> = targets.iter().map(|_| FuzzStatistics::default()).collect();
     let (begun, limit) = (Instant::now(), Duration::from_secs_f64(seconds));
     while begun.elapsed() < limit {
         for (target, tally) in targets.iter().zip(&mut tallies) {

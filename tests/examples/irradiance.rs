@@ -51,7 +51,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             "error {error}: {seconds:.2} s, {} elements, {} links, {} refused, {} MB; relmse {:.4}, {:.4} at lit ones, mean ratio {:.4} at {} points",
             report.elements,
             report.links,
-            report.refused,
+            report.inexact_links,
             report.bytes >> 20,
             compared.relmse,
             compared.lit_relmse,

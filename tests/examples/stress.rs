@@ -27,7 +27,9 @@ fn main() -> ExitCode {
             "--quick" => effort = Effort::QUICK,
             "--json" => form = Form::Json,
             "--only" => only.extend(args.next()),
-            "--coarser" => effort.coarser = args.next().and_then(|f| f.parse().ok()).unwrap_or(effort.coarser),
+            "--coarser" => {
+                effort.error_factor = args.next().and_then(|f| f.parse().ok()).unwrap_or(effort.error_factor);
+            }
             "--rays" => rays = args.next().and_then(|n| n.parse::<f64>().ok()).map(|n| n as u64),
             "--list" => {
                 GROUPS.iter().for_each(|group| println!("{:10} {}", group.name, group.about));

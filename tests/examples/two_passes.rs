@@ -121,7 +121,7 @@ fn compare(prepared: &Prepared, field: &Field, number: u32, spp: u32) -> [Sample
             let start = processor_seconds().unwrap_or(0.0);
             sums.par_chunks_mut(64).enumerate().for_each(|(chunk, sums)| {
                 // Each kind has its own seed, so that their errors are independent.
-                let path = PathSettings { seed: 1 + which as u64, max_depth: 0, only: None };
+                let path = PathSettings { seed: 1 + which as u64, max_depth: 0, single_technique: None };
                 let mut tracer = Tracer::new(prepared, path);
                 tracer = match which {
                     0 => tracer,

@@ -4,7 +4,7 @@
 use crate::parse_scene_files;
 use femc_film::Filter;
 use femc_math::color::luminance;
-use femc_montecarlo::{PathSettings, Technique, Tracer};
+use femc_montecarlo::{MisTechnique, PathSettings, Tracer};
 use femc_pipeline::{FilterAdapter, SceneSource, Settings, prepare_frame};
 use femc_scene::Scene;
 use femc_stats::testing::z_test;
@@ -25,17 +25,17 @@ pub struct Estimate {
 
 impl Estimate {
     /// Estimates the mean luminance of a scene's first frame, seen by its first camera.
-    /// - `only`: the only way to find light; `None`: all ways combined;
+    /// - `single_technique`: the only way to find light; `None`: all ways combined;
     /// - `spp`: samples per pixel of each of 48 renderings.
     ///
     /// # Panics
     /// If the scene cannot be prepared, or a sample is not a finite number.
-    pub fn from_scene(scene: &Arc<Scene>, only: Option<Technique>, spp: u32) -> Self {
+    pub fn from_scene(scene: &Arc<Scene>, only: Option<MisTechnique>, spp: u32) -> Self {
         let source = SceneSource::new(scene.clone());
         let prepared = prepare_frame(&source, &Settings::default(), 1, None).unwrap_or_else(|error| panic!("{error}"));
         let [width, height] = prepared.camera.film;
         let rendering = |seed: u64| {
-            let mut tracer = Tracer::new(&prepared, PathSettings { seed, max_depth: 0, only });
+            let mut tracer = Tracer::new(&prepared, PathSettings { seed, max_depth: 0, single_technique: only });
             let mut sum = 0.0;
             for pixel in 0..width * height {
                 for index in 0..spp {

@@ -14,7 +14,7 @@ use rayon::prelude::*;
 use std::f64::consts::{FRAC_1_PI, TAU};
 
 /// Distance from a surface at which segments begin, m. Coordinates of a few meters are exact to 1e-15.
-const NEAR: f64 = 1e-9;
+const RAY_OFFSET: f64 = 1e-9;
 
 /// Kind of scattering event along a path from the camera.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -87,7 +87,7 @@ impl BruteForceTracer {
     }
 
     /// Like [`Self::render`], but renders one image per class of paths.
-    /// - `from_scene`: classes of a path that hits a lamp, given its scattering events.
+    /// - `classify`: returns the classes of a path that hits a lamp, given its scattering events.
     pub fn render_classes<const N: usize>(
         &self,
         seed: u32,
@@ -190,7 +190,7 @@ impl Triangle {
         let q = s.cross(e1);
         let v = dir.dot(q) * scale;
         let t = e2.dot(q) * scale;
-        (u >= 0.0 && v >= 0.0 && u + v <= 1.0 && t > NEAR).then_some(t)
+        (u >= 0.0 && v >= 0.0 && u + v <= 1.0 && t > RAY_OFFSET).then_some(t)
     }
 }
 

@@ -47,7 +47,7 @@ impl SolvedScene {
     /// - `uv`: parameters of the point.
     pub fn irradiance_at(&self, surface: usize, uv: [f32; 2]) -> (DVec3, [f64; 2]) {
         let surface = &self.field.surfaces[surface];
-        let SurfaceSpot { position, normal, .. } = surface.at(uv.into());
+        let SurfaceSpot { position, normal, .. } = surface.point_at(uv.into());
         let second = surface.primitives[0] != surface.primitives[1] && uv[0] + uv[1] > 1.0;
         let v = match surface.form {
             Form::Curved { shape, .. } => shape.parameter_at_share(f64::from(uv[1])) as f32,
@@ -334,7 +334,7 @@ pub struct Slab {
     /// Single scattering albedo.
     pub albedo: f64,
     /// Half of its width, m.
-    pub reach: f64,
+    pub half_width: f64,
     /// Lamps per axis.
     pub lamps: u32,
 }
@@ -342,7 +342,7 @@ pub struct Slab {
 impl Slab {
     /// Returns the scene: one plate faces the slab from above and one from below. They are so small that they shade nothing.
     pub fn text(&self) -> String {
-        let Self { thickness, albedo, reach, lamps } = *self;
+        let Self { thickness, albedo, half_width: reach, lamps } = *self;
         let fog = format!("  sigma_s {}\n  sigma_a {}\n", thickness * albedo, thickness * (1.0 - albedo));
         let mut text = format!("{CAMERA}medium air =\n{fog}mbox air {0} {0} 0 {reach} {reach} 1\n", -reach);
         let _ = writeln!(text, "m lamp =\n  sides 1\n  ed {PI}");
@@ -438,7 +438,7 @@ pub fn all_cases() -> Vec<Case> {
     }
     cases.extend([(0.5, 0.0, 0.0), (0.9, 0.0, 0.0), (0.9, 0.1, 0.0), (0.9, 0.0, 1.0)].map(|(a, b, c)| sphere(a, b, c)));
     for (thickness, albedo, reflected, transmitted) in SLABS {
-        cases.push(Slab { thickness, albedo, reach: 6.0, lamps: 3 }.case(reflected, transmitted));
+        cases.push(Slab { thickness, albedo, half_width: 6.0, lamps: 3 }.case(reflected, transmitted));
     }
     cases.extend([(0.5, 6.0), (0.9, 10.0)].map(|(albedo, reach)| lamp_in_fog(albedo, reach, true)));
     cases

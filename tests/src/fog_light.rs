@@ -68,7 +68,7 @@ impl PixelFilter for PixelCenter {
 }
 
 fn settings(seed: u64) -> PathSettings {
-    PathSettings { seed, max_depth: 0, only: None }
+    PathSettings { seed, max_depth: 0, single_technique: None }
 }
 
 /// Traces `samples` paths through each of `count` pixel centers, spread over the film.

@@ -120,7 +120,7 @@ fn stop_by_own_error(stop: StopCondition, tiles: &[TileErrors], next: Option<u32
     let blocks = || tiles.iter().flat_map(|tile| &tile.blocks);
     let floor = FrameError::from_blocks(blocks().map(|it| it.block).collect()).floor;
     let is_enough = |tile: &TileErrors| {
-        tile.blocks.iter().all(|it| it.block.relative(floor).is_none_or(|relative| relative <= most))
+        tile.blocks.iter().all(|it| it.block.relative_error(floor).is_none_or(|relative| relative <= most))
     };
     let stops =
         SamplingState { floors: [floor; 2], ends: vec![NONE_HELD; tiles.len()], progress: TimedProgress::default() };
@@ -229,7 +229,7 @@ fn image_statistics(reference: &Reference, shot: &SeedImage, noise: f64) -> Imag
     ImageStatistics {
         mean: shot.mean(),
         covered: f64::from(covered as u32) / f64::from((lit as u32).max(1)),
-        relmse: reference.compare(image, femc_film::convergence::BLOCK as usize).relmse - noise,
+        relmse: reference.compare(image, femc_film::convergence::BLOCK_EDGE as usize).relmse - noise,
         claimed: reference.claimed_relmse(image),
         worst: error.worst,
         drawn_spp: *drawn,

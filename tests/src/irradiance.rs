@@ -67,7 +67,7 @@ pub fn sample_points(
         if matches!(surface.form, femc_pipeline::Form::Triangle(_)) && place[0] + place[1] > 1.0 {
             place = place.map(|x| 1.0 - x);
         }
-        let spot = surface.at(place.into());
+        let spot = surface.point_at(place.into());
         if find_surface(&world, spot.position, spot.normal).is_some() {
             spots.push(spot);
         }
@@ -111,7 +111,7 @@ fn estimate_irradiance(
         let up = if dir.z.abs() > 0.9 { DVec3::X } else { DVec3::Z };
         let Some(pose) = CameraPose::new(origin, origin + dir.as_dvec3(), up, 1e-4, [1, 1]) else { continue };
         world.camera = KernelCamera::new(vec![pose], [1, 1], 0.0, 1.0);
-        let path = PathSettings { seed, max_depth: 0, only: None };
+        let path = PathSettings { seed, max_depth: 0, single_technique: None };
         let mut tracer = Tracer::with_recorder(world, path, Recording::default());
         tracer.sample(0, sample, FilterAdapter(Filter::default()));
         let straight =

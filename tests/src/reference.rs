@@ -7,7 +7,7 @@ use femc_stats::testing::{sidak, z_test};
 use std::path::{Path, PathBuf};
 
 /// Term that limits the weight of black pixels: relmse is the mean of (x - r)^2 / (r^2 + 0.01).
-const DARK: f64 = 0.01;
+const RELMSE_EPSILON: f64 = 0.01;
 
 /// Rooms with brute-force references.
 pub const ROOMS: [&str; 3] = ["box", "glossy", "fog"];
@@ -92,7 +92,7 @@ impl Reference {
 
     /// Returns the relmse of the mean of the halves.
     pub fn noise_relmse(&self) -> f64 {
-        self.mean_of_channels(|mean, variance, _, _| variance / (mean * mean + DARK))
+        self.mean_of_channels(|mean, variance, _, _| variance / (mean * mean + RELMSE_EPSILON))
     }
 
     /// Returns the mean over all pixels and channels of the mean of the halves.
@@ -120,7 +120,8 @@ impl Reference {
         let columns = (image.color.width as usize).div_ceil(block);
         Comparison {
             mean_ratio: self.mean_of_channels(|_, _, at, c| value(at, c)) / self.mean(),
-            relmse: self.mean_of_channels(|mean, _, at, c| (value(at, c) - mean).powi(2) / (mean * mean + DARK)),
+            relmse: self
+                .mean_of_channels(|mean, _, at, c| (value(at, c) - mean).powi(2) / (mean * mean + RELMSE_EPSILON)),
             reference_noise: self.noise_relmse(),
             worst_z,
             worst_block: (worst % columns * block, worst / columns * block),
@@ -171,7 +172,7 @@ impl Reference {
 
     /// Returns the relmse that an image claims, with the reference in the denominator.
     pub fn claimed_relmse(&self, image: &FrameImage) -> f64 {
-        self.mean_of_channels(|mean, _, at, c| f64::from(image.variance[at][c]) / (mean * mean + DARK))
+        self.mean_of_channels(|mean, _, at, c| f64::from(image.variance[at][c]) / (mean * mean + RELMSE_EPSILON))
     }
 }
 

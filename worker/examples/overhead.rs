@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::time::Instant;
 
-use femc_coordinator::{Artifacts, Config, Coordinator, Log};
+use femc_coordinator::{ArtifactStorage, Config, Coordinator, LogStorage};
 use femc_film::{Frame, Tiling};
 use femc_import::{Bundle, DiskFolder, FileSource as _};
 use femc_model::{Grid, JobNotes, JobSpec};
@@ -45,8 +45,8 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
 
     let folder = tempfile::tempdir()?;
     let config = Config {
-        log: Log::Sqlite(folder.path().join("log.sqlite")),
-        artifacts: Artifacts::Folder(folder.path().join("artifacts")),
+        log: LogStorage::Sqlite(folder.path().join("log.sqlite")),
+        artifacts: ArtifactStorage::Folder(folder.path().join("artifacts")),
         ..Config::default()
     };
     let file = Path::new(&path);

@@ -29,12 +29,12 @@ pub(crate) fn fetch_bundle(
         }
     };
     if !Manifest::is_manifest(&bytes) {
-        return Bundle::decode(&bytes, Manifest::MAX_UNPACKED).map_err(|error| lost(name, &[], &error));
+        return Bundle::decode(&bytes, Manifest::MAX_UNPACKED).map_err(|error| lost_scene_failure(name, &[], &error));
     }
-    let manifest = Manifest::decode(&bytes).map_err(|error| lost(name, &[], &error))?;
+    let manifest = Manifest::decode(&bytes).map_err(|error| lost_scene_failure(name, &[], &error))?;
     let artifacts: Vec<Artifact> = manifest.pieces.iter().map(|piece| piece.artifact).collect();
     let contents = contents(name, &artifacts, client, fetch, pieces)?;
-    parcel::unpack(&manifest, &contents).map_err(|error| lost(name, &[], &error))
+    parcel::unpack(&manifest, &contents).map_err(|error| lost_scene_failure(name, &[], &error))
 }
 
 fn contents(
@@ -51,7 +51,7 @@ fn contents(
         let wanted: Vec<Artifact> = batch.iter().map(|&index| artifacts[index]).collect();
         for (&index, bytes) in batch.iter().zip(fetch.fetch_all(client, &wanted)) {
             let bytes = bytes.map_err(|failure| match failure {
-                Failure::LostInputs { digests, message } => lost(name, &digests, &message),
+                Failure::LostInputs { digests, message } => lost_scene_failure(name, &digests, &message),
                 other => other,
             })?;
             pieces.insert(&artifacts[index].digest, &bytes);
@@ -62,7 +62,7 @@ fn contents(
 }
 
 /// Reports an incomplete scene. The lost inputs include the scene's own digest, because the scheduler knows that one.
-fn lost(name: &Digest, digests: &[Digest], message: &dyn std::fmt::Display) -> Failure {
+fn lost_scene_failure(name: &Digest, digests: &[Digest], message: &dyn std::fmt::Display) -> Failure {
     let digests = digests.iter().chain([name]).copied().collect();
     Failure::LostInputs { digests, message: format!("the scene is incomplete: {message}; submit it again") }
 }

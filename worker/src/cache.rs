@@ -73,7 +73,8 @@ struct CacheInner {
     /// Lights of first passes: `fields` for lamps of brightness 1, `scaled_fields` for the brightness of the frames' lamps.
     fields: LruCache<Digest, Arc<Field>>,
     scaled_fields: LruCache<(Digest, u32), Arc<Field>>,
-    /// Solver states of unfinished first passes, by their input artifacts: `states_before_rays` before the rays, `states_after_rays` after them.
+    /// Solver states of unfinished first passes, by their input artifacts: `states_before_rays` before the rays,
+    /// `states_after_rays` after them.
     states_before_rays: LruCache<Digest, Arc<CastingState>>,
     states_after_rays: LruCache<Digest, Arc<CorrectedState>>,
     pieces: PieceCache,
@@ -242,7 +243,7 @@ impl Cache {
                 let field = self.field(light, prepared.brightness, client, fetch)?;
                 fetch
                     .prepare(|| femc_pipeline::attach_first_pass(&mut prepared, field))
-                    .map_err(|error| lost(light, &error))?;
+                    .map_err(|error| lost_field_failure(light, &error))?;
             }
             Ok(Arc::new(prepared))
         })?;
@@ -262,7 +263,8 @@ impl Cache {
             // The first pass is finished, so its solver states are no longer needed.
             self.drop_solver_states();
             let bytes = fetch.fetch_all(client, &[light]).pop().unwrap_or(Err(Failure::Cancelled))?;
-            let (field, _) = fetch.prepare(|| Field::decode(&bytes)).map_err(|error| lost(light, &error))?;
+            let (field, _) =
+                fetch.prepare(|| Field::decode(&bytes)).map_err(|error| lost_field_failure(light, &error))?;
             Ok(Arc::new(field))
         })
     }
@@ -325,7 +327,7 @@ impl Cache {
 }
 
 /// Reports an unusable light, so that the farm computes it again.
-fn lost(light: Artifact, error: &dyn std::fmt::Display) -> Failure {
+fn lost_field_failure(light: Artifact, error: &dyn std::fmt::Display) -> Failure {
     Failure::LostInputs { digests: vec![light.digest], message: error.to_string() }
 }
 

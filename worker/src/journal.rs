@@ -29,7 +29,7 @@ use crate::task_table::Task;
 const MAGIC: &[u8; 8] = b"FEMCWORK";
 const VERSION: u32 = 3;
 /// Bytes before the entries.
-const FRONT: usize = 8 + 4 + 32 + 8;
+const HEADER_BYTES: usize = 8 + 4 + 32 + 8;
 
 /// A worker's journal. Clones share it. The default is a file beside the outbox, if the outbox is a folder.
 #[derive(Debug, Clone, Default)]
@@ -119,7 +119,7 @@ impl Journal {
     }
 
     /// Records that the coordinator knows of the death.
-    pub(crate) fn death_reported(&self) {
+    pub(crate) fn clear_death(&self) {
         let mut book = self.lock();
         if book.previous_death.take().is_some() {
             book.write();
@@ -231,12 +231,12 @@ fn encode(boot: &str, instance: u64, computing: &[HeldLease]) -> Result<Vec<u8>,
 
 /// Decodes a page of [`encode`] and ignores bytes that follow it. Returns the boot id and the tasks; `None` for anything else.
 fn decode(page: &[u8]) -> Option<(String, Death)> {
-    let front = page.get(..FRONT)?;
+    let front = page.get(..HEADER_BYTES)?;
     if front[..8] != *MAGIC || front[8..12] != VERSION.to_le_bytes() {
         return None;
     }
     let length = usize::try_from(u64::from_le_bytes(front[44..].try_into().ok()?)).ok()?;
-    let entries = page.get(FRONT..FRONT.checked_add(length)?)?;
+    let entries = page.get(HEADER_BYTES..HEADER_BYTES.checked_add(length)?)?;
     if Digest::compute(entries).as_bytes()[..] != front[12..44] {
         return None;
     }
@@ -272,7 +272,7 @@ mod tests {
         assert_eq!(named(&open(8)), Some((7, vec![2])));
         let journal = open(9);
         assert_eq!(journal.death().map(|death| death.computing), Some(vec![second.lease()]));
-        journal.death_reported();
+        journal.clear_death();
         assert_eq!((named(&journal), named(&open(10))), (None, None));
         journal.begin(&first);
         journal.close();

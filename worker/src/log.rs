@@ -139,9 +139,9 @@ fn fitting<'a>(lines: impl Iterator<Item = &'a String>, mut room: usize) -> usiz
     lines.take_while(fits).count()
 }
 
-/// Returns a prefix of whole characters with at most `most` bytes.
-pub(crate) fn truncate(text: &str, most: usize) -> &str {
-    &text[..text.floor_char_boundary(most)]
+/// Returns a prefix of whole characters with at most `max_bytes` bytes.
+pub(crate) fn truncate(text: &str, max_bytes: usize) -> &str {
+    &text[..text.floor_char_boundary(max_bytes)]
 }
 
 /// Visitor that writes an event's message, then its fields.

@@ -43,8 +43,8 @@ pub(crate) struct UsageAccount {
 }
 
 impl UsageAccount {
-    pub(crate) fn set_activity(&self, doing: Activity) {
-        self.meter.0.lock().set_activity(self.number, doing);
+    pub(crate) fn set_activity(&self, activity: Activity) {
+        self.meter.0.lock().set_activity(self.number, activity);
     }
 
     /// Runs `work`, which waits for the network. The task computes before and after it.
@@ -114,7 +114,7 @@ struct Shared {
 #[derive(Debug, Default)]
 struct MeterState {
     clock: Option<fn() -> Duration>,
-    read: Duration,
+    last_reading: Duration,
     numbers: u64,
     /// Processor time while no account was open.
     idle: Duration,
@@ -180,8 +180,8 @@ impl MeterState {
     fn charge_elapsed(&mut self) {
         let Some(clock) = self.clock else { return };
         let now = clock();
-        let passed = now.saturating_sub(self.read);
-        self.read = now;
+        let passed = now.saturating_sub(self.last_reading);
+        self.last_reading = now;
         let Some(most) = self.accounts.values().map(|(doing, _)| *doing).max() else {
             self.idle += passed;
             return;

@@ -58,9 +58,15 @@ impl Default for Inner {
 }
 
 impl Metrics {
-    pub(crate) fn attach(&self, table: &Arc<TaskTable>, cache: &Cache, meter: &Meter, left_behind: &AbandonedThreads) {
+    pub(crate) fn attach(
+        &self,
+        table: &Arc<TaskTable>,
+        cache: &Cache,
+        meter: &Meter,
+        abandoned_threads: &AbandonedThreads,
+    ) {
         // If a second worker shares these counters, the page shows only the first one's table, cache and meter.
-        let _ = self.0.sources.set((table.clone(), cache.clone(), meter.clone(), left_behind.clone()));
+        let _ = self.0.sources.set((table.clone(), cache.clone(), meter.clone(), abandoned_threads.clone()));
     }
 
     pub(crate) fn on_connected(&self) {

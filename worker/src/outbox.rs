@@ -33,7 +33,7 @@ use crate::task_table::{Task, TaskTable};
 const MAGIC: &[u8; 8] = b"FEMCDONE";
 const VERSION: u32 = 6;
 /// Bytes before the head.
-const FRONT: usize = 8 + 4 + 32 + 8;
+const HEADER_BYTES: usize = 8 + 4 + 32 + 8;
 /// Largest number of results that wait to be written.
 const MAX_QUEUED: usize = 256;
 /// Number of folders to try when folders are taken.
@@ -375,15 +375,15 @@ fn encode(task: &Task, product: &Product, engine: &str) -> Result<Vec<u8>, postc
 
 /// Decodes a file of [`encode`] from the same engine build; `None` for anything else.
 pub(crate) fn decode(file: &Bytes, engine: &str) -> Option<RestoredResult> {
-    let front = file.get(..FRONT)?;
+    let front = file.get(..HEADER_BYTES)?;
     let is_ours = front[..8] == *MAGIC && front[8..12] == VERSION.to_le_bytes();
     if !is_ours || Digest::compute(&file[44..]).as_bytes()[..] != front[12..44] {
         return None;
     }
     let length = usize::try_from(u64::from_le_bytes(front[44..].try_into().ok()?)).ok()?;
-    let end = FRONT.checked_add(length)?;
+    let end = HEADER_BYTES.checked_add(length)?;
     let Head { engine: of, assignment, spec, result, usage, log, lengths } =
-        postcard::from_bytes(file.get(FRONT..end)?).ok()?;
+        postcard::from_bytes(file.get(HEADER_BYTES..end)?).ok()?;
     if of != engine {
         return None;
     }

@@ -38,7 +38,7 @@ impl OutcomeHandler {
     /// Closes the task's log. A log that travels with the report is short; other logs go to the store.
     fn close_log(&self, task: &Task, outcome: &Outcome) {
         let Some(seconds) = task.log.seconds() else { return };
-        let limit = match task.log_place(Some(outcome)) {
+        let limit = match task.log_destination(Some(outcome)) {
             LogDestination::Report => LogText::MAX_INLINE,
             LogDestination::Store => LogText::MAX_STORED,
         };
@@ -54,7 +54,7 @@ impl OutcomeHandler {
             Err(failure) => write!(header, "failed after {seconds:.3} s: {failure}"),
         };
         let units = task.units.load(std::sync::atomic::Ordering::Relaxed);
-        let _ = write!(header, "; {units} {}", task.row().unit);
+        let _ = write!(header, "; {units} {}", task.properties().unit);
         if let Some(peak) = task.account.peak() {
             let _ = write!(header, "; peak memory of this process {} MiB", peak.div_ceil(1 << 20));
         }

@@ -36,7 +36,7 @@ pub fn job_graph(stages: &[engine::Stage]) -> Graph {
         (has_layers, FEATURES),
     ];
     let tags: Vec<&str> = known.iter().filter(|it| it.0).map(|it| it.1).collect();
-    Graph { stages: stages.iter().map(|stage| template(stage).tags(&tags)).collect() }
+    Graph { stages: stages.iter().map(|stage| template(stage).with_tags(&tags)).collect() }
 }
 
 fn template(stage: &engine::Stage) -> StageTemplate {

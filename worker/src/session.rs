@@ -145,7 +145,7 @@ impl<'a> Session<'a> {
                         tracing::Span::current().record("worker", worker.0);
                         tracing::info!(url = self.client.url(), "joined");
                         self.config.metrics.on_connected();
-                        self.config.journal.death_reported();
+                        self.config.journal.clear_death();
                         self.claims.on_welcome(lease);
                         let every = Duration::from_millis(pause.max(10));
                         let pulse = heartbeat.insert(tokio::time::interval(every));

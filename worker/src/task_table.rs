@@ -93,7 +93,7 @@ impl Task {
     }
 
     /// Returns the farm's properties of this task kind.
-    pub(crate) fn row(&self) -> StageKindProperties {
+    pub(crate) fn properties(&self) -> StageKindProperties {
         self.assignment.task.stage.kind.properties()
     }
 
@@ -103,9 +103,9 @@ impl Task {
     }
 
     /// Returns the place for the log of an attempt with this outcome.
-    pub(crate) fn log_place(&self, outcome: Option<&Outcome>) -> LogDestination {
+    pub(crate) fn log_destination(&self, outcome: Option<&Outcome>) -> LogDestination {
         match outcome {
-            Some(Ok(_)) => self.row().log,
+            Some(Ok(_)) => self.properties().log,
             Some(Err(_)) | None => LogDestination::Store,
         }
     }
@@ -120,7 +120,7 @@ impl Task {
 
     /// Returns the number of pixel samples taken.
     fn samples_taken(&self) -> u64 {
-        if self.row().is_divided { self.units.load(Ordering::Relaxed) } else { 0 }
+        if self.properties().is_divided { self.units.load(Ordering::Relaxed) } else { 0 }
     }
 
     /// Checks that the task's turn has come.
@@ -211,7 +211,7 @@ struct State {
 impl State {
     /// Takes the oldest waiting task of this lane out of the queue.
     fn take_first_waiting(&mut self, lane: Lane) -> Option<Arc<Task>> {
-        let place = self.waiting.iter().position(|task| task.row().lane == lane)?;
+        let place = self.waiting.iter().position(|task| task.properties().lane == lane)?;
         Some(self.waiting.remove(place))
     }
 }

@@ -2,8 +2,8 @@
 //! frames on a pool of its own. Join tasks also compute on that pool: on the render pool, a finished frame's image would wait for
 //! the render tasks of other frames. So there are more threads than processors while a join task runs.
 //!
-//! A lane consists of two threads: the hand, which executes a task, and one that waits for it. Rendering notices a cancellation
-//! within milliseconds, but reading a large scene or building its trees does not. In that case the lane abandons the hand. The
+//! A lane consists of two threads: the task thread, which executes a task, and one that waits for it. Rendering notices a cancellation
+//! within milliseconds, but reading a large scene or building its trees does not. In that case the lane abandons the task thread. The
 //! hand's thread runs on detached, its result is discarded, and the lane continues with a new hand. So the worker is free for other
 //! tasks at once. An abandoned hand costs memory and processor time until it ends, so their number is limited. At the limit, the
 //! lane waits.
@@ -75,12 +75,12 @@ struct LaneRunner {
     thread: TaskThread,
 }
 
-/// Abandoned hands: threads whose tasks were cancelled but still run. Clones share the list.
+/// Abandoned task threads: threads whose tasks were cancelled but still run. Clones share the list.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct AbandonedThreads(Arc<Mutex<Vec<JoinHandle<()>>>>);
 
 impl AbandonedThreads {
-    /// Returns the number of abandoned hands that still run.
+    /// Returns the number of abandoned threads that still run.
     pub(crate) fn count(&self) -> usize {
         let mut threads = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         threads.retain(|thread| !thread.is_finished());
@@ -104,7 +104,7 @@ impl LaneRunner {
     const POLL_INTERVAL: Duration = Duration::from_millis(50);
     /// Time that a cancelled task may continue before its hand is abandoned.
     const GRACE: Duration = Duration::from_millis(250);
-    /// Largest number of abandoned hands that run at the same time.
+    /// Largest number of abandoned threads that run at the same time.
     const MAX_ABANDONED: usize = 3;
 
     fn new(name: String, lane: Lane, tools: Tools) -> Result<Self, WorkerError> {
@@ -161,7 +161,7 @@ impl LaneRunner {
 }
 
 impl TaskThread {
-    /// Starts a thread. After the hand is dropped, the thread ends with its current task.
+    /// Starts a thread. After the task thread is dropped, the thread ends with its current task.
     fn new(name: &str, lane: Lane, tools: &Tools) -> Result<Self, WorkerError> {
         let (tasks, line) = mpsc::channel::<Arc<Task>>();
         let (done, outcomes) = mpsc::channel();

@@ -42,7 +42,7 @@ pub(crate) async fn upload(client: &Client, task: &Task, product: &Product) -> R
 /// Returns the log of a finished task for its report. A long log is uploaded to the store if possible.
 pub(crate) async fn upload_log(client: &Client, task: &Task) -> Option<TaskLog> {
     let (seconds, text) = task.final_log()?;
-    let text = match task.log_place(task.outcome()) {
+    let text = match task.log_destination(task.outcome()) {
         LogDestination::Store => match client.put(Bytes::copy_from_slice(text.as_bytes())).await {
             Ok(artifact) => LogText::Stored(artifact),
             Err(error) => {

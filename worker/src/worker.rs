@@ -34,7 +34,7 @@ impl Worker {
     /// First pause after the coordinator is lost. The pause doubles after every failed attempt.
     const FIRST_PAUSE: Duration = Duration::from_millis(100);
     /// Longest pause.
-    const LONGEST_PAUSE: Duration = Duration::from_secs(5);
+    const MAX_PAUSE: Duration = Duration::from_secs(5);
 
     /// Works on the current tokio runtime until `stop` completes, then gives back its tasks and returns. When the coordinator is
     /// away, the worker reconnects, for at most the time that the configuration allows.
@@ -146,7 +146,7 @@ impl Worker {
             tracing::info!(error = %is_gone, ?pause, "coordinator unreachable; trying again after a pause");
             tokio::select! {
                 biased;
-                () = tokio::time::sleep(pause) => pause = (2 * pause).min(Self::LONGEST_PAUSE),
+                () = tokio::time::sleep(pause) => pause = (2 * pause).min(Self::MAX_PAUSE),
                 () = &mut stop => break Ok(()),
             }
         };

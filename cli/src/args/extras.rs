@@ -36,14 +36,14 @@ impl ExtrasArgs {
         let sheet = self.contact_sheet.as_deref().map(|path| bare_file_name("--contact-sheet", path)).transpose()?;
         let video = self.video.as_deref().map(|path| bare_file_name("--video", path)).transpose()?;
         let video = video.map(|name| Video { name, rate });
-        if let Some(Video { name, .. }) = video.as_ref().filter(|video| !video.is_sound()) {
+        if let Some(Video { name, .. }) = video.as_ref().filter(|video| !video.is_valid()) {
             let formats = "the file extension sets the clip's format; give FILE.png, FILE.gif or FILE.mp4";
             return Err(usage(format!("--video {name}: {formats}")));
         }
         let outputs = ExtraOutputs { stills: self.preview, sheet, video, painting: None };
         let clash =
             || usage("--contact-sheet: the name must end in .png and differ from the clip's name; give FILE.png");
-        if outputs.is_sound() { Ok(outputs) } else { Err(clash()) }
+        if outputs.is_valid() { Ok(outputs) } else { Err(clash()) }
     }
 }
 

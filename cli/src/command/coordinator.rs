@@ -10,8 +10,8 @@ use crate::output::Printer;
 use crate::values::{ByteSize, DurationArg};
 use clap::Args;
 use femc_coordinator::{
-    AccessControl, Artifacts, Config, Coordinator, CoordinatorError, Exposure, Handle, Leadership, Log, LossPolicy,
-    Metrics, NotifyConfig, NotifyKey, Postgres, QueueError, UrlPrefix,
+    AccessControl, ArtifactStorage, Config, Coordinator, CoordinatorError, Exposure, Handle, Leadership, LogStorage,
+    LossPolicy, Metrics, NotifyConfig, NotifyKey, Postgres, QueueError, UrlPrefix,
 };
 use femc_metrics::ProcessReport;
 use femc_trust::{Audit, Holder, Identity, RevocationList, Tokens, browser_fingerprint};
@@ -43,7 +43,7 @@ pub struct CoordinatorArgs {
     listen: SocketAddr,
     /// Log of jobs: sqlite:PATH, postgres://USER@HOST:PORT/DATABASE, or memory (lost at the end)
     #[arg(long, value_name = "STORE", default_value = "sqlite:femc-farm/farm.db", value_parser = store)]
-    store: Log,
+    store: LogStorage,
     /// With postgres://: a leader without a sign of life for longer than this is replaced; must be the same for all coordinators of
     /// a farm
     #[arg(long, value_name = "DURATION", default_value = "3s", value_parser = silence)]
@@ -66,7 +66,7 @@ pub struct CoordinatorArgs {
     /// AWS_SECRET_ACCESS_KEY, AWS_REGION, AWS_ENDPOINT_URL, AWS_ALLOW_HTTP), or memory (lost at the end); several coordinators
     /// share one
     #[arg(long, value_name = "DIR|URL", default_value = "femc-farm/artifacts", value_parser = artifacts)]
-    artifacts: Artifacts,
+    artifacts: ArtifactStorage,
     /// Free space to keep on the disks of the log and of the artifacts, like 256MiB: below it, no new jobs are accepted and running
     /// jobs continue; below four times this size the coordinator warns
     #[arg(long, value_name = "SIZE", default_value = "256MiB")]
@@ -110,12 +110,12 @@ pub struct CoordinatorArgs {
     metrics: MetricsArgs,
 }
 
-fn store(text: &str) -> Result<Log, String> {
+fn store(text: &str) -> Result<LogStorage, String> {
     match text.split_once(':') {
-        None if text == "memory" => Ok(Log::Memory),
-        Some(("sqlite", path)) if !path.is_empty() => Ok(Log::Sqlite(PathBuf::from(path))),
+        None if text == "memory" => Ok(LogStorage::Memory),
+        Some(("sqlite", path)) if !path.is_empty() => Ok(LogStorage::Sqlite(PathBuf::from(path))),
         Some(("postgres" | "postgresql", _)) => match text.parse() {
-            Ok(database) => Ok(Log::Postgres { database, silence: Postgres::SILENCE }),
+            Ok(database) => Ok(LogStorage::Postgres { database, silence: Postgres::SILENCE }),
             Err(error) => Err(format!("{error}; write it like postgres://user@host:5432/database")),
         },
         _ => Err("give sqlite:PATH, like sqlite:farm.db, postgres://user@host/database, or memory".to_owned()),
@@ -145,12 +145,12 @@ fn parse_duration_within(text: &str, most: f64, range: &str) -> Result<Duration,
     if (1.0..=most).contains(&seconds) { Ok(Duration::from_secs_f64(seconds)) } else { Err(format!("give {range}")) }
 }
 
-fn artifacts(text: &str) -> Result<Artifacts, String> {
+fn artifacts(text: &str) -> Result<ArtifactStorage, String> {
     match text.split_once("://") {
-        _ if text == "memory" => Ok(Artifacts::Memory),
-        None => Ok(Artifacts::Folder(PathBuf::from(text))),
-        Some(("file", path)) => Ok(Artifacts::Folder(PathBuf::from(path))),
-        Some(("s3", _)) => Ok(Artifacts::S3(text.to_owned())),
+        _ if text == "memory" => Ok(ArtifactStorage::Memory),
+        None => Ok(ArtifactStorage::Folder(PathBuf::from(text))),
+        Some(("file", path)) => Ok(ArtifactStorage::Folder(PathBuf::from(path))),
+        Some(("s3", _)) => Ok(ArtifactStorage::S3(text.to_owned())),
         Some((scheme, _)) => {
             Err(format!("{scheme}:// is not supported yet; give a folder, s3://BUCKET/PREFIX, or memory"))
         }
@@ -166,18 +166,18 @@ fn share(text: &str) -> Result<(String, u32), String> {
 
 /// Runs `femc coordinator`.
 pub fn run(args: CoordinatorArgs, printer: Printer) -> Result<Exit, Failure> {
-    if let Log::Sqlite(path) = &args.store
+    if let LogStorage::Sqlite(path) = &args.store
         && let Some(folder) = path.parent().filter(|folder| *folder != Path::new(""))
     {
         std::fs::create_dir_all(folder).map_err(|e| failed(format!("--store {}: {e}", folder.display())))?;
     }
     let log = match args.store {
-        Log::Postgres { .. } if args.artifacts == Artifacts::Memory => {
+        LogStorage::Postgres { .. } if args.artifacts == ArtifactStorage::Memory => {
             return Err(usage(
                 "--artifacts memory: coordinators on one database must share a folder; give --artifacts DIR",
             ));
         }
-        Log::Postgres { database, .. } => Log::Postgres { database, silence: args.silence },
+        LogStorage::Postgres { database, .. } => LogStorage::Postgres { database, silence: args.silence },
         log => log,
     };
     let entrance = access_control(args.identity.as_deref(), args.revoked, args.token_file.as_deref())?;
@@ -204,7 +204,7 @@ pub fn run(args: CoordinatorArgs, printer: Printer) -> Result<Exit, Failure> {
         announce,
         listen: args.listen,
         exposure,
-        entrance,
+        access_control: entrance,
         audit,
         site: site(),
         log,
@@ -215,9 +215,9 @@ pub fn run(args: CoordinatorArgs, printer: Printer) -> Result<Exit, Failure> {
             weights: args.share.into_iter().collect(),
             ..femc_schedule::Config::with_lease(args.lease.as_millis() as u64)
         },
-        snapshot: args.compact as usize,
+        snapshot_interval: args.compact as usize,
         keep_free: args.keep_free.0,
-        loss: if args.accept_loss { LossPolicy::Accept } else { LossPolicy::Refuse },
+        loss_policy: if args.accept_loss { LossPolicy::Accept } else { LossPolicy::Refuse },
         ..Config::default()
     };
     let service_metrics = config.metrics.clone();
@@ -228,7 +228,7 @@ pub fn run(args: CoordinatorArgs, printer: Printer) -> Result<Exit, Failure> {
         let (mut standing, url) = (coordinator.leadership(), coordinator.url());
         metrics::start_page(args.metrics.metrics, reporter(service_metrics, &coordinator), printer).await?;
         loop {
-            print_standing(printer, &standing.borrow_and_update(), &url, warning.as_deref());
+            print_leadership(printer, &standing.borrow_and_update(), &url, warning.as_deref());
             tokio::select! {
                 error = coordinator.failed() => return Err(map_coordinator_error(&error)),
                 () = interrupt.wait() => break,
@@ -281,10 +281,10 @@ fn coordinator_identity(path: &Path) -> Result<Identity, Failure> {
 }
 
 /// Opens the audit log at the requested path, or beside the log of jobs if that is a file.
-fn open_audit(requested: Option<PathBuf>, log: &Log) -> Result<Option<Audit>, Failure> {
+fn open_audit(requested: Option<PathBuf>, log: &LogStorage) -> Result<Option<Audit>, Failure> {
     let default_path = match log {
-        Log::Sqlite(path) => Some(path.with_file_name("audit.jsonl")),
-        Log::Memory | Log::Postgres { .. } => None,
+        LogStorage::Sqlite(path) => Some(path.with_file_name("audit.jsonl")),
+        LogStorage::Memory | LogStorage::Postgres { .. } => None,
     };
     let audit = requested.or(default_path).map(|path| Audit::open(&path)).transpose();
     audit.map_err(|error| failed(format!("--audit: {error}; give a file that can be written")))
@@ -299,7 +299,7 @@ fn browser_warning(identity: &Identity) -> Option<String> {
     ))
 }
 
-fn print_standing(printer: Printer, standing: &Leadership, url: &str, warning: Option<&str>) {
+fn print_leadership(printer: Printer, standing: &Leadership, url: &str, warning: Option<&str>) {
     match standing {
         Leadership::Leader => {
             printer.result(format!("listening on {url}"));
@@ -353,9 +353,9 @@ mod tests {
 
     #[test]
     fn coordinator_options_parse_and_bad_values_are_refused() {
-        assert!(matches!(store("sqlite:a/b.db"), Ok(Log::Sqlite(path)) if path == Path::new("a/b.db")));
-        assert!(matches!(store("memory"), Ok(Log::Memory)));
-        assert!(matches!(store("postgres://ann:secret@host/farm"), Ok(Log::Postgres { .. })));
+        assert!(matches!(store("sqlite:a/b.db"), Ok(LogStorage::Sqlite(path)) if path == Path::new("a/b.db")));
+        assert!(matches!(store("memory"), Ok(LogStorage::Memory)));
+        assert!(matches!(store("postgres://ann:secret@host/farm"), Ok(LogStorage::Postgres { .. })));
         for wrong in ["postgres:farm", "postgres://ann:secret@host:port/farm"] {
             let error = store(wrong).expect_err("no address");
             assert!(error.contains("postgres://user@host") && !error.contains("secret"), "{error}");
@@ -369,8 +369,8 @@ mod tests {
         assert!(["59s", "1e30d", "ever"].iter().all(|text| keep_ended(text).is_err()));
         assert_eq!(share("ann=3"), Ok(("ann".into(), 3)));
         assert!(["ann", "ann=0", "=3", "ann=-1", "ann=many"].iter().all(|text| share(text).is_err()));
-        assert_eq!(artifacts("a/b"), Ok(Artifacts::Folder("a/b".into())));
-        assert_eq!(artifacts("s3://bucket/prefix"), Ok(Artifacts::S3("s3://bucket/prefix".into())));
+        assert_eq!(artifacts("a/b"), Ok(ArtifactStorage::Folder("a/b".into())));
+        assert_eq!(artifacts("s3://bucket/prefix"), Ok(ArtifactStorage::S3("s3://bucket/prefix".into())));
         assert!(artifacts("gs://bucket/prefix").is_err_and(|error| error.contains("not supported yet")));
     }
 }

@@ -5,7 +5,7 @@ use super::client::{self, FarmClient};
 use super::site::site;
 use crate::exit::{Failure, failed};
 use crate::output::Printer;
-use femc_coordinator::{Artifacts, Config, Coordinator, Handle, Log};
+use femc_coordinator::{ArtifactStorage, Config, Coordinator, Handle, LogStorage};
 use femc_proto::Dialer;
 use femc_worker::{Cache, PieceCache, Worker, WorkerError};
 use std::path::PathBuf;
@@ -37,8 +37,8 @@ impl EmbeddedFarm {
     /// Starts the farm, and connects to it.
     pub async fn start(settings: EmbeddedConfig) -> Result<(Self, FarmClient), Failure> {
         let config = Config {
-            log: Log::Sqlite(settings.log),
-            artifacts: Artifacts::Folder(settings.artifacts),
+            log: LogStorage::Sqlite(settings.log),
+            artifacts: ArtifactStorage::Folder(settings.artifacts),
             site: site(),
             // The workers stop together with the coordinator, so there are none to wait for after a restart.
             scheduler: femc_schedule::Config { regroup: 0, ..femc_schedule::Config::default() },

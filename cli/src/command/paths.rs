@@ -2,7 +2,7 @@
 
 use crate::args::FormatArgs;
 use crate::exit::{Exit, Failure, usage};
-use crate::output::{Printer, human as words, json};
+use crate::output::{Printer, human, json};
 use clap::{Args, ValueEnum};
 use femc_pipeline::paths::octree::Root;
 use femc_pipeline::paths::query::{Condition, Query, is_known_name, is_within};
@@ -159,8 +159,8 @@ pub fn run(args: &PathsArgs, printer: Printer) -> Result<Exit, Failure> {
     Ok(Exit::Done)
 }
 
-fn rows<'a, R>(frames: &'a [QueriedFrame<'a>], of: impl Fn(&'a QueriedFrame<'a>) -> Vec<R>) -> Vec<R> {
-    frames.iter().flat_map(of).collect()
+fn rows<'a, R>(frames: &'a [QueriedFrame<'a>], to_rows: impl Fn(&'a QueriedFrame<'a>) -> Vec<R>) -> Vec<R> {
+    frames.iter().flat_map(to_rows).collect()
 }
 
 /// Returns the cube around the boxes of all frames. Voxels are parts of it, so all frames have the same voxels.
@@ -286,15 +286,15 @@ fn print_counts(args: &PathsArgs, set: &FrameSet, (count, total): (usize, usize)
     let share = set.frames.first().map_or(1.0, LightStatistics::share);
     let samples: u64 = set.frames.iter().map(LightStatistics::samples).sum();
     let about = if is_fair {
-        format!(", about {} samples", words::quantity(count as f64 / share.max(f64::MIN_POSITIVE)))
+        format!(", about {} samples", human::quantity(count as f64 / share.max(f64::MIN_POSITIVE)))
     } else {
         String::new()
     };
     let frames = if set.frames.len() == 1 { String::new() } else { format!(" of {} frames", set.frames.len()) };
     printer.note(format!(
         "{count} of {total} {what} paths{about}; {} % of {} samples{frames} are recorded",
-        words::number(100.0 * share),
-        words::quantity(samples as f64)
+        human::number(100.0 * share),
+        human::quantity(samples as f64)
     ));
 }
 

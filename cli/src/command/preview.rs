@@ -62,7 +62,7 @@ impl PreviewFrame {
             seconds: 0.0,
             spp: image.mean_spp(),
             error: image.error(),
-            bad: self.assembly.bad(),
+            bad: self.assembly.bad_samples(),
         };
         femc_film::file::write_atomic(path, &exr::encode(&image, &provenance).map_err(failed)?).map_err(failed)
     }

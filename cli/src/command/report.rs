@@ -5,7 +5,7 @@ use crate::args::ServerArgs;
 use crate::exit::{Exit, Failure, failed, usage};
 use crate::output::Printer;
 use clap::Args;
-use femc_reports::light::{BottleneckReport as Findings, read};
+use femc_reports::light::{BottleneckReport, read};
 use femc_reports::pages::{JobsReport, light};
 use std::path::{Path, PathBuf};
 
@@ -94,7 +94,7 @@ fn light_page(args: &ReportArgs, files: &[PathBuf], printer: Printer) -> Result<
         [one] => one.with_extension("html"),
         _ => "light.html".into(),
     });
-    let page = light::html(&frames, &Findings::from_frames(&frames))?;
+    let page = light::html(&frames, &BottleneckReport::from_frames(&frames))?;
     femc_film::file::write_atomic(&out, page.as_bytes()).map_err(failed)?;
     printer.result(out.display());
     Ok(Exit::Done)

@@ -85,7 +85,7 @@ pub async fn fetch_record(farm: &FarmClient, job: JobId, logs: IncludedLogs) -> 
         IncludedLogs::Failures => failures(farm, job).await?,
     };
     let attempts = attempts.iter().cloned().collect();
-    Ok(JobRecord { job, run: 0, variant: None, spec: *shape.spec, cut: shape.cut, attempts, failures })
+    Ok(JobRecord { job, run: 0, variant: None, spec: *shape.spec, cut: shape.chunk_size, attempts, failures })
 }
 
 async fn failures(farm: &FarmClient, job: JobId) -> Result<Vec<FailureLog>, Failure> {

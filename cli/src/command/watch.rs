@@ -130,7 +130,7 @@ pub(super) async fn follow(
         let mut away = None;
         let status = farm.status_reporting_outage(job, |gone| {
             if away.is_none() {
-                events.away(farm.url());
+                events.emit_outage(farm.url());
             }
             away = Some(gone);
             progress.show_outage(&format!(
@@ -152,9 +152,9 @@ pub(super) async fn follow(
         if let Some(gone) = away {
             let gone_for = human::seconds(gone.as_secs_f64());
             progress.show_recovery(&format!("the coordinator is back after {gone_for}; {} resumes", messages.activity));
-            events.back(gone);
+            events.emit_recovery(gone);
         }
-        events.status(&status);
+        events.emit_status(&status);
         if status.state.has_ended() {
             return Ok(status);
         }
@@ -200,7 +200,7 @@ impl Events {
         }
     }
 
-    fn status(&mut self, status: &JobStatus) {
+    fn emit_status(&mut self, status: &JobStatus) {
         // A change of the time alone is not an event.
         let now = Some(JobStatus { seconds: 0.0, ..status.clone() });
         if self.last != now {
@@ -209,11 +209,11 @@ impl Events {
         }
     }
 
-    fn away(&self, server: &str) {
+    fn emit_outage(&self, server: &str) {
         self.emit(&Event::Away { server });
     }
 
-    fn back(&self, gone: Duration) {
+    fn emit_recovery(&self, gone: Duration) {
         self.emit(&Event::Back { seconds: gone.as_secs_f64() });
     }
 }

@@ -9,14 +9,14 @@ use femc_scene::{Photometry, PhotometryType, SceneFault, estimate_caustic_flux, 
 /// Number of lamps that are listed one by one; `femc check` lists all.
 const MAX_LISTED: usize = 4;
 /// Share of the lamps' light through solids and from mirrors above which the first pass is inexact.
-const MIN_BENT_SHARE: f64 = 0.1;
+const MIN_CAUSTIC_SHARE: f64 = 0.1;
 
 impl ResolvedRequest {
     /// Warns of lamps whose light the job's method does not find.
     pub fn warn_of_lost_light(&self, printer: Printer) {
         self.warn_of_hidden_lamps(printer);
         if self.settings.method == Method::Fem {
-            self.warn_of_bent_light(printer);
+            self.warn_of_caustics(printer);
         }
     }
 
@@ -43,9 +43,9 @@ impl ResolvedRequest {
     }
 
     /// Warns of light that the first pass alone loses or puts in wrong places.
-    pub fn warn_of_bent_light(&self, printer: Printer) {
+    pub fn warn_of_caustics(&self, printer: Printer) {
         let bent = estimate_caustic_flux(self.scene(), &luminous_flux);
-        if bent.share >= MIN_BENT_SHARE {
+        if bent.share >= MIN_CAUSTIC_SHARE {
             printer.warning(format!(
                 "{} of the lamps' light ({:.0} lm) first passes through clear solids or comes from mirrors: the first pass \
                  finds it with few rays, loses a part and spreads the rest evenly over surfaces; render with `--method femc` or \

@@ -39,13 +39,13 @@ pub enum FramesError {
     #[error(
         "`{0}` is not a list of frames; write K, A..B (B included) or A..B+STEP, several with commas, like 7, 1..120, 1..120+10 or 1,5,9"
     )]
-    Form(String),
+    InvalidFormat(String),
     /// Frame 0.
     #[error("frame numbers begin at 1")]
     Zero,
     /// Last before first.
     #[error("the last frame, {last}, comes before the first, {first}; write A..B with A <= B")]
-    Backwards {
+    ReversedRange {
         /// First frame, as typed.
         first: u32,
         /// Last frame, as typed.
@@ -53,7 +53,7 @@ pub enum FramesError {
     },
     /// A frame is beyond the clip.
     #[error("frame {wanted} is beyond the clip, which has {}", Available(*.available))]
-    Beyond {
+    OutOfRange {
         /// Largest requested frame.
         wanted: u32,
         /// Number of frames of the clip.
@@ -111,7 +111,7 @@ impl Frames {
     pub fn resolve(&self, available: u32) -> Result<Vec<u32>, FramesError> {
         let last = self.runs.iter().map(|run| run.end()).max().unwrap_or(0);
         if last > available {
-            return Err(FramesError::Beyond { wanted: last, available });
+            return Err(FramesError::OutOfRange { wanted: last, available });
         }
         let named: BTreeSet<u32> = self.runs.iter().flat_map(|run| run.frames()).collect();
         Ok(named.into_iter().collect())
@@ -143,9 +143,9 @@ impl FromStr for Frames {
     type Err = FramesError;
 
     fn from_str(text: &str) -> Result<Self, FramesError> {
-        let runs = text
-            .split(',')
-            .map(|part| parse_run(part).map_err(|fault| fault.unwrap_or_else(|| FramesError::Form(text.to_owned()))));
+        let runs = text.split(',').map(|part| {
+            parse_run(part).map_err(|fault| fault.unwrap_or_else(|| FramesError::InvalidFormat(text.to_owned())))
+        });
         Ok(Self { runs: runs.collect::<Result<_, _>>()? })
     }
 }
@@ -167,7 +167,7 @@ fn parse_run(text: &str) -> Result<Run, Option<FramesError>> {
     match (first, last, step) {
         (0, _, _) => Err(Some(FramesError::Zero)),
         (_, _, 0) => Err(None),
-        _ if last < first => Err(Some(FramesError::Backwards { first, last })),
+        _ if last < first => Err(Some(FramesError::ReversedRange { first, last })),
         _ => Ok(Run { first, last, step }),
     }
 }
@@ -209,7 +209,7 @@ mod tests {
         assert_eq!(resolved("9,1,5", 10), Ok(vec![1, 5, 9]));
         assert_eq!(resolved("3..5, 4, 1..9+4", 10), Ok(vec![1, 3, 4, 5, 9]));
         assert_eq!("9, 1..2,4-8:2".parse::<Frames>().map(|frames| frames.to_string()), Ok("9,1..2,4..8+2".to_owned()));
-        assert_eq!(resolved("1,11", 10), Err(FramesError::Beyond { wanted: 11, available: 10 }));
+        assert_eq!(resolved("1,11", 10), Err(FramesError::OutOfRange { wanted: 11, available: 10 }));
         let named: Frames = "2,8..9".parse().unwrap();
         assert_eq!((named.select_from(&[1, 2, 8, 9]), named.select_from(&[2, 8])), (Ok(vec![2, 8, 9]), Err(9)));
     }
@@ -228,9 +228,9 @@ mod tests {
 
     #[test]
     fn frames_that_are_not_there_are_refused() {
-        assert_eq!(resolved("1..11", 10), Err(FramesError::Beyond { wanted: 11, available: 10 }));
+        assert_eq!(resolved("1..11", 10), Err(FramesError::OutOfRange { wanted: 11, available: 10 }));
         assert_eq!(resolved("0", 10), Err(FramesError::Zero));
-        assert_eq!(resolved("5..2", 10), Err(FramesError::Backwards { first: 5, last: 2 }));
+        assert_eq!(resolved("5..2", 10), Err(FramesError::ReversedRange { first: 5, last: 2 }));
     }
 
     #[test]
@@ -252,7 +252,7 @@ mod tests {
             ",1",
             "1;2",
         ] {
-            assert_eq!(text.parse::<Frames>(), Err(FramesError::Form(text.to_owned())), "{text}");
+            assert_eq!(text.parse::<Frames>(), Err(FramesError::InvalidFormat(text.to_owned())), "{text}");
         }
     }
 

@@ -14,7 +14,7 @@ pub struct Override {
 pub enum OverrideError {
     /// The text has no `=`, or nothing before it.
     #[error("write SELECTOR=VALUE, like medium.fog.sigma_s=0.03")]
-    Form,
+    InvalidFormat,
     /// The value is not a finite number.
     #[error("`{0}` is not a finite number; write SELECTOR=VALUE, like medium.fog.sigma_s=0.03")]
     Value(String),
@@ -24,10 +24,10 @@ impl FromStr for Override {
     type Err = OverrideError;
 
     fn from_str(text: &str) -> Result<Self, OverrideError> {
-        let (selector, value) = text.split_once('=').ok_or(OverrideError::Form)?;
+        let (selector, value) = text.split_once('=').ok_or(OverrideError::InvalidFormat)?;
         let (selector, value) = (selector.trim(), value.trim());
         if selector.is_empty() {
-            return Err(OverrideError::Form);
+            return Err(OverrideError::InvalidFormat);
         }
         match value.parse::<f64>() {
             Ok(number) if number.is_finite() => Ok(Self { selector: selector.to_owned(), value: number }),
@@ -49,8 +49,8 @@ mod tests {
 
     #[test]
     fn half_an_override_is_refused() {
-        assert_eq!("fog".parse::<Override>(), Err(OverrideError::Form));
-        assert_eq!("=3".parse::<Override>(), Err(OverrideError::Form));
+        assert_eq!("fog".parse::<Override>(), Err(OverrideError::InvalidFormat));
+        assert_eq!("=3".parse::<Override>(), Err(OverrideError::InvalidFormat));
         for value in ["", "much", "NaN", "inf"] {
             assert_eq!(format!("a.b.c={value}").parse::<Override>(), Err(OverrideError::Value(value.to_owned())));
         }

@@ -19,7 +19,7 @@ pub struct Size {
 pub enum SizeError {
     /// The text does not consist of two numbers.
     #[error("`{0}` is not a film size; write width x height in pixels, like 320x180")]
-    Form(String),
+    InvalidFormat(String),
     /// A side is zero or too large.
     #[error("each side of a film must have 1 to {LARGEST} pixels")]
     Range,
@@ -29,7 +29,7 @@ impl FromStr for Size {
     type Err = SizeError;
 
     fn from_str(text: &str) -> Result<Self, SizeError> {
-        let wrong = || SizeError::Form(text.to_owned());
+        let wrong = || SizeError::InvalidFormat(text.to_owned());
         let (width, height) = text.split_once(['x', 'X']).ok_or_else(wrong)?;
         let side = |text: &str| text.parse::<u32>().map_err(|_| wrong());
         let size = Self { width: side(width)?, height: side(height)? };
@@ -57,7 +57,7 @@ mod tests {
     #[test]
     fn what_is_no_film_is_refused() {
         for text in ["", "320", "x", "320x", "-1x5", "3.5x4", "1x2x3"] {
-            assert_eq!(text.parse::<Size>(), Err(SizeError::Form(text.to_owned())), "{text}");
+            assert_eq!(text.parse::<Size>(), Err(SizeError::InvalidFormat(text.to_owned())), "{text}");
         }
         assert_eq!("0x4".parse::<Size>(), Err(SizeError::Range));
         assert_eq!("4x32769".parse::<Size>(), Err(SizeError::Range));

@@ -31,15 +31,15 @@ pub struct TaskSelectorError(String);
 impl TaskSelector {
     /// Returns whether the task is selected.
     pub fn matches(&self, task: &TaskKey) -> bool {
-        fn is<T: PartialEq + Copy>(wanted: Option<T>, found: T) -> bool {
+        fn is_match<T: PartialEq + Copy>(wanted: Option<T>, found: T) -> bool {
             wanted.is_none_or(|wanted| wanted == found)
         }
         let stage = task.stage;
-        is(self.frame, stage.frame)
-            && is(self.round, stage.round)
-            && is(self.kind, stage.kind)
-            && is(self.stage, stage.number)
-            && is(self.index, task.index)
+        is_match(self.frame, stage.frame)
+            && is_match(self.round, stage.round)
+            && is_match(self.kind, stage.kind)
+            && is_match(self.stage, stage.number)
+            && is_match(self.index, task.index)
     }
 }
 

@@ -20,7 +20,7 @@ impl Rng {
     }
 
     /// Returns a duration from `least` to `most` milliseconds.
-    fn pause(&mut self, least: u64, most: u64) -> Duration {
+    fn random_duration(&mut self, least: u64, most: u64) -> Duration {
         Duration::from_millis(least + self.below(most - least))
     }
 }
@@ -103,20 +103,20 @@ fn always(action: impl FnOnce()) -> bool {
 pub fn inject_faults(farm: &Farm, seed: u64, end: Instant) -> BTreeMap<&'static str, u64> {
     let mut rng = Rng(seed);
     let (mut fired, mut under_way) = (BTreeMap::new(), Vec::<(Instant, Fault)>::new());
-    let mut next = Instant::now() + rng.pause(1_000, 4_000);
+    let mut next = Instant::now() + rng.random_duration(1_000, 4_000);
     while Instant::now() < end {
         let now = Instant::now();
         let (over, rest) = under_way.into_iter().partition(|&(until, _)| until <= now);
         under_way = rest;
         Vec::into_iter(over).for_each(|(_, fault): (Instant, Fault)| fault.end(farm));
         if now >= next {
-            let (fault, lasts) = (Fault::random(&mut rng, farm.coordinators.len()), rng.pause(100, 6_000));
+            let (fault, lasts) = (Fault::random(&mut rng, farm.coordinators.len()), rng.random_duration(100, 6_000));
             let is_new = under_way.iter().all(|&(_, other)| other.name() != fault.name());
             if is_new && fault.begin(farm) {
                 *fired.entry(fault.name()).or_insert(0) += 1;
                 under_way.push((now + lasts, fault));
             }
-            next = now + rng.pause(500, 4_000);
+            next = now + rng.random_duration(500, 4_000);
         }
         std::thread::sleep(Duration::from_millis(20));
     }

@@ -40,7 +40,7 @@ fn frames(dir: &TestFolder, folder: &str) -> FrameBits {
 
 /// Summary of the user's actions and findings.
 #[derive(Debug, Default, Serialize)]
-pub struct Tally {
+pub struct UserSummary {
     pub submitted: u64,
     pub done: u64,
     pub cancelled: u64,
@@ -83,12 +83,12 @@ struct SimulatedUser<'a> {
     rng: Rng,
     plans: BTreeMap<u64, JobPlan>,
     seen: BTreeSet<u64>,
-    tally: Tally,
+    tally: UserSummary,
 }
 
 /// Keeps the farm busy until `end`, then waits for the last jobs.
-pub fn run_user(farm: &Farm, reference: &[FrameBits], seed: u64, end: Instant) -> Tally {
-    let (plans, seen, tally) = (BTreeMap::new(), BTreeSet::new(), Tally::default());
+pub fn run_user(farm: &Farm, reference: &[FrameBits], seed: u64, end: Instant) -> UserSummary {
+    let (plans, seen, tally) = (BTreeMap::new(), BTreeSet::new(), UserSummary::default());
     let mut user = SimulatedUser { farm, reference, rng: Rng(!seed), plans, seen, tally };
     let mut round = Instant::now() + MAINTENANCE_INTERVAL;
     loop {

@@ -26,10 +26,10 @@ fn graph() -> Graph {
     let carried = Need { stage: 0, role: Role::Numbers, reach: Reach::All, round: Round::Previous, gaps: false };
     Graph {
         stages: vec![
-            drill(Scope::Content, BLOCKS, &[Role::Numbers]).needs(carried),
-            drill(Scope::Content, 1, &[]).reads(0, Role::Numbers, Reach::All).closes(0, ROUNDS),
-            drill(Scope::Content, 1, &[Role::Numbers]).reads(0, Role::Numbers, Reach::All),
-            drill(Scope::Frame, 1, &[Role::Answer]).reads(2, Role::Numbers, Reach::All),
+            drill(Scope::Content, BLOCKS, &[Role::Numbers]).with_need(carried),
+            drill(Scope::Content, 1, &[]).with_input(0, Role::Numbers, Reach::All).with_loop(0, ROUNDS),
+            drill(Scope::Content, 1, &[Role::Numbers]).with_input(0, Role::Numbers, Reach::All),
+            drill(Scope::Frame, 1, &[Role::Answer]).with_input(2, Role::Numbers, Reach::All),
         ],
     }
 }
@@ -154,8 +154,8 @@ fn independent_job(name: &str, bundle: Artifact, is_linked: bool) -> JobSpec {
     let drill =
         |tasks, makes: &[Role]| StageTemplate::new(StageKind::Drill, Scope::Frame, TaskSizes::even(tasks, 1), makes);
     let blocks = drill(3, &[Role::Numbers]);
-    let blocks = if is_linked { blocks.hinted_by(0, Role::Numbers, Reach::Same) } else { blocks };
-    let graph = Graph { stages: vec![blocks, drill(1, &[Role::Answer]).reads(0, Role::Numbers, Reach::All)] };
+    let blocks = if is_linked { blocks.with_hint(0, Role::Numbers, Reach::Same) } else { blocks };
+    let graph = Graph { stages: vec![blocks, drill(1, &[Role::Answer]).with_input(0, Role::Numbers, Reach::All)] };
     let settings = format!(r#"{{"drill":{{"seed":{SEED},"numbers":{NUMBERS},"milliseconds":200}}}}"#);
     JobSpec { settings, graph, contents: vec![], ..job(name, bundle, &[2, 3, 5, 8, 13]) }
 }

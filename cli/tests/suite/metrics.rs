@@ -1,6 +1,6 @@
 //! Tests of metrics: the values agree with the work that was done, and dashboards and alerts only use existing names.
 
-use crate::common::http::{ask, free_port, get, metrics};
+use crate::common::http::{free_port, get, metrics, send_request};
 use crate::common::{TestFolder, TestProcess, status, submit};
 use femc_metrics::testing::Samples;
 use std::collections::BTreeSet;
@@ -33,7 +33,7 @@ fn the_numbers_are_those_of_the_job() {
     worker.wait_until("all acknowledged", || metrics(own).sum("femc_worker_tasks_done_total", &[]) == attempts);
 
     for (path, code) in [("/api/v1/jobs", 200), ("/api/v1/jobs/99", 404), ("/api/v1/jobs/98", 404)] {
-        let answer = ask(url.trim_start_matches("http://"), &format!("GET {path}"), &[], "");
+        let answer = send_request(url.trim_start_matches("http://"), &format!("GET {path}"), &[], "");
         assert_eq!(answer.status, code, "{path}");
     }
     let farm_now = metrics(port);

@@ -5,11 +5,11 @@ use std::io::{BufRead as _, BufReader, Write as _};
 use std::net::TcpStream;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use crate::common::http::{Answer, CHANGE, ask};
+use crate::common::http::{Answer, CHANGE, send_request};
 use crate::common::{STEP_TIMEOUT, TestFolder, start_coordinator, submit};
 
 fn get(address: &str, path: &str) -> Answer {
-    ask(address, &format!("GET /api/v1/{path}"), &[], "")
+    send_request(address, &format!("GET /api/v1/{path}"), &[], "")
 }
 
 fn address(url: &str) -> String {
@@ -69,7 +69,7 @@ fn page_follows_job_from_submission_to_picture_and_controls_it() {
     assert_eq!((&page["total"], page["tasks"].as_array().expect("tasks").len()), (&4.into(), 2));
     assert_eq!(page["tasks"][1]["task"], format!("{job}/1.0/render.0/1"));
     assert_eq!(get(&address, &format!("jobs/{job}/frames/1/thumbnail.png")).status, 204, "nothing yet");
-    let control = |body: &str| ask(&address, "POST /api/v1/jobs/control", &CHANGE, body).json();
+    let control = |body: &str| send_request(&address, "POST /api/v1/jobs/control", &CHANGE, body).json();
     let paused = control(&format!("{{\"jobs\":[{job},99],\"action\":\"pause\"}}"));
     assert_eq!((&paused["done"][0], &paused["refused"][0]["code"]), (&1.into(), &"not_found".into()));
     assert_eq!(get(&address, &format!("jobs/{job}")).json()["job"]["state"], "paused");
@@ -92,13 +92,15 @@ fn page_follows_job_from_submission_to_picture_and_controls_it() {
     assert_eq!((picture.status, picture.header("content-type")), (200, "image/png"));
     assert!(picture.body.starts_with(b"\x89PNG"));
     let tag = format!("If-None-Match: {}", picture.header("etag"));
-    let again = ask(&address, &format!("GET /api/v1/jobs/{job}/frames/2/thumbnail.png?height=16"), &[&tag], "");
+    let again =
+        send_request(&address, &format!("GET /api/v1/jobs/{job}/frames/2/thumbnail.png?height=16"), &[&tag], "");
     assert_eq!((again.status, again.body.len()), (304, 0));
     let pixels = get(&address, &format!("jobs/{job}/frames/2/pixels"));
     assert_eq!((pixels.status, &pixels.body[..4]), (200, &b"FMXC"[..]));
     let head = 20 + 8 * 4 + "RGBYerrorstandard_errorfreedomsamples".len();
     assert_eq!(pixels.body.len(), head + 8 * 2 * 32 * 32);
-    let drained = ask(&address, "POST /api/v1/workers/drain", &CHANGE, "{\"workers\":[\"w1\"],\"action\":\"begin\"}");
+    let drained =
+        send_request(&address, "POST /api/v1/workers/drain", &CHANGE, "{\"workers\":[\"w1\"],\"action\":\"begin\"}");
     assert_eq!(drained.json()["done"].as_array().expect("sessions").len(), 1);
     let lines = get(&address, "audit?count=5").json();
     assert_eq!(
@@ -130,7 +132,7 @@ fn page_follows_job_from_submission_to_picture_and_controls_it() {
         "{\"jobs\":[1],\"action\":\"pause\",\"frames\":[1]}",
         "{\"jobs\":[1],\"action\":\"retry\",\"frames\":[-1]}",
     ] {
-        assert_eq!(ask(&address, "POST /api/v1/jobs/control", &CHANGE, body).status, 400, "{body}");
+        assert_eq!(send_request(&address, "POST /api/v1/jobs/control", &CHANGE, body).status, 400, "{body}");
     }
 }
 
@@ -140,7 +142,7 @@ fn every_answer_has_headers_against_cross_site_attacks() {
     let (_coordinator, url) = start_coordinator(&dir, 0);
     for line in ["GET /", "GET /jobs/7", "GET /api/v1/me", "GET /api/v1/nothing", "POST /login", "PUT /", "GET /no.js"]
     {
-        let answer = ask(&address(&url), line, &[], "");
+        let answer = send_request(&address(&url), line, &[], "");
         let policy = answer.header("content-security-policy");
         assert!(policy.contains("default-src 'none'") && policy.contains("frame-ancestors 'none'"), "{line}");
         assert!(!policy.contains("unsafe"), "{line}: no script within the page");
@@ -188,14 +190,14 @@ fn an_open_feed_ends_when_its_token_is_taken_back() {
     write!(stream, "GET /api/v1/feed HTTP/1.1\r\nHost: farm\r\nCookie: femc={token}\r\n\r\n").expect("it listens");
     let mut page = EventListener(BufReader::new(stream));
     assert_eq!(page.next().expect("an event").0, "snapshot");
-    let me = ask(&address, "GET /api/v1/me", &[&format!("Cookie: femc={token}")], "").json();
+    let me = send_request(&address, "GET /api/v1/me", &[&format!("Cookie: femc={token}")], "").json();
     assert_eq!((&me["name"], &me["role"]), (&"eve".into(), &"viewer".into()));
     let begun = Instant::now();
     dir.run("ca revoke eve").exits(0);
     assert!(page.next().is_none());
     assert!(begun.elapsed() < Duration::from_secs(60));
-    assert_eq!(ask(&address, "GET /api/v1/me", &[&format!("Cookie: femc={token}")], "").status, 401);
-    assert_eq!(ask(&address, "GET /", &[], "").header("location"), "", "the page itself is for everybody");
+    assert_eq!(send_request(&address, "GET /api/v1/me", &[&format!("Cookie: femc={token}")], "").status, 401);
+    assert_eq!(send_request(&address, "GET /", &[], "").header("location"), "", "the page itself is for everybody");
 }
 
 #[test]

@@ -80,7 +80,9 @@ fn drained_worker_returns_unbegun_tasks_within_two_seconds() {
     let held = || workers(&dir, &url)[0]["tasks"].as_array().map_or(0, Vec::len);
     let tasks = |state: &str| {
         let path = format!("GET /api/v1/jobs/{job}/tasks?state={state}");
-        common::http::ask(url.trim_start_matches("http://"), &path, &[], "").json()["total"].as_u64().expect("a number")
+        common::http::send_request(url.trim_start_matches("http://"), &path, &[], "").json()["total"]
+            .as_u64()
+            .expect("a number")
     };
     farm.wait_until("a task that is queued behind one that runs", || tasks("queued") >= 1);
     let begun = std::time::Instant::now();

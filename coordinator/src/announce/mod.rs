@@ -83,12 +83,12 @@ pub(crate) struct Announcer {
 
 impl Announcer {
     /// Maximum number of commands that run at the same time.
-    const COMMANDS: usize = 4;
+    const MAX_CONCURRENT_COMMANDS: usize = 4;
 
     pub(crate) fn new(config: NotifyConfig) -> Self {
         let (tell, told) = mpsc::channel(64);
         let poster = Arc::new(Poster::new(config.key.clone()));
-        let commands = Arc::new(Semaphore::new(Self::COMMANDS));
+        let commands = Arc::new(Semaphore::new(Self::MAX_CONCURRENT_COMMANDS));
         Self {
             config: Arc::new(config),
             poster,

@@ -39,17 +39,17 @@ enum DeliveryOutcome {
 
 impl Poster {
     /// Maximum number of messages that are sent at the same time.
-    const PLACES: usize = 16;
+    const MAX_CONCURRENT: usize = 16;
     /// Time limit for a response.
-    const ANSWER: Duration = Duration::from_secs(15);
+    const RESPONSE_TIMEOUT: Duration = Duration::from_secs(15);
     /// Pause before the second attempt. Later pauses double.
     const FIRST_PAUSE: Duration = Duration::from_secs(1);
-    const LONGEST_PAUSE: Duration = Duration::from_secs(300);
+    const MAX_PAUSE: Duration = Duration::from_secs(300);
     /// Time after which a message that was never accepted is given up.
     const MAX_AGE: Duration = Duration::from_secs(24 * 3600);
 
     pub(super) fn new(key: Option<NotifyKey>) -> Self {
-        Self { key, client: OnceCell::new(), send_permits: Semaphore::new(Self::PLACES) }
+        Self { key, client: OnceCell::new(), send_permits: Semaphore::new(Self::MAX_CONCURRENT) }
     }
 
     /// Posts a message until it is accepted or given up.
@@ -83,7 +83,7 @@ impl Poster {
                 }
             }
             tokio::time::sleep(pause).await;
-            pause = (2 * pause).min(Self::LONGEST_PAUSE);
+            pause = (2 * pause).min(Self::MAX_PAUSE);
         }
     }
 
@@ -106,8 +106,8 @@ impl Poster {
             Ok(request) => request,
             Err(error) => return DeliveryOutcome::Retry(error.to_string()),
         };
-        match tokio::time::timeout(Self::ANSWER, client.request(request)).await {
-            Err(_) => DeliveryOutcome::Retry(format!("no answer within {} s", Self::ANSWER.as_secs())),
+        match tokio::time::timeout(Self::RESPONSE_TIMEOUT, client.request(request)).await {
+            Err(_) => DeliveryOutcome::Retry(format!("no answer within {} s", Self::RESPONSE_TIMEOUT.as_secs())),
             Ok(Err(error)) => DeliveryOutcome::Retry(chain(&error)),
             Ok(Ok(answer)) if answer.status().is_success() => DeliveryOutcome::Accepted,
             Ok(Ok(answer)) if answer.status() == StatusCode::GONE => DeliveryOutcome::Gone,

@@ -8,7 +8,7 @@ use tokio::io::AsyncWriteExt as _;
 use tokio::process::Command;
 
 /// Time limit of a command. After it, the command is killed.
-const LONGEST: Duration = Duration::from_secs(600);
+const COMMAND_TIMEOUT: Duration = Duration::from_secs(600);
 /// Number of bytes from the end of its standard error that are logged.
 const LOGGED_BYTES: usize = 500;
 
@@ -45,8 +45,8 @@ async fn outcome(command: &str, job: &JobStatus, message: &str) -> std::io::Resu
         }
     };
     let done = async { tokio::join!(write, child.wait_with_output()).1 };
-    let Ok(output) = tokio::time::timeout(LONGEST, done).await else {
-        return Ok(Some(format!("it ran for longer than {} s and was killed", LONGEST.as_secs())));
+    let Ok(output) = tokio::time::timeout(COMMAND_TIMEOUT, done).await else {
+        return Ok(Some(format!("it ran for longer than {} s and was killed", COMMAND_TIMEOUT.as_secs())));
     };
     let output = output?;
     if output.status.success() {

@@ -27,7 +27,7 @@ pub enum KeyError {
     #[error(
         "{path}: expected a key of at least {} bytes, or `whsec_` and such a key in base64; \
          create one with `openssl rand -base64 32`",
-        NotifyKey::LEAST
+        NotifyKey::MIN_KEY_BYTES
     )]
     Form {
         /// Path of the file.
@@ -37,7 +37,7 @@ pub enum KeyError {
 
 impl NotifyKey {
     /// Minimum length of a key in bytes.
-    const LEAST: usize = 16;
+    const MIN_KEY_BYTES: usize = 16;
 
     /// Reads the key from a file: `whsec_` and base64, or raw bytes. White space at both ends is ignored.
     ///
@@ -54,7 +54,7 @@ impl NotifyKey {
             Some(encoded) => STANDARD.decode(encoded).ok()?,
             None => text.to_vec(),
         };
-        (key.len() >= Self::LEAST).then(|| Self(Arc::new(hmac::Key::new(hmac::HMAC_SHA256, &key))))
+        (key.len() >= Self::MIN_KEY_BYTES).then(|| Self(Arc::new(hmac::Key::new(hmac::HMAC_SHA256, &key))))
     }
 
     /// Returns the signature of a message: `v1,` and the base64 of HMAC-SHA256 over its id, its time and its body.

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use crate::common::{Cut, Proxy};
 use bytes::Bytes;
-use femc_coordinator::{Artifacts, Config, Coordinator, Handle};
+use femc_coordinator::{ArtifactStorage, Config, Coordinator, Handle};
 use femc_model::*;
 use femc_proto::{CallError, Client, SessionReceiver, SessionSender};
 use tokio::io::AsyncReadExt as _;
@@ -17,7 +17,7 @@ const MB: u64 = 1_000_000;
 
 async fn farm() -> (tempfile::TempDir, Handle, Client) {
     let folder = tempfile::tempdir().unwrap();
-    let config = Config { artifacts: Artifacts::Folder(folder.path().join("artifacts")), ..Config::default() };
+    let config = Config { artifacts: ArtifactStorage::Folder(folder.path().join("artifacts")), ..Config::default() };
     let farm = Coordinator::start(config).await.unwrap();
     let client = Client::connect(&farm.url()).await.unwrap();
     (folder, farm, client)

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use bytes::Bytes;
 use femc_coordinator::{
-    Artifacts, Config, Coordinator, CoordinatorError, Handle, Leadership, Log, Metrics, QueueError,
+    ArtifactStorage, Config, Coordinator, CoordinatorError, Handle, Leadership, LogStorage, Metrics, QueueError,
 };
 use femc_metrics::Health;
 use femc_model::*;
@@ -251,7 +251,7 @@ async fn reports_during_a_full_log_are_accepted_when_there_is_room() {
 #[tokio::test]
 async fn snapshot_without_room_is_skipped_and_a_stop_says_why_it_ends() {
     let log = LimitedLog { has_no_snapshots: true, ..LimitedLog::default() };
-    let (farm, client) = farm(&log, Config { snapshot: 1, ..Config::default() }).await;
+    let (farm, client) = farm(&log, Config { snapshot_interval: 1, ..Config::default() }).await;
     while log.refused.load(Ordering::SeqCst) == 0 {
         tokio::time::sleep(Duration::from_millis(5)).await;
     }
@@ -273,8 +273,8 @@ async fn low_disk_space_warns_first_then_refuses_only_new_jobs() {
     let folder = tempfile::tempdir().unwrap();
     let free = femc_metrics::free_disk_bytes(folder.path()).unwrap();
     let config = |keep_free| Config {
-        log: Log::Sqlite(folder.path().join("log.sqlite")),
-        artifacts: Artifacts::Folder(folder.path().join("artifacts")),
+        log: LogStorage::Sqlite(folder.path().join("log.sqlite")),
+        artifacts: ArtifactStorage::Folder(folder.path().join("artifacts")),
         keep_free,
         ..Config::default()
     };

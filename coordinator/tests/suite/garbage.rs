@@ -4,7 +4,7 @@ use std::path::Path;
 use std::time::{Duration, SystemTime};
 
 use bytes::Bytes;
-use femc_coordinator::{Artifacts, Config, Coordinator, Handle};
+use femc_coordinator::{ArtifactStorage, Config, Coordinator, Handle};
 use femc_model::*;
 use femc_proto::{ArtifactTotals, CallError, Client, CollectMode};
 use femc_store::Store;
@@ -22,7 +22,7 @@ struct TestFarm {
 impl TestFarm {
     async fn start() -> Self {
         let folder = tempfile::tempdir().unwrap();
-        let config = Config { artifacts: Artifacts::Folder(folder.path().to_owned()), ..Config::default() };
+        let config = Config { artifacts: ArtifactStorage::Folder(folder.path().to_owned()), ..Config::default() };
         let farm = Coordinator::start(config).await.unwrap();
         let client = Client::connect(&farm.url()).await.unwrap();
         let store = Store::open_folder(folder.path()).unwrap();

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
-use femc_coordinator::{Artifacts, Config, Coordinator, Handle, Leadership, Log};
+use femc_coordinator::{ArtifactStorage, Config, Coordinator, Handle, Leadership, LogStorage};
 use femc_model::{Digest, Grid, JobId, JobNotes, JobSpec, testing};
 use femc_proto::{CallError, Client};
 use femc_queue::testing::ScratchDatabase;
@@ -13,7 +13,7 @@ use tokio::sync::watch;
 
 const SILENCE: Duration = Duration::from_millis(1200);
 /// Time limit, longer than anything here takes on a loaded machine.
-const PATIENCE: Duration = Duration::from_secs(60);
+const TEST_TIMEOUT: Duration = Duration::from_secs(60);
 
 /// State of the connection to the database.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -56,14 +56,14 @@ async fn relay(mut near: TcpStream, place: Arc<str>, mut state: watch::Receiver<
 }
 
 async fn coordinator(url: &str, artifacts: &Path) -> Handle {
-    let log = Log::Postgres { database: url.parse().unwrap(), silence: SILENCE };
-    let artifacts = Artifacts::Folder(artifacts.to_owned());
+    let log = LogStorage::Postgres { database: url.parse().unwrap(), silence: SILENCE };
+    let artifacts = ArtifactStorage::Folder(artifacts.to_owned());
     Coordinator::start(Config { log, artifacts, ..Config::default() }).await.unwrap()
 }
 
 async fn wait_for_leadership(farm: &Handle, wanted: impl Fn(&Leadership) -> bool) -> Leadership {
     let mut standing = farm.leadership();
-    let heard = tokio::time::timeout(PATIENCE, standing.wait_for(wanted)).await;
+    let heard = tokio::time::timeout(TEST_TIMEOUT, standing.wait_for(wanted)).await;
     heard.expect("it stays as it is").unwrap().clone()
 }
 

@@ -126,7 +126,7 @@ async fn snapshot_equals_previous_snapshot_plus_later_records() {
     let (log, clock) = (ComparingLog::default(), Arc::new(AtomicU64::new(0)));
     let shown = clock.clone();
     let config = Config {
-        snapshot: 0,
+        snapshot_interval: 0,
         time: TimeSource::from_fn(move || Duration::from_millis(shown.load(Ordering::SeqCst))),
         scheduler: femc_schedule::Config { keep_ended: Some(0), regroup: 0, ..femc_schedule::Config::default() },
         ..Config::default()

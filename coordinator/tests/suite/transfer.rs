@@ -2,7 +2,7 @@
 
 use crate::common::{Cut, Proxy};
 use bytes::Bytes;
-use femc_coordinator::{Artifacts, Config, Coordinator, Handle};
+use femc_coordinator::{ArtifactStorage, Config, Coordinator, Handle};
 use femc_model::*;
 use femc_proto::{CallError, Client};
 
@@ -24,7 +24,7 @@ fn bytes() -> Bytes {
 
 async fn farm() -> (tempfile::TempDir, Handle) {
     let folder = tempfile::tempdir().unwrap();
-    let config = Config { artifacts: Artifacts::Folder(folder.path().join("artifacts")), ..Config::default() };
+    let config = Config { artifacts: ArtifactStorage::Folder(folder.path().join("artifacts")), ..Config::default() };
     (folder, Coordinator::start(config).await.unwrap())
 }
 

@@ -1,7 +1,7 @@
 //! Tests of a client with a real coordinator, without workers.
 
 use bytes::Bytes;
-use femc_coordinator::{Artifacts, Config, Coordinator, CoordinatorError, Handle, Log};
+use femc_coordinator::{ArtifactStorage, Config, Coordinator, CoordinatorError, Handle, LogStorage};
 use femc_model::*;
 use femc_proto::{CallError, Client};
 use femc_store::Store;
@@ -137,8 +137,8 @@ async fn job_with_an_incomplete_scene_is_refused_with_missing_digests() {
 async fn a_stopped_coordinator_cannot_be_reached_and_its_log_is_free() {
     let folder = tempfile::tempdir().unwrap();
     let config = Config {
-        log: Log::Sqlite(folder.path().join("log.sqlite")),
-        artifacts: Artifacts::Folder(folder.path().join("artifacts")),
+        log: LogStorage::Sqlite(folder.path().join("log.sqlite")),
+        artifacts: ArtifactStorage::Folder(folder.path().join("artifacts")),
         ..Config::default()
     };
     let farm = Coordinator::start(config.clone()).await.unwrap();

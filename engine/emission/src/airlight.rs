@@ -59,15 +59,15 @@ pub enum SourceProfile<'a> {
 impl EquiangularSegment {
     /// Prepares a segment for a source.
     /// - `origin`, m; `dir`: unit; `range`: first and last distance of the segment, m, finite; `center`: of the source, m.
-    /// - `least_distance`: lower bound for the distance between source and ray, m, > 0.
+    /// - `min_distance`: lower bound for the distance between source and ray, m, > 0.
     #[inline]
-    pub fn new(level: Level, origin: Vec3A, dir: Vec3A, range: (f32, f32), center: Vec3A, least_distance: f32) -> Self {
+    pub fn new(level: Level, origin: Vec3A, dir: Vec3A, range: (f32, f32), center: Vec3A, min_distance: f32) -> Self {
         // The nearest point of the line has the rounding error of the coordinates. No peak is made narrower than this error.
         let from = origin - center;
         let along = from.dot(dir);
         let foot = from - dir * along;
         let resolved = 32.0 * f32::EPSILON * along.abs();
-        let h = foot.length().max(least_distance).max(resolved).max(1e-18);
+        let h = foot.length().max(min_distance).max(resolved).max(1e-18);
         let (start, length) = (along + range.0, range.1 - range.0);
         let (distances, cosines) = level.run(EquiangularSteps { h, start, length });
         Self { foot, dir, h, start, distances, cosines }

@@ -26,7 +26,7 @@ impl Outline {
     pub const WHOLE: Self = Self { corner: Vec2::ZERO, edges: [Vec2::X, Vec2::Y] };
 
     /// Returns the point with these coordinates along the edges.
-    pub fn at(&self, local: Vec2) -> Vec2 {
+    pub fn point_at(&self, local: Vec2) -> Vec2 {
         self.corner + self.edges[0] * local.x + self.edges[1] * local.y
     }
 
@@ -39,7 +39,7 @@ impl Outline {
     /// Converts an outline from this one's coordinates.
     pub fn compose(&self, inner: &Self) -> Self {
         let edge = |edge: Vec2| self.edges[0] * edge.x + self.edges[1] * edge.y;
-        Self { corner: self.at(inner.corner), edges: inner.edges.map(edge) }
+        Self { corner: self.point_at(inner.corner), edges: inner.edges.map(edge) }
     }
 
     /// Returns the two halves, in coordinates of the whole. The halves of a triangle are oriented so that the edge opposite to the

@@ -69,7 +69,7 @@ pub struct SolveStatistics {
     /// Number of links with light sources.
     pub lamp_links: u64,
     /// Number of links that are less exact than requested.
-    pub refused: u64,
+    pub inexact_links: u64,
     /// Number of visibility rays.
     pub rays: u64,
     /// Number of iterations, each of which passes light through all links.
@@ -104,8 +104,17 @@ impl Field {
         let mut out = MAGIC.to_vec();
         out.extend(VERSION.to_le_bytes());
         out.extend([0; CHECKSUM]);
-        let SolveStatistics { elements, leaves, links, lamp_links, refused, rays, iterations, bytes, residual } =
-            *statistics;
+        let SolveStatistics {
+            elements,
+            leaves,
+            links,
+            lamp_links,
+            inexact_links: refused,
+            rays,
+            iterations,
+            bytes,
+            residual,
+        } = *statistics;
         let counts = [elements, leaves, links, lamp_links, refused, rays, iterations, bytes];
         counts.iter().for_each(|count| out.extend(count.to_le_bytes()));
         out.extend(residual.to_bits().to_le_bytes());
@@ -232,7 +241,7 @@ impl Field {
             leaves: front.read_u64()?,
             links: front.read_u64()?,
             lamp_links: front.read_u64()?,
-            refused: front.read_u64()?,
+            inexact_links: front.read_u64()?,
             rays: front.read_u64()?,
             iterations: front.read_u64()?,
             bytes: front.read_u64()?,
@@ -575,7 +584,7 @@ mod tests {
         leaves: 2,
         links: u64::MAX,
         lamp_links: 4,
-        refused: 5,
+        inexact_links: 5,
         rays: 6,
         iterations: 7,
         bytes: 8,

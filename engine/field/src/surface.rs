@@ -55,7 +55,7 @@ pub struct SurfaceSpot {
 
 impl Surface {
     /// Returns the point with these parameters.
-    pub fn at(&self, parameters: Vec2) -> SurfaceSpot {
+    pub fn point_at(&self, parameters: Vec2) -> SurfaceSpot {
         let (position, size, normal) = match &self.form {
             Form::Triangle([origin, a, b]) | Form::Parallelogram([origin, a, b]) => {
                 (*origin + *a * parameters.x + *b * parameters.y, origin.abs() + a.abs() + b.abs(), cross(*a, *b))

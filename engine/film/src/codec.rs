@@ -16,7 +16,7 @@
 //! and compress to nothing. The checksum is verified before anything is allocated. The header determines the size of the plain
 //! sums, so a wrong length is refused.
 
-use crate::thumbnail::BLOCK;
+use crate::thumbnail::THUMBNAIL_BLOCK_EDGE;
 use crate::tile::{HALVES, MAX_TILE_PIXELS, PixelSums};
 use crate::{BadKind, BadSample, BadSamples, FilmError, Rect, SampleRange, Tile, Tiling};
 use femc_math::sampler::REPLICATES;
@@ -53,7 +53,7 @@ impl Tile {
 
     /// Decodes a thumbnail; damage of any kind is an error.
     pub fn decode_thumbnail(bytes: &[u8]) -> Result<Self, FilmError> {
-        Self::decode_as(THUMBNAIL_MAGIC, BLOCK * BLOCK, bytes)
+        Self::decode_as(THUMBNAIL_MAGIC, THUMBNAIL_BLOCK_EDGE * THUMBNAIL_BLOCK_EDGE, bytes)
     }
 
     fn encode_as(&self, magic: &[u8; 8]) -> Vec<u8> {
@@ -65,7 +65,7 @@ impl Tile {
         self.ranges.iter().flat_map(|range| [range.start, range.end]).for_each(&mut word);
         self.ends.into_iter().chain(to_words(self.rays)).for_each(&mut word);
         put_bad_samples(&self.bad, word);
-        finish(out, &to_planes(&self.pixels, to_bytes))
+        compress_and_seal(out, &to_planes(&self.pixels, to_bytes))
     }
 
     /// Decodes a tile or a thumbnail.
@@ -114,7 +114,7 @@ pub(crate) fn put_bad_samples(bad: &BadSamples, mut word: impl FnMut(u32)) {
 }
 
 /// Appends the compressed byte planes to the header, and fills in the checksum.
-pub(crate) fn finish(mut out: Vec<u8>, planes: &[u8]) -> Vec<u8> {
+pub(crate) fn compress_and_seal(mut out: Vec<u8>, planes: &[u8]) -> Vec<u8> {
     // Compression into a growing buffer in memory cannot fail. If it does, the result does not decode.
     out.extend(zstd::bulk::compress(planes, COMPRESSION_LEVEL).unwrap_or_default());
     seal(out)

@@ -12,7 +12,7 @@ use crate::{FrameImage, Rect};
 use femc_math::color::LUMINANCE_WEIGHTS;
 
 /// Edge of a block, pixels.
-pub const BLOCK: u32 = 16;
+pub const BLOCK_EDGE: u32 = 16;
 /// Half width of a 95 % interval in standard errors, for a normal distribution with known variance.
 pub(crate) const Z_95: f64 = 1.959_963_984_540_054;
 /// Fraction of the image's mean luminance below which blocks are measured relative to this luminance instead of their own.
@@ -46,7 +46,7 @@ impl Block {
 
     /// Returns the half width of the 95 % confidence interval of the mean luminance, relative to that mean or to `floor`, whichever
     /// is larger; `None`: the block is unlit.
-    pub fn relative(&self, floor: f64) -> Option<f64> {
+    pub fn relative_error(&self, floor: f64) -> Option<f64> {
         let n = self.rect.area() as f64;
         let half_width = || student_95(self.freedom) * self.variance.sqrt() / n;
         if self.variance.is_infinite() {
@@ -84,14 +84,14 @@ pub fn student_95(freedom: f64) -> f64 {
 pub(crate) fn blocks(area: Rect) -> impl Iterator<Item = Rect> {
     let Rect { x, y, width, height } = area;
     let across = move |down: u32| {
-        (0..width).step_by(BLOCK as usize).map(move |right| Rect {
+        (0..width).step_by(BLOCK_EDGE as usize).map(move |right| Rect {
             x: x + right,
             y: y + down,
-            width: BLOCK.min(width - right),
-            height: BLOCK.min(height - down),
+            width: BLOCK_EDGE.min(width - right),
+            height: BLOCK_EDGE.min(height - down),
         })
     };
-    (0..height).step_by(BLOCK as usize).flat_map(across)
+    (0..height).step_by(BLOCK_EDGE as usize).flat_map(across)
 }
 
 /// Computes the Rec.709 luminance, cd/m2.
@@ -130,7 +130,7 @@ impl FrameError {
         blocks.sort_unstable_by_key(|block| (block.rect.y, block.rect.x));
         let pixels: u64 = blocks.iter().map(|block| block.rect.area()).sum();
         let floor = FLOOR * blocks.iter().map(|block| block.sum).sum::<f64>() / pixels.max(1) as f64;
-        let error = |block: &Block| BlockError { rect: block.rect, relative: block.relative(floor) };
+        let error = |block: &Block| BlockError { rect: block.rect, relative: block.relative_error(floor) };
         let blocks: Vec<BlockError> = blocks.iter().map(error).collect();
         let lit = || blocks.iter().filter_map(|block| block.relative);
         let worst = lit().fold(0.0, f64::max);

@@ -23,7 +23,7 @@
 //!
 //! [`FrameImage::error`]: crate::FrameImage::error
 
-use crate::codec::{finish, read_header, start_header, to_planes, to_words};
+use crate::codec::{compress_and_seal, read_header, start_header, to_planes, to_words};
 use crate::convergence::{Z_95, blocks};
 use crate::piece::complete_tile;
 use crate::tile::{HALVES, HalfEnds, MAX_TILE_PIXELS};
@@ -83,12 +83,12 @@ impl HalfBlock {
                 continue;
             };
             let one = 0.25 * (a - b).powi(2);
-            let drawn: u32 =
+            let sample_count: u32 =
                 crate::tile::replicates_of(half).iter().map(|&replicate| sums.replicate_counts[replicate]).sum();
             sum += 0.5 * (a + b);
             variance += one;
             squares += one * one;
-            unseen = f64::max(unseen, f64::from(sums.peak[half]) / f64::from(drawn));
+            unseen = f64::max(unseen, f64::from(sums.peak[half]) / f64::from(sample_count));
         }
         // The square of the difference of two normal numbers has variance 2 V^2, and the mean of its square is 3 V^2.
         let bound = variance + Z_95_ONE_SIDED * (2.0 / 3.0 * squares).sqrt();
@@ -98,7 +98,7 @@ impl HalfBlock {
     /// Returns the error of this block in an image of two such halves: half width of a 95 % interval of the mean luminance,
     /// relative to that mean or to `floor`, cd/m2, whichever is larger. `None`: no sample received light.
     /// - `area`: pixels of the block.
-    pub fn relative(&self, area: u64, floor: f64) -> Option<f64> {
+    pub fn relative_error(&self, area: u64, floor: f64) -> Option<f64> {
         let n = area as f64;
         let half_width = Z_95 * (0.5 * self.bound).sqrt() / n;
         (self.sum > 0.0 || self.bound > 0.0).then(|| half_width / (self.sum / n).max(floor))
@@ -125,10 +125,10 @@ impl TileBlock {
 }
 
 impl TileErrors {
-    /// Returns the largest error of a block in one half of the samples ([`HalfBlock::relative`]); a block without light has the
-    /// error `unlit`.
-    pub fn worst(&self, half: usize, floor: f64, unlit: f64) -> f64 {
-        let error = |it: &TileBlock| it.halves[half].relative(it.block.rect.area(), floor).unwrap_or(unlit);
+    /// Returns the largest error of a block in one half of the samples ([`HalfBlock::relative_error`]); a block without light has
+    /// the error `unlit`.
+    pub fn worst_error(&self, half: usize, floor: f64, unlit: f64) -> f64 {
+        let error = |it: &TileBlock| it.halves[half].relative_error(it.block.rect.area(), floor).unwrap_or(unlit);
         self.blocks.iter().map(error).fold(0.0, f64::max)
     }
 }
@@ -151,7 +151,7 @@ impl ErrorStatistics {
         let measure = |index: usize| {
             let (tile, samples) = complete_tile(frame, index)?;
             let blocks = blocks(tile.rect()).map(|rect| TileBlock::from_tile(tile, rect)).collect();
-            Ok(TileErrors { samples, bad: tile.bad().total(), rays: tile.rays(), ends: tile.ends(), blocks })
+            Ok(TileErrors { samples, bad: tile.bad_samples().total(), rays: tile.rays(), ends: tile.ends(), blocks })
         };
         let (tiling, first) = (frame.tiling(), tiles.start);
         Ok(Self { tiling, first, tiles: tiles.map(measure).collect::<Result<_, FilmError>>()? })
@@ -188,7 +188,7 @@ impl ErrorStatistics {
             [tile.samples.start, tile.samples.end].into_iter().chain(counts).chain(tile.ends).for_each(&mut word);
         }
         let blocks: Vec<TileBlock> = self.tiles.iter().flat_map(|tile| &tile.blocks).copied().collect();
-        finish(out, &to_planes(&blocks, |block| block.to_bytes()))
+        compress_and_seal(out, &to_planes(&blocks, |block| block.to_bytes()))
     }
 
     /// Decodes errors; damage of any kind is an error.

@@ -55,9 +55,9 @@ impl Frame {
     }
 
     /// Returns the account of all samples that were left out.
-    pub fn bad(&self) -> BadSamples {
+    pub fn bad_samples(&self) -> BadSamples {
         let mut all = BadSamples::default();
-        self.tiles.iter().flatten().for_each(|tile| all.merge(tile.bad()));
+        self.tiles.iter().flatten().for_each(|tile| all.merge(tile.bad_samples()));
         all
     }
 

@@ -19,7 +19,7 @@
 //! | 8 each | pixels: for each tile, its first sample and one past the last |
 //! | rest | zstd frame, in byte planes. Sums: the counts, then the sets, each row by row. Pixels: the layers, tile by tile |
 
-use crate::codec::{finish, from_planes, read_header, start_header, to_planes};
+use crate::codec::{compress_and_seal, from_planes, read_header, start_header, to_planes};
 use crate::piece::{half_weights, variance_factor};
 use crate::tile::{HALVES, HalfEnds, MAX_TILE_PIXELS, NONE_HELD};
 use crate::{FilmError, Rect, SampleRange, Tiling};
@@ -244,7 +244,7 @@ impl LayerTile {
         self.light.iter().for_each(|one| out.extend_from_slice(&one.layers.to_le_bytes()));
         let mut planes = to_planes(&self.counts, |counts| counts_to_bytes(*counts));
         self.light.iter().for_each(|one| planes.extend(to_planes(&one.sums, |sums| sums.to_bytes())));
-        finish(out, &planes)
+        compress_and_seal(out, &planes)
     }
 
     /// Decodes layers; damage of any kind is an error.
@@ -381,7 +381,7 @@ impl LayerPiece {
         let mut out = header_with_words(PIXELS_MAGIC, PIXELS_VERSION, [self.layers, width, height, edge, start, end]);
         let bounds = self.samples.iter().flat_map(|range| [range.start, range.end]);
         bounds.for_each(|word| out.extend_from_slice(&word.to_le_bytes()));
-        finish(out, &to_planes(&self.pixels, |pixel| pixel.to_bytes()))
+        compress_and_seal(out, &to_planes(&self.pixels, |pixel| pixel.to_bytes()))
     }
 
     /// Decodes tiles; damage of any kind is an error.

@@ -139,8 +139,8 @@ pub const NEARLY_SQUARE: u32 = 0;
 /// Returns the width of each of `count` frames' pictures on a contact sheet, pixels. It is 320, or less for several hundred frames,
 /// so that the sheet of any clip has at most about 2^25 square pixels.
 pub fn sheet_width(count: u32) -> u32 {
-    const MOST: u32 = 1 << 25;
-    (MOST / count.max(1)).isqrt().clamp(16, 320)
+    const MAX_SHEET_PIXELS: u32 = 1 << 25;
+    (MAX_SHEET_PIXELS / count.max(1)).isqrt().clamp(16, 320)
 }
 
 /// Pixels between and around the pictures of a contact sheet.

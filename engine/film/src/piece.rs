@@ -13,7 +13,7 @@
 //! | | bad samples, as in a tile ([`crate::codec`]) |
 //! | rest | zstd frame of the pixels in the order of the tiles, in byte planes |
 
-use crate::codec::{finish, put_bad_samples, read_header, start_header, to_planes};
+use crate::codec::{compress_and_seal, put_bad_samples, read_header, start_header, to_planes};
 use crate::convergence::luminance;
 use crate::tile::{ALBEDO_FRACTION, HALVES, MAX_TILE_PIXELS, PixelSums};
 use crate::{BadSamples, FilmError, Frame, FrameImage, Image, Rect, SampleRange, Tile, Tiling};
@@ -139,7 +139,7 @@ impl ImagePiece {
         for index in tiles {
             let (tile, samples) = complete_tile(frame, index)?;
             piece.samples.push(samples);
-            piece.bad.merge(tile.bad());
+            piece.bad.merge(tile.bad_samples());
             piece.pixels.extend(tile.pixels().iter().map(|sums| sums.resolve(tile.is_held())));
         }
         Ok(piece)
@@ -161,7 +161,7 @@ impl ImagePiece {
     }
 
     /// Returns the account of the samples that were left out.
-    pub fn bad(&self) -> &BadSamples {
+    pub fn bad_samples(&self) -> &BadSamples {
         &self.bad
     }
 
@@ -173,7 +173,7 @@ impl ImagePiece {
         [width, height, edge, self.tiles.start as u32, self.tiles.end as u32].into_iter().for_each(&mut word);
         self.samples.iter().flat_map(|range| [range.start, range.end]).for_each(&mut word);
         put_bad_samples(&self.bad, word);
-        finish(out, &to_planes(&self.pixels, |pixel| pixel.to_bytes()))
+        compress_and_seal(out, &to_planes(&self.pixels, |pixel| pixel.to_bytes()))
     }
 
     /// Decodes a piece; damage of any kind is an error.

@@ -10,7 +10,7 @@
 //! | 4 + 4 x 8 | the first sample that counts; seconds until this decision, a double, and rays until then; seconds and rays of the pilot |
 //! | rest | zstd frame of the ends, 2 x 4 bytes per tile, and the shares, a double per tile, in byte planes |
 
-use crate::codec::{finish, read_header, start_header, to_planes, to_words};
+use crate::codec::{compress_and_seal, read_header, start_header, to_planes, to_words};
 use crate::convergence::FLOOR;
 use crate::tile::{HALVES, HalfEnds, NONE_HELD};
 use crate::{FilmError, TileErrors};
@@ -70,7 +70,7 @@ impl SamplingState {
         let share = |tile: usize| shares.get(tile).copied().unwrap_or(0.0);
         let tiles: Vec<(HalfEnds, f64)> =
             self.ends.iter().enumerate().map(|(tile, ends)| (*ends, share(tile))).collect();
-        finish(out, &to_planes(&tiles, to_bytes))
+        compress_and_seal(out, &to_planes(&tiles, to_bytes))
     }
 
     /// Decodes stops; damage of any kind is an error.

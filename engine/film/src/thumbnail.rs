@@ -11,31 +11,32 @@
 //! | 16 | BLAKE3 of everything after this field, first half |
 //! | rest | zstd frame of the counts, 8 bytes each, in byte planes |
 
-use crate::codec::{finish, read_header, start_header, to_planes};
+use crate::codec::{compress_and_seal, read_header, start_header, to_planes};
 use crate::tile::PixelSums;
 use crate::{FilmError, Frame, Image, Rect, Tile, Tiling};
 use femc_math::elementary::double;
 
 /// Edge of a thumbnail's block, pixels.
-pub const BLOCK: u32 = 8;
+pub const THUMBNAIL_BLOCK_EDGE: u32 = 8;
 
 impl Tile {
-    /// Returns the tile's sums in blocks of [`BLOCK`] x [`BLOCK`] pixels of the film: a tile of a smaller film. Bad samples are in
-    /// the sums of neither tile. The thumbnail of a merge is the merge of the thumbnails (test
+    /// Returns the tile's sums in blocks of [`THUMBNAIL_BLOCK_EDGE`] x [`THUMBNAIL_BLOCK_EDGE`] pixels of the film: a tile of a
+    /// smaller film. Bad samples are in the sums of neither tile. The thumbnail of a merge is the merge of the thumbnails (test
     /// `part_thumbnails_of_a_tile_sum_to_its_own_for_any_cut`).
     /// - the tile must begin at whole blocks, like those of a tiling that has [`Tiling::thumbnail_tiling`].
     pub fn thumbnail(&self) -> Self {
         let Rect { x, y, width, height } = self.rect;
-        let (left, top) = (x / BLOCK, y / BLOCK);
+        let (left, top) = (x / THUMBNAIL_BLOCK_EDGE, y / THUMBNAIL_BLOCK_EDGE);
         let rect = Rect {
             x: left,
             y: top,
-            width: (x + width).div_ceil(BLOCK) - left,
-            height: (y + height).div_ceil(BLOCK) - top,
+            width: (x + width).div_ceil(THUMBNAIL_BLOCK_EDGE) - left,
+            height: (y + height).div_ceil(THUMBNAIL_BLOCK_EDGE) - top,
         };
         let mut pixels = vec![PixelSums::default(); rect.area() as usize];
         for ((x, y), sums) in self.rect.pixels().zip(&self.pixels) {
-            pixels[((y / BLOCK - top) * rect.width + (x / BLOCK - left)) as usize].merge(sums);
+            pixels[((y / THUMBNAIL_BLOCK_EDGE - top) * rect.width + (x / THUMBNAIL_BLOCK_EDGE - left)) as usize]
+                .merge(sums);
         }
         Self { rect, ranges: self.ranges.clone(), ends: self.ends, pixels, bad: crate::BadSamples::default(), rays: 0 }
     }
@@ -45,8 +46,12 @@ impl Tiling {
     /// Returns the tiling of the small film by the thumbnails of the tiles; `None`: the tile width is not a whole number of blocks.
     pub fn thumbnail_tiling(self) -> Option<Self> {
         let Self { width, height, edge } = self;
-        let small = Self { width: width.div_ceil(BLOCK), height: height.div_ceil(BLOCK), edge: edge / BLOCK };
-        edge.is_multiple_of(BLOCK).then_some(small)
+        let small = Self {
+            width: width.div_ceil(THUMBNAIL_BLOCK_EDGE),
+            height: height.div_ceil(THUMBNAIL_BLOCK_EDGE),
+            edge: edge / THUMBNAIL_BLOCK_EDGE,
+        };
+        edge.is_multiple_of(THUMBNAIL_BLOCK_EDGE).then_some(small)
     }
 }
 
@@ -81,7 +86,7 @@ impl LuminanceLevels {
     /// Counts the blocks of a finished image, for callers without thumbnails. The image's pixels are rounded, so a block may count
     /// in a bin next to that of its thumbnail.
     pub fn from_image(image: &Image) -> Self {
-        let (small, mut levels) = (image.shrunk_by(BLOCK), Self::default());
+        let (small, mut levels) = (image.shrunk_by(THUMBNAIL_BLOCK_EDGE), Self::default());
         (0..small.pixels.len()).for_each(|at| levels.counts[Self::bin(small.luminance(at).into())] += 1);
         levels
     }
@@ -114,7 +119,10 @@ impl LuminanceLevels {
 
     /// Encodes the levels. Equal counts give equal bytes.
     pub fn encode(&self) -> Vec<u8> {
-        finish(start_header(Self::MAGIC, Self::VERSION), &to_planes(&self.counts, |count| count.to_le_bytes()))
+        compress_and_seal(
+            start_header(Self::MAGIC, Self::VERSION),
+            &to_planes(&self.counts, |count| count.to_le_bytes()),
+        )
     }
 
     /// Decodes levels; damage of any kind is an error.

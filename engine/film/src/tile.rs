@@ -252,7 +252,7 @@ impl Tile {
     /// Holds the samples of each half from `ends` on. A half that is already held from an earlier sample on does not change.
     /// - errors: a sum has samples before and after an end. The tile does not change.
     pub fn hold(&mut self, ends: HalfEnds) -> Result<(), FilmError> {
-        let ends = earlier(self.ends, ends);
+        let ends = earlier_ends(self.ends, ends);
         let is_new = |half: usize| ends[half] < self.ends[half];
         let mut held = [false; HALVES];
         for half in (0..HALVES).filter(|&half| is_new(half)) {
@@ -274,7 +274,7 @@ impl Tile {
     }
 
     /// Returns the account of the samples that were left out.
-    pub fn bad(&self) -> &BadSamples {
+    pub fn bad_samples(&self) -> &BadSamples {
         &self.bad
     }
 
@@ -341,7 +341,7 @@ impl Tile {
                 return Err(FilmError::Overlap { rect: self.rect, old, new });
             }
         }
-        let ends = earlier(self.ends, other.ends);
+        let ends = earlier_ends(self.ends, other.ends);
         let mut other = std::borrow::Cow::Borrowed(other);
         if other.ends != ends {
             other.to_mut().hold(ends)?;
@@ -357,7 +357,7 @@ impl Tile {
 }
 
 /// Returns the earlier end of each half.
-fn earlier(a: HalfEnds, b: HalfEnds) -> HalfEnds {
+fn earlier_ends(a: HalfEnds, b: HalfEnds) -> HalfEnds {
     std::array::from_fn(|half| a[half].min(b[half]))
 }
 

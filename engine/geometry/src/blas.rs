@@ -93,7 +93,7 @@ impl Blas {
             }
         }
         for (index, input) in shapes.iter().enumerate() {
-            if input.shape.is_proper() {
+            if input.shape.is_valid() {
                 boxes.push(input.shape.bounds());
                 primitives.push((triangles.len() + index) as u32);
             }

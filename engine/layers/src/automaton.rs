@@ -217,12 +217,12 @@ struct Subsets {
 }
 
 impl Subsets {
-    /// Builds the automaton; `None`: it needs more than `most` states.
+    /// Builds the automaton; `None`: it needs more than `max_states` states.
     fn from_positions(
         positions: &Positions<'_>,
         vocabulary: &Vocabulary,
         sets: &[LabelSet],
-        most: usize,
+        max_states: usize,
     ) -> Option<Self> {
         let fits = |kind: EventKind, set: LabelSet| -> Vec<bool> {
             let has = |label: &str| vocabulary.contains(set, label);
@@ -257,7 +257,7 @@ impl Subsets {
             for fits in &fitting {
                 next.push(number(step(&state, fits), &mut queue));
             }
-            if accepts.len() + queue.len() > most {
+            if accepts.len() + queue.len() > max_states {
                 return None;
             }
         }

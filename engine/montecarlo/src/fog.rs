@@ -9,7 +9,7 @@
 use crate::dimensions as dim;
 use crate::path::{TracerCounters, square};
 use crate::shadow::ShadowTester;
-use crate::technique::{Technique, mis_weight};
+use crate::technique::{MisTechnique, mis_weight};
 use femc_emission::{DeltaKind, DirectionContext, LightWeights, SegmentContext};
 use femc_math::glam::Vec3A;
 use femc_math::{Rgb, SampleStream};
@@ -51,7 +51,7 @@ pub struct FoggyRay {
     pub media: MediaRay,
     /// Scattering stretch of the segment, as context for the choice of a light. `None`: nothing scatters.
     light_context: Option<SegmentContext>,
-    choice: LightWeights,
+    light_weights: LightWeights,
 }
 
 /// A scattering event of the path, with the data for the weights of lights that are hit later.
@@ -92,7 +92,7 @@ impl FoggyRay {
     /// Returns the density, 1/m, with which way 1 chooses `light` and samples the distance of `event` on this ray.
     pub fn airlight_pdf(&self, scene: &Prepared, light: u32, time: f32, event: &ScatterEvent) -> f32 {
         let Some(light_context) = &self.light_context else { return 0.0 };
-        let chosen = scene.lights.probability(&self.choice, light_context, light);
+        let chosen = scene.lights.probability(&self.light_weights, light_context, light);
         if chosen <= 0.0 {
             return 0.0;
         }
@@ -109,8 +109,12 @@ fn airlight_distances(
     light: u32,
     time: f32,
 ) -> Option<SingleScatterSampler> {
-    let stretch =
-        MediumSegment { light_context, media: &scene.media, ray: &ray.media, least_distance: scene.least_distance };
+    let stretch = MediumSegment {
+        light_context,
+        media: &scene.media,
+        ray: &ray.media,
+        min_light_distance: scene.min_light_distance,
+    };
     SingleScatterSampler::new(&scene.lights, &scene.world, &stretch, light, time)
 }
 
@@ -127,7 +131,7 @@ pub struct FogSampler<'a, 's> {
     /// Counters of the work.
     pub counters: &'a mut TracerCounters,
     /// Only technique that counts, if set.
-    pub only: Option<Technique>,
+    pub single_technique: Option<MisTechnique>,
 }
 
 impl FogSampler<'_, '_> {
@@ -162,7 +166,7 @@ impl FogSampler<'_, '_> {
         let fog = scene.media.mean_properties(&self.ray.media, range);
         let angles = if segment.bounce == 0 { ANGLES_FROM_CAMERA } else { ANGLES };
         let light_context = scene.lights.segment_context(segment.origin, segment.dir, range, fog, angles);
-        scene.lights.weigh(&light_context, &mut self.ray.choice);
+        scene.lights.weigh(&light_context, &mut self.ray.light_weights);
         self.ray.light_context = Some(light_context);
     }
 
@@ -172,7 +176,7 @@ impl FogSampler<'_, '_> {
         let light_context = self.ray.light_context?;
         stream.seek(segment.base + dim::AIRLIGHT_LIGHT);
         let choice = dim::uniform_48(stream.next_2d());
-        let (light, probability) = scene.lights.choose(&self.ray.choice, &light_context, choice)?;
+        let (light, probability) = scene.lights.choose(&self.ray.light_weights, &light_context, choice)?;
         let distances = airlight_distances(scene, self.ray, &light_context, light, segment.time)?;
         stream.seek(segment.base + dim::AIRLIGHT);
         let u = stream.next_1d();
@@ -189,7 +193,7 @@ impl FogSampler<'_, '_> {
         let (phase, phase_pdf) = scene.media.phase(&self.ray.media, &event, -segment.dir, sample.dir);
         let pdf = density * probability * sample.pdf;
         let by_scattering = if sample.delta == DeltaKind::Position { 0.0 } else { square(event.pdf * phase_pdf / pdf) };
-        let weight = mis_weight(self.only, Technique::Light, by_scattering);
+        let weight = mis_weight(self.single_technique, MisTechnique::Light, by_scattering);
         if weight <= 0.0 {
             return Some(nothing);
         }
@@ -203,12 +207,12 @@ impl FogSampler<'_, '_> {
     }
 
     /// Returns the medium of an event on the segment. Among several media it is the one that scatters most there.
-    pub fn medium_of(&self, event: &ScatterEvent) -> u16 {
+    pub fn dominant_medium(&self, event: &ScatterEvent) -> u16 {
         self.scene.media.dominant_medium(&self.ray.media, event)
     }
 
     /// Returns the first emitting medium on the segment.
-    pub fn glowing_medium(&self) -> u16 {
+    pub fn emitting_medium(&self) -> u16 {
         self.scene.media.emitting_medium(&self.ray.media)
     }
 

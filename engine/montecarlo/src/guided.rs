@@ -31,7 +31,7 @@ pub struct GuidedSample {
     /// Ratio of the density actually used to that of the BSDF alone.
     pub pdf_ratio: f32,
     /// Whether the guide sampled the direction.
-    pub by_guide: bool,
+    pub is_guide_sample: bool,
 }
 
 impl<'a> DirectionSampler<'a> {
@@ -80,7 +80,7 @@ impl<'a> DirectionSampler<'a> {
     pub fn sample(&self, u: [f32; 2], choice: f32) -> Option<GuidedSample> {
         let Some((directions, share)) = &self.guide else {
             let sample = self.bsdf.sample(self.wo, u, choice)?;
-            return Some(GuidedSample { sample, pdf_ratio: 1.0, by_guide: false });
+            return Some(GuidedSample { sample, pdf_ratio: 1.0, is_guide_sample: false });
         };
         let by_guide = u[0] < *share;
         let mut sample = if by_guide {
@@ -95,7 +95,7 @@ impl<'a> DirectionSampler<'a> {
         if sample.lobe == LobeKind::Delta {
             sample.weight /= 1.0 - share;
             sample.pdf *= 1.0 - share;
-            return Some(GuidedSample { sample, pdf_ratio: 1.0 - share, by_guide });
+            return Some(GuidedSample { sample, pdf_ratio: 1.0 - share, is_guide_sample: by_guide });
         }
         let value = self.bsdf.eval(self.wo, sample.wi);
         if value == Rgb::ZERO {
@@ -107,6 +107,6 @@ impl<'a> DirectionSampler<'a> {
         sample.weight = value / sample.pdf;
         // The BSDF can sample everything that it scatters, so its density is 0 only by rounding.
         let pdf_ratio = sample.pdf / by_bsdf.max(1e-6 * sample.pdf);
-        Some(GuidedSample { sample, pdf_ratio, by_guide })
+        Some(GuidedSample { sample, pdf_ratio, is_guide_sample: by_guide })
     }
 }

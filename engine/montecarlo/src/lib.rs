@@ -17,4 +17,4 @@ mod technique;
 pub use first_hit::{FirstSurface, first_surface};
 pub use path::{PathSample, PathSettings, PixelFilter, Tracer, TracerCounters};
 pub use record::{Recorder, Recording};
-pub use technique::Technique;
+pub use technique::MisTechnique;

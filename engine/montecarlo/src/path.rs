@@ -8,7 +8,7 @@ use crate::record::{
     VertexLocation,
 };
 use crate::shadow::ShadowTester;
-use crate::technique::{Technique, mis_weight};
+use crate::technique::{MisTechnique, mis_weight};
 use femc_emission::{BsdfLobes, DeltaKind, LightWeights, PointContext};
 use femc_field::{Field, Side};
 use femc_geometry::{Ray, offset_origin, shadow_segment};
@@ -50,7 +50,7 @@ pub struct PathSettings {
     /// Maximum path length in segments (1: directly visible light only); 0: unlimited.
     pub max_depth: u32,
     /// Only technique to use where there are several, for tests. `None`: all techniques, combined.
-    pub only: Option<Technique>,
+    pub single_technique: Option<MisTechnique>,
 }
 
 /// Work done by a tracer.
@@ -125,9 +125,9 @@ enum SegmentOrigin {
 
 /// Calls the recorder with an event of the path, if the recorder receives all events of this sample ([`RecordLevel::All`]).
 macro_rules! record {
-    ($tracer:ident.$what:ident($($about:tt)*)) => {
+    ($tracer:ident.$event:ident($($arguments:tt)*)) => {
         if RECORD_ALL {
-            $tracer.recorder.$what($($about)*);
+            $tracer.recorder.$event($($arguments)*);
         }
     };
 }
@@ -185,7 +185,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
     pub fn with_field(mut self, field: &'a Field) -> Self {
         self.field = Some(field);
         // Light of sources must be sampled: where the path ends, nothing else could find it.
-        self.settings.only = Some(Technique::Light);
+        self.settings.single_technique = Some(MisTechnique::Light);
         self
     }
 
@@ -281,7 +281,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
             return Rgb::ZERO;
         }
         let pdf = CAMERA_NEXT_EVENTS as f32 * choice.probability * pdf;
-        let weight = mis_weight(self.settings.only, Technique::Light, square(density / pdf));
+        let weight = mis_weight(self.settings.single_technique, MisTechnique::Light, square(density / pdf));
         let from = (view.origin, Vec3A::ZERO, Vec3A::ZERO);
         let counters = &mut self.counters;
         let visibility = if scene.media.is_empty() {
@@ -339,29 +339,29 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                     direction_weights: &mut self.direction_weights,
                     shadow: &mut self.shadow,
                     counters: &mut self.counters,
-                    only: self.settings.only,
+                    single_technique: self.settings.single_technique,
                 };
                 let (origin, dir, time) = (ray.origin, ray.dir, ray.time);
-                let stretch = Segment { origin, dir, time, medium_stack: &medium_stack, bounce: segment, base };
-                let color = throughput * fog.glow(&stretch, &mut stream);
+                let fog_segment = Segment { origin, dir, time, medium_stack: &medium_stack, bounce: segment, base };
+                let color = throughput * fog.glow(&fog_segment, &mut stream);
                 out.color += color;
                 if color != Rgb::ZERO {
                     record!(self.contribution(|| Contribution {
                         color,
                         throughput,
                         bounce: segment,
-                        technique: LightTechnique::Glow(fog.glowing_medium()),
+                        technique: LightTechnique::Glow(fog.emitting_medium()),
                         light: None,
                         position: ray.origin,
                     }));
                 }
                 if may_scatter {
-                    fog.weigh_lights(&stretch);
-                    if let Some(scattered) = fog.sample_airlight(&stretch, &mut stream) {
+                    fog.weigh_lights(&fog_segment);
+                    if let Some(scattered) = fog.sample_airlight(&fog_segment, &mut stream) {
                         if RECORD_ALL
                             && R::WANTS_OCCLUDERS
                             && scattered.color == Rgb::ZERO
-                            && let Some(shadow) = airlight_shadow_ray(scene, &stretch, &scattered, &mut stream)
+                            && let Some(shadow) = airlight_shadow_ray(scene, &fog_segment, &scattered, &mut stream)
                         {
                             record!(self.occluded(|| shadow));
                         }
@@ -372,14 +372,14 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                                 color,
                                 throughput,
                                 bounce: segment,
-                                technique: LightTechnique::Airlight(fog.medium_of(&scattered.event)),
+                                technique: LightTechnique::Airlight(fog.dominant_medium(&scattered.event)),
                                 light: Some(scattered.light),
                                 position: ray.origin + ray.dir * scattered.event.t,
                             }));
                         }
                     }
                 }
-                match fog.sample_collision(&stretch, &mut stream) {
+                match fog.sample_collision(&fog_segment, &mut stream) {
                     Ok(collision) => {
                         first = false;
                         if !may_scatter {
@@ -390,7 +390,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                         let position = collision.position;
                         vertices += 1;
                         record!(self.vertex(|| Vertex {
-                            location: VertexLocation::Medium(fog.medium_of(&collision.event)),
+                            location: VertexLocation::Medium(fog.dominant_medium(&collision.event)),
                             position,
                             bounce: segment,
                             throughput,
@@ -402,14 +402,14 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                             self.recorder.terminate(vertices, Termination::Field, throughput);
                             break;
                         }
-                        let Some(new) = fog.sample_direction(&stretch, &collision, &mut stream) else {
+                        let Some(new) = fog.sample_direction(&fog_segment, &collision, &mut stream) else {
                             self.recorder.terminate(vertices, Termination::Absorbed, throughput);
                             break;
                         };
                         record!(self.leave(Continuation::Scattered {
                             pdf: new.pdf,
                             scatterer: Scatterer::Phase,
-                            by_guide: false
+                            is_guide_sample: false
                         }));
                         throughput *= new.weight;
                         std::mem::swap(&mut self.fog, &mut self.fog_before);
@@ -548,7 +548,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
             stream.seek(base + dim::LOBE);
             let choice = stream.next_1d();
             stream.seek(base + dim::DIRECTION);
-            let Some(GuidedSample { sample: scattered, pdf_ratio, by_guide }) =
+            let Some(GuidedSample { sample: scattered, pdf_ratio, is_guide_sample: by_guide }) =
                 scattering.sample(stream.next_2d(), choice)
             else {
                 self.recorder.terminate(
@@ -590,7 +590,11 @@ impl<'a, R: Recorder> Tracer<'a, R> {
             } else {
                 let scatterer = if scattered.lobe == LobeKind::Glossy { Scatterer::Glossy } else { Scatterer::Diffuse };
                 record!(self.lobe_split(|| LobeSplit::new(&bsdf, wo, scattered.wi)));
-                record!(self.leave(Continuation::Scattered { pdf: scattered.pdf, scatterer, by_guide }));
+                record!(self.leave(Continuation::Scattered {
+                    pdf: scattered.pdf,
+                    scatterer,
+                    is_guide_sample: by_guide
+                }));
                 SegmentOrigin::Surface { light_context, pdf: scattered.pdf }
             };
             previous = PreviousVertex { position: point.position, origin: segment_origin };
@@ -648,7 +652,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                 square(light_pdf() * distance / (phase_pdf * collision.event.pdf))
             }
         };
-        radiance * mis_weight(self.settings.only, Technique::Scatter, others)
+        radiance * mis_weight(self.settings.single_technique, MisTechnique::Scatter, others)
     }
 
     /// Computes direct light on a surface by sampling a light.
@@ -684,7 +688,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
         }
         let by_scattering =
             if light.delta == DeltaKind::Position { 0.0 } else { square(scattering.pdf(wi, light.dir) / light.pdf) };
-        let weight = mis_weight(self.settings.only, Technique::Light, by_scattering);
+        let weight = mis_weight(self.settings.single_technique, MisTechnique::Light, by_scattering);
         let contribution = value * light.radiance * (weight / light.pdf);
         let mut medium_stack = *medium_stack;
         if MEDIA && (point.normal.dot(light.dir) > 0.0) == back {
@@ -706,13 +710,13 @@ impl<'a, R: Recorder> Tracer<'a, R> {
 #[cold]
 fn airlight_shadow_ray(
     scene: &Prepared,
-    stretch: &Segment<'_>,
+    segment: &Segment<'_>,
     scattered: &SingleScatterSample,
     stream: &mut SampleStream,
 ) -> Option<Ray> {
-    let position = stretch.origin + stretch.dir * scattered.event.t;
-    stream.seek(stretch.base + dim::AIRLIGHT_POINT);
-    let (light, time, u) = (scattered.light, stretch.time, stream.next_2d());
+    let position = segment.origin + segment.dir * scattered.event.t;
+    stream.seek(segment.base + dim::AIRLIGHT_POINT);
+    let (light, time, u) = (scattered.light, segment.time, stream.next_2d());
     let point = scene.lights.sample_light(&scene.world, &scene.textures, light, position, time, u)?;
     let lamp = (point.position, point.error, point.normal);
     (point.radiance != Rgb::ZERO).then(|| shadow_segment((position, Vec3A::ZERO, Vec3A::ZERO), lamp, time))
@@ -845,7 +849,7 @@ fn sides_agree(frame: &Frame, point: &ShadingPoint, local: Vec3A, world: Vec3A) 
 /// Updates the media when the path crosses a surface, from the front into the object or back out.
 #[inline]
 pub(crate) fn cross_boundary(medium_stack: &mut MediumStack, material: &KernelMaterial, from_back: bool) {
-    if let Some(medium) = material.inside {
+    if let Some(medium) = material.interior_medium {
         if from_back { medium_stack.remove(medium) } else { medium_stack.push(medium) }
     }
 }

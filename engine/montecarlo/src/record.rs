@@ -142,7 +142,7 @@ pub enum Continuation {
         /// Kind of the scatterer.
         scatterer: Scatterer,
         /// Whether the direction was sampled from the guide of a first pass.
-        by_guide: bool,
+        is_guide_sample: bool,
     },
 }
 

@@ -334,7 +334,7 @@ impl Bottlenecks {
     /// Returns the part of the variance of the throughput at intersection number [`DEEP_PATH_DEPTH`] that lies between the paths
     /// that begin at a part and all other paths: p (1 - p) d^2, where p is the share of paths and d the difference of the means. It
     /// is 0 if the paths of the part have less throughput left.
-    pub fn lengthening(&self, part: &PartStatistics) -> f64 {
+    pub fn deep_throughput_variance(&self, part: &PartStatistics) -> f64 {
         let share = part.first_hits as f64 / self.total.first_hits.max(1) as f64;
         let more = (part.mean_remaining_throughput() - self.without_part(part).mean_remaining_throughput()).max(0.0);
         share * (1.0 - share) * more * more

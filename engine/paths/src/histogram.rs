@@ -1,8 +1,9 @@
 //! Histograms of records: of each attribute in 64 bins, and of each pair of attributes of one table in 64 x 64 bins.
 //!
 //! They are exact over the samples that [`LightStatistics::threshold`] chose: integer counts of the records. Divided by
-//! [`LightStatistics::share`] they estimate the counts of all samples. If the [scope is full](crate::Scope::has_full_histograms), histograms of
-//! single attributes also exist for all samples ([`Histograms::attributes_of_all_samples`]). Each histogram exists twice:
+//! [`LightStatistics::share`] they estimate the counts of all samples. If the [scope is full](crate::Scope::has_full_histograms),
+//! histograms of single attributes also exist for all samples ([`Histograms::attributes_of_all_samples`]). Each histogram exists
+//! twice:
 //!
 //! - by samples: a record counts 1;
 //! - by image: a record counts the part of the image that its sample is, in units of 2^-32 of a pixel

@@ -150,7 +150,7 @@ pub struct PixelMaps {
 }
 
 impl PixelMaps {
-    /// Computes the pixels of statistics, preferably of those that [count](LightStatistics::counted).
+    /// Computes the pixels of statistics, preferably of those that [count](LightStatistics::into_image_samples).
     pub fn from_statistics(statistics: &LightStatistics) -> Self {
         let scope = &statistics.scope;
         let mut sums = vec![[PixelSums::default(); 2]; scope.pixel_count() as usize];

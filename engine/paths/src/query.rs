@@ -130,7 +130,7 @@ pub enum WordField {
     /// `occluder`
     Occluder,
     /// `technique`
-    Found,
+    Technique,
     /// `end`
     End,
 }
@@ -169,10 +169,10 @@ pub enum QueryError {
         words: Vec<&'static str>,
     },
     /// Conditions are nested too deep.
-    #[error("more than {MOST_DEPTH} nested conditions")]
+    #[error("more than {MAX_DEPTH} nested conditions")]
     TooDeep,
     /// The condition is too long.
-    #[error("more than {MOST_TOKENS} words and signs")]
+    #[error("more than {MAX_TOKENS} words and signs")]
     TooLong,
 }
 
@@ -198,9 +198,9 @@ const KNOWN: [&str; 17] = [
 ];
 
 /// Maximum nesting depth of conditions.
-const MOST_DEPTH: usize = 64;
+const MAX_DEPTH: usize = 64;
 /// Maximum number of words and signs of a condition.
-const MOST_TOKENS: usize = 2048;
+const MAX_TOKENS: usize = 2048;
 
 enum Field {
     Number(NumberField),
@@ -232,7 +232,7 @@ fn parse_field(name: &str) -> Option<Field> {
         "interaction" => Some(WordField::Interaction),
         "light" => Some(WordField::Light),
         "occluder" => Some(WordField::Occluder),
-        "found" => Some(WordField::Found),
+        "found" => Some(WordField::Technique),
         "end" => Some(WordField::End),
         _ => None,
     };
@@ -244,7 +244,7 @@ fn known_words(word: WordField) -> Vec<&'static str> {
     match word {
         WordField::Object | WordField::Material | WordField::Light | WordField::Occluder => Vec::new(),
         WordField::Interaction => InteractionKind::ALL.iter().map(|it| it.word()).collect(),
-        WordField::Found => LightTechnique::ALL.iter().map(|it| it.word()).collect(),
+        WordField::Technique => LightTechnique::ALL.iter().map(|it| it.word()).collect(),
         WordField::End => PathEnd::ALL.iter().map(|it| it.word()).collect(),
     }
 }
@@ -295,7 +295,7 @@ fn tokenize(text: &str) -> Result<Vec<Token>, QueryError> {
             _ if is_word(first) => rest.find(|c| !is_word(c)).unwrap_or(rest.len()),
             _ => first.len_utf8(),
         };
-        if all.len() == MOST_TOKENS {
+        if all.len() == MAX_TOKENS {
             return Err(QueryError::TooLong);
         }
         all.push((column, rest[..length].to_owned()));
@@ -346,7 +346,7 @@ impl Parser {
 
     fn term(&mut self) -> Result<Condition, QueryError> {
         self.depth += 1;
-        if self.depth > MOST_DEPTH {
+        if self.depth > MAX_DEPTH {
             return Err(QueryError::TooDeep);
         }
         let condition = if self.accept("not") {
@@ -462,7 +462,7 @@ impl QueryContext<'_> {
             WordField::Interaction => self.intersection().is_some_and(|it| it.interaction.word() == value),
             WordField::Light => self.lights().any(|it| is(it.light)),
             WordField::Occluder => self.lights().any(|it| it.occluder.is_some_and(is)),
-            WordField::Found => self.lights().any(|it| it.technique.word() == value),
+            WordField::Technique => self.lights().any(|it| it.technique.word() == value),
             WordField::End => self.path.end.word() == value,
         }
     }

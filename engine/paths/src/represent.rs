@@ -278,7 +278,7 @@ pub fn best_random_set(candidates: &[PathBins], target: &Target, size: usize, se
 
 /// Returns the indices of the paths in the rarest bins, the rarest first: those with an attribute in a fine bin that few paths are
 /// in.
-pub fn rarest_paths(candidates: &[PathBins], most: usize) -> Vec<u32> {
+pub fn rarest_paths(candidates: &[PathBins], max_paths: usize) -> Vec<u32> {
     let mut counts = [[0u32; crate::schema::FINE_BINS]; AXES];
     for bins in candidates {
         counts.iter_mut().zip(bins).for_each(|(counts, bin)| counts[usize::from(*bin)] += 1);
@@ -286,5 +286,5 @@ pub fn rarest_paths(candidates: &[PathBins], most: usize) -> Vec<u32> {
     let least = |bins: &PathBins| counts.iter().zip(bins).map(|(counts, bin)| counts[usize::from(*bin)]).min();
     let mut all: Vec<(Option<u32>, u32)> = (0..).zip(candidates).map(|(place, bins)| (least(bins), place)).collect();
     all.sort_unstable();
-    all.into_iter().take(most).map(|(_, place)| place).collect()
+    all.into_iter().take(max_paths).map(|(_, place)| place).collect()
 }

@@ -192,7 +192,7 @@ const FOURTHS: [f32; 4] = [1.0, 1.189_207_115_002_721, std::f32::consts::SQRT_2,
 
 /// Returns the number of fourths of an octave that `value` lies above 2^0, rounded down; -504 to -501 for subnormal numbers.
 #[inline]
-fn fourths(value: f32) -> i32 {
+fn quarter_octaves(value: f32) -> i32 {
     let bits = value.to_bits();
     let exponent = (bits >> 23 & 0xff) as i32 - 127;
     let mantissa = f32::from_bits(bits & 0x007f_ffff | 0x3f80_0000);
@@ -204,13 +204,17 @@ fn fourths(value: f32) -> i32 {
 /// Returns the fine bin of a radiance, cd/m2; finite, not negative.
 #[inline]
 pub fn radiance_bin(value: f32) -> u8 {
-    if value > 0.0 { (fourths(value).div_euclid(2) + RADIANCE_BASE).clamp(1, FINE_BINS as i32 - 1) as u8 } else { 0 }
+    if value > 0.0 {
+        (quarter_octaves(value).div_euclid(2) + RADIANCE_BASE).clamp(1, FINE_BINS as i32 - 1) as u8
+    } else {
+        0
+    }
 }
 
 /// Returns the fine bin of a factor; finite, not negative.
 #[inline]
 pub fn throughput_bin(value: f32) -> u8 {
-    if value > 0.0 { (fourths(value) + THROUGHPUT_BASE).clamp(1, FINE_BINS as i32 - 1) as u8 } else { 0 }
+    if value > 0.0 { (quarter_octaves(value) + THROUGHPUT_BASE).clamp(1, FINE_BINS as i32 - 1) as u8 } else { 0 }
 }
 
 /// Bin of a radiance of 1 cd/m2.

@@ -129,7 +129,7 @@ impl PortionKey {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SampleCounters {
     /// Number of invalid samples (not finite, or negative). The film ignores them, and so do all statistics here.
-    pub bad: u64,
+    pub invalid: u64,
     /// Valid samples by the fine bin of their luminance.
     pub luminance: [u64; schema::FINE_BINS],
     /// Valid samples by the fine bin of their depth.
@@ -138,7 +138,8 @@ pub struct SampleCounters {
     pub ends: [u64; ENDS],
     /// Sums of each pixel of the tile, row by row.
     pub pixels: Vec<PixelSums>,
-    /// Histograms of all attributes of all tables, one after the other, if the [scope is full](Scope::has_full_histograms); else empty.
+    /// Histograms of all attributes of all tables, one after the other, if the [scope is full](Scope::has_full_histograms); else
+    /// empty.
     pub bins: BinCounts,
 }
 
@@ -151,7 +152,7 @@ pub(crate) const ENDS: usize = crate::PathEnd::ALL.len();
 impl Default for SampleCounters {
     fn default() -> Self {
         let (luminance, depth) = ([0; schema::FINE_BINS], [0; schema::FINE_BINS]);
-        Self { bad: 0, luminance, depth, ends: [0; ENDS], pixels: Vec::new(), bins: BinCounts::new() }
+        Self { invalid: 0, luminance, depth, ends: [0; ENDS], pixels: Vec::new(), bins: BinCounts::new() }
     }
 }
 
@@ -171,7 +172,7 @@ impl SampleCounters {
 
     /// Returns the number of counted samples, including bad ones.
     pub fn samples(&self) -> u64 {
-        self.bad.saturating_add(sum(&self.ends))
+        self.invalid.saturating_add(sum(&self.ends))
     }
 
     /// Adds the counts of other samples of the same tile.
@@ -233,11 +234,11 @@ impl SampleCounters {
     }
 
     pub(crate) fn words(&self) -> impl Iterator<Item = u64> + '_ {
-        [self.bad].into_iter().chain(self.luminance.iter().chain(&self.depth).chain(&self.ends).copied())
+        [self.invalid].into_iter().chain(self.luminance.iter().chain(&self.depth).chain(&self.ends).copied())
     }
 
     pub(crate) fn words_mut(&mut self) -> impl Iterator<Item = &mut u64> + '_ {
-        [&mut self.bad].into_iter().chain(self.luminance.iter_mut().chain(&mut self.depth).chain(&mut self.ends))
+        [&mut self.invalid].into_iter().chain(self.luminance.iter_mut().chain(&mut self.depth).chain(&mut self.ends))
     }
 }
 
@@ -400,8 +401,8 @@ impl LightStatistics {
         self.names.retain(|name, _| used.contains_key(name));
     }
 
-    /// Keeps the `most` records of greatest `rank` of each portion. Among equal ranks, the record with the lesser hash wins.
-    fn keep_best(&self, records: &mut Records, most: usize, rank: impl Fn(&LightPath) -> Option<f32>) {
+    /// Keeps the `limit` records of greatest `rank` of each portion. Among equal ranks, the record with the lesser hash wins.
+    fn keep_best(&self, records: &mut Records, limit: usize, rank: impl Fn(&LightPath) -> Option<f32>) {
         let mut by_portion = BTreeMap::<PortionKey, Vec<(f32, (u64, PathKey))>>::new();
         for (key, path) in records.iter() {
             if let (Some(rank), Some(portion)) = (rank(path), self.portion_of(key.1)) {
@@ -411,7 +412,7 @@ impl LightStatistics {
         let mut kept = BTreeSet::new();
         for mut ranked in by_portion.into_values() {
             ranked.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
-            kept.extend(ranked.into_iter().take(most).map(|(_, key)| key));
+            kept.extend(ranked.into_iter().take(limit).map(|(_, key)| key));
         }
         records.retain(|key, _| kept.contains(key));
     }

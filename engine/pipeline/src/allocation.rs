@@ -41,8 +41,8 @@ impl SampleAllocation {
 
     /// Checks that a frame can have this allocation.
     pub(crate) fn check(&self) -> Result<(), AllocationError> {
-        let is_some = |&end: &u32| end > self.begin && end <= MAX_SPP;
-        if !self.ends.is_empty() && self.ends.iter().all(is_some) { Ok(()) } else { Err(AllocationError::Samples) }
+        let is_valid_end = |&end: &u32| end > self.begin && end <= MAX_SPP;
+        if !self.ends.is_empty() && self.ends.iter().all(is_valid_end) { Ok(()) } else { Err(AllocationError::Samples) }
     }
 
     /// Checks that the film has the same number of tiles.
@@ -65,14 +65,14 @@ impl SampleAllocation {
     pub(crate) fn verdict(
         &self,
         tiles: &[TileErrors],
-        stops: &mut SamplingState,
+        state: &mut SamplingState,
         has_next_round: bool,
     ) -> RoundVerdict {
         let is_whole = tiles.iter().zip(&self.ends).all(|(tile, &end)| tile.samples.end >= end);
         if is_whole || !has_next_round {
             return RoundVerdict::Done;
         }
-        stops.progress.first_sample = self.begin;
+        state.progress.first_sample = self.begin;
         RoundVerdict::Steps(self.ends.clone())
     }
 }

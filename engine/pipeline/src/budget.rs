@@ -42,27 +42,27 @@ const ROUND_SECONDS: f64 = 2.5e-6;
 pub(crate) fn verdict(
     seconds: f64,
     tiles: &[TileErrors],
-    stops: &mut SamplingState,
+    state: &mut SamplingState,
     elapsed: f64,
     has_next_round: bool,
 ) -> RoundVerdict {
-    let progress = &mut stops.progress;
+    let progress = &mut state.progress;
     let work: u64 = tiles.iter().map(|tile| tile.rays).sum();
-    let drawn = tiles.iter().map(|tile| tile.samples.end).max().unwrap_or(0);
+    let max_spp = tiles.iter().map(|tile| tile.samples.end).max().unwrap_or(0);
     let now = RenderSpeed::estimate(progress, elapsed, work, tiles);
     // After a round its tiles are united. After the last one the image is made, which takes about as long.
     let left = seconds - elapsed - 2.0 * now.round;
     if !has_next_round || left <= DONE_SHARE * seconds {
         return RoundVerdict::Done;
     }
-    let is_pilot = progress.shares.is_empty() && drawn == PILOT_SPP;
+    let is_pilot = progress.shares.is_empty() && max_spp == PILOT_SPP;
     let before = std::mem::replace(progress, TimedProgress { seconds: elapsed, rays: work, ..progress.clone() });
     if is_pilot {
         progress.pilot = (elapsed - before.seconds, work - before.rays.min(work));
     }
     if progress.shares.is_empty() {
-        let pilot_end = elapsed * f64::from(PILOT_SPP) / f64::from(drawn.max(1));
-        if drawn < PILOT_SPP && pilot_end <= PILOT_END * seconds {
+        let pilot_end = elapsed * f64::from(PILOT_SPP) / f64::from(max_spp.max(1));
+        if max_spp < PILOT_SPP && pilot_end <= PILOT_END * seconds {
             return RoundVerdict::Steps(vec![PILOT_SPP; tiles.len()]);
         }
         let is_cheap = work as f64 <= PILOT_SHARE * now.rate * left;

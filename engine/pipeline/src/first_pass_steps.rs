@@ -80,14 +80,14 @@ fn first_pass_stages(method: Method, blocks: u32) -> Vec<Stage> {
     let (mut elements, mut guides) = (0, None);
     for round in 1..=ROUNDS {
         let begin = |stage: Stage| {
-            let stage = stage.reads(elements, Role::Elements, Reach::All).reads(0, Role::Links, Reach::All);
-            guides.map_or(stage.clone(), |guides| stage.reads(guides, Role::Guides, Reach::All))
+            let stage = stage.with_need(elements, Role::Elements, Reach::All).with_need(0, Role::Links, Reach::All);
+            guides.map_or(stage.clone(), |guides| stage.with_need(guides, Role::Guides, Reach::All))
         };
         let rays = all.len() as u16;
         let is_end = round == ROUNDS && !solver_options(method).guides;
         let settle = begin(one(if is_end { &[Role::Field] } else { &[Role::Elements] }));
         all.push(begin(block(&[Role::Rays])));
-        all.push(settle.reads(rays, Role::Rays, Reach::All));
+        all.push(settle.with_need(rays, Role::Rays, Reach::All));
         if is_end {
             break;
         }
@@ -96,11 +96,11 @@ fn first_pass_stages(method: Method, blocks: u32) -> Vec<Stage> {
             continue;
         }
         guides = Some(rays + 2);
-        let guide = block(&[Role::Guides]).reads(elements, Role::Elements, Reach::All);
-        all.push(guide.reads(0, Role::Links, Reach::All).reads(rays, Role::Rays, Reach::All));
+        let guide = block(&[Role::Guides]).with_need(elements, Role::Elements, Reach::All);
+        all.push(guide.with_need(0, Role::Links, Reach::All).with_need(rays, Role::Rays, Reach::All));
         if round == ROUNDS {
-            let end = one(&[Role::Field]).reads(elements, Role::Elements, Reach::All);
-            all.push(end.reads(0, Role::Links, Reach::All).reads(rays + 2, Role::Guides, Reach::All));
+            let end = one(&[Role::Field]).with_need(elements, Role::Elements, Reach::All);
+            all.push(end.with_need(0, Role::Links, Reach::All).with_need(rays + 2, Role::Guides, Reach::All));
         }
     }
     all

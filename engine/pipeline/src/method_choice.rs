@@ -23,10 +23,10 @@ use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 
 /// Number of samples of each pixel of the pilot, to measure the variance.
-const SAMPLES: u32 = 32;
+const VARIANCE_PILOT_SPP: u32 = 32;
 /// Number of rounds after which the samples needed for an error are extrapolated, and the number of samples by then.
-const ROUNDS: u32 = 3;
-const ROUNDS_SAMPLES: u32 = 16;
+const EXTRAPOLATION_ROUNDS: u32 = 3;
+const EXTRAPOLATION_SPP: u32 = 16;
 /// Maximum share of the pilot's samples in the minimum number of samples of the job.
 const MAX_PILOT_SHARE: f64 = 0.05;
 /// Minimum number of pixels of a useful pilot.
@@ -42,7 +42,7 @@ const MAX_FIRST_PASS_SHARE: f64 = 0.04;
 /// gain.
 const MAX_GUIDED_SHARE: f64 = 0.8;
 /// Work of a vertex at which guides sample directions, in rays of a scene whose rays are fast.
-const GUIDED_RAYS: f64 = 1.0;
+const RAYS_PER_GUIDED_VERTEX: f64 = 1.0;
 /// Minimum ratio of the samples' variance to the variance of the light that no guide can improve.
 const MIN_POSSIBLE_GAIN: f64 = 1.5;
 
@@ -161,8 +161,8 @@ pub fn run_pilot(source: &SceneSource, settings: &Settings, plan: &Plan) -> Resu
     let settings = Settings { method: Method::Pt, statistics: false, ..settings.clone() };
     let Some(&frame) = plan.frames.first() else { return Ok(None) };
     let drawn = match settings.stop {
-        StopCondition::Error(_) => SAMPLES + ROUNDS_SAMPLES,
-        StopCondition::Spp(_) | StopCondition::Time(_) => SAMPLES,
+        StopCondition::Error(_) => VARIANCE_PILOT_SPP + EXTRAPOLATION_SPP,
+        StopCondition::Spp(_) | StopCondition::Time(_) => VARIANCE_PILOT_SPP,
     };
     let frames = plan.frames.len() as f64;
     let pixels = MAX_PILOT_SHARE * plan.samples_per_frame(1) as f64 * frames / f64::from(drawn);
@@ -177,19 +177,19 @@ pub fn run_pilot(source: &SceneSource, settings: &Settings, plan: &Plan) -> Resu
         StopCondition::Spp(spp) => f64::from(spp),
         StopCondition::Error(_) | StopCondition::Time(_) => {
             let rounds = std::cell::Cell::new(0);
-            let is_over = || rounds.replace(rounds.get() + 1) + 1 >= ROUNDS;
+            let is_over = || rounds.replace(rounds.get() + 1) + 1 >= EXTRAPOLATION_ROUNDS;
             pilot::estimate_samples(&prepared, &settings, is_over)?.unwrap_or(0.0)
         }
     };
-    let rays = paths.work * samples_a_pixel * f64::from(film[0]) * f64::from(film[1]) * frames;
+    let rays = paths.rays_per_sample * samples_a_pixel * f64::from(film[0]) * f64::from(film[1]) * frames;
     let surfaces = count_surfaces(source.scene()) as f64;
     let first_pass_rays =
         (MIN_FIRST_PASS_RAYS + RAYS_PER_SURFACE * surfaces) * first_pass_count(source, &settings, plan)? as f64;
     let mut found = Pilot {
         samples: paths.samples,
-        rays_a_sample: paths.work,
+        rays_a_sample: paths.rays_per_sample,
         samples_a_pixel,
-        most_gain: paths.most_gain(),
+        most_gain: paths.max_gain(),
         gain: None,
         untrusted: None,
         rays,
@@ -198,7 +198,7 @@ pub fn run_pilot(source: &SceneSource, settings: &Settings, plan: &Plan) -> Resu
     if found.is_promising() {
         // The work is known better now and may justify more pixels.
         let all = samples_a_pixel * f64::from(film[0]) * f64::from(film[1]) * frames;
-        let pixels = (MAX_PILOT_SHARE * all / f64::from(2 * SAMPLES)).clamp(MIN_PIXELS, pilot::PIXELS);
+        let pixels = (MAX_PILOT_SHARE * all / f64::from(2 * VARIANCE_PILOT_SPP)).clamp(MIN_PIXELS, pilot::PIXELS);
         let settings = Settings { size: Some(pilot::scaled_film_size(film, pixels)), ..settings };
         let prepared = prepare_frame(source, &settings, frame, Some(&prepared))?;
         let paths = PilotSamples::trace(&prepared, &settings)?;
@@ -226,10 +226,10 @@ fn without_advice(message: &str) -> &str {
 struct PilotSamples {
     samples: u64,
     /// Mean work of a sample, in rays, including guided vertices.
-    work: f64,
+    rays_per_sample: f64,
     film: [u32; 2],
     /// Pixels by row and column.
-    pixels: Vec<PixelSums>,
+    pixels: Vec<LuminanceSums>,
 }
 
 impl PilotSamples {
@@ -239,43 +239,46 @@ impl PilotSamples {
         let whole = Rect { x: 0, y: 0, width, height };
         let (never, progress) = (AtomicBool::new(false), AtomicU64::new(0));
         let (rendered, noise) =
-            render_rows(prepared, settings, whole, 0..SAMPLES, &never, &progress, PixelNoise::default)?;
-        let samples = whole.area() * u64::from(SAMPLES);
-        let rays = (rendered.rays + rendered.shadow_rays) as f64 + GUIDED_RAYS * rendered.guided_vertices as f64;
+            render_rows(prepared, settings, whole, 0..VARIANCE_PILOT_SPP, &never, &progress, PixelNoise::default)?;
+        let samples = whole.area() * u64::from(VARIANCE_PILOT_SPP);
+        let rays =
+            (rendered.rays + rendered.shadow_rays) as f64 + RAYS_PER_GUIDED_VERTEX * rendered.guided_vertices as f64;
         let pixels = noise.into_iter().flat_map(PixelNoise::into_pixels).collect();
-        Ok(Self { samples, work: rays / samples as f64, film: [width, height], pixels })
+        Ok(Self { samples, rays_per_sample: rays / samples as f64, film: [width, height], pixels })
     }
 
     /// Returns the relative variance of all light, divided by that of the light which no guide can improve.
-    fn most_gain(&self) -> f64 {
+    fn max_gain(&self) -> f64 {
         let weights = pixel_weights(&[self]);
         let sum =
-            |part: fn(&PixelSums) -> f64| self.pixels.iter().zip(&weights).map(|(it, w)| part(it) * w).sum::<f64>();
-        let (all, rest) = (sum(PixelSums::variance), sum(PixelSums::variance_of_rest));
+            |part: fn(&LuminanceSums) -> f64| self.pixels.iter().zip(&weights).map(|(it, w)| part(it) * w).sum::<f64>();
+        let (all, rest) = (sum(LuminanceSums::variance), sum(LuminanceSums::unguidable_variance));
         if all <= rest { 1.0 } else { (all / rest.max(1e-6 * all)).max(1.0) }
     }
 
     /// Returns variance times work, divided by that of guided samples of the same pixels.
     fn gain(&self, guided: &Self) -> f64 {
         let weights = pixel_weights(&[self, guided]);
-        let sum = |of: &Self| of.pixels.iter().zip(&weights).map(|(it, w)| it.variance() * w).sum::<f64>() * of.work;
+        let sum = |of: &Self| {
+            of.pixels.iter().zip(&weights).map(|(it, w)| it.variance() * w).sum::<f64>() * of.rays_per_sample
+        };
         let (paths, guided) = (sum(self), sum(guided));
         if guided > 0.0 { paths / guided } else { 1.0 }
     }
 }
 
 /// Edge of the blocks whose means weight their pixels, pixels.
-const BLOCK: u32 = 8;
+const WEIGHT_BLOCK_EDGE: u32 = 8;
 
 /// Returns the weight of each pixel: 1 over the squared mean of all samples of its block, to which a hundredth of the frame's
 /// squared mean is added, so that dark blocks do not dominate. A pixel's own samples are not used: a pixel with one bright sample
 /// would look bright, which would hide its variance.
 fn pixel_weights(all: &[&PilotSamples]) -> Vec<f64> {
     let Some([width, height]) = all.first().map(|drawn| drawn.film) else { return Vec::new() };
-    let (across, down) = (width.div_ceil(BLOCK), height.div_ceil(BLOCK));
+    let (across, down) = (width.div_ceil(WEIGHT_BLOCK_EDGE), height.div_ceil(WEIGHT_BLOCK_EDGE));
     let block = |at: usize| {
         let at = at as u32;
-        (at / width / BLOCK * across + at % width / BLOCK) as usize
+        (at / width / WEIGHT_BLOCK_EDGE * across + at % width / WEIGHT_BLOCK_EDGE) as usize
     };
     let mut sums = vec![[0.0; 2]; (across * down) as usize];
     for (at, pixel) in all.iter().flat_map(|drawn| drawn.pixels.iter().enumerate()) {
@@ -302,19 +305,19 @@ fn first_pass_count(source: &SceneSource, settings: &Settings, plan: &Plan) -> R
 
 /// Sums of the luminance of a pixel's samples, by half: of all light, and of the light that no guide can improve.
 #[derive(Clone, Copy, Debug, Default)]
-struct PixelSums {
+struct LuminanceSums {
     counts: [f64; 2],
     all: [f64; 2],
-    rest: [f64; 2],
+    unguidable: [f64; 2],
 }
 
-impl PixelSums {
+impl LuminanceSums {
     fn variance(&self) -> f64 {
         self.mean_variance(self.all)
     }
 
-    fn variance_of_rest(&self) -> f64 {
-        self.mean_variance(self.rest)
+    fn unguidable_variance(&self) -> f64 {
+        self.mean_variance(self.unguidable)
     }
 
     /// Returns the variance of the mean, multiplied by the number of samples. It uses the two halves, which are independent. The
@@ -329,21 +332,21 @@ impl PixelSums {
 /// Recorder that measures, by pixel, how much of the samples' light arrived by way of a diffuse surface.
 #[derive(Debug, Default)]
 struct PixelNoise {
-    pixel: Option<u32>,
+    current_pixel: Option<u32>,
     half: usize,
-    now: PixelSums,
-    done: Vec<PixelSums>,
+    current_sums: LuminanceSums,
+    finished_pixels: Vec<LuminanceSums>,
     /// Number of times that the path has left a diffuse surface, and luminance that a guide could have found.
     diffuse_bounces: u32,
     guidable: f64,
 }
 
 impl PixelNoise {
-    fn into_pixels(mut self) -> Vec<PixelSums> {
-        if self.now.counts != [0.0; 2] {
-            self.done.push(self.now);
+    fn into_pixels(mut self) -> Vec<LuminanceSums> {
+        if self.current_sums.counts != [0.0; 2] {
+            self.finished_pixels.push(self.current_sums);
         }
-        self.done
+        self.finished_pixels
     }
 }
 
@@ -352,18 +355,19 @@ impl Recorder for PixelNoise {
 
     fn begin_sample(&mut self, pixel: u32, sample: u32) -> RecordLevel {
         self.half = sample as usize % 2;
-        if self.pixel != Some(pixel) && self.now.counts != [0.0; 2] {
-            self.done.push(std::mem::take(&mut self.now));
+        if self.current_pixel != Some(pixel) && self.current_sums.counts != [0.0; 2] {
+            self.finished_pixels.push(std::mem::take(&mut self.current_sums));
         }
-        self.pixel = Some(pixel);
+        self.current_pixel = Some(pixel);
         (self.diffuse_bounces, self.guidable) = (0, 0.0);
         RecordLevel::All
     }
 
     fn vertex(&mut self, _: impl FnOnce() -> Vertex) {}
 
-    fn leave(&mut self, way: Continuation) {
-        self.diffuse_bounces += u32::from(matches!(way, Continuation::Scattered { scatterer: Scatterer::Diffuse, .. }));
+    fn leave(&mut self, continuation: Continuation) {
+        self.diffuse_bounces +=
+            u32::from(matches!(continuation, Continuation::Scattered { scatterer: Scatterer::Diffuse, .. }));
     }
 
     fn occluded(&mut self, _: impl FnOnce() -> Ray) {}
@@ -381,9 +385,9 @@ impl Recorder for PixelNoise {
 
     fn end_sample(&mut self, color: Option<Rgb>) {
         let Some(all) = color.map(|color| f64::from(luminance(color))) else { return };
-        self.now.counts[self.half] += 1.0;
-        self.now.all[self.half] += all;
-        self.now.rest[self.half] += all - self.guidable;
+        self.current_sums.counts[self.half] += 1.0;
+        self.current_sums.all[self.half] += all;
+        self.current_sums.unguidable[self.half] += all - self.guidable;
     }
 }
 

@@ -54,7 +54,7 @@ pub fn estimate_samples(
             if ends.iter().all(|&end| end <= tile.samples.end) {
                 return drawn;
             }
-            let worst = (0..ends.len()).map(|half| tile.worst(half, stops.floors[half], 2.0 * most));
+            let worst = (0..ends.len()).map(|half| tile.worst_error(half, stops.floors[half], 2.0 * most));
             let error = worst.filter(|error| error.is_finite()).fold(most, f64::max);
             (drawn * (error / most).powi(2)).clamp(drawn, f64::from(last))
         };

@@ -110,7 +110,7 @@ pub fn render_rows<R: Recorder + Send>(
     progress: &AtomicU64,
     recorder: impl Fn() -> R + Sync,
 ) -> Result<(RenderedTile, Vec<R>), RenderError> {
-    let path = PathSettings { seed: settings.seed, max_depth: settings.max_depth, only: None };
+    let path = PathSettings { seed: settings.seed, max_depth: settings.max_depth, single_technique: None };
     // Adjacent rows share a tracer while the same thread renders them.
     let tracer = || {
         let tracer = Tracer::with_recorder(prepared, path, recorder());

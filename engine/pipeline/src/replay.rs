@@ -25,7 +25,7 @@ impl<'a> Replay<'a> {
 impl<'a, R: Recorder> Replay<'a, R> {
     /// Creates a replay with another recorder.
     pub fn with_recorder(prepared: &'a Prepared, settings: &'a Settings, recorder: R) -> Self {
-        let path = PathSettings { seed: settings.seed, max_depth: settings.max_depth, only: None };
+        let path = PathSettings { seed: settings.seed, max_depth: settings.max_depth, single_technique: None };
         let mut tracer = Tracer::with_recorder(prepared, path, recorder);
         match (settings.method, prepared.field.as_deref()) {
             (Method::Fem, Some(field)) => tracer = tracer.with_field(field),

@@ -80,12 +80,12 @@ fn next_verdict(tiles: &[TileErrors], ends: &[HalfEnds], planned: Option<u32>) -
 }
 
 /// Ends each half of a tile if the other half says that the number of samples is sufficient.
-fn end_halves(tile: &TileErrors, floors: [f64; HALVES], most: f64, ends: &mut HalfEnds) {
+fn end_halves(tile: &TileErrors, floors: [f64; HALVES], max_error: f64, ends: &mut HalfEnds) {
     let samples = tile.samples.end;
     let unlit = if samples >= UNLIT_SPP { 0.0 } else { f64::INFINITY };
     for (half, floor) in floors.into_iter().enumerate() {
         let other = &mut ends[HALVES - 1 - half];
-        if *other > samples && tile.worst(half, floor, unlit) <= most {
+        if *other > samples && tile.worst_error(half, floor, unlit) <= max_error {
             *other = samples;
         }
     }

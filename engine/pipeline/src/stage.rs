@@ -156,7 +156,7 @@ impl Stage {
         Self { kind, scope: Scope::Frame, sizes, steps: Vec::new(), needs: Vec::new(), makes, closes: None }
     }
 
-    pub(crate) fn reads(mut self, stage: u16, role: Role, reach: Reach) -> Self {
+    pub(crate) fn with_need(mut self, stage: u16, role: Role, reach: Reach) -> Self {
         self.needs.push(Need { stage, role, reach, round: Round::Same });
         self
     }
@@ -185,13 +185,13 @@ pub fn job_stages(tiling: &Tiling, rounds: &[u32], fan: NonZeroU32, method: Meth
     if method.has_first_pass() {
         let first_pass = Stage::per_frame(StageKind::FirstPass, vec![(1, 1)], &[Role::Field]);
         all.push(Stage { scope: Scope::Content, ..first_pass });
-        render = render.reads(0, Role::Field, Reach::All);
+        render = render.with_need(0, Role::Field, Reach::All);
     }
     let first = all.len() as u16;
     all.push(render);
     let reduce = |makes: &[Role]| {
         let reduce = Stage::per_frame(StageKind::Reduce, vec![(groups, 1)], makes);
-        reduce.reads(first, Role::Tile, Reach::Fan(fan))
+        reduce.with_need(first, Role::Tile, Reach::Fan(fan))
     };
     let mut finished = (first + 1, Role::Pixels);
     if rounds.len() > 1 {
@@ -201,7 +201,7 @@ pub fn job_stages(tiling: &Tiling, rounds: &[u32], fan: NonZeroU32, method: Meth
         let mut reduce = reduce(&[Role::Pixels, Role::Errors, Role::Sums]);
         reduce.needs.extend([before(first + 1, Role::Sums, Reach::Same), stops]);
         let decide = Stage::per_frame(StageKind::Decide, vec![(1, 1)], &[Role::Stops]);
-        let mut decide = decide.reads(first + 1, Role::Errors, Reach::All);
+        let mut decide = decide.with_need(first + 1, Role::Errors, Reach::All);
         decide.needs.push(stops);
         let closes = Some(Loop { first, rounds: rounds.len() as u32 });
         all.extend([reduce, Stage { closes, ..decide }]);
@@ -211,7 +211,7 @@ pub fn job_stages(tiling: &Tiling, rounds: &[u32], fan: NonZeroU32, method: Meth
         finished = (first, Role::Tile);
     }
     let image = Stage::per_frame(StageKind::Image, vec![(1, 1)], &[Role::Image, Role::Preview]);
-    all.push(image.reads(finished.0, finished.1, Reach::All));
+    all.push(image.with_need(finished.0, finished.1, Reach::All));
     all
 }
 
@@ -231,13 +231,13 @@ pub fn with_statistics_stages(mut stages: Vec<Stage>) -> Vec<Stage> {
         let groups = vec![(tiles.div_ceil(PATHS_FAN.get()), 1)];
         let mut reduce = Stage::per_frame(StageKind::Reduce, groups, &[Role::Paths]);
         reduce.needs.push(of(render, Role::Paths, Reach::Fan(PATHS_FAN)));
-        image = image.reads(stages.len() as u16, Role::Paths, Reach::All);
+        image = image.with_need(stages.len() as u16, Role::Paths, Reach::All);
         stages.push(reduce);
     } else {
         image.needs.push(of(render, Role::Paths, Reach::All));
     }
     if let Some(decide) = decide {
-        image = image.reads(decide as u16, Role::Stops, Reach::All);
+        image = image.with_need(decide as u16, Role::Stops, Reach::All);
     }
     image.makes.push(Role::Statistics);
     stages.push(image);
@@ -262,9 +262,9 @@ pub fn with_layer_stages(mut stages: Vec<Stage>, tiling: &Tiling, layers: usize)
     let reach = Reach::Fan(NonZeroU32::new(fan).unwrap_or(NonZeroU32::MIN));
     reduce.needs.push(Need { stage: render as u16, role: Role::Layers, reach, round: Round::Every });
     if let Some(decide) = decide {
-        reduce = reduce.reads(decide as u16, Role::Stops, Reach::All);
+        reduce = reduce.with_need(decide as u16, Role::Stops, Reach::All);
     }
-    image = image.reads(stages.len() as u16, Role::LayerPixels, Reach::All);
+    image = image.with_need(stages.len() as u16, Role::LayerPixels, Reach::All);
     image.makes.push(Role::LayerImage);
     stages.extend([reduce, image]);
     stages

@@ -105,7 +105,7 @@ impl ContributionOrigin {
     ) -> Self {
         let source = recording.last_scattering(vertices);
         let before = source.map_or(LastScatterer::Camera, |step| scatterer(prepared, step.vertex.location));
-        let (how, on) = match contribution.technique {
+        let (kind, last_scatterer) = match contribution.technique {
             LightTechnique::CameraNextEvent => (ContributionKind::CameraNextEvent, LastScatterer::Camera),
             LightTechnique::EmitterHit => match source.map(|step| step.continuation) {
                 None => (ContributionKind::CameraHit, LastScatterer::Camera),
@@ -118,20 +118,21 @@ impl ContributionOrigin {
             LightTechnique::Field => (ContributionKind::Field, before),
         };
         let lamp = contribution.light.and_then(|light| lamps.lamp_of_light.get(light as usize).copied());
-        let guided = |step: &Step| matches!(step.continuation, Some(Continuation::Scattered { by_guide: true, .. }));
+        let guided =
+            |step: &Step| matches!(step.continuation, Some(Continuation::Scattered { is_guide_sample: true, .. }));
         // The direction in which the path leaves a vertex does not affect a lamp that was sampled there.
         let left = vertices.saturating_sub(usize::from(matches!(
             contribution.technique,
             LightTechnique::NextEvent | LightTechnique::Field
         )));
         let guided = recording.steps[..left].iter().any(guided);
-        Self { bounce: contribution.bounce, technique: how, guided, scatterer: on, lamp }
+        Self { bounce: contribution.bounce, technique: kind, guided, scatterer: last_scatterer, lamp }
     }
 }
 
 /// Returns the scatterer for a surface or medium at a vertex.
-pub fn scatterer(prepared: &Prepared, place: VertexLocation) -> LastScatterer {
-    match place {
+pub fn scatterer(prepared: &Prepared, location: VertexLocation) -> LastScatterer {
+    match location {
         VertexLocation::Surface { instance, primitive, material } => {
             LastScatterer::Surface { object: prepared.object_of(instance, primitive), material }
         }

@@ -62,14 +62,19 @@ pub struct View {
 impl View {
     /// Returns the direction through film position (`x`, `y`), pixels, y down; not unit.
     #[inline]
-    fn through(&self, [x, y]: [f32; 2]) -> Vec3A {
+    fn film_direction(&self, [x, y]: [f32; 2]) -> Vec3A {
         self.toward + self.steps[0] * (x - self.middle[0]) + self.steps[1] * (y - self.middle[1])
     }
 
     /// Returns the ray through a film position, pixels, y down.
     #[inline]
-    pub fn ray(&self, place: [f32; 2]) -> Ray {
-        Ray { origin: self.origin, dir: self.through(place).normalize(), t_max: f32::INFINITY, time: self.time }
+    pub fn ray(&self, film_position: [f32; 2]) -> Ray {
+        Ray {
+            origin: self.origin,
+            dir: self.film_direction(film_position).normalize(),
+            t_max: f32::INFINITY,
+            time: self.time,
+        }
     }
 
     /// Projects a point onto the plane of the film, possibly outside the film. Also returns its distance along the view axis,
@@ -94,8 +99,8 @@ impl View {
 
     /// Returns the solid angle of a pixel's area at a film position, sr.
     #[inline]
-    pub fn solid_angle(&self, place: [f32; 2]) -> f32 {
-        let through = self.through(place);
+    pub fn solid_angle(&self, film_position: [f32; 2]) -> f32 {
+        let through = self.film_direction(film_position);
         let distance2 = through.length_squared();
         through.dot(cross(self.steps[0], self.steps[1])).abs() / (distance2 * distance2.sqrt())
     }

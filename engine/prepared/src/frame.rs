@@ -112,7 +112,7 @@ pub struct Prepared {
     /// World position of the prepared frame's origin, m.
     pub origin: DVec3,
     /// Minimum distance between a light and a ray, m; smaller distances are raised to it. It is a millionth of the scene's extent.
-    pub least_distance: f32,
+    pub min_light_distance: f32,
     /// Media of the closed objects that contain the camera.
     pub camera_medium_stack: MediumStack,
     /// Whether light can go straight through a surface. If so, shadow rays examine the surfaces that they hit.
@@ -204,7 +204,7 @@ fn prepare_with(
             camera,
             camera_emitters: CameraEmitters::default(),
             origin: previous.origin,
-            least_distance: previous.least_distance,
+            min_light_distance: previous.min_light_distance,
             camera_medium_stack: MediumStack::default(),
             has_clear_surfaces: previous.has_clear_surfaces,
             brightness: previous.brightness,
@@ -213,7 +213,7 @@ fn prepare_with(
         },
         previous => build_world(scene, scalars, &view, frame_key, camera, spec.frame, previous)?,
     };
-    if prepared.materials.iter().any(|m| m.inside.is_some()) {
+    if prepared.materials.iter().any(|m| m.interior_medium.is_some()) {
         prepared.camera_medium_stack = prepared.media_at(prepared.camera.eye());
     }
     prepared.camera_emitters = CameraEmitters::new(&prepared.camera, &prepared.lights, spec.filter_radius);
@@ -248,7 +248,7 @@ fn build_world(
     let black = femc_scene::Material::default();
     let is_nothing = |medium: femc_scene::MediumId| scalars.media[medium.index()].is_vacuum();
     let kernel = |material: &femc_scene::Material| KernelMaterial {
-        inside: material.inside.filter(|&medium| !is_nothing(medium)).map(|medium| medium.0 as u16),
+        interior_medium: material.inside.filter(|&medium| !is_nothing(medium)).map(|medium| medium.0 as u16),
         ..KernelMaterial::new(material)
     };
     let materials: Vec<_> = scalars.materials.iter().chain([&black]).map(kernel).collect();
@@ -265,7 +265,7 @@ fn build_world(
     for group in placements {
         assembly.add_group(group);
     }
-    let media = convert_media(scene, scalars, origin, materials.iter().any(|m| m.inside.is_some()));
+    let media = convert_media(scene, scalars, origin, materials.iter().any(|m| m.interior_medium.is_some()));
     let has_clear_surfaces = materials.iter().any(|m| m.crossing.iter().any(|&c| c != Crossing::Scatter));
     let Assembly { inputs, instances, lights, light_instances, .. } = assembly;
     let world = World::build(inputs);
@@ -275,7 +275,7 @@ fn build_world(
         scene: scene.clone(),
         frame_key,
         frame,
-        least_distance: if extent.is_finite() { (extent * 1e-6).max(1e-9) } else { 1e-6 },
+        min_light_distance: if extent.is_finite() { (extent * 1e-6).max(1e-9) } else { 1e-6 },
         world: Arc::new(world),
         instances: Arc::new(instances),
         materials: Arc::new(materials),
@@ -303,7 +303,7 @@ impl Prepared {
         for _ in 0..10_000 {
             let Some(hit) = self.world.intersect(&ray) else { break };
             let surface = self.shading_point(&ray, &hit);
-            if let Some(medium) = self.materials[surface.material as usize].inside {
+            if let Some(medium) = self.materials[surface.material as usize].interior_medium {
                 if surface.normal.dot(ray.dir) < 0.0 {
                     entered.push(medium);
                 } else if entered.iter().any(|m| m == medium) {
@@ -360,9 +360,9 @@ impl Assembly<'_> {
         };
         let (pose, first) = instance.pose_over(self.shutter, paths, origin);
         let moves = matches!(pose, Pose::Moving(_));
-        let carrier = if moves { self.inputs.len() as u32 } else { NONE };
+        let moving_instance = if moves { self.inputs.len() as u32 } else { NONE };
         let to_frame = if moves { DAffine3::IDENTITY } else { first };
-        self.add_emitters(&instance.compiled, carrier, &to_frame);
+        self.add_emitters(&instance.compiled, moving_instance, &to_frame);
         // The tracer's surface is rounded in the compiled frame and again by the pose. The light's points match it only to this
         // accuracy.
         if first != DAffine3::IDENTITY {
@@ -371,20 +371,20 @@ impl Assembly<'_> {
             let scale = double::cbrt(first.matrix3.determinant().abs()) as f32;
             let shift = first.translation.abs().max_element() as f32;
             let slack = femc_math::gamma(8) * (local * scale + shift);
-            self.light_instances[instance.first_light as usize..].iter_mut().for_each(|e| e.slack = slack);
+            self.light_instances[instance.first_light as usize..].iter_mut().for_each(|e| e.position_error = slack);
         }
         self.inputs.push(InstanceInput { blas: instance.compiled.blas.clone(), pose });
         self.instances.push(instance);
     }
 
-    fn add_emitters(&mut self, compiled: &CompiledGroup, carrier: u32, to_frame: &DAffine3) {
+    fn add_emitters(&mut self, compiled: &CompiledGroup, moving_instance: u32, to_frame: &DAffine3) {
         let first = self.lights.len();
         for emitter in &compiled.emitters {
             let material = self.scalars.materials.get(emitter.material as usize);
             let shape = crate::lights::transform_emitter_shape(emitter, to_frame);
             self.lights.push(crate::lights::light_from_shape(&shape, material, self.photometry));
             let texture = material.and_then(|m| m.map_ed).map_or(NONE, |m| m.0);
-            self.light_instances.push(LightInstance { carrier, texture, ..LightInstance::default() });
+            self.light_instances.push(LightInstance { moving_instance, texture, ..LightInstance::default() });
         }
         for primitive in compiled.primitives.iter().filter(|p| p.emitter != NONE && p.corners != NONE) {
             self.light_instances[first + primitive.emitter as usize].uv =

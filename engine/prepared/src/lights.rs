@@ -38,18 +38,18 @@ pub struct Lights {
 #[derive(Clone, Copy, Debug)]
 pub struct LightInstance {
     /// Moving instance that carries it, or `NONE`.
-    pub carrier: u32,
+    pub moving_instance: u32,
     /// Texture of its emission, or `NONE`.
     pub texture: u32,
     /// Texture coordinates at the corners of a triangle.
     pub uv: [Vec2; 3],
     /// Maximum distance of the traced surface from the light's surface, m, per axis.
-    pub slack: f32,
+    pub position_error: f32,
 }
 
 impl Default for LightInstance {
     fn default() -> Self {
-        Self { carrier: NONE, texture: NONE, uv: [Vec2::ZERO; 3], slack: 0.0 }
+        Self { moving_instance: NONE, texture: NONE, uv: [Vec2::ZERO; 3], position_error: 0.0 }
     }
 }
 
@@ -97,7 +97,7 @@ impl Lights {
     }
 
     /// Returns the maximum luminous flux of a light with its texture, lm. A texture's values may be above 1.
-    pub fn power_at_most(&self, textures: &[Texture], light: u32) -> f32 {
+    pub fn max_power(&self, textures: &[Texture], light: u32) -> f32 {
         let texture = match self.instances[light as usize].texture {
             NONE => 1.0,
             texture => textures[texture as usize].brightest().max(1.0),
@@ -168,7 +168,7 @@ impl Lights {
     #[inline]
     pub(crate) fn intensities(&self, light: u32, directions: impl FnOnce() -> [Vec3A; 8]) -> Option<[f32; 8]> {
         let source = &self.lights[light as usize];
-        let stands = self.instances[light as usize].carrier == NONE;
+        let stands = self.instances[light as usize].moving_instance == NONE;
         (stands && source.has_intensity()).then(|| directions().map(|dir| source.intensity(dir).unwrap_or(0.0)))
     }
 
@@ -184,13 +184,13 @@ impl Lights {
         u: [f32; 2],
     ) -> Option<LightSample> {
         let instance = &self.instances[light as usize];
-        let mut sample = if instance.carrier == NONE {
+        let mut sample = if instance.moving_instance == NONE {
             self.lights[light as usize].sample(reference, u)?
         } else {
-            let pose = world.pose_at(instance.carrier, time);
+            let pose = world.pose_at(instance.moving_instance, time);
             sample_moving(&self.lights[light as usize], &pose, reference, u)?
         };
-        sample.error += instance.slack;
+        sample.error += instance.position_error;
         if instance.texture != NONE {
             sample.radiance *= instance.texel(textures, sample.uv);
         }
@@ -199,7 +199,7 @@ impl Lights {
 
     /// Returns the corners of a stationary flat polygonal light, prepared frame, m; empty for other lights.
     pub(crate) fn corners(&self, light: u32) -> Vec<Vec3A> {
-        let stands = self.instances[light as usize].carrier == NONE;
+        let stands = self.instances[light as usize].moving_instance == NONE;
         if stands { self.lights[light as usize].corners() } else { Vec::new() }
     }
 
@@ -229,7 +229,7 @@ impl Lights {
     pub fn sample_toward(&self, textures: &[Texture], light: u32, reference: Vec3A, dir: Vec3A) -> Option<LightSample> {
         let instance = &self.instances[light as usize];
         let mut sample = self.lights[light as usize].sample_in_direction(reference, dir)?;
-        sample.error += instance.slack;
+        sample.error += instance.position_error;
         if instance.texture != NONE {
             sample.radiance *= instance.texel(textures, sample.uv);
         }
@@ -250,10 +250,10 @@ impl Lights {
     ) -> f32 {
         let instance = &self.instances[light as usize];
         let source = &self.lights[light as usize];
-        if instance.carrier == NONE {
+        if instance.moving_instance == NONE {
             return source.pdf(reference, point.0, point.1, dir);
         }
-        let back = inverse(&world.pose_at(instance.carrier, time));
+        let back = inverse(&world.pose_at(instance.moving_instance, time));
         source.pdf(
             back.transform_point3a(reference),
             back.transform_point3a(point.0),
@@ -276,10 +276,10 @@ impl Lights {
     ) -> Rgb {
         let instance = &self.instances[light as usize];
         let source = &self.lights[light as usize];
-        let mut radiance = if instance.carrier == NONE {
+        let mut radiance = if instance.moving_instance == NONE {
             source.radiance(dir, normal)
         } else {
-            let pose = world.pose_at(instance.carrier, time);
+            let pose = world.pose_at(instance.moving_instance, time);
             let back = inverse(&pose);
             let local = |v: Vec3A| back.transform_vector3a(v).normalize_or_zero();
             source.radiance(local(dir), local(normal)) * radiance_scale(source, pose_scale(&pose))
@@ -294,7 +294,7 @@ impl Lights {
     #[inline]
     pub fn center(&self, world: &World, light: u32, time: f32) -> Vec3A {
         let center = self.centers[light as usize];
-        match self.instances[light as usize].carrier {
+        match self.instances[light as usize].moving_instance {
             NONE => center,
             carrier => world.pose_at(carrier, time).transform_point3a(center),
         }
@@ -346,12 +346,12 @@ fn radiance_scale(light: &Light, scale: f32) -> f32 {
 /// Returns the bounds with which a light is chosen, in the prepared frame over the whole shutter.
 fn bounds(light: &Light, instance: &LightInstance, world: &World, extinction: impl Fn(Vec3A) -> f32) -> LightBounds {
     let ((low, high), power) = (light.bounds(), light.power());
-    if instance.carrier == NONE {
+    if instance.moving_instance == NONE {
         let center = light.center();
         return LightBounds { low, high, center, power, extinction: extinction(center), cone: light.emission_cone() };
     }
-    let swept = world.swept_bounds(instance.carrier, &Aabb { min: low, max: high });
-    let scale = pose_scale(&world.pose_at(instance.carrier, 0.5));
+    let swept = world.swept_bounds(instance.moving_instance, &Aabb { min: low, max: high });
+    let scale = pose_scale(&world.pose_at(instance.moving_instance, 0.5));
     let power = if light.has_intensity() { power } else { power * scale * scale };
     let (low, high) = (swept.min, swept.max);
     let center = (low + high) * 0.5;

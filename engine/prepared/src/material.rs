@@ -46,7 +46,7 @@ pub struct KernelMaterial {
     /// Orientation of the shading frame: toward the viewer if there is no solid behind the surface.
     pub orientation: Orientation,
     /// Medium behind the surface.
-    pub inside: Option<u16>,
+    pub interior_medium: Option<u16>,
     /// Texture of `rd`.
     pub map_rd: Option<u32>,
     /// Texture of `ed`.
@@ -110,7 +110,7 @@ impl KernelMaterial {
             parameters,
             crossing,
             orientation: if solid { Orientation::Front } else { Orientation::TowardViewer },
-            inside: material.inside.map(|m| m.0 as u16),
+            interior_medium: material.inside.map(|m| m.0 as u16),
             map_rd: material.map_rd.map(|m| m.0),
             map_ed: material.map_ed.map(|m| m.0),
             map_n: material.map_n.map(|m| m.0),

@@ -6,10 +6,10 @@ use femc_emission::{Airlight, EquiangularSegment, SegmentContext, SegmentMedium,
 use femc_geometry::World;
 
 /// Maximum share of distances that are sampled by transmittance.
-const MAX_BY_TRANSMITTANCE: f32 = 0.8;
+const MAX_TRANSMITTANCE_SHARE: f32 = 0.8;
 
 /// Minimum share of distances that are sampled by transmittance if the segment extends beyond the closely examined range.
-const MIN_BEHIND: f32 = 0.02;
+const MIN_TRANSMITTANCE_SHARE: f32 = 0.02;
 
 /// A ray segment.
 #[derive(Clone, Copy)]
@@ -21,7 +21,7 @@ pub struct MediumSegment<'a> {
     /// Media that the ray passes through.
     pub ray: &'a MediaRay,
     /// Minimum distance of a light from the ray, m; smaller distances are raised to it.
-    pub least_distance: f32,
+    pub min_light_distance: f32,
 }
 
 /// A distribution of distances. Most are sampled by the light that is scattered at each distance. If the fog is so thick that it
@@ -31,13 +31,13 @@ pub struct SingleScatterSampler {
     airlight: Airlight,
     start: f32,
     /// Share of distances that are sampled by transmittance.
-    by_transmittance: f32,
+    transmittance_share: f32,
 }
 
 impl SingleScatterSampler {
     /// Creates the distribution for `light` at `time` in the shutter; `None` if the light is never chosen.
     pub fn new(lights: &Lights, world: &World, segment: &MediumSegment<'_>, light: u32, time: f32) -> Option<Self> {
-        let MediumSegment { light_context, media, ray, least_distance } = *segment;
+        let MediumSegment { light_context, media, ray, min_light_distance: least_distance } = *segment;
         let sampler = lights.sampler();
         let node = sampler.node(light)?;
         let (start, end) = light_context.range;
@@ -57,15 +57,15 @@ impl SingleScatterSampler {
         let source = measured.as_ref().map_or(SourceProfile::Bounds(node), SourceProfile::Sampled);
         let airlight = equiangular.airlight(sampler.level(), &medium, source);
         let steep = airlight.steepness(&depth);
-        let thick = MAX_BY_TRANSMITTANCE * steep / (1.0 + steep);
-        let by_transmittance = if light_context.end <= end { thick } else { thick.max(MIN_BEHIND) };
-        Some(Self { airlight, start, by_transmittance })
+        let thick = MAX_TRANSMITTANCE_SHARE * steep / (1.0 + steep);
+        let by_transmittance = if light_context.end <= end { thick } else { thick.max(MIN_TRANSMITTANCE_SHARE) };
+        Some(Self { airlight, start, transmittance_share: by_transmittance })
     }
 
     /// Samples an event with `u` and, for colored media, `channel`, both in [0, 1). Returns the event, whose weight is not divided
     /// by a density, and the density, 1/m.
     pub fn sample(&self, media: &Media, ray: &MediaRay, u: f32, channel: f32) -> Option<(ScatterEvent, f32)> {
-        let share = self.by_transmittance;
+        let share = self.transmittance_share;
         let t = if u < share {
             let DistanceSample::Scatter(event) = media.sample_distance(ray, f64::from(u / share), channel) else {
                 return None;
@@ -82,6 +82,6 @@ impl SingleScatterSampler {
     /// Returns the density of an event's distance, 1/m.
     pub fn pdf(&self, event: &ScatterEvent) -> f32 {
         let about = self.airlight.pdf(event.t - self.start);
-        self.by_transmittance * event.pdf + (1.0 - self.by_transmittance) * about
+        self.transmittance_share * event.pdf + (1.0 - self.transmittance_share) * about
     }
 }

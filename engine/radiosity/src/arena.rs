@@ -162,7 +162,7 @@ impl Arena {
             _ => {
                 let (surface, outline) = (element.surface, element.outline);
                 let source = &scene.surfaces[surface as usize];
-                let at = |local: Vec2| source.at(outline.at(local)).position;
+                let at = |local: Vec2| source.point_at(outline.point_at(local)).position;
                 let halves = Outline::halves(element.split, |from, to| at(from).distance(at(to)));
                 let mut part = 0;
                 halves.map(|half| {
@@ -183,7 +183,7 @@ fn root_outline(scene: &Scene<'_>, surface: u32) -> Outline {
     if !matches!(source.form, femc_field::Form::Triangle(_)) {
         return Outline::WHOLE;
     }
-    let length = |from: Vec2, to: Vec2| source.at(from).position.distance(source.at(to).position);
+    let length = |from: Vec2, to: Vec2| source.point_at(from).position.distance(source.point_at(to).position);
     Outline::across_longest([Vec2::ZERO, Vec2::X, Vec2::Y], &length)
 }
 

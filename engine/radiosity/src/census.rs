@@ -43,7 +43,7 @@ pub struct Census {
     /// Links among elements, by kind of the receiver.
     pub receivers: KindCounts,
     /// Links among elements, by kind of the source.
-    pub senders: KindCounts,
+    pub sources: KindCounts,
 }
 
 impl Census {
@@ -52,7 +52,7 @@ impl Census {
         Self {
             elements: KindCounts::count(elements.iter().map(|element| element.kind)),
             receivers: KindCounts::count(links.iter().map(|link| kind(link.receiver))),
-            senders: KindCounts::count(links.iter().map(|link| kind(link.source))),
+            sources: KindCounts::count(links.iter().map(|link| kind(link.source))),
         }
     }
 }

@@ -113,7 +113,7 @@ impl Element {
         let mut element = Self::empty(ElementKind::Patch, parent.map_or(NONE, |(index, _)| index), key);
         let outline = around.compose(&inner);
         let source = &scene.surfaces[surface as usize];
-        let at = |local: Vec2| source.at(outline.at(local));
+        let at = |local: Vec2| source.point_at(outline.point_at(local));
         let triangle = matches!(source.form, femc_field::Form::Triangle(_));
         (element.surface, element.outline, element.in_parent) = (surface, outline, inner);
         let share = outline.edges[0].perp_dot(outline.edges[1]).abs();
@@ -237,7 +237,7 @@ impl Element {
             return (child.nodes[node].position - self.center) / self.half_extent;
         }
         let place = if child.node_count == 3 { Leaf::TRIANGLE_POINTS[node] } else { Leaf::RECTANGLE_POINTS[node] };
-        let local = child.in_parent.at(place);
+        let local = child.in_parent.point_at(place);
         Vec3A::new(local.x, local.y, 0.0)
     }
 }

@@ -14,9 +14,9 @@ use rayon::prelude::*;
 #[derive(Clone, Copy, Debug)]
 pub struct ElementLight {
     /// Irradiance at the nodes, lx, received through the element's own links from light sources, and from elements.
-    pub own: [[Rgb; 4]; 2],
+    pub gathered: [[Rgb; 4]; 2],
     /// Irradiance at the nodes including that of the elements above it, lx.
-    pub whole: [[Rgb; 4]; 2],
+    pub total: [[Rgb; 4]; 2],
     /// Mean radiosity, lx; for fog per m.
     pub radiosity: Rgb,
     /// Bounds of the radiosity's luminance over the parts.
@@ -24,20 +24,20 @@ pub struct ElementLight {
     pub brightest: f32,
     /// Mean irradiance, by luminance, and the mean irradiance of the darkest part.
     pub mean: f32,
-    pub least_mean: f32,
+    pub min_mean: f32,
     /// Intensity by direction that wide elements send, cd.
     pub intensity: Harmonics,
 }
 
 impl ElementLight {
     pub const ZERO: Self = Self {
-        own: [[Rgb::ZERO; 4]; 2],
-        whole: [[Rgb::ZERO; 4]; 2],
+        gathered: [[Rgb::ZERO; 4]; 2],
+        total: [[Rgb::ZERO; 4]; 2],
         radiosity: Rgb::ZERO,
         darkest: 0.0,
         brightest: 0.0,
         mean: 0.0,
-        least_mean: 0.0,
+        min_mean: 0.0,
         intensity: Harmonics::ZERO,
     };
 }
@@ -46,19 +46,19 @@ impl ElementLight {
 /// elements above.
 #[derive(Clone, Copy, Debug)]
 pub struct IncidentLight {
-    pub own: [Harmonics; 2],
-    pub whole: [Harmonics; 2],
+    pub gathered: [Harmonics; 2],
+    pub total: [Harmonics; 2],
     /// Light of a ball that rays find in addition to that of the links.
     pub ray_correction: Harmonics,
 }
 
 impl IncidentLight {
     pub const ZERO: Self =
-        Self { own: [Harmonics::ZERO; 2], whole: [Harmonics::ZERO; 2], ray_correction: Harmonics::ZERO };
+        Self { gathered: [Harmonics::ZERO; 2], total: [Harmonics::ZERO; 2], ray_correction: Harmonics::ZERO };
 }
 
 /// Indices of the kinds of light.
-pub const FROM_SOURCES: usize = 0;
+pub const FROM_LAMPS: usize = 0;
 pub const FROM_ELEMENTS: usize = 1;
 
 /// Treatment of irradiance that exceeds the possible maximum.
@@ -107,13 +107,13 @@ impl ElementLights {
     pub fn grow(&mut self, arena: &Arena) {
         for element in &arena.elements[self.elements.len()..] {
             let parent = self.elements[element.parent as usize];
-            let ElementLight { radiosity, darkest, brightest, mean, least_mean: least, .. } = parent;
+            let ElementLight { radiosity, darkest, brightest, mean, min_mean: least, .. } = parent;
             self.elements.push(ElementLight {
                 radiosity,
                 darkest,
                 brightest,
                 mean,
-                least_mean: least,
+                min_mean: least,
                 ..ElementLight::ZERO
             });
             let taken = self.accepted[element.parent as usize].into_iter().fold(1.0, f32::min);
@@ -164,9 +164,9 @@ impl ElementLights {
         for (index, element) in arena.elements.iter().enumerate().filter(|(_, element)| element.is_leaf()) {
             let received = match element.kind {
                 ElementKind::Curved => {
-                    [self.incident[element.directional as usize].whole[FROM_ELEMENTS].total().y * 0.25; 4]
+                    [self.incident[element.directional as usize].total[FROM_ELEMENTS].total().y * 0.25; 4]
                 }
-                _ => self.elements[index].whole[FROM_ELEMENTS].map(|light| light.y),
+                _ => self.elements[index].total[FROM_ELEMENTS].map(|light| light.y),
             };
             most = received[..element.node_count].iter().copied().fold(most, f32::max);
             if bound_action == EnergyBound::RowSums {
@@ -186,17 +186,17 @@ impl ElementLights {
         let gathered: Vec<([Rgb; 4], Harmonics)> =
             rows.par_iter().with_min_len(64).map(|row| gather_row(arena, lights, row)).collect();
         for light in &mut self.elements {
-            light.own[FROM_ELEMENTS] = [Rgb::ZERO; 4];
+            light.gathered[FROM_ELEMENTS] = [Rgb::ZERO; 4];
         }
         for arriving in &mut self.incident {
-            arriving.own[FROM_ELEMENTS] = Harmonics::ZERO;
+            arriving.gathered[FROM_ELEMENTS] = Harmonics::ZERO;
         }
         for (row, (nodes, arriving)) in rows.iter().zip(gathered) {
             let receiver = row[0].receiver as usize;
-            self.elements[receiver].own[FROM_ELEMENTS] = nodes;
+            self.elements[receiver].gathered[FROM_ELEMENTS] = nodes;
             let wide = arena.elements[receiver].directional;
             if wide != NONE {
-                self.incident[wide as usize].own[FROM_ELEMENTS] = arriving;
+                self.incident[wide as usize].gathered[FROM_ELEMENTS] = arriving;
             }
         }
     }
@@ -233,21 +233,21 @@ impl ElementLights {
         let element = &arena.elements[index];
         if element.is_directional() {
             let mut arriving = self.incident[element.directional as usize];
-            arriving.whole = arriving.own;
+            arriving.total = arriving.gathered;
             if element.parent != NONE {
-                let above = self.incident[arena.elements[element.parent as usize].directional as usize].whole;
-                (0..2).for_each(|kind| arriving.whole[kind] += above[kind]);
+                let above = self.incident[arena.elements[element.parent as usize].directional as usize].total;
+                (0..2).for_each(|kind| arriving.total[kind] += above[kind]);
             }
             self.incident[element.directional as usize] = arriving;
             return;
         }
-        let mut whole = self.elements[index].own;
+        let mut whole = self.elements[index].gathered;
         if element.parent != NONE {
             let above = &arena.elements[element.parent as usize];
-            for kind in [FROM_SOURCES, FROM_ELEMENTS] {
+            for kind in [FROM_LAMPS, FROM_ELEMENTS] {
                 for (node, value) in whole[kind].iter_mut().enumerate().take(element.node_count) {
                     *value += if above.is_directional() {
-                        let light = &self.incident[above.directional as usize].whole[kind];
+                        let light = &self.incident[above.directional as usize].total[kind];
                         match element.kind {
                             // A point of fog receives a quarter of the light from all directions.
                             ElementKind::Volume => (light.total() * 0.25).max(Rgb::ZERO),
@@ -255,19 +255,19 @@ impl ElementLights {
                         }
                     } else {
                         above.interpolate(
-                            &self.elements[element.parent as usize].whole[kind],
+                            &self.elements[element.parent as usize].total[kind],
                             above.node_in_parent(element, node),
                         )
                     };
                 }
             }
         }
-        self.elements[index].whole = whole;
+        self.elements[index].total = whole;
     }
 
     /// Returns the irradiance at an element's nodes from sources or from elements.
     pub fn node_irradiance(&self, index: usize, from: usize) -> [Rgb; 4] {
-        let mut values = self.elements[index].whole[from];
+        let mut values = self.elements[index].total[from];
         if from == FROM_ELEMENTS {
             let beyond = self.accepted[index].into_iter().zip(self.ray_correction[index]);
             values.iter_mut().zip(beyond).for_each(|(value, (taken, more))| *value = *value * taken + more);
@@ -277,7 +277,7 @@ impl ElementLights {
 
     /// Returns the light by direction that a curved element receives from sources or from elements.
     pub fn directional_irradiance(&self, element: &Element, index: usize, from: usize) -> Harmonics {
-        let IncidentLight { whole, ray_correction: more, .. } = self.incident[element.directional as usize];
+        let IncidentLight { total: whole, ray_correction: more, .. } = self.incident[element.directional as usize];
         if from == FROM_ELEMENTS { whole[from] * Rgb::splat(self.accepted[index][0]) + more } else { whole[from] }
     }
 
@@ -287,7 +287,7 @@ impl ElementLights {
         let behind = self.back_irradiance(scene, arena, element);
         let of_elements = self.node_irradiance(index, FROM_ELEMENTS);
         if element.kind == ElementKind::Curved {
-            let arriving = self.incident[element.directional as usize].whole[FROM_SOURCES]
+            let arriving = self.incident[element.directional as usize].total[FROM_LAMPS]
                 + self.directional_irradiance(element, index, FROM_ELEMENTS);
             let (mut sum, mut mean) = (Rgb::ZERO, 0.0);
             let sent = curved_intensity(scene, element, |normal| {
@@ -300,14 +300,14 @@ impl ElementLights {
             light.intensity = sent;
             light.radiosity = sum / CURVED_NORMALS as f32;
             light.mean = mean / CURVED_NORMALS as f32;
-            light.least_mean = light.mean;
+            light.min_mean = light.mean;
             (light.darkest, light.brightest) = (0.0, 2.0 * luminance(light.radiosity));
             return;
         }
         let light = &mut self.elements[index];
         let (mut sum, mut mean, mut darkest, mut brightest) = (Rgb::ZERO, 0.0, f32::INFINITY, 0.0f32);
         for (node, of_elements) in of_elements.into_iter().enumerate().take(element.node_count) {
-            let irradiance = (light.whole[FROM_SOURCES][node] + of_elements).max(Rgb::ZERO);
+            let irradiance = (light.total[FROM_LAMPS][node] + of_elements).max(Rgb::ZERO);
             let radiosity = element.reflectance * irradiance + element.transmittance * behind;
             let value = luminance(radiosity);
             (darkest, brightest) = (darkest.min(value), brightest.max(value));
@@ -315,7 +315,7 @@ impl ElementLights {
         }
         let share = 1.0 / element.node_count as f32;
         (light.radiosity, light.mean) = (sum * share, mean * share);
-        light.least_mean = light.mean;
+        light.min_mean = light.mean;
         (light.darkest, light.brightest) = (darkest, brightest);
     }
 
@@ -331,13 +331,13 @@ impl ElementLights {
         }
         // Both sides are split alike, though one may be split further.
         let middle = if element.corner_count == 3 { Vec2::splat(1.0 / 3.0) } else { Vec2::splat(0.5) };
-        let (index, _) = arena.element_at(root, element.outline.at(middle), 0.0);
+        let (index, _) = arena.element_at(root, element.outline.point_at(middle), 0.0);
         let other = &arena.elements[index as usize];
         if other.kind == ElementKind::Curved {
-            let sources = self.incident[other.directional as usize].whole[FROM_SOURCES];
+            let sources = self.incident[other.directional as usize].total[FROM_LAMPS];
             return (sources + self.directional_irradiance(other, index as usize, FROM_ELEMENTS)).total() * 0.25;
         }
-        let [sources, elements] = [FROM_SOURCES, FROM_ELEMENTS].map(|from| self.node_irradiance(index as usize, from));
+        let [sources, elements] = [FROM_LAMPS, FROM_ELEMENTS].map(|from| self.node_irradiance(index as usize, from));
         let sum: Rgb = (0..other.node_count).map(|node| sources[node] + elements[node]).sum();
         (sum / other.node_count as f32).max(Rgb::ZERO)
     }
@@ -365,7 +365,7 @@ impl ElementLights {
         }
         out.radiosity = a.1.radiosity * wa + b.1.radiosity * wb;
         out.mean = a.1.mean * wa + b.1.mean * wb;
-        out.least_mean = a.1.least_mean.min(b.1.least_mean);
+        out.min_mean = a.1.min_mean.min(b.1.min_mean);
         out.darkest = a.1.darkest.min(b.1.darkest);
         out.brightest = a.1.brightest.max(b.1.brightest);
         self.elements[index] = out;
@@ -378,7 +378,7 @@ fn curved_intensity(scene: &Scene<'_>, element: &Element, mut radiosity: impl Fn
     let mut sent = Harmonics::ZERO;
     for k in 0..CURVED_NORMALS {
         let place = Vec2::new((k % 4) as f32 + 0.5, (k / 4) as f32 + 0.5) * 0.25;
-        let normal = surface.at(element.outline.at(place)).normal;
+        let normal = surface.point_at(element.outline.point_at(place)).normal;
         sent += Harmonics::from_direction(
             normal,
             radiosity(normal) * (element.size / (std::f32::consts::PI * CURVED_NORMALS as f32)),

@@ -90,7 +90,7 @@ pub fn of_groups(
                 let number = area / element.size;
                 seen.extend(of.map(|ray| IncidentSegment {
                     irradiance: ray.irradiance * scale,
-                    number: ray.number * number,
+                    ray_count: ray.ray_count * number,
                     ..ray
                 }));
             }
@@ -331,7 +331,7 @@ fn guide(element: &Element, links: &[Part], rays: &[IncidentSegment], portals: &
     let mut parts = links.to_vec();
     parts.extend(rays.iter().step_by(2).filter(|ray| ray.irradiance > 0.0).map(|ray| {
         // Half as wide as a ray's share of all directions.
-        let spread = ray.target.distance_squared(ray.origin) / (2.0 * ray.number);
+        let spread = ray.target.distance_squared(ray.origin) / (2.0 * ray.ray_count);
         Part { origin: ray.origin, target: ray.target, spread, amount: ray.irradiance * SCALE }
     }));
     let Some(lobes) = fit(&parts, element.center, &frame, portals) else { return nothing };
@@ -365,7 +365,7 @@ fn guide(element: &Element, links: &[Part], rays: &[IncidentSegment], portals: &
             // Mean of the square, as if the direction had been sampled from the mixture.
             let dir = (ray.target - ray.origin).normalize_or(element.normal);
             let cosine = element.normal.dot(dir).max(1e-3) / PI;
-            let square = ray.irradiance * ray.irradiance / (odd * odd) * (0.5 * ray.number);
+            let square = ray.irradiance * ray.irradiance / (odd * odd) * (0.5 * ray.ray_count);
             let lobes = Directions::new(&block, 1.0, ray.origin).map_or(0.0, |directions| directions.pdf(dir));
             moments[0][1] += square;
             for (moment, share) in moments[1..].iter_mut().zip(SHARES) {

@@ -29,7 +29,7 @@ pub struct LampLink {
 #[derive(Clone, Copy, Debug)]
 pub enum LampLinkDecision {
     Drop,
-    Keep { link: LampLink, refused: bool },
+    Keep { link: LampLink, is_inexact: bool },
     SplitReceiver,
 }
 
@@ -179,7 +179,7 @@ impl Oracle<'_> {
         if refused && self.may_split(p) {
             return LampLinkDecision::SplitReceiver;
         }
-        LampLinkDecision::Keep { link, refused: refused || error > allowed }
+        LampLinkDecision::Keep { link, is_inexact: refused || error > allowed }
     }
 
     /// Returns the mean light over a box of fog from a source, treated as a point, through the fog, as a quarter of the light from

@@ -28,8 +28,8 @@ pub struct Link {
 pub enum LinkDecision {
     /// No link: no light can travel this way.
     Drop,
-    /// A final link: it is exact enough, or its elements cannot be split further (`refused`).
-    Keep { link: Link, refused: bool },
+    /// A final link: it is exact enough, or its elements cannot be split further (`is_inexact`).
+    Keep { link: Link, is_inexact: bool },
     /// Links to the receiver's parts instead.
     SplitReceiver,
     /// Links from the source's parts instead.
@@ -55,9 +55,9 @@ pub struct Oracle<'a> {
     /// Volume of fog that may have the requested error, m3.
     pub unit_volume: f32,
     /// Area up to which an element is not split any more, m2.
-    pub least_area: f32,
+    pub min_area: f32,
     /// Volume up to which fog is not split any more, m3.
-    pub least_volume: f32,
+    pub min_volume: f32,
     /// Whether no more elements may be created.
     pub element_budget_exhausted: bool,
     /// Whether no link may be split, even with existing elements.
@@ -65,7 +65,7 @@ pub struct Oracle<'a> {
 }
 
 /// Minimum sum of the radii of a box of fog and its neighbor, as a share of their distance.
-const MIN_BESIDE: f32 = 0.5;
+const MIN_NEIGHBOR_RADII: f32 = 0.5;
 
 /// Bounds of the error scale, for large and for small elements.
 const ERROR_SCALE_BOUNDS: [f32; 2] = [0.5, 4.0];
@@ -101,8 +101,8 @@ impl Oracle<'_> {
             ElementKind::Cluster => true,
             _ if !element.is_leaf() => true,
             _ if self.element_budget_exhausted => false,
-            ElementKind::Volume => element.size > self.least_volume,
-            ElementKind::Patch | ElementKind::Curved => element.size > self.least_area,
+            ElementKind::Volume => element.size > self.min_volume,
+            ElementKind::Patch | ElementKind::Curved => element.size > self.min_area,
         }
     }
 
@@ -112,8 +112,8 @@ impl Oracle<'_> {
         // A larger element is a larger part of the scene.
         let weight = |ratio: f32| ratio.sqrt().clamp(ERROR_SCALE_BOUNDS[0], ERROR_SCALE_BOUNDS[1]);
         match p.kind {
-            ElementKind::Volume => self.error * (light.least_mean + self.fog_floor) * weight(self.unit_volume / p.size),
-            _ => self.error * (0.5 * (light.least_mean + light.mean) + self.floor) * weight(self.unit_area / p.size),
+            ElementKind::Volume => self.error * (light.min_mean + self.fog_floor) * weight(self.unit_volume / p.size),
+            _ => self.error * (0.5 * (light.min_mean + light.mean) + self.floor) * weight(self.unit_area / p.size),
         }
     }
 
@@ -149,7 +149,7 @@ impl Oracle<'_> {
         let radiosity =
             luminance(if q.is_directional() { from.intensity.cosine_integral(dir) } else { from.radiosity });
         if radiosity <= 0.0 && from.brightest <= 0.0 {
-            return LinkDecision::Keep { link, refused: false };
+            return LinkDecision::Keep { link, is_inexact: false };
         }
         let allowed = self.allowed_error(p, to);
         // The center of a wide element represents all of it only from far away. Near the source, parts of the receiver as large as
@@ -184,7 +184,7 @@ impl Oracle<'_> {
         // A small source at a box of fog mostly lights the fog next to itself, where there may be no node. The light that the whole
         // box receives is computed in the reverse direction. The part that the nodes miss is spread over the box.
         let is_beside = p.kind == ElementKind::Volume
-            && near_p + near_q > MIN_BESIDE
+            && near_p + near_q > MIN_NEIGHBOR_RADII
             && match q.kind {
                 ElementKind::Patch => q.radius < p.radius,
                 ElementKind::Volume => q.size < p.size,
@@ -252,14 +252,14 @@ impl Oracle<'_> {
                     .iter()
                     .all(|&seen| seen == 0.0);
             if is_dark {
-                return LinkDecision::Keep { link: Link { factors: [0.0; 4], ..link }, refused: false };
+                return LinkDecision::Keep { link: Link { factors: [0.0; 4], ..link }, is_inexact: false };
             }
             if let Some(verdict) = self.choose_split(p, q, errors) {
                 return verdict;
             }
         }
         if amount <= 0.0 {
-            return LinkDecision::Keep { link, refused: false };
+            return LinkDecision::Keep { link, is_inexact: false };
         }
         // Occlusion.
         let (seen, refused) = self.cast_visibility_rays(
@@ -276,9 +276,9 @@ impl Oracle<'_> {
         let error = amount * hidden;
         if error > if most == 0.0 { unproved_error } else { allowed } {
             let sizes = if p.radius > q.radius { [error, 0.0] } else { [0.0, error] };
-            return self.choose_split(p, q, sizes).unwrap_or(LinkDecision::Keep { link, refused: true });
+            return self.choose_split(p, q, sizes).unwrap_or(LinkDecision::Keep { link, is_inexact: true });
         }
-        LinkDecision::Keep { link, refused: errors[0] + errors[1] > allowed }
+        LinkDecision::Keep { link, is_inexact: errors[0] + errors[1] > allowed }
     }
 
     /// Splits the element that causes the error, or else the other one. `None` if neither can be split.
@@ -292,7 +292,8 @@ impl Oracle<'_> {
     }
 
     fn decide_self_link(&self, receiver: u32, p: &Element, tester: &mut VisibilityTester) -> LinkDecision {
-        let keep = |factors| LinkDecision::Keep { link: Link { receiver, source: receiver, factors }, refused: false };
+        let keep =
+            |factors| LinkDecision::Keep { link: Link { receiver, source: receiver, factors }, is_inexact: false };
         match p.kind {
             ElementKind::Cluster => LinkDecision::SplitBoth,
             ElementKind::Patch | ElementKind::Curved if !self.scene.surfaces[p.surface as usize].is_concave() => {

@@ -124,8 +124,8 @@ pub fn solution_meshes(view: &SolutionView<'_>) -> Vec<Mesh> {
             let mesh = meshes.entry(key).or_insert_with(|| Mesh::new(key));
             let grid = Grid::new(surface, &outline, extent);
             grid.add(mesh, |mesh, local, spot| {
-                let place = outline.at(local);
-                let inside = outline.at(local.lerp(Vec2::splat(1.0 / 3.0), 1e-3));
+                let place = outline.point_at(local);
+                let inside = outline.point_at(local.lerp(Vec2::splat(1.0 / 3.0), 1e-3));
                 let arriving = view.irradiance(leaf, local, spot.normal);
                 let sent = view.radiance(index, arriving, place, inside);
                 mesh.push(spot, [sent, arriving.total(), arriving.direct], leaf, index);
@@ -199,7 +199,7 @@ impl<'a> Grid<'a> {
             }
             Form::Curved { shape, pose } => {
                 let [around, along] = grid_steps(shape, pose.matrix3.x_axis.length(), extent);
-                let (corner, end) = (outline.at(Vec2::ZERO), outline.at(Vec2::ONE));
+                let (corner, end) = (outline.point_at(Vec2::ZERO), outline.point_at(Vec2::ONE));
                 let size = end - corner;
                 let columns = grid_lines([corner.x, end.x].map(f64::from), around);
                 grid.columns =
@@ -222,7 +222,7 @@ impl<'a> Grid<'a> {
         let first = mesh.positions.len() as u32;
         if self.columns.is_empty() {
             for local in [Vec2::ZERO, Vec2::X, Vec2::Y] {
-                push(mesh, local, &self.surface.at(self.outline.at(local)));
+                push(mesh, local, &self.surface.point_at(self.outline.point_at(local)));
             }
             let [a, b, c] = [0, 1, 2].map(|corner| first + corner);
             mesh.triangle([a, b, c]);
@@ -256,8 +256,8 @@ impl<'a> Grid<'a> {
     /// Returns the surface spot of a vertex.
     /// - `v`: the second parameter of the shape.
     fn spot(&self, local: Vec2, v: f64) -> SurfaceSpot {
-        let place = self.outline.at(local);
-        let Form::Curved { shape, pose } = &self.surface.form else { return self.surface.at(place) };
+        let place = self.outline.point_at(local);
+        let Form::Curved { shape, pose } = &self.surface.form else { return self.surface.point_at(place) };
         let (position, normal) = shape.point_at([f64::from(place.x), v]);
         let normal = pose.transform_vector3a(normal.as_vec3a()).normalize_or(Vec3A::Z);
         SurfaceSpot {

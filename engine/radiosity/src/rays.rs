@@ -14,7 +14,7 @@ pub use aims::Aims;
 
 use crate::arena::Arena;
 use crate::element::{Element, ElementKind};
-use crate::gather::{ElementLights, FROM_ELEMENTS, FROM_SOURCES};
+use crate::gather::{ElementLights, FROM_ELEMENTS, FROM_LAMPS};
 use crate::scene::{SHUTTER_TIME, Scene, diffuse_albedos};
 use crate::visibility::{RandomNumbers, VisibilityTester};
 use aims::Aim;
@@ -48,7 +48,7 @@ pub const MIN_BYTES: usize = MAX_PARTS * (size_of::<RayHit>() + size_of::<[u32; 
 #[derive(Clone, Copy, Debug)]
 struct RayHit {
     /// Leaf that was hit; [`NONE`] for a lamp, or for no hit.
-    first_leaf: u32,
+    leaf: u32,
     /// Irradiance of the ray's origin, if all rays had this hit, relative to the leaf's radiosity; for fog, relative to its
     /// irradiance; for a lamp, in lx.
     share: f32,
@@ -56,7 +56,7 @@ struct RayHit {
     normal: [i8; 3],
     /// Normal at the ray's origin, in 127ths.
     origin_normal: [i8; 3],
-    /// Part of the leaf. [`ONE_WAY`] for hits through a mirror, for fog and for lamps, which receive nothing through this ray.
+    /// Part of the leaf. [`NO_PART`] for hits through a mirror, for fog and for lamps, which receive nothing through this ray.
     part: u8,
     /// Hit point, m; through a mirror, the mirrored point.
     target: [f32; 3],
@@ -95,7 +95,7 @@ impl MisHeuristic {
 }
 
 /// See [`RayHit::part`].
-const ONE_WAY: u8 = u8::MAX;
+const NO_PART: u8 = u8::MAX;
 
 /// A way along which light reaches a leaf.
 #[derive(Clone, Copy, Debug)]
@@ -107,7 +107,7 @@ pub struct IncidentSegment {
     /// Contribution to the leaf's mean irradiance, lx. The sum over all ways is an estimate of that.
     pub irradiance: f32,
     /// Number of ways in all directions, by the cosine distribution, if they were everywhere as dense as here.
-    pub number: f32,
+    pub ray_count: f32,
 }
 
 /// Rays from all leaves of surfaces. Each ray measures the light that its origin receives from its end, and, if its end is a leaf,
@@ -144,16 +144,16 @@ struct RaySample {
     /// Contribution to the leaf's mean irradiance, lx.
     irradiance: Rgb,
     /// Number of ways if they were everywhere as dense as here; see [`IncidentSegment::ray_count`].
-    number: f32,
+    ray_count: f32,
 }
 
 impl RayHit {
     const MISS: Self = Self {
-        first_leaf: NONE,
+        leaf: NONE,
         share: 0.0,
         normal: [0; 3],
         origin_normal: [0; 3],
-        part: ONE_WAY,
+        part: NO_PART,
         target: [0.0; 3],
         density: [0.0; 2],
     };
@@ -181,7 +181,7 @@ pub struct RayPlan {
 #[derive(Clone, Debug, Default)]
 pub struct RayHits {
     /// Index of the first leaf among all.
-    leaf: u32,
+    first_leaf: u32,
     /// Number of rays by leaf.
     counts: Vec<u32>,
     hits: Vec<RayHit>,
@@ -261,13 +261,13 @@ impl RayPlan {
                         let mut hit = trace_ray(scene, arena, &spot, dir, u, &mut tester);
                         hit.origin_normal = pack_normal(spot.normal);
                         hit.density[0] = density[leaf as usize] * aims.get(leaf).ratio(&spot, dir, each);
-                        if hit.part != ONE_WAY {
-                            let number = density[hit.first_leaf as usize];
-                            let other = &arena.elements[hit.first_leaf as usize];
+                        if hit.part != NO_PART {
+                            let number = density[hit.leaf as usize];
+                            let other = &arena.elements[hit.leaf as usize];
                             let normal = unpack_normal(hit.normal);
                             let spot = SurfaceSpot { position: Vec3A::from_array(hit.target), normal, ..spot };
                             let each = (number * other.size / part_count(other) as f32).round() as usize;
-                            hit.density[1] = number * aims.get(hit.first_leaf).ratio(&spot, -dir, each);
+                            hit.density[1] = number * aims.get(hit.leaf).ratio(&spot, -dir, each);
                         }
                         hit
                     };
@@ -278,7 +278,7 @@ impl RayPlan {
             .collect();
         let traced = chunks.iter().map(|(_, rays)| rays).sum();
         let hits = chunks.into_iter().flat_map(|(sights, _)| sights).collect();
-        RayHits { leaf: part.start as u32, counts, hits, traced }
+        RayHits { first_leaf: part.start as u32, counts, hits, traced }
     }
 }
 
@@ -295,14 +295,12 @@ pub fn ray_leaves(arena: &Arena) -> Vec<u32> {
 pub fn are_complete(arena: &Arena, parts: &[RayHits], leaves: usize) -> bool {
     let mut next = 0;
     let follow = parts.iter().all(|part| {
-        let is_next = part.leaf as usize == next;
+        let is_next = part.first_leaf as usize == next;
         next += part.counts.len();
         is_next
     });
     let sights = || parts.par_iter().flat_map(|part| &part.hits);
-    follow
-        && next == leaves
-        && sights().all(|sight| sight.first_leaf == NONE || (sight.first_leaf as usize) < arena.elements.len())
+    follow && next == leaves && sights().all(|sight| sight.leaf == NONE || (sight.leaf as usize) < arena.elements.len())
 }
 
 /// Returns the range of items of a block, if all blocks have about equal amounts.
@@ -345,8 +343,8 @@ impl Rays {
     /// Builds the reverse index: the incoming rays of each leaf.
     fn build_reverse_index(&mut self) {
         let place = |sight: &RayHit| {
-            let both = sight.part != ONE_WAY && sight.share > 0.0;
-            both.then(|| self.leaves.binary_search(&sight.first_leaf).ok()).flatten()
+            let both = sight.part != NO_PART && sight.share > 0.0;
+            both.then(|| self.leaves.binary_search(&sight.leaf).ok()).flatten()
         };
         let places: Vec<u32> = self.hits.par_iter().map(|sight| place(sight).map_or(NONE, |at| at as u32)).collect();
         let mut first = vec![0u32; self.leaves.len() + 1];
@@ -377,22 +375,22 @@ impl Rays {
     fn visit_samples(
         &self,
         (arena, lights): (&Arena, &ElementLights),
-        place: usize,
+        leaf_index: usize,
         weights: MisHeuristic,
         mut each: impl FnMut(RaySample),
     ) {
-        let element = &arena.elements[self.leaves[place] as usize];
-        let [first, end] = [self.first[place], self.first[place + 1]].map(|at| at as usize);
+        let element = &arena.elements[self.leaves[leaf_index] as usize];
+        let [first, end] = [self.first[leaf_index], self.first[leaf_index + 1]].map(|at| at as usize);
         let parts = part_count(element);
         for (ray, sight) in self.hits[first..end].iter().enumerate() {
             let number = weights.density(sight.density[0], sight.density[1], true) * element.size;
             if number > 0.0 {
                 let irradiance = received_irradiance(arena, lights, sight) * (1.0 / number);
-                each(RaySample { ray: first + ray, origin: None, part: ray % parts, irradiance, number });
+                each(RaySample { ray: first + ray, origin: None, part: ray % parts, irradiance, ray_count: number });
             }
         }
         for &[origin, ray] in
-            &self.incoming[self.incoming_start[place] as usize..self.incoming_start[place + 1] as usize]
+            &self.incoming[self.incoming_start[leaf_index] as usize..self.incoming_start[leaf_index + 1] as usize]
         {
             let (ray, origin) = (ray as usize, origin as usize);
             let sight = &self.hits[ray];
@@ -401,15 +399,21 @@ impl Rays {
                 let leaf = self.leaves[origin];
                 let irradiance =
                     radiosity(arena, lights, leaf, unpack_normal(sight.origin_normal)) * (sight.share / number);
-                each(RaySample { ray, origin: Some(origin), part: usize::from(sight.part), irradiance, number });
+                each(RaySample {
+                    ray,
+                    origin: Some(origin),
+                    part: usize::from(sight.part),
+                    irradiance,
+                    ray_count: number,
+                });
             }
         }
     }
 
     /// Returns the origin of a ray.
-    fn ray_origin(&self, scene: &Scene<'_>, arena: &Arena, place: usize, ray: usize) -> SurfaceSpot {
-        let element = &arena.elements[self.leaves[place] as usize];
-        let [first, end] = [self.first[place], self.first[place + 1]].map(|at| at as usize);
+    fn ray_origin(&self, scene: &Scene<'_>, arena: &Arena, leaf_index: usize, ray: usize) -> SurfaceSpot {
+        let element = &arena.elements[self.leaves[leaf_index] as usize];
+        let [first, end] = [self.first[leaf_index], self.first[leaf_index + 1]].map(|at| at as usize);
         generate_ray(scene, element, &Aim::NONE, ray - first, (end - first) / part_count(element), self.round).0
     }
 
@@ -446,7 +450,7 @@ impl Rays {
             (arena, lights),
             place,
             MisHeuristic::Balance,
-            |RaySample { ray, origin, irradiance, number, .. }| {
+            |RaySample { ray, origin, irradiance, ray_count: number, .. }| {
                 let irradiance = luminance(irradiance);
                 if !is_wanted(irradiance, number) {
                     return;
@@ -454,7 +458,7 @@ impl Rays {
                 let begin = self.ray_origin(scene, arena, origin.unwrap_or(place), ray).position;
                 let end = Vec3A::from_array(self.hits[ray].target);
                 let [origin, target] = if origin.is_none() { [begin, end] } else { [end, begin] };
-                segments.push(IncidentSegment { origin, target, irradiance, number });
+                segments.push(IncidentSegment { origin, target, irradiance, ray_count: number });
             },
         );
         segments
@@ -482,14 +486,14 @@ fn leaf_part(element: &Element, local: Vec2) -> usize {
 
 /// Returns the origin of a ray of a leaf, its direction, by the cosine distribution, and two further numbers in [0, 1). Successive
 /// rays begin on the parts of the leaf in turn.
-/// - `each`: number of rays of a part;
+/// - `rays_per_part`: number of rays of a part;
 /// - `round`: number of the round; each has different rays.
 fn generate_ray(
     scene: &Scene<'_>,
     element: &Element,
     aim: &Aim,
     ray: usize,
-    each: usize,
+    rays_per_part: usize,
     round: u32,
 ) -> (SurfaceSpot, Vec3A, [f32; 2]) {
     let surface = &scene.surfaces[element.surface as usize];
@@ -511,10 +515,10 @@ fn generate_ray(
     } else {
         local = 0.5 * (local + Vec2::new((part % 2) as f32, (part / 2) as f32));
     }
-    let spot = surface.at(element.outline.at(local));
+    let spot = surface.point_at(element.outline.point_at(local));
     // Shifted lattices.
-    let aimed = aim.number(each);
-    let (turn, of) = if turn < aimed { (turn, aimed) } else { (turn - aimed, each - aimed) };
+    let aimed = aim.number(rays_per_part);
+    let (turn, of) = if turn < aimed { (turn, aimed) } else { (turn - aimed, rays_per_part - aimed) };
     let u = [(turn as f32 + shift[0]) / of as f32, (turn as f32 * 0.618_034 + shift[1]).fract()];
     if ray / parts < aimed
         && let Some(dir) = aim.sample(spot.position, numbers.next(), u)
@@ -561,7 +565,7 @@ fn trace_ray(
                 DistanceSample::Scatter(event) => {
                     let leaf = arena.fog_at(ray.origin + ray.dir * event.t);
                     let (share, target) = (share * luminance(event.weight), target(way + event.t));
-                    return leaf.map_or(nothing, |leaf| RayHit { first_leaf: leaf, share, target, ..nothing });
+                    return leaf.map_or(nothing, |leaf| RayHit { leaf, share, target, ..nothing });
                 }
                 DistanceSample::Through { weight } => share *= luminance(weight),
             }
@@ -618,24 +622,24 @@ fn trace_ray(
         }
         let place = scene.surfaces[surface as usize].parameters(point.position, [hit.u, hit.v]);
         let (leaf, local) = arena.element_at(arena.roots[surface as usize], place, 0.0);
-        let part = if is_turned { ONE_WAY } else { leaf_part(&arena.elements[leaf as usize], local) as u8 };
+        let part = if is_turned { NO_PART } else { leaf_part(&arena.elements[leaf as usize], local) as u8 };
         let normal = if is_back { -point.normal } else { point.normal };
         let (share, normal) = (share / (1.0 - specular_probability), pack_normal(normal));
-        return RayHit { first_leaf: leaf, share, normal, part, target: target(way), ..nothing };
+        return RayHit { leaf, share, normal, part, target: target(way), ..nothing };
     }
     nothing
 }
 
 /// Returns the irradiance of a ray's origin, if all rays had this hit, lx.
 fn received_irradiance(arena: &Arena, lights: &ElementLights, hit: &RayHit) -> Rgb {
-    if hit.first_leaf == NONE {
+    if hit.leaf == NONE {
         return Rgb::splat(hit.share);
     }
-    let light = &lights.elements[hit.first_leaf as usize];
-    if arena.elements[hit.first_leaf as usize].kind == ElementKind::Volume {
+    let light = &lights.elements[hit.leaf as usize];
+    if arena.elements[hit.leaf as usize].kind == ElementKind::Volume {
         return Rgb::splat(hit.share * light.mean);
     }
-    radiosity(arena, lights, hit.first_leaf, unpack_normal(hit.normal)) * hit.share
+    radiosity(arena, lights, hit.leaf, unpack_normal(hit.normal)) * hit.share
 }
 
 /// Returns the radiosity of a leaf of a surface, lx.
@@ -644,7 +648,7 @@ fn radiosity(arena: &Arena, lights: &ElementLights, leaf: u32, normal: Vec3A) ->
     let element = &arena.elements[leaf as usize];
     let radiosity = if element.kind == ElementKind::Curved {
         let of = |from: usize| lights.directional_irradiance(element, leaf as usize, from).cosine_integral(normal);
-        element.reflectance * (of(FROM_SOURCES) + of(FROM_ELEMENTS))
+        element.reflectance * (of(FROM_LAMPS) + of(FROM_ELEMENTS))
     } else {
         lights.elements[leaf as usize].radiosity
     };

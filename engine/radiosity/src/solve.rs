@@ -3,7 +3,7 @@
 use crate::arena::Arena;
 use crate::census::Census;
 use crate::element::{Element, ElementKind};
-use crate::gather::{ElementLights, EnergyBound, FROM_ELEMENTS, FROM_SOURCES, field_cell};
+use crate::gather::{ElementLights, EnergyBound, FROM_ELEMENTS, FROM_LAMPS, field_cell};
 use crate::lamps::{LampLink, LampLinkDecision};
 use crate::link::{Link, LinkDecision, Oracle};
 use crate::portals::Portal;
@@ -46,7 +46,7 @@ pub struct SolveReport {
     /// Number of links with light sources.
     pub lamp_links: usize,
     /// Number of links that are less exact than requested because their elements may not be split further.
-    pub refused: usize,
+    pub inexact_links: usize,
     /// Number of visibility rays.
     pub rays: u64,
     /// Number of iterations, each of which passes light through all links.
@@ -57,11 +57,11 @@ pub struct SolveReport {
     /// exact.
     pub row_sum: f32,
     /// Whether light grew from reflection to reflection. Irradiance beyond 1 in the sense of `row_sum` was then removed.
-    pub bounded: bool,
+    pub is_energy_bounded: bool,
     /// Light that rays find on all surfaces, relative to that of the links there; 1 if the links have none.
-    pub checked: f32,
+    pub ray_link_ratio: f32,
     /// Root mean square of the resulting correction over all surfaces, relative to the links' mean.
-    pub corrected: f32,
+    pub ray_correction: f32,
     /// Number of bytes of elements, links and rays.
     pub bytes: usize,
     /// Elements and links by kind.
@@ -101,8 +101,8 @@ const IRRADIANCE_FLOOR: f32 = 0.03;
 /// Minimum limit for the bytes of links, even if elements and links have a smaller limit.
 const MIN_MEMORY: usize = 1 << 20;
 /// Minimum area, and minimum volume of fog, of an element that may be split: shares of the total, divided by the error.
-const MIN_AREA: f32 = 1e-4;
-const MIN_VOLUME: f32 = 1e-5;
+const MIN_AREA_SHARE: f32 = 1e-4;
+const MIN_VOLUME_SHARE: f32 = 1e-5;
 /// Share of all surfaces' area, or of the fog's volume, of an element that may have exactly the requested error.
 const UNIT_SHARE: f32 = 1e-3;
 
@@ -224,7 +224,7 @@ impl<'a> Solver<'a> {
         solver.state.links = vec![Link { receiver: root, source: root, factors: [0.0; 4] }];
         for (round, coarse) in ERROR_LEVELS.into_iter().enumerate() {
             let is_last = round + 1 == ERROR_LEVELS.len();
-            (solver.state.report.refused, solver.state.report.bounded) = (0, false);
+            (solver.state.report.inexact_links, solver.state.report.is_energy_bounded) = (0, false);
             solver.state.lights.accept_all();
             let error = options.error * coarse;
             // Direct light first, then the light between elements.
@@ -295,7 +295,7 @@ impl<'a> Solver<'a> {
             .collect();
         for (light, mean) in self.state.lights.elements.iter_mut().zip(estimates) {
             light.mean = if mean.is_finite() { mean } else { 0.0 };
-            light.least_mean = light.mean;
+            light.min_mean = light.mean;
         }
         for index in (0..self.state.arena.elements.len()).rev() {
             let element = &self.state.arena.elements[index];
@@ -306,8 +306,8 @@ impl<'a> Solver<'a> {
                     + self.state.lights.elements[b].mean * sizes[1])
                     / (sizes[0] + sizes[1]);
                 self.state.lights.elements[index].mean = if mean.is_finite() { mean } else { 0.0 };
-                self.state.lights.elements[index].least_mean =
-                    self.state.lights.elements[a].least_mean.min(self.state.lights.elements[b].least_mean);
+                self.state.lights.elements[index].min_mean =
+                    self.state.lights.elements[a].min_mean.min(self.state.lights.elements[b].min_mean);
             }
         }
     }
@@ -339,8 +339,8 @@ impl<'a> Solver<'a> {
             },
             unit_area: area * UNIT_SHARE,
             unit_volume: volume * UNIT_SHARE,
-            least_area: area * MIN_AREA * self.options.error,
-            least_volume: volume * MIN_VOLUME * self.options.error,
+            min_area: area * MIN_AREA_SHARE * self.options.error,
+            min_volume: volume * MIN_VOLUME_SHARE * self.options.error,
             element_budget_exhausted: self.state.bytes(links) > self.options.memory,
             link_budget_exhausted: links > self.options.memory.max(MIN_MEMORY) / size_of::<Link>(),
         }
@@ -363,9 +363,9 @@ impl<'a> Solver<'a> {
             for ((receiver, lamp), verdict) in pending.into_iter().zip(verdicts) {
                 match verdict {
                     LampLinkDecision::Drop => {}
-                    LampLinkDecision::Keep { link, refused } => {
+                    LampLinkDecision::Keep { link, is_inexact: refused } => {
                         done.push(link);
-                        self.state.report.refused += usize::from(refused);
+                        self.state.report.inexact_links += usize::from(refused);
                     }
                     LampLinkDecision::SplitReceiver => {
                         let (children, _) = self.state.arena.ensure_children(self.scene, receiver);
@@ -379,18 +379,18 @@ impl<'a> Solver<'a> {
         done.sort_unstable_by_key(|link| (link.receiver, link.lamp));
         self.state.report.lamp_links = done.len();
         for light in &mut self.state.lights.elements {
-            light.own[FROM_SOURCES] = [Rgb::ZERO; 4];
+            light.gathered[FROM_LAMPS] = [Rgb::ZERO; 4];
         }
         for arriving in &mut self.state.lights.incident {
-            arriving.own[FROM_SOURCES] = Harmonics::ZERO;
+            arriving.gathered[FROM_LAMPS] = Harmonics::ZERO;
         }
         for link in done {
             let element = &self.state.arena.elements[link.receiver as usize];
             if element.is_directional() {
-                self.state.lights.incident[element.directional as usize].own[FROM_SOURCES] +=
+                self.state.lights.incident[element.directional as usize].gathered[FROM_LAMPS] +=
                     Harmonics::from_direction(link.dir, link.light[0]);
             } else {
-                let own = &mut self.state.lights.elements[link.receiver as usize].own[FROM_SOURCES];
+                let own = &mut self.state.lights.elements[link.receiver as usize].gathered[FROM_LAMPS];
                 own.iter_mut().zip(link.light).for_each(|(sum, light)| *sum += light);
             }
         }
@@ -413,9 +413,9 @@ impl<'a> Solver<'a> {
             for (Link { receiver, source, .. }, verdict) in pending.into_iter().zip(verdicts) {
                 match verdict {
                     LinkDecision::Drop => {}
-                    LinkDecision::Keep { link, refused } => {
+                    LinkDecision::Keep { link, is_inexact: refused } => {
                         done.push(link);
-                        self.state.report.refused += usize::from(refused);
+                        self.state.report.inexact_links += usize::from(refused);
                     }
                     LinkDecision::SplitReceiver => {
                         let (children, _) = self.state.arena.ensure_children(self.scene, receiver);
@@ -449,9 +449,9 @@ impl<'a> Solver<'a> {
             let (change, whole) = self.state.lights.push_pull(self.scene, &self.state.arena);
             self.state.report.iterations += 1;
             growing = if change > before { growing + 1 } else { 0 };
-            if growing == MAX_GROWING && !self.state.report.bounded {
+            if growing == MAX_GROWING && !self.state.report.is_energy_bounded {
                 self.state.lights.row_sum(self.scene, &self.state.arena, &self.state.links, EnergyBound::RowSums);
-                (self.state.report.bounded, before) = (true, f64::INFINITY);
+                (self.state.report.is_energy_bounded, before) = (true, f64::INFINITY);
                 continue;
             }
             // Total change of further iterations, if each change shrinks at the latest rate.
@@ -479,7 +479,7 @@ impl<'a> Solver<'a> {
         for _ in 0..RAY_CHECKS {
             let SolverState { arena, lights, report, .. } = &mut self.state;
             let correction = rays.correct(arena, lights, self.options.error);
-            (report.checked, report.corrected) = (correction.ratio, correction.changed);
+            (report.ray_link_ratio, report.ray_correction) = (correction.ratio, correction.changed);
             contrast = correction.contrast;
             self.iterate(TARGET_RESIDUAL)?;
         }
@@ -565,7 +565,7 @@ fn build_field(scene: Scene<'_>, arena: &Arena, lights: &ElementLights) -> (Fiel
             let element = &arena.elements[order[at] as usize];
             let next = if element.is_leaf() {
                 field.leaves.push(field_leaf(element, order[at], lights, FROM_ELEMENTS));
-                direct.push(field_leaf(element, order[at], lights, FROM_SOURCES));
+                direct.push(field_leaf(element, order[at], lights, FROM_LAMPS));
                 field.leaves.len() as u32 - 1
             } else {
                 order.extend(element.children);

@@ -1,15 +1,15 @@
 //! First pass in steps, which several machines can share.
 //!
 //! [`SolverState::new`] links all elements on one machine. Then, three times, rays are cast and their results are applied. The rays
-//! are cast by blocks of leaves ([`CastingState::cast`]), the rest is done on one machine again ([`CastingState::apply_hits`]). Between
-//! two rounds, and at the end if the field guides paths, the guides are computed by blocks of groups of leaves
+//! are cast by blocks of leaves ([`CastingState::cast`]), the rest is done on one machine again ([`CastingState::apply_hits`]).
+//! Between two rounds, and at the end if the field guides paths, the guides are computed by blocks of groups of leaves
 //! ([`CorrectedState::guides`]). The state between steps travels as bytes. The blocks depend only on the elements, so the
 //! distribution over machines changes no bit, and [`crate::solve`], which does all steps in one process, has the same result.
 
 use crate::arena::Arena;
 use crate::bytes::{Reader, StepDecodeError, Writer, colors_from_floats, position_from_floats, to_floats};
 use crate::element::{Element, ElementKind};
-use crate::gather::{ElementLight, ElementLights, FROM_ELEMENTS, FROM_SOURCES, IncidentLight};
+use crate::gather::{ElementLight, ElementLights, FROM_ELEMENTS, FROM_LAMPS, IncidentLight};
 use crate::incoming::{self, Purpose};
 use crate::link::Link;
 use crate::portals::{self, Portal};
@@ -146,7 +146,16 @@ impl SolverState {
     pub fn encode_elements(&self) -> Vec<u8> {
         let mut writer = Writer::new(ELEMENTS_MAGIC);
         let SolveReport {
-            lamp_links, refused, rays, iterations, residual, row_sum, bounded, checked, corrected, ..
+            lamp_links,
+            inexact_links: refused,
+            rays,
+            iterations,
+            residual,
+            row_sum,
+            is_energy_bounded: bounded,
+            ray_link_ratio: checked,
+            ray_correction: corrected,
+            ..
         } = self.report;
         writer.number(links_digest(&self.links));
         writer.number(u64::from(self.round));
@@ -160,7 +169,7 @@ impl SolverState {
         portals::write(&self.portals, &mut writer);
         let ElementLights { elements: lights, incident, accepted, ray_correction } = &self.lights;
         let brightness = |light: &ElementLight| {
-            let ElementLight { radiosity, darkest, brightest, mean, least_mean: least, .. } = light;
+            let ElementLight { radiosity, darkest, brightest, mean, min_mean: least, .. } = light;
             let [r, g, b] = radiosity.to_array();
             [r, g, b, *darkest, *brightest, *mean, *least]
         };
@@ -172,10 +181,10 @@ impl SolverState {
         let own = |kind: usize| -> Vec<[f32; 12]> {
             elements()
                 .filter(|(element, _)| !element.is_directional())
-                .map(|(_, light)| to_floats(&light.own[kind]))
+                .map(|(_, light)| to_floats(&light.gathered[kind]))
                 .collect()
         };
-        [FROM_SOURCES, FROM_ELEMENTS].into_iter().for_each(|kind| writer.rows(&own(kind)));
+        [FROM_LAMPS, FROM_ELEMENTS].into_iter().for_each(|kind| writer.rows(&own(kind)));
         let sent = elements()
             .filter(|(element, _)| element.is_directional())
             .map(|(_, light)| to_floats::<9, 27>(&light.intensity.0));
@@ -183,8 +192,8 @@ impl SolverState {
         let around = |get: fn(&IncidentLight) -> &Harmonics| -> Vec<[f32; 27]> {
             incident.iter().map(|arriving| to_floats(&get(arriving).0)).collect()
         };
-        writer.rows(&around(|arriving| &arriving.own[FROM_SOURCES]));
-        writer.rows(&around(|arriving| &arriving.own[FROM_ELEMENTS]));
+        writer.rows(&around(|arriving| &arriving.gathered[FROM_LAMPS]));
+        writer.rows(&around(|arriving| &arriving.gathered[FROM_ELEMENTS]));
         writer.rows(&around(|arriving| &arriving.ray_correction));
         writer.finish()
     }
@@ -204,14 +213,14 @@ impl SolverState {
         let (bounded, needs_more_rays) = (bounded != 0, worth_more != 0);
         let report = SolveReport {
             lamp_links,
-            refused,
+            inexact_links: refused,
             rays,
             iterations,
             residual,
             row_sum,
-            bounded,
-            checked,
-            corrected,
+            is_energy_bounded: bounded,
+            ray_link_ratio: checked,
+            ray_correction: corrected,
             ..SolveReport::default()
         };
         let mut arena = Arena::new(&scene);
@@ -235,16 +244,16 @@ impl SolverState {
         for (light, row) in lights.elements.iter_mut().zip(reader.rows::<7>(count)?) {
             let [r, g, b, darkest, brightest, mean, least] = row;
             let radiosity = Rgb::from_array([r, g, b]);
-            *light = ElementLight { radiosity, darkest, brightest, mean, least_mean: least, ..ElementLight::ZERO };
+            *light = ElementLight { radiosity, darkest, brightest, mean, min_mean: least, ..ElementLight::ZERO };
         }
         lights.accepted = reader.rows::<4>(count)?;
         lights.ray_correction = reader.rows::<12>(count)?.iter().map(|row| colors_from_floats(row)).collect();
         let elements = || arena.elements.iter().enumerate();
         let at_nodes: Vec<usize> =
             elements().filter(|(_, element)| !element.is_directional()).map(|(index, _)| index).collect();
-        for kind in [FROM_SOURCES, FROM_ELEMENTS] {
+        for kind in [FROM_LAMPS, FROM_ELEMENTS] {
             for (&index, row) in at_nodes.iter().zip(reader.rows::<12>(at_nodes.len())?) {
-                lights.elements[index].own[kind] = colors_from_floats(&row);
+                lights.elements[index].gathered[kind] = colors_from_floats(&row);
             }
         }
         let wide: Vec<usize> =
@@ -253,7 +262,7 @@ impl SolverState {
             lights.elements[index].intensity = Harmonics(colors_from_floats(&row));
         }
         let sets: [fn(&mut IncidentLight) -> &mut Harmonics; 3] =
-            [|it| &mut it.own[FROM_SOURCES], |it| &mut it.own[FROM_ELEMENTS], |it| &mut it.ray_correction];
+            [|it| &mut it.gathered[FROM_LAMPS], |it| &mut it.gathered[FROM_ELEMENTS], |it| &mut it.ray_correction];
         for set in sets {
             for (arriving, row) in lights.incident.iter_mut().zip(reader.rows::<27>(arena.directional_count)?) {
                 *set(arriving) = Harmonics(colors_from_floats(&row));

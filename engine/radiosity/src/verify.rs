@@ -46,13 +46,13 @@ impl Solution {
 impl SolveReport {
     /// Checks the solution with its light, see [`Solution::verify`].
     pub fn verify(&self, totals: &LightTotals) -> Result<(), VerifyError> {
-        let Self { iterations, residual, bounded, .. } = *self;
+        let Self { iterations, residual, is_energy_bounded: bounded, .. } = *self;
         // Light that grew, was bounded, and still changes cannot converge.
         let most = if bounded { TARGET_RESIDUAL } else { MAX_RESIDUAL };
         if !residual.is_finite() || residual > most {
             return Err(VerifyError::NotConverged { iterations, residual });
         }
-        let LightTotals { absorbed, emitted_at_most: emitted, .. } = *totals;
+        let LightTotals { absorbed, max_emitted: emitted, .. } = *totals;
         if absorbed > MAX_ABSORBED_RATIO * emitted || !absorbed.is_finite() {
             return Err(VerifyError::EnergyGain { ratio: absorbed / emitted });
         }
@@ -66,7 +66,7 @@ mod tests {
 
     fn verify_totals(residual: f32, emitted: f64, absorbed: f64) -> Result<(), VerifyError> {
         let report = SolveReport { residual, iterations: 7, ..SolveReport::default() };
-        report.verify(&LightTotals { emitted, emitted_at_most: emitted, absorbed, ..LightTotals::default() })
+        report.verify(&LightTotals { emitted, max_emitted: emitted, absorbed, ..LightTotals::default() })
     }
 
     #[test]
@@ -83,7 +83,7 @@ mod tests {
         assert_eq!(verify_totals(0.5, 100.0, 50.0), Err(VerifyError::NotConverged { iterations: 7, residual: 0.5 }));
         assert!(matches!(verify_totals(f32::NAN, 100.0, 50.0), Err(VerifyError::NotConverged { .. })));
         let (bounded, light) =
-            (SolveReport { residual: 0.01, bounded: true, ..SolveReport::default() }, LightTotals::default());
+            (SolveReport { residual: 0.01, is_energy_bounded: true, ..SolveReport::default() }, LightTotals::default());
         assert!(matches!(bounded.verify(&light), Err(VerifyError::NotConverged { .. })));
     }
 }

@@ -33,19 +33,19 @@ pub struct LightTotals {
     /// Luminous flux of all light sources, lm.
     pub emitted: f64,
     /// Luminous flux of all light sources with the maximum of their textures, lm.
-    pub emitted_at_most: f64,
+    pub max_emitted: f64,
     /// Luminous flux that these surfaces receive, counted at each arrival, lm.
     pub received: f64,
     /// Luminous flux that they absorb, lm.
     pub absorbed: f64,
     /// Least mean irradiance of a leaf, by luminance, lx.
-    pub least: f32,
+    pub min_irradiance: f32,
     /// Median irradiance, lx: half of the area is in leaves of less mean irradiance.
     pub median: f32,
     /// Greatest mean irradiance of a leaf, lx.
-    pub most: f32,
+    pub max_irradiance: f32,
     /// Greatest number of leaves of a surface.
-    pub most_leaves: usize,
+    pub max_leaves: usize,
     /// Number of surfaces with a leaf.
     pub surfaces: usize,
     /// Median number of leaves of a surface: half of the surfaces have at most this number.
@@ -92,7 +92,7 @@ impl<'a> SolutionView<'a> {
         if transmitted != Rgb::ZERO {
             sent += transmitted * self.back_irradiance(source, inside);
         }
-        finite_or_zero(sent * FRAC_1_PI) + self.emitted(source, place, &source.at(place))
+        finite_or_zero(sent * FRAC_1_PI) + self.emitted(source, place, &source.point_at(place))
     }
 
     /// Returns the irradiance of the other side of a surface.
@@ -101,7 +101,7 @@ impl<'a> SolutionView<'a> {
         let sides = field.sides[surface.instance as usize][surface.primitives[0] as usize];
         let other = sides[usize::from(surface.side == Side::Front)];
         let root = if other == NONE { NONE } else { field.roots[other as usize] };
-        let normal = -surface.at(place).normal;
+        let normal = -surface.point_at(place).normal;
         let found = Cell::find(&field.cells, root, place);
         found.map_or(Rgb::ZERO, |(leaf, local)| self.irradiance(leaf, local, normal).total())
     }
@@ -135,8 +135,8 @@ impl<'a> SolutionView<'a> {
         let all =
             |power: &dyn Fn(u32) -> f32| (0..lights.len() as u32).fold(0.0, |sum, light| sum + f64::from(power(light)));
         let emitted = all(&|light| lights.power(light));
-        let emitted_at_most = all(&|light| lights.power_at_most(textures, light));
-        let mut totals = LightTotals { emitted, emitted_at_most, ..LightTotals::default() };
+        let emitted_at_most = all(&|light| lights.max_power(textures, light));
+        let mut totals = LightTotals { emitted, max_emitted: emitted_at_most, ..LightTotals::default() };
         let (mut leaves, mut counts) = (Vec::new(), Vec::new());
         for (index, surface) in field.surfaces.iter().enumerate() {
             let parts = field.leaves_of(index as u32);
@@ -147,7 +147,9 @@ impl<'a> SolutionView<'a> {
             let kept = self.absorbed[surface.material as usize];
             for (leaf, outline) in parts {
                 let area = f64::from(surface.area() * outline.edges[0].perp_dot(outline.edges[1]).abs());
-                let at = |local: &Vec2| self.irradiance(leaf, *local, surface.at(outline.at(*local)).normal).total();
+                let at = |local: &Vec2| {
+                    self.irradiance(leaf, *local, surface.point_at(outline.point_at(*local)).normal).total()
+                };
                 let mean = match field.leaves[leaf as usize] {
                     Leaf::Triangle(_) => Leaf::TRIANGLE_POINTS.iter().map(at).sum::<Rgb>() / 3.0,
                     Leaf::Rectangle(_) => Leaf::RECTANGLE_POINTS.iter().map(at).sum::<Rgb>() / 4.0,
@@ -164,8 +166,8 @@ impl<'a> SolutionView<'a> {
         }
         leaves.sort_by(|a, b| a.0.total_cmp(&b.0));
         counts.sort_unstable();
-        totals.least = leaves.first().map_or(0.0, |leaf| leaf.0);
-        totals.most = leaves.last().map_or(0.0, |leaf| leaf.0);
+        totals.min_irradiance = leaves.first().map_or(0.0, |leaf| leaf.0);
+        totals.max_irradiance = leaves.last().map_or(0.0, |leaf| leaf.0);
         let mut below = 0.0;
         let middle = leaves.iter().find(|leaf| {
             below += leaf.1;
@@ -173,7 +175,7 @@ impl<'a> SolutionView<'a> {
         });
         totals.median = middle.map_or(0.0, |leaf| leaf.0);
         totals.surfaces = counts.len();
-        totals.most_leaves = counts.last().copied().unwrap_or(0);
+        totals.max_leaves = counts.last().copied().unwrap_or(0);
         totals.median_leaves = counts.get(counts.len().saturating_sub(1) / 2).copied().unwrap_or(0);
         totals
     }

@@ -121,5 +121,5 @@ pub fn sample_point(
     if matches!(surface.form, femc_field::Form::Triangle(_)) && local.x + local.y > 1.0 {
         local = Vec2::ONE - local;
     }
-    surface.at(element.outline.at(local))
+    surface.point_at(element.outline.point_at(local))
 }

@@ -57,10 +57,10 @@ impl Scene {
     pub fn required_features(&self, camera: &Camera) -> RequiredFeatures {
         let materials = self.materials_shown();
         RequiredFeatures {
-            media: self.without_media(&materials).is_none(),
-            glossy: self.without_gloss(&materials).is_none(),
-            textures: without_textures(&materials).is_none(),
-            motion: self.without_motion(camera).is_none(),
+            media: self.media_unused_reason(&materials).is_none(),
+            glossy: self.gloss_unused_reason(&materials).is_none(),
+            textures: textures_unused_reason(&materials).is_none(),
+            motion: self.motion_unused_reason(camera).is_none(),
         }
     }
 
@@ -69,10 +69,10 @@ impl Scene {
     pub fn unused_features(&self, camera: &Camera) -> Vec<UnusedFeature> {
         let materials = self.materials_shown();
         let reasons = [
-            (Feature::Media, self.without_media(&materials)),
-            (Feature::Glossy, self.without_gloss(&materials)),
-            (Feature::Textures, without_textures(&materials)),
-            (Feature::Motion, self.without_motion(camera)),
+            (Feature::Media, self.media_unused_reason(&materials)),
+            (Feature::Glossy, self.gloss_unused_reason(&materials)),
+            (Feature::Textures, textures_unused_reason(&materials)),
+            (Feature::Motion, self.motion_unused_reason(camera)),
         ];
         reasons.into_iter().filter_map(|(feature, reason)| Some(UnusedFeature { feature, reason: reason? })).collect()
     }
@@ -133,7 +133,7 @@ impl Scene {
             && !self.media.iter().any(|it| most("medium", &it.name, "glow", it.glow) > 0.0)
     }
 
-    fn without_media(&self, shown: &[&Material]) -> Option<String> {
+    fn media_unused_reason(&self, shown: &[&Material]) -> Option<String> {
         if self.media.is_empty() {
             return Some("the scene defines no medium".into());
         }
@@ -151,7 +151,7 @@ impl Scene {
         vacuous.then(|| "no placed medium scatters, absorbs or glows at any time".into())
     }
 
-    fn without_gloss(&self, shown: &[&Material]) -> Option<String> {
+    fn gloss_unused_reason(&self, shown: &[&Material]) -> Option<String> {
         let shines = |material: &&Material| {
             let entity = format!("material.{}", material.name);
             self.max_over_time(&entity, "rs", material.rs.amount) > 0.0
@@ -160,7 +160,7 @@ impl Scene {
         (!shown.iter().any(shines)).then(|| "no surface that is shown has `rs` or `ts` above 0".into())
     }
 
-    fn without_motion(&self, camera: &Camera) -> Option<String> {
+    fn motion_unused_reason(&self, camera: &Camera) -> Option<String> {
         if self.clip.is_none() {
             return Some("a still has no frame interval for the shutter (no `time`)".into());
         }
@@ -178,7 +178,7 @@ impl Scene {
     }
 }
 
-fn without_textures(shown: &[&Material]) -> Option<String> {
+fn textures_unused_reason(shown: &[&Material]) -> Option<String> {
     let textured = |m: &&Material| m.map_rd.is_some() || m.map_ed.is_some() || m.map_n.is_some();
     (!shown.iter().any(textured)).then(|| "no surface that is shown has a `map_rd`, `map_ed` or `map_n`".into())
 }

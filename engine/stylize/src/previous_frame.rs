@@ -12,7 +12,7 @@ pub struct PreviousFrame {
     /// there).
     image: ChannelImage,
     /// Source pixel in the previous frame of each pixel, or [`NONE`].
-    from: Vec<u32>,
+    source_pixels: Vec<u32>,
     field: PatchField,
 }
 
@@ -66,7 +66,7 @@ impl PreviousFrame {
                 }
             }
         });
-        Ok(Self { image, from, field })
+        Ok(Self { image, source_pixels: from, field })
     }
 
     /// Returns columns and rows.
@@ -86,7 +86,7 @@ impl PreviousFrame {
         let patch = |q: u32| {
             let (x, y) = target.corner(q);
             let fine = |corner: usize, end: usize| ((corner + radius) << level).min(end - 1);
-            let from = self.from[fine(y, height) * width + fine(x, width)] as usize;
+            let from = self.source_pixels[fine(y, height) * width + fine(x, width)] as usize;
             if from == NONE as usize {
                 return NONE;
             }
@@ -183,11 +183,11 @@ mod tests {
         for (of_first, seen) in [(1.0, 6), (9.0, 8)] {
             depth[6] = of_first;
             let before = PreviousFrame::new(&painted, [&motion, &[0.0; 24]], Some(&depth)).expect("it fits");
-            assert_eq!((before.from[8], before.from[3]), (seen, 2), "a gap is filled from around it");
+            assert_eq!((before.source_pixels[8], before.source_pixels[3]), (seen, 2), "a gap is filled from around it");
         }
         depth[8] = 0.0;
         let before = PreviousFrame::new(&painted, [&motion, &[0.0; 24]], Some(&depth)).expect("it fits");
-        assert_eq!(before.from[8], 6, "the sky hides nothing");
+        assert_eq!(before.source_pixels[8], 6, "the sky hides nothing");
         assert!(PreviousFrame::new(&painted, [&motion, &[0.0; 23]], None).is_err());
     }
 

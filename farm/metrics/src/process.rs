@@ -21,7 +21,7 @@ pub fn write_process_metrics(page: &mut Page) {
     if let Ok(files) = std::fs::read_dir("/proc/self/fd") {
         page.gauge("process_open_fds", "Open file descriptors.").count(files.count() as u64);
     }
-    if let Some(most) = most_files() {
+    if let Some(most) = max_open_files() {
         page.gauge("process_max_fds", "Maximum number of open file descriptors.").count(most);
     }
     let since_1970 = start_time().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
@@ -34,7 +34,7 @@ fn kilobytes(status: &str, field: &str) -> Option<u64> {
     Some(line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()? << 10)
 }
 
-fn most_files() -> Option<u64> {
+fn max_open_files() -> Option<u64> {
     let limits = std::fs::read_to_string("/proc/self/limits").ok()?;
     limits.lines().find_map(|line| line.strip_prefix("Max open files"))?.split_whitespace().next()?.parse().ok()
 }

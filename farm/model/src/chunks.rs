@@ -198,7 +198,7 @@ mod tests {
     /// Makes a stage with two tasks of 64 units per step and one of 32.
     fn template(steps: &[u32]) -> StageTemplate {
         let sizes = [(2, 64), (1, 32)].into_iter().collect();
-        StageTemplate::new(StageKind::Render, Scope::Frame, sizes, &[Role::Tile]).steps(steps)
+        StageTemplate::new(StageKind::Render, Scope::Frame, sizes, &[Role::Tile]).with_steps(steps)
     }
 
     fn chunk_size(size: u64) -> ChunkSize {

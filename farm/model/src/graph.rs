@@ -204,39 +204,39 @@ impl StageTemplate {
     }
 
     /// Sets the total steps of each task at the end of each round.
-    pub fn steps(self, steps: &[u32]) -> Self {
+    pub fn with_steps(self, steps: &[u32]) -> Self {
         Self { steps: steps.to_vec(), ..self }
     }
 
     /// Adds a need with [`Round::Same`].
-    pub fn reads(self, stage: u16, role: Role, reach: Reach) -> Self {
-        self.needs(Need { stage, role, reach, round: Round::Same, gaps: false })
+    pub fn with_input(self, stage: u16, role: Role, reach: Reach) -> Self {
+        self.with_need(Need { stage, role, reach, round: Round::Same, gaps: false })
     }
 
     /// Adds a need.
-    pub fn needs(mut self, need: Need) -> Self {
+    pub fn with_need(mut self, need: Need) -> Self {
         self.needs.push(need);
         self
     }
 
     /// Adds a hint.
-    pub fn hinted_by(mut self, stage: u16, role: Role, reach: Reach) -> Self {
+    pub fn with_hint(mut self, stage: u16, role: Role, reach: Reach) -> Self {
         self.hints.push(Hint { stage, role, reach });
         self
     }
 
     /// Makes the stage close a loop.
-    pub fn closes(self, first: u16, rounds: u32) -> Self {
+    pub fn with_loop(self, first: u16, rounds: u32) -> Self {
         Self { closes: Some(Loop { first, rounds }), ..self }
     }
 
     /// Sets the options of the tasks.
-    pub fn options(self, options: impl Into<String>) -> Self {
+    pub fn with_options(self, options: impl Into<String>) -> Self {
         Self { options: options.into(), ..self }
     }
 
     /// Sets the tags that a worker must have.
-    pub fn tags(self, tags: &[&str]) -> Self {
+    pub fn with_tags(self, tags: &[&str]) -> Self {
         Self { tags: tags.iter().map(|tag| (*tag).to_owned()).collect(), ..self }
     }
 
@@ -633,16 +633,22 @@ mod tests {
     use super::*;
 
     fn frames() -> Graph {
-        let render =
-            StageTemplate::new(StageKind::Render, Scope::Frame, TaskSizes::even(10, 64), &[Role::Tile]).steps(&[4, 8]);
+        let render = StageTemplate::new(StageKind::Render, Scope::Frame, TaskSizes::even(10, 64), &[Role::Tile])
+            .with_steps(&[4, 8]);
         let reduce =
             StageTemplate::new(StageKind::Reduce, Scope::Frame, TaskSizes::even(3, 1), &[Role::Pixels, Role::Sums])
-                .reads(0, Role::Tile, Reach::Fan(4))
-                .needs(Need { stage: 1, role: Role::Sums, reach: Reach::Same, round: Round::Previous, gaps: false });
+                .with_input(0, Role::Tile, Reach::Fan(4))
+                .with_need(Need {
+                    stage: 1,
+                    role: Role::Sums,
+                    reach: Reach::Same,
+                    round: Round::Previous,
+                    gaps: false,
+                });
         let image =
             StageTemplate::new(StageKind::Image, Scope::Frame, TaskSizes::even(1, 1), &[Role::Image, Role::Preview])
-                .reads(1, Role::Pixels, Reach::All)
-                .closes(0, 2);
+                .with_input(1, Role::Pixels, Reach::All)
+                .with_loop(0, 2);
         Graph { stages: vec![render, reduce, image] }
     }
 
@@ -696,7 +702,7 @@ mod tests {
         assert_eq!(look(0, Role::Tile, Reach::Fan(0)), hint("a fan must be at least 1"));
         let of_job = |all: &mut Vec<StageTemplate>| {
             let own = StageTemplate::new(StageKind::Image, Scope::Job, TaskSizes::even(1, 1), &[]);
-            all.push(own.hinted_by(2, Role::Image, Reach::All));
+            all.push(own.with_hint(2, Role::Image, Reach::All));
         };
         assert!(matches!(with(of_job), Err(GraphError::Hint { stage: 3, .. })));
         let long = |all: &mut Vec<StageTemplate>| all[1].options = "x".repeat(Graph::MAX_OPTIONS + 1);

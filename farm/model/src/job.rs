@@ -298,11 +298,11 @@ mod tests {
     use super::*;
 
     fn graph(rounds: &[u32]) -> Graph {
-        let render =
-            StageTemplate::new(StageKind::Render, Scope::Frame, TaskSizes::even(16, 256), &[Role::Tile]).steps(rounds);
+        let render = StageTemplate::new(StageKind::Render, Scope::Frame, TaskSizes::even(16, 256), &[Role::Tile])
+            .with_steps(rounds);
         let image = StageTemplate::new(StageKind::Image, Scope::Frame, TaskSizes::even(1, 1), &[Role::Image])
-            .reads(0, Role::Tile, crate::Reach::All)
-            .closes(0, rounds.len() as u32);
+            .with_input(0, Role::Tile, crate::Reach::All)
+            .with_loop(0, rounds.len() as u32);
         Graph { stages: vec![render, image] }
     }
 
@@ -363,7 +363,7 @@ mod tests {
         let joined = |tasks, fan| {
             let mut graph = graph(&[4, 8, 16]);
             let pairs = StageTemplate::new(StageKind::Reduce, Scope::Job, TaskSizes::even(tasks, 1), &[Role::Sums]);
-            graph.stages.push(pairs.reads(1, Role::Image, crate::Reach::Fan(fan)));
+            graph.stages.push(pairs.with_input(1, Role::Image, crate::Reach::Fan(fan)));
             JobSpec { graph, ..spec() }.check()
         };
         // The job has three frames.

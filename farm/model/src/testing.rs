@@ -15,14 +15,14 @@ pub fn frame_graph(tiles: TaskSizes, rounds: &[u32], fan: u32) -> Graph {
         template
     };
     let groups = TaskSizes::even(tiles.tasks().div_ceil(fan.max(1)), 1);
-    let render = StageTemplate::new(StageKind::Render, Scope::Frame, tiles, &[Role::Tile]).steps(rounds);
+    let render = StageTemplate::new(StageKind::Render, Scope::Frame, tiles, &[Role::Tile]).with_steps(rounds);
     let image =
         StageTemplate::new(StageKind::Image, Scope::Frame, TaskSizes::even(1, 1), &[Role::Image, Role::Preview]);
-    let image = image.closes(0, rounds.len() as u32);
+    let image = image.with_loop(0, rounds.len() as u32);
     if fan == 0 {
-        return Graph { stages: vec![render, with_sums(image.reads(0, Role::Tile, Reach::All))] };
+        return Graph { stages: vec![render, with_sums(image.with_input(0, Role::Tile, Reach::All))] };
     }
     let reduce = StageTemplate::new(StageKind::Reduce, Scope::Frame, groups, &[Role::Pixels]);
-    let reduce = with_sums(reduce.reads(0, Role::Tile, Reach::Fan(fan)));
-    Graph { stages: vec![render, reduce, image.reads(1, Role::Pixels, Reach::All)] }
+    let reduce = with_sums(reduce.with_input(0, Role::Tile, Reach::Fan(fan)));
+    Graph { stages: vec![render, reduce, image.with_input(1, Role::Pixels, Reach::All)] }
 }

@@ -95,13 +95,13 @@ impl NotePage {
     /// Maximum number of notes in a page.
     pub const MAX_NOTES: usize = 64;
     /// Bytes after which a page ends.
-    pub const BYTES: usize = 256 << 10;
+    pub const MAX_BYTES: usize = 256 << 10;
 
     /// Creates a page of the first of these numbered notes; the content of a damaged note is `None`.
     fn from_notes(notes: impl IntoIterator<Item = (u64, Option<Vec<u8>>)>) -> Self {
         let (mut page, mut bytes) = (Self::default(), 0);
         for (index, (number, note)) in notes.into_iter().enumerate() {
-            if index == Self::MAX_NOTES || bytes >= Self::BYTES {
+            if index == Self::MAX_NOTES || bytes >= Self::MAX_BYTES {
                 page.next = Some(number);
                 break;
             }
@@ -125,10 +125,10 @@ pub trait Queue: Send + 'static {
     /// Replaces everything before with the snapshot `state`.
     fn snapshot(&mut self, state: &[u8]) -> impl Future<Output = Result<(), QueueError>> + Send;
 
-    /// Reserves a number, the incarnation, for the writer that starts now. It is at least `least`, and no earlier writer has had
-    /// it, even if records of the log are lost. It is durable when this returns.
-    fn reserve(&mut self, least: u32) -> impl Future<Output = Result<u32, QueueError>> + Send {
-        async move { Ok(least) }
+    /// Reserves a number, the incarnation, for the writer that starts now. It is at least `min_incarnation`, and no earlier writer
+    /// has had it, even if records of the log are lost. It is durable when this returns.
+    fn reserve(&mut self, min_incarnation: u32) -> impl Future<Output = Result<u32, QueueError>> + Send {
+        async move { Ok(min_incarnation) }
     }
 
     /// Returns a page of a subject's notes. `from` is 0 or the `next` of the previous page.

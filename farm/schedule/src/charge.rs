@@ -10,7 +10,7 @@
 
 use femc_model::{JobId, Tick, UsageSums, WorkerId};
 
-use crate::lease_table::{Bill, Lease, LeaseKey};
+use crate::lease_table::{Charge, Lease, LeaseKey};
 use crate::scheduler::Scheduler;
 use crate::{Command, Fact, UsedTime};
 
@@ -27,11 +27,11 @@ impl Scheduler {
 
     /// Charges a worker's time until now.
     fn charge_worker(&mut self, worker: WorkerId) {
-        let bill = self.table.bill(worker, self.now);
+        let bill = self.table.take_charge(worker, self.now);
         bill.into_iter().for_each(|bill| self.charge(bill));
     }
 
-    fn charge(&mut self, Bill { job, milliseconds, expected }: Bill) {
+    fn charge(&mut self, Charge { job, milliseconds, expected }: Charge) {
         let Some(job) = self.ledger.jobs.get(&job).filter(|_| milliseconds > 0) else { return };
         if job.shared.is_some() {
             for (owner, part) in self.split_charge(job, milliseconds) {

@@ -23,7 +23,7 @@ pub(crate) struct Worker {
     /// Sums over `leases_of_worker`, by lane.
     queues: [LaneQueue; Lane::ALL.len()],
     /// Time up to which it is charged, while it holds a lease.
-    charged: Tick,
+    charged_until: Tick,
     /// Intake that the worker wants: `Open` or `Off`.
     pub(crate) wanted_intake: Intake,
     /// Intake that the scheduler grants it.
@@ -137,11 +137,11 @@ impl Worker {
     }
 
     /// Bills its time until now to the job of its oldest lease.
-    fn bill(&mut self, job: JobId, oldest: &mut Lease, now: Tick) -> Bill {
-        let milliseconds = now.since(std::mem::replace(&mut self.charged, now));
+    fn take_charge(&mut self, job: JobId, oldest: &mut Lease, now: Tick) -> Charge {
+        let milliseconds = now.since(std::mem::replace(&mut self.charged_until, now));
         let expected = milliseconds.min(oldest.claim);
         oldest.claim -= expected;
-        Bill { job, milliseconds, expected }
+        Charge { job, milliseconds, expected }
     }
 
     pub(crate) fn has_tags(&self, tags: &[String]) -> bool {
@@ -166,7 +166,7 @@ impl Worker {
 
 /// A worker's time to be charged to the job of the oldest lease that the worker holds.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Bill {
+pub(crate) struct Charge {
     pub(crate) job: JobId,
     pub(crate) milliseconds: u64,
     /// Part of `milliseconds` that the lease had claimed.
@@ -247,7 +247,7 @@ impl LeaseTable {
             registration,
             held: VecDeque::new(),
             queues: Default::default(),
-            charged: now,
+            charged_until: now,
             wanted_intake: Intake::Open,
             intake: Intake::Open,
             last_message: now,
@@ -321,11 +321,11 @@ impl LeaseTable {
     }
 
     /// Bills the uncharged time for which a worker has held leases.
-    pub(crate) fn bill(&mut self, worker: WorkerId, now: Tick) -> Option<Bill> {
+    pub(crate) fn take_charge(&mut self, worker: WorkerId, now: Tick) -> Option<Charge> {
         let holder = self.workers.get_mut(&worker)?;
         let &WorkerLease { epoch, task, .. } = holder.held.front()?;
         let lease = self.leases.get_mut(&(task, epoch))?;
-        Some(holder.bill(task.job, lease, now))
+        Some(holder.take_charge(task.job, lease, now))
     }
 
     /// Enters a lease.
@@ -363,7 +363,7 @@ impl LeaseTable {
         self.remove_spare_worker(worker);
         if let Some(holder) = self.workers.get_mut(&worker) {
             if holder.held.is_empty() {
-                holder.charged = now;
+                holder.charged_until = now;
             }
             holder.insert(held);
             holder.locality.record_assignment(&key.0);
@@ -372,7 +372,7 @@ impl LeaseTable {
     }
 
     /// Removes a lease. Returns also the bill for its worker's time until now.
-    pub(crate) fn release(&mut self, key: &LeaseKey, config: &Config, now: Tick) -> Option<(Lease, Option<Bill>)> {
+    pub(crate) fn release(&mut self, key: &LeaseKey, config: &Config, now: Tick) -> Option<(Lease, Option<Charge>)> {
         let mut lease = self.leases.remove(key)?;
         self.copies.remove(key);
         let worker = lease.worker;
@@ -380,10 +380,10 @@ impl LeaseTable {
         let Some(holder) = self.workers.get_mut(&worker) else { return Some((lease, None)) };
         let bill = match holder.held.front() {
             Some(&WorkerLease { epoch, task, .. }) if (task, epoch) == *key => {
-                Some(holder.bill(task.job, &mut lease, now))
+                Some(holder.take_charge(task.job, &mut lease, now))
             }
             Some(&WorkerLease { epoch, task, .. }) => {
-                self.leases.get_mut(&(task, epoch)).map(|oldest| holder.bill(task.job, oldest, now))
+                self.leases.get_mut(&(task, epoch)).map(|oldest| holder.take_charge(task.job, oldest, now))
             }
             None => None,
         };

@@ -1,9 +1,9 @@
 //! The scheduler: decides which worker does which task, as a pure state machine.
 //!
-//! [`Scheduler::handle`] takes an event and the time, and returns the commands that follow. It reads no clock, sends nothing and writes
-//! nothing. Its state has two halves. The [`Ledger`] is durable: only [`Fact`]s change it, and the same facts give the same ledger.
-//! The tables (workers, leases, ready tasks) are volatile: after a restart every lease is void, and the leased tasks are ready
-//! again. A fact is returned as [`Command::Record`] before the commands that report it to anyone; the caller makes the facts
+//! [`Scheduler::handle`] takes an event and the time, and returns the commands that follow. It reads no clock, sends nothing and
+//! writes nothing. Its state has two halves. The [`Ledger`] is durable: only [`Fact`]s change it, and the same facts give the same
+//! ledger. The tables (workers, leases, ready tasks) are volatile: after a restart every lease is void, and the leased tasks are
+//! ready again. A fact is returned as [`Command::Record`] before the commands that report it to anyone; the caller makes the facts
 //! durable first.
 //!
 //! Waiting tasks are stored as ranges: a frame without results costs nothing, and a frame in progress costs one row per finished

@@ -15,7 +15,7 @@ pub struct JobShape {
     /// Specification of the job, as submitted.
     pub spec: Box<JobSpec>,
     /// Division of its tasks into chunks.
-    pub cut: ChunkSize,
+    pub chunk_size: ChunkSize,
 }
 
 /// A page of a job's attempts.

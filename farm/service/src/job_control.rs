@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use femc_model::{Control, Digest, JobId, JobState, Refusal};
-use femc_store::{Soundness, Store, StoreError};
+use femc_store::{Integrity, Store, StoreError};
 
 use crate::access::Caller;
 use crate::call::Call;
@@ -47,7 +47,7 @@ impl<S> Farm<S> {
         for frame in frames.into_iter().filter(|frame| is_selected(frame.frame)) {
             for digest in frame.outputs.iter().map(|output| output.artifact.digest) {
                 let found = store.verify(&digest).await.map_err(|error| store_refusal(&error))?;
-                if !matches!(found, Soundness::Sound(_)) {
+                if !matches!(found, Integrity::Intact(_)) {
                     self.report_lost(digest).await;
                 }
             }
@@ -110,7 +110,7 @@ mod tests {
                             tags: Vec::new(),
                             notes: JobNotes::default(),
                         };
-                        drop(reply.send(Ok(JobShape { spec: Box::new(spec), cut: ChunkSize::Whole })));
+                        drop(reply.send(Ok(JobShape { spec: Box::new(spec), chunk_size: ChunkSize::Whole })));
                     }
                     Call::Frames { reply, .. } => {
                         reads.fetch_add(1, Ordering::Relaxed);

@@ -51,7 +51,7 @@ fn spec(name: &str) -> JobSpec {
     let options =
         r#"{"stills":true,"sheet":"all frames.png","video":{"name":"drive.webm","rate":24.0},"painting":null}"#;
     let encode =
-        StageTemplate::new(StageKind::Encode, Scope::Job, TaskSizes::even(1, 1), &[Role::Clip]).options(options);
+        StageTemplate::new(StageKind::Encode, Scope::Job, TaskSizes::even(1, 1), &[Role::Clip]).with_options(options);
     JobSpec {
         name: name.into(),
         bundle: Digest::compute(b"bundle"),
@@ -93,7 +93,7 @@ async fn serve_calls(
     while let Some(call) = inbox.recv().await {
         match call {
             Call::Shape { job: JOB, reply } => {
-                drop(reply.send(Ok(JobShape { spec: Box::new(spec.clone()), cut: ChunkSize::Whole })));
+                drop(reply.send(Ok(JobShape { spec: Box::new(spec.clone()), chunk_size: ChunkSize::Whole })));
             }
             Call::Shape { job, reply } => drop(reply.send(Err(Refusal::NoSuchJob { job }))),
             Call::Frames { reply, .. } => drop(reply.send(Ok(records.clone()))),

@@ -31,7 +31,7 @@ pub use backend::http::{PlaintextPolicy, https_connector};
 pub use error::StoreError;
 pub use object_store;
 pub use upload::Upload;
-pub use verification::Soundness;
+pub use verification::Integrity;
 
 /// A store of artifacts. Clones share it.
 #[derive(Debug, Clone)]
@@ -61,7 +61,7 @@ impl Store {
     /// Number of bytes that are hashed before other tasks get a turn.
     const HASH_SLICE: usize = 256 << 10;
     /// Number of attempts to replace a damaged artifact.
-    const TRIES: usize = 3;
+    const MAX_ATTEMPTS: usize = 3;
 
     /// Opens a store in a local folder, which is created if needed. Every artifact is synced to the disk.
     pub fn open_folder(path: &FilePath) -> Result<Self, StoreError> {
@@ -154,7 +154,7 @@ impl Store {
             return Err(StoreError::TooLarge { limit: self.limit });
         }
         let artifact = Artifact::from_bytes(&bytes);
-        for _ in 0..Self::TRIES {
+        for _ in 0..Self::MAX_ATTEMPTS {
             let options = PutOptions { mode: PutMode::Create, ..PutOptions::default() };
             let put = {
                 let _open = self.gate.read().await;
@@ -168,7 +168,7 @@ impl Store {
                 Err(object_store::Error::AlreadyExists { .. }) => {}
                 Err(error) => return Err(self.medium_error(error)),
             }
-            if let Soundness::Sound(_) = self.verify(&artifact.digest).await? {
+            if let Integrity::Intact(_) = self.verify(&artifact.digest).await? {
                 return Ok((artifact, Novelty::Older));
             }
         }

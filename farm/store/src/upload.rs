@@ -12,7 +12,7 @@ const PART: usize = 8 << 20;
 /// An upload in progress. If it is dropped before [`Upload::finish`], no readable artifact remains.
 pub struct Upload {
     store: Store,
-    announced: Digest,
+    expected_digest: Digest,
     hash: blake3::Hasher,
     buffer: BytesMut,
     size: u64,
@@ -21,7 +21,14 @@ pub struct Upload {
 
 impl Upload {
     pub(crate) fn new(store: Store, announced: Digest) -> Self {
-        Self { store, announced, hash: blake3::Hasher::new(), buffer: BytesMut::new(), size: 0, parts: None }
+        Self {
+            store,
+            expected_digest: announced,
+            hash: blake3::Hasher::new(),
+            buffer: BytesMut::new(),
+            size: 0,
+            parts: None,
+        }
     }
 
     /// Returns the number of bytes received so far.
@@ -53,7 +60,7 @@ impl Upload {
         let parts = match &mut self.parts {
             Some(parts) => parts,
             None => {
-                let begun = self.store.objects.put_multipart(&artifact_path(&self.announced)).await;
+                let begun = self.store.objects.put_multipart(&artifact_path(&self.expected_digest)).await;
                 self.parts.insert(begun.map_err(|error| self.store.medium_error(error))?)
             }
         };
@@ -72,9 +79,9 @@ impl Upload {
     /// Stores the artifact if its bytes have the announced digest. An artifact of several parts replaces an existing one.
     pub async fn finish(mut self) -> Result<(Artifact, Novelty), StoreError> {
         let found = Digest::from_bytes(*self.hash.finalize().as_bytes());
-        if found != self.announced {
+        if found != self.expected_digest {
             self.abort().await;
-            return Err(StoreError::Mismatch { announced: self.announced, found });
+            return Err(StoreError::Mismatch { announced: self.expected_digest, found });
         }
         if self.parts.is_none() {
             return self.store.put_with_novelty(self.buffer.freeze()).await;
@@ -94,6 +101,9 @@ impl Upload {
 
 impl std::fmt::Debug for Upload {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Upload").field("announced", &self.announced).field("size", &self.size).finish_non_exhaustive()
+        f.debug_struct("Upload")
+            .field("announced", &self.expected_digest)
+            .field("size", &self.size)
+            .finish_non_exhaustive()
     }
 }

@@ -13,9 +13,9 @@ use crate::{Store, StoreError, artifact_path};
 
 /// Result of verifying an artifact.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Soundness {
+pub enum Integrity {
     /// The artifact is intact and has this size in bytes.
-    Sound(u64),
+    Intact(u64),
     /// The bytes did not match the digest; the artifact is removed.
     Damaged,
     /// The artifact does not exist.
@@ -26,41 +26,41 @@ pub enum Soundness {
 pub(crate) struct ArtifactReader {
     hash: blake3::Hasher,
     size: u64,
-    at: u64,
+    offset: u64,
 }
 
 impl Store {
     /// Begins to read an artifact.
     pub(crate) async fn open_reader(&self, digest: &Digest) -> Result<ArtifactReader, StoreError> {
         let size = self.size(digest).await?.ok_or(StoreError::Missing { digest: *digest })?;
-        Ok(ArtifactReader { hash: blake3::Hasher::new(), size, at: 0 })
+        Ok(ArtifactReader { hash: blake3::Hasher::new(), size, offset: 0 })
     }
 
     /// Reads the next block; `None` at the end.
     pub(crate) async fn next(&self, digest: &Digest, reader: &mut ArtifactReader) -> Result<Option<Bytes>, StoreError> {
-        if reader.at >= reader.size {
+        if reader.offset >= reader.size {
             return Ok(None);
         }
-        let end = reader.size.min(reader.at + Self::READ_SIZE);
-        let block = match self.objects.get_range(&artifact_path(digest), reader.at..end).await {
+        let end = reader.size.min(reader.offset + Self::READ_SIZE);
+        let block = match self.objects.get_range(&artifact_path(digest), reader.offset..end).await {
             Err(object_store::Error::NotFound { .. }) => return Err(StoreError::Missing { digest: *digest }),
             other => other.map_err(|error| self.medium_error(error))?,
         };
-        reader.at = end;
+        reader.offset = end;
         Ok(Some(block))
     }
 
     /// Reads an artifact and checks its bytes. Waits for a permit of [`Store::READERS`].
-    async fn read_and_check(&self, digest: &Digest) -> Result<Soundness, StoreError> {
+    async fn read_and_check(&self, digest: &Digest) -> Result<Integrity, StoreError> {
         // The semaphore is never closed.
         let _reader = self.readers.acquire().await.ok();
         self.read_and_check_with_permit(digest).await
     }
 
     /// Reads an artifact and checks its bytes. The caller holds a permit.
-    async fn read_and_check_with_permit(&self, digest: &Digest) -> Result<Soundness, StoreError> {
+    async fn read_and_check_with_permit(&self, digest: &Digest) -> Result<Integrity, StoreError> {
         let mut reader = match self.open_reader(digest).await {
-            Err(StoreError::Missing { .. }) => return Ok(Soundness::Missing),
+            Err(StoreError::Missing { .. }) => return Ok(Integrity::Missing),
             other => other?,
         };
         loop {
@@ -72,36 +72,36 @@ impl Store {
                     }
                 }
                 Ok(None) => break,
-                Err(StoreError::Missing { .. }) => return Ok(Soundness::Missing),
+                Err(StoreError::Missing { .. }) => return Ok(Integrity::Missing),
                 Err(error) => return Err(error),
             }
         }
         let size = reader.size;
-        Ok(if reader.digest() == *digest { Soundness::Sound(size) } else { Soundness::Damaged })
+        Ok(if reader.digest() == *digest { Integrity::Intact(size) } else { Integrity::Damaged })
     }
 
     /// Reads an artifact to its end and checks its bytes. A damaged artifact is removed.
-    pub async fn verify(&self, digest: &Digest) -> Result<Soundness, StoreError> {
+    pub async fn verify(&self, digest: &Digest) -> Result<Integrity, StoreError> {
         let found = self.read_and_check(digest).await?;
-        self.apply_soundness(digest, found).await
+        self.apply_integrity(digest, found).await
     }
 
     /// Checks only the size of an artifact that was recently stored or read with this size; verifies any other artifact.
-    async fn check(&self, digest: &Digest) -> Result<Soundness, StoreError> {
+    async fn check(&self, digest: &Digest) -> Result<Integrity, StoreError> {
         let seen = self.recent().size(digest);
         match self.size(digest).await? {
-            None => Ok(Soundness::Missing),
-            Some(size) if seen == Some(size) => Ok(Soundness::Sound(size)),
+            None => Ok(Integrity::Missing),
+            Some(size) if seen == Some(size) => Ok(Integrity::Intact(size)),
             Some(_) => self.verify(digest).await,
         }
     }
 
     /// Returns the remembered result for an artifact that was recently stored or read with this size, without asking the medium;
     /// verifies any other artifact. Another process may have damaged a remembered artifact since.
-    pub async fn verify_unless_recent(&self, artifact: &Artifact) -> Result<Soundness, StoreError> {
+    pub async fn verify_unless_recent(&self, artifact: &Artifact) -> Result<Integrity, StoreError> {
         let seen = self.recent().size(&artifact.digest);
         match seen {
-            Some(bytes) if bytes == artifact.bytes => Ok(Soundness::Sound(bytes)),
+            Some(bytes) if bytes == artifact.bytes => Ok(Integrity::Intact(bytes)),
             Some(_) | None => self.verify(&artifact.digest).await,
         }
     }
@@ -118,9 +118,9 @@ impl Store {
             let asked: Vec<_> = some.iter().copied().map(ask).collect();
             for (digest, asked) in some.iter().zip(asked) {
                 // A check that panicked has no result: the artifact counts as missing.
-                match asked.await.unwrap_or(Ok(Soundness::Missing))? {
-                    Soundness::Sound(_) => {}
-                    Soundness::Damaged | Soundness::Missing => missing.push(*digest),
+                match asked.await.unwrap_or(Ok(Integrity::Missing))? {
+                    Integrity::Intact(_) => {}
+                    Integrity::Damaged | Integrity::Missing => missing.push(*digest),
                 }
             }
         }
@@ -130,17 +130,17 @@ impl Store {
     /// Applies the result of a reading: remembers a sound artifact, removes a damaged one. The damaged artifact is read again under
     /// the exclusive lock, when no put is in progress, and removed only if it is still damaged. Otherwise a replacement that was
     /// just stored could be removed.
-    async fn apply_soundness(&self, digest: &Digest, found: Soundness) -> Result<Soundness, StoreError> {
+    async fn apply_integrity(&self, digest: &Digest, found: Integrity) -> Result<Integrity, StoreError> {
         match found {
-            Soundness::Sound(bytes) => self.recent().insert(Artifact { digest: *digest, bytes }),
-            Soundness::Missing => self.recent().remove(digest),
-            Soundness::Damaged => {
+            Integrity::Intact(bytes) => self.recent().insert(Artifact { digest: *digest, bytes }),
+            Integrity::Missing => self.recent().remove(digest),
+            Integrity::Damaged => {
                 // The permit is acquired before the lock: every put waits for the lock, so its owner must not wait for other
                 // readers.
                 let _reader = self.readers.acquire().await.ok();
                 let _alone = self.gate.write().await;
                 let again = self.read_and_check_with_permit(digest).await?;
-                if again == Soundness::Damaged {
+                if again == Integrity::Damaged {
                     self.remove(digest).await?;
                 }
                 return Ok(again);

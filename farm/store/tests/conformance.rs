@@ -6,7 +6,7 @@ use bytes::Bytes;
 use femc_model::{Artifact, Digest};
 use femc_require::Prerequisite;
 use femc_store::object_store::ObjectStoreExt as _;
-use femc_store::{Novelty, Soundness, Store, StoreError, Sweep, artifact_path};
+use femc_store::{Integrity, Novelty, Store, StoreError, Sweep, artifact_path};
 
 async fn conforms(store: &Store) {
     let bytes = Bytes::from_static(b"a tile");
@@ -136,9 +136,9 @@ async fn heals(store: &Store) {
                 };
                 let is_gone = || async { !store.has(&digest).await.unwrap() };
                 plant().await;
-                assert_eq!(store.verify(&digest).await.unwrap(), Soundness::Damaged, "{harm}");
+                assert_eq!(store.verify(&digest).await.unwrap(), Integrity::Damaged, "{harm}");
                 assert!(is_gone().await, "{harm}: what is damaged is removed");
-                assert_eq!(store.verify(&digest).await.unwrap(), Soundness::Missing, "{harm}");
+                assert_eq!(store.verify(&digest).await.unwrap(), Integrity::Missing, "{harm}");
 
                 plant().await;
                 assert!(matches!(store.get(&digest).await, Err(StoreError::Missing { .. })), "{harm}");
@@ -179,7 +179,7 @@ async fn heals(store: &Store) {
                 store.put(whole.clone()).await.unwrap();
                 assert_eq!(
                     store.verify_unless_recent(&Artifact { digest, bytes }).await.unwrap(),
-                    Soundness::Sound(bytes)
+                    Integrity::Intact(bytes)
                 );
                 let fresh = Store::from_object_store("the same", store.objects().clone());
                 store.objects().put(&artifact_path(&digest), damaged.clone().into()).await.unwrap();
@@ -187,7 +187,7 @@ async fn heals(store: &Store) {
                 store.remove(&digest).await.unwrap();
                 assert_eq!(
                     store.verify_unless_recent(&Artifact { digest, bytes }).await.unwrap(),
-                    Soundness::Missing,
+                    Integrity::Missing,
                     "{harm}"
                 );
             }
@@ -195,13 +195,13 @@ async fn heals(store: &Store) {
         // An artifact that another process removed is forgotten as soon as that is detected.
         store.put(whole.clone()).await.unwrap();
         store.objects().delete(&artifact_path(&digest)).await.unwrap();
-        assert_eq!(store.verify(&digest).await.unwrap(), Soundness::Missing);
-        assert_eq!(store.verify_unless_recent(&Artifact { digest, bytes }).await.unwrap(), Soundness::Missing);
+        assert_eq!(store.verify(&digest).await.unwrap(), Integrity::Missing);
+        assert_eq!(store.verify_unless_recent(&Artifact { digest, bytes }).await.unwrap(), Integrity::Missing);
         // A sound artifact is kept even if the caller expects another size.
         store.put(whole.clone()).await.unwrap();
         assert_eq!(
             store.verify_unless_recent(&Artifact { digest, bytes: bytes + 1 }).await.unwrap(),
-            Soundness::Sound(bytes)
+            Integrity::Intact(bytes)
         );
         assert_eq!(store.get(&digest).await.unwrap(), whole, "and it stays");
     }

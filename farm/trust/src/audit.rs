@@ -75,7 +75,7 @@ impl Audit {
     /// Number of rotated files that are kept.
     const ROTATED_FILES: usize = 7;
     /// Time between two syncs to the disk.
-    const SYNC: Duration = Duration::from_millis(200);
+    const SYNC_INTERVAL: Duration = Duration::from_millis(200);
 
     /// Opens the log at `path`, or creates it.
     pub fn open(path: &Path) -> Result<Self, TrustError> {
@@ -149,7 +149,7 @@ fn lock(audit_file: &Mutex<AuditFile>) -> MutexGuard<'_, AuditFile> {
 fn sync_loop(audit_file: &Mutex<AuditFile>, closed: &Receiver<()>) {
     let mut turns = 0;
     loop {
-        let is_over = closed.recv_timeout(Audit::SYNC) != Err(RecvTimeoutError::Timeout);
+        let is_over = closed.recv_timeout(Audit::SYNC_INTERVAL) != Err(RecvTimeoutError::Timeout);
         turns += 1;
         let file = {
             let mut book = lock(audit_file);
@@ -251,11 +251,11 @@ fn rotated_path(path: &Path, number: usize) -> PathBuf {
 /// Returns the last `count` lines of a file that are valid JSON, newest first. Only the last megabytes of the file are read.
 fn last_lines(mut file: File, count: usize) -> std::io::Result<Vec<serde_json::Value>> {
     /// Maximum number of bytes to read.
-    const MOST: u64 = 8 << 20;
+    const MAX_READ_BYTES: u64 = 8 << 20;
     let length = file.metadata()?.len();
-    file.seek(SeekFrom::Start(length.saturating_sub(MOST)))?;
+    file.seek(SeekFrom::Start(length.saturating_sub(MAX_READ_BYTES)))?;
     let mut bytes = Vec::new();
-    file.take(MOST).read_to_end(&mut bytes)?;
+    file.take(MAX_READ_BYTES).read_to_end(&mut bytes)?;
     let lines = bytes.split(|byte| *byte == b'\n').rev().filter(|line| !line.is_empty());
     Ok(lines.filter_map(|line| serde_json::from_slice(line).ok()).take(count).collect())
 }

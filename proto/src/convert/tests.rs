@@ -38,17 +38,17 @@ fn outputs() -> Vec<Output> {
 fn graph() -> Graph {
     let need = |reach, round| Need { stage: u16::MAX, role: Role::Sums, reach, round, gaps: true };
     let sizes = [(3, 256), (1, u64::MAX)].into_iter().collect();
-    let render = StageTemplate::new(StageKind::Render, Scope::Frame, sizes, &[Role::Tile]).steps(&[16, 32]);
+    let render = StageTemplate::new(StageKind::Render, Scope::Frame, sizes, &[Role::Tile]).with_steps(&[16, 32]);
     let reduce = StageTemplate::new(StageKind::Reduce, Scope::Job, TaskSizes::even(1, 1), &Role::ALL)
-        .needs(need(Reach::Fan(256), Round::Previous))
-        .needs(need(Reach::Same, Round::Every))
-        .reads(0, Role::Tile, Reach::All)
-        .hinted_by(1, Role::Sums, Reach::All)
-        .hinted_by(0, Role::Tile, Reach::Fan(2))
-        .hinted_by(1, Role::Pixels, Reach::Same)
-        .options("rate=24")
-        .tags(&["ffmpeg", "lab"]);
-    let image = StageTemplate::new(StageKind::Image, Scope::Frame, TaskSizes::default(), &[]).closes(u16::MAX, 64);
+        .with_need(need(Reach::Fan(256), Round::Previous))
+        .with_need(need(Reach::Same, Round::Every))
+        .with_input(0, Role::Tile, Reach::All)
+        .with_hint(1, Role::Sums, Reach::All)
+        .with_hint(0, Role::Tile, Reach::Fan(2))
+        .with_hint(1, Role::Pixels, Reach::Same)
+        .with_options("rate=24")
+        .with_tags(&["ffmpeg", "lab"]);
+    let image = StageTemplate::new(StageKind::Image, Scope::Frame, TaskSizes::default(), &[]).with_loop(u16::MAX, 64);
     Graph { stages: vec![render, reduce, image] }
 }
 

@@ -11,7 +11,7 @@ use super::{ConvertError, convert_optional, required};
 use crate::{JobShape, wire};
 
 impl From<JobShape> for wire::JobShape {
-    fn from(JobShape { spec, cut }: JobShape) -> Self {
+    fn from(JobShape { spec, chunk_size: cut }: JobShape) -> Self {
         let chunk = match cut {
             ChunkSize::Whole => None,
             ChunkSize::Units(units) => Some(units.get()),
@@ -28,7 +28,7 @@ impl TryFrom<wire::JobShape> for JobShape {
             None => ChunkSize::Whole,
             Some(units) => ChunkSize::Units(required("shape.grain", units)?),
         };
-        Ok(Self { spec: Box::new(required("shape.job", wire.job)?.try_into()?), cut })
+        Ok(Self { spec: Box::new(required("shape.job", wire.job)?.try_into()?), chunk_size: cut })
     }
 }
 

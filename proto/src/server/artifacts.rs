@@ -8,14 +8,14 @@ use bytes::Bytes;
 use femc_fault::{Point, pass_point_async};
 use femc_model::{Artifact, Digest, Refusal};
 use femc_service::{CallerKey, TransferSlot, store_refusal};
-use femc_store::{Novelty, Soundness, StoreError};
+use femc_store::{Integrity, Novelty, StoreError};
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
 use tokio_stream::{Stream, StreamExt as _};
 use tonic::{Request, Response, Status, Streaming};
 
 use super::uploads::UploadAdmission;
-use super::{Server, collect, trail};
+use super::{Server, audit_entry, collect};
 use crate::convert::{self, digest_bytes, parse_digest, required};
 use crate::error::to_status;
 use crate::{MAX_PIECE_SIZE, wire};
@@ -63,7 +63,7 @@ impl wire::artifacts_server::Artifacts for Server {
     }
 
     async fn collect(&self, request: Request<wire::CollectRequest>) -> Result<Response<wire::CollectReply>, Status> {
-        let trail = trail(&request);
+        let trail = audit_entry(&request);
         let request = request.into_inner();
         let mode = convert::collect_mode(request.mode)?;
         trail.set_action(&format!("{mode:?}"));
@@ -123,8 +123,8 @@ impl Server {
         }
         let _slot = self.transfer_slots.acquire(caller_key).await;
         Ok(match self.store.verify(name).await? {
-            Soundness::Sound(bytes) => Some(bytes),
-            Soundness::Damaged | Soundness::Missing => None,
+            Integrity::Intact(bytes) => Some(bytes),
+            Integrity::Damaged | Integrity::Missing => None,
         })
     }
 }

@@ -73,7 +73,7 @@ pub(super) async fn collect(server: &Server, mode: CollectMode, grace: Duration)
         return Err(busy(format!("too many recent uploads to identify garbage; try again in {minutes} min")));
     }
     let listing = server.store.listing().await.map_err(|error| store_refusal(&error))?;
-    let references = server.ask_raw(|reply| Call::References { reply }).await?;
+    let references = server.call_raw(|reply| Call::References { reply }).await?;
     let references = referenced_artifacts(&server.store, references).await?;
     let now = SystemTime::now();
     let (mut report, mut old) = (CollectReport::default(), Vec::new());

@@ -1,7 +1,7 @@
 //! Admits connections. It limits their number in total and per address, and closes connections that make no allowed call.
 //!
-//! A connection that makes no allowed call within [`Limits::authentication_timeout`] is closed, whatever else it does: nothing, half a
-//! handshake, or HTTP/2 frames that request nothing. After that, the keepalive of HTTP/2 detects dead connections.
+//! A connection that makes no allowed call within [`Limits::authentication_timeout`] is closed, whatever else it does: nothing,
+//! half a handshake, or HTTP/2 frames that request nothing. After that, the keepalive of HTTP/2 detects dead connections.
 
 use std::any::Any;
 use std::collections::BTreeMap;

@@ -116,7 +116,7 @@ fn is_grpc<B>(request: &Request<B>) -> bool {
 }
 
 /// Returns the client of a request, for the HTTP side.
-fn visitor<B>(request: &Request<B>) -> (ConnectedClient, Option<Peer>) {
+fn connected_client<B>(request: &Request<B>) -> (ConnectedClient, Option<Peer>) {
     let peer = request.extensions().get::<Peer>().cloned();
     let certificate = peer.as_ref().and_then(|peer| peer.certificate.clone());
     let address = peer.as_ref().and_then(|peer| peer.address);
@@ -156,7 +156,7 @@ where
 
     fn call(&mut self, mut request: Request<Body>) -> Self::Future {
         if !is_grpc(&request) {
-            let (http, (visitor, peer)) = (self.guard.http.clone(), visitor(&request));
+            let (http, (visitor, peer)) = (self.guard.http.clone(), connected_client(&request));
             return Box::pin(async move {
                 let response = http.serve(request, visitor).await;
                 let has = |is_there: bool| peer.as_ref().filter(|_| is_there);

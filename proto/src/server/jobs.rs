@@ -11,7 +11,7 @@ use tokio_stream::Stream;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response, Status};
 
-use super::{Call, Server, backup, inputs, trail};
+use super::{Call, Server, audit_entry, backup, inputs};
 use crate::convert::required;
 use crate::error::to_status;
 use crate::wire;
@@ -26,7 +26,7 @@ type Answer<T> = Result<Response<T>, Status>;
 impl wire::jobs_server::Jobs for Server {
     async fn submit(&self, request: Request<wire::SubmitRequest>) -> Answer<wire::SubmitReply> {
         let caller = request.extensions().get::<Arc<Caller>>().cloned();
-        let trail = trail(&request);
+        let trail = audit_entry(&request);
         let wire::SubmitRequest { job, key } = request.into_inner();
         let mut spec: Box<JobSpec> = Box::new(required("job", job)?.try_into()?);
         trail.set_action(&format!("{} frames of {}", spec.frames.len(), spec.name));
@@ -35,19 +35,19 @@ impl wire::jobs_server::Jobs for Server {
             spec.owner = caller.holder.name().to_owned();
         }
         inputs::check_scene(&self.store, &self.promises, &spec.bundle).await.map_err(|no| to_status(&no))?;
-        let job = self.ask(|reply| Call::Submit { key, spec, reply }).await?;
+        let job = self.call(|reply| Call::Submit { key, spec, reply }).await?;
         trail.set_job(job);
         Ok(Response::new(wire::SubmitReply { job: job.0 }))
     }
 
     async fn list(&self, _: Request<wire::ListRequest>) -> Answer<wire::ListReply> {
-        let JobList { jobs, warnings } = self.ask(|reply| Call::List { reply }).await?;
+        let JobList { jobs, warnings } = self.call(|reply| Call::List { reply }).await?;
         Ok(Response::new(wire::ListReply { jobs: jobs.into_iter().map(Into::into).collect(), warnings }))
     }
 
     async fn status(&self, request: Request<wire::StatusRequest>) -> Answer<wire::JobStatus> {
         let job = JobId(request.into_inner().job);
-        Ok(Response::new(self.ask(|reply| Call::Status { job, reply }).await?.into()))
+        Ok(Response::new(self.call(|reply| Call::Status { job, reply }).await?.into()))
     }
 
     type WatchStream = Pin<Box<dyn Stream<Item = Result<wire::JobStatus, Status>> + Send>>;
@@ -55,7 +55,7 @@ impl wire::jobs_server::Jobs for Server {
     async fn watch(&self, request: Request<wire::WatchRequest>) -> Answer<Self::WatchStream> {
         let caller = request.extensions().get::<Arc<Caller>>().cloned();
         let job = JobId(request.into_inner().job);
-        let statuses = self.ask(|reply| Call::Watch { job, reply }).await?;
+        let statuses = self.call(|reply| Call::Watch { job, reply }).await?;
         let (send, receive) = mpsc::channel(1);
         tokio::spawn(forward_statuses(caller, statuses, send));
         Ok(Response::new(Box::pin(ReceiverStream::new(receive))))
@@ -63,7 +63,7 @@ impl wire::jobs_server::Jobs for Server {
 
     async fn control(&self, request: Request<wire::ControlRequest>) -> Answer<wire::ControlReply> {
         let caller = request.extensions().get::<Arc<Caller>>().cloned();
-        let trail = trail(&request);
+        let trail = audit_entry(&request);
         let wire::ControlRequest { job, control } = request.into_inner();
         let (job, control): (JobId, Control) = (JobId(job), required("control", control)?.try_into()?);
         trail.set_job(job);
@@ -79,21 +79,21 @@ impl wire::jobs_server::Jobs for Server {
         let frames = if times {
             self.farm.frames_with_times(job).await.map_err(|no| to_status(&no))?
         } else {
-            self.ask(|reply| Call::Frames { job, reply }).await?
+            self.call(|reply| Call::Frames { job, reply }).await?
         };
         Ok(Response::new(wire::FramesReply { frames: frames.into_iter().map(Into::into).collect() }))
     }
 
     async fn parts(&self, request: Request<wire::PartsRequest>) -> Answer<wire::PartsReply> {
         let job = JobId(request.into_inner().job);
-        let frames = self.ask(|reply| Call::Parts { job, reply }).await?;
+        let frames = self.call(|reply| Call::Parts { job, reply }).await?;
         Ok(Response::new(wire::PartsReply { frames: frames.into_iter().map(Into::into).collect() }))
     }
 
     async fn logs(&self, request: Request<wire::LogsRequest>) -> Answer<wire::LogsReply> {
         let wire::LogsRequest { job, since } = request.into_inner();
         let (job, since) = (JobId(job), Tick(since));
-        let logs = self.ask(|reply| Call::Logs { job, since, reply }).await?;
+        let logs = self.call(|reply| Call::Logs { job, since, reply }).await?;
         Ok(Response::new(wire::LogsReply { logs: logs.into_iter().map(Into::into).collect() }))
     }
 
@@ -101,7 +101,7 @@ impl wire::jobs_server::Jobs for Server {
 
     async fn attempts(&self, request: Request<wire::AttemptsRequest>) -> Answer<Self::AttemptsStream> {
         let job = JobId(request.into_inner().job);
-        let shape = self.ask(|reply| Call::Shape { job, reply }).await?;
+        let shape = self.call(|reply| Call::Shape { job, reply }).await?;
         let (send, receive) = mpsc::channel(1);
         tokio::spawn(send_attempt_pages(self.clone(), job, shape, send));
         Ok(Response::new(Box::pin(ReceiverStream::new(receive))))
@@ -110,27 +110,27 @@ impl wire::jobs_server::Jobs for Server {
     type BackupStream = Pin<Box<dyn Stream<Item = Result<wire::BackupReply, Status>> + Send>>;
 
     async fn backup(&self, _: Request<wire::BackupRequest>) -> Answer<Self::BackupStream> {
-        let backup = self.ask(|reply| Call::Backup { reply }).await?;
+        let backup = self.call(|reply| Call::Backup { reply }).await?;
         let (send, receive) = mpsc::channel(1);
         tokio::spawn(backup::send(self.store.clone(), backup, send));
         Ok(Response::new(Box::pin(ReceiverStream::new(receive))))
     }
 
     async fn list_workers(&self, _: Request<wire::ListWorkersRequest>) -> Answer<wire::ListWorkersReply> {
-        let workers = self.ask(|reply| Call::Workers { reply }).await?;
+        let workers = self.call(|reply| Call::Workers { reply }).await?;
         Ok(Response::new(workers.into()))
     }
 
     async fn usage(&self, _: Request<wire::UsageRequest>) -> Answer<wire::UsageReply> {
-        let usage = self.ask(|reply| Call::Usage { reply }).await?;
+        let usage = self.call(|reply| Call::Usage { reply }).await?;
         Ok(Response::new(wire::UsageReply { usage: usage.into_iter().map(Into::into).collect() }))
     }
 
     async fn drain_workers(&self, request: Request<wire::DrainWorkersRequest>) -> Answer<wire::DrainWorkersReply> {
-        let trail = trail(&request);
+        let trail = audit_entry(&request);
         let (worker, drain): (WorkerSelector, Drain) = request.into_inner().try_into()?;
         trail.set_action(&format!("{drain:?} {worker}"));
-        let workers = self.ask(|reply| Call::Drain { worker, drain, reply }).await?;
+        let workers = self.call(|reply| Call::Drain { worker, drain, reply }).await?;
         Ok(Response::new(wire::DrainWorkersReply { workers: workers.into_iter().map(|worker| worker.0).collect() }))
     }
 }
@@ -158,7 +158,7 @@ async fn send_attempt_pages(
             return;
         }
         let Some(at) = from else { return };
-        match server.ask(|reply| Call::Attempts { job, from: at, reply }).await {
+        match server.call(|reply| Call::Attempts { job, from: at, reply }).await {
             Ok(page) => {
                 let attempts = page.attempts.into_iter().map(Into::into).collect();
                 part = Part::Attempts(wire::AttemptRecords { attempts });

@@ -47,13 +47,13 @@ impl Promises {
         self.record_at(digests, Instant::now(), Self::CAPACITY);
     }
 
-    fn record_at(&self, digests: &[Digest], now: Instant, most: usize) {
+    fn record_at(&self, digests: &[Digest], now: Instant, capacity: usize) {
         let mut table = self.lock_table();
         table.times.extend(digests.iter().map(|digest| (*digest, now)));
-        if table.times.len() > most {
+        if table.times.len() > capacity {
             table.times.retain(|_, time| now.saturating_duration_since(*time) < Self::DURATION);
         }
-        if table.times.len() > most {
+        if table.times.len() > capacity {
             table.times.clear();
             table.overflow = Some(now);
         }

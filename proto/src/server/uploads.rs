@@ -13,7 +13,7 @@ use std::time::Duration;
 
 use femc_model::{Artifact, Digest, Refusal};
 use femc_service::store_refusal;
-use femc_store::{Novelty, Soundness, Store, Upload};
+use femc_store::{Integrity, Novelty, Store, Upload};
 use tokio::sync::Notify;
 use tokio::time::Instant;
 
@@ -86,9 +86,9 @@ impl Uploads {
         self.0.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Waits until fewer than `most` clients send the artifact.
-    async fn wait_for_room(&self, digest: &Digest, most: usize) {
-        let is_crowded = || self.lock().entries.get(digest).is_some_and(|entry| entry.senders >= most);
+    /// Waits until fewer than `max_senders` clients send the artifact.
+    async fn wait_for_room(&self, digest: &Digest, max_senders: usize) {
+        let is_crowded = || self.lock().entries.get(digest).is_some_and(|entry| entry.senders >= max_senders);
         loop {
             // Subscribe before the check, so that no end is missed.
             let ended = self.0.ended.notified();
@@ -131,7 +131,7 @@ impl Uploads {
                 () = &mut patience, if most == 1 => most = Self::MAX_CONCURRENT,
             }
             start = Start::AfterWaiting;
-            if let Soundness::Sound(bytes) = store.verify(&digest).await.map_err(|error| store_refusal(&error))? {
+            if let Integrity::Intact(bytes) = store.verify(&digest).await.map_err(|error| store_refusal(&error))? {
                 return Ok(UploadAdmission::AlreadyStored(Artifact { digest, bytes }));
             }
         }

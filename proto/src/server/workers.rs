@@ -11,7 +11,7 @@ use tokio_stream::wrappers::ReceiverStream;
 use tokio_stream::{Stream, StreamExt as _};
 use tonic::{Request, Response, Status, Streaming};
 
-use super::{Call, Server, Session, WorkerMessages, trail};
+use super::{Call, Server, Session, WorkerMessages, audit_entry};
 use crate::batch::batch_ready;
 use crate::wire;
 
@@ -30,7 +30,7 @@ impl wire::workers_server::Workers for Server {
         request: Request<Streaming<wire::FromWorker>>,
     ) -> Result<Response<Self::SessionStream>, Status> {
         let caller = request.extensions().get::<Arc<Caller>>().cloned();
-        let trail = trail(&request);
+        let trail = audit_entry(&request);
         let mut messages = request.into_inner();
         let first = tokio::time::timeout(REGISTRATION_TIMEOUT, messages.message()).await;
         let first = first.map_err(|_| Status::deadline_exceeded("the worker did not register"))??;

@@ -1,6 +1,6 @@
 //! Finds the block with the largest error.
 
-use femc_film::convergence::{BLOCK, FLOOR};
+use femc_film::convergence::{BLOCK_EDGE, FLOOR};
 use femc_film::{Image, Rect};
 
 /// Returns the largest relative error of the mean luminance of a block of 16x16 pixels, the blocks of `--error`. It is relative to
@@ -14,10 +14,10 @@ pub fn worst_block(image: &Image, reference: &Image) -> f64 {
         values.sum::<f64>() / rect.area() as f64
     };
     let floor = FLOOR * mean(reference, Rect { x: 0, y: 0, width, height });
-    let corners = (0..height).step_by(BLOCK as usize);
-    let corners = corners.flat_map(|y| (0..width).step_by(BLOCK as usize).map(move |x| (x, y)));
+    let corners = (0..height).step_by(BLOCK_EDGE as usize);
+    let corners = corners.flat_map(|y| (0..width).step_by(BLOCK_EDGE as usize).map(move |x| (x, y)));
     let error = |(x, y): (u32, u32)| {
-        let rect = Rect { x, y, width: BLOCK.min(width - x), height: BLOCK.min(height - y) };
+        let rect = Rect { x, y, width: BLOCK_EDGE.min(width - x), height: BLOCK_EDGE.min(height - y) };
         let there = mean(reference, rect);
         (mean(image, rect) - there).abs() / there.max(floor)
     };

@@ -283,7 +283,7 @@ fn findings(all: &[Bottlenecks; 3], lamps: &[LampRow], fireflies: &[FireflyRow])
     let mut findings = Vec::new();
     findings.extend(greatest_object(all, |_, it| it.noise).map(Finding::Noise));
     let is_more = |row: &PartRow| row.left.is_some_and(|left| left > LONG_PATH_RATIO * row.left_of_others);
-    findings.extend(greatest_object(all, Bottlenecks::lengthening).filter(is_more).map(Finding::Deep));
+    findings.extend(greatest_object(all, Bottlenecks::deep_throughput_variance).filter(is_more).map(Finding::Deep));
     findings.extend(greatest_object(all, |_, it| it.intersections).map(Finding::Work));
     findings.extend(lamps.first().filter(|lamp| lamp.noise > 0.0 && lamps.len() > 1).cloned().map(Finding::Lamp));
     findings.extend(fireflies.first().cloned().map(Finding::Firefly));

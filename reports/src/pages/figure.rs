@@ -31,25 +31,25 @@ pub fn figure(height: u32, draw: impl FnOnce(&Area<'_>) -> DrawResult) -> Result
     Ok(svg)
 }
 
-/// Returns an upper end for an axis that shows `most`.
-pub fn axis_end(most: f64) -> f64 {
-    if most > 0.0 { most * 1.03 } else { 1.0 }
+/// Returns an upper end for an axis that shows `max`.
+pub fn axis_end(max: f64) -> f64 {
+    if max > 0.0 { max * 1.03 } else { 1.0 }
 }
 
 /// Returns round values for a logarithmic axis: 1, 2 and 5 of each decade, or equal steps if these are fewer than three.
-pub fn log_ticks(least: f64, most: f64) -> Vec<f64> {
+pub fn log_ticks(min: f64, max: f64) -> Vec<f64> {
     const ROUND: [f64; 3] = [1.0, 2.0, 5.0];
     let decade = |value: f64| value.log10().floor() as i32;
     let rounds = |decade: i32| ROUND.map(|digit| digit * 10_f64.powi(decade));
     let ticks: Vec<f64> =
-        (decade(least)..=decade(most)).flat_map(rounds).filter(|tick| (least..=most).contains(tick)).collect();
+        (decade(min)..=decade(max)).flat_map(rounds).filter(|tick| (min..=max).contains(tick)).collect();
     if ticks.len() > 2 {
         return ticks;
     }
-    let third = (most - least) / 3.0;
+    let third = (max - min) / 3.0;
     let step =
         rounds(decade(third)).into_iter().filter(|step| *step <= third).fold(10_f64.powi(decade(third)), f64::max);
-    let first = (least / step).ceil() as u64;
-    let last = (most / step).floor() as u64;
+    let first = (min / step).ceil() as u64;
+    let last = (max / step).floor() as u64;
     (first..=last).map(|number| number as f64 * step).collect()
 }

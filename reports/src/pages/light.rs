@@ -23,7 +23,7 @@ const ACROSS: usize = 4;
 /// Height of a histogram, pixels.
 const HEIGHT: u32 = 150;
 /// Widest picture, pixels.
-const WIDEST: u32 = 1024;
+const MAX_PICTURE_WIDTH: u32 = 1024;
 
 /// Returns the HTML file about the light of frames.
 pub fn html(frames: &[(PathBuf, LightStatistics)], findings: &Findings) -> Result<String, ReportError> {
@@ -115,7 +115,7 @@ impl Map {
     fn png(&self) -> Result<Vec<u8>, ReportError> {
         let [width, height] = self.film;
         let pixels = self.shares.iter().map(|share| color(*share)).collect();
-        Picture { width, height, pixels }.shrunk_to(WIDEST).to_png().map_err(ReportError::from)
+        Picture { width, height, pixels }.shrunk_to(MAX_PICTURE_WIDTH).to_png().map_err(ReportError::from)
     }
 }
 

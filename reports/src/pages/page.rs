@@ -9,7 +9,7 @@ use std::fmt::Write;
 /// Greatest displayed width of pictures, pixels.
 const PICTURE_WIDTH: u32 = WIDTH / 2;
 /// Most lines of a table. `femc stats` prints the whole table.
-const LINES: usize = 200;
+const MAX_TABLE_ROWS: usize = 200;
 
 const STYLE: &str = "
     body { font: 15px/1.5 sans-serif; color: #222; max-width: 1160px; margin: 2em auto; padding: 0 1em }
@@ -95,10 +95,13 @@ impl Page {
 
     /// Adds a table of rows, as `femc stats` shows them.
     pub fn table(&mut self, by: GroupBy, rows: &[Row]) {
-        let (titles, cells) = visible_cells(&columns(by), &rows[..rows.len().min(LINES)]);
+        let (titles, cells) = visible_cells(&columns(by), &rows[..rows.len().min(MAX_TABLE_ROWS)]);
         self.cells(&titles, &cells);
-        if rows.len() > LINES {
-            self.text(&format!("{} more rows are not shown; `femc stats` shows all rows.", rows.len() - LINES));
+        if rows.len() > MAX_TABLE_ROWS {
+            self.text(&format!(
+                "{} more rows are not shown; `femc stats` shows all rows.",
+                rows.len() - MAX_TABLE_ROWS
+            ));
         }
     }
 

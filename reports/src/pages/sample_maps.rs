@@ -8,7 +8,7 @@ use plotters::prelude::*;
 use std::collections::BTreeMap;
 
 /// Most frames that are shown. If there are more, they are chosen evenly.
-const FRAMES: usize = 12;
+const MAX_FRAMES: usize = 12;
 const ACROSS: usize = 4;
 
 /// Longest title of a picture, in characters.
@@ -34,7 +34,7 @@ pub fn draw(tasks: &[Row], records: &[JobRecord]) -> Result<Vec<String>, ReportE
             *frames.entry((row.source, task.stage.frame)).or_default().entry(tile).or_default() += spp;
         }
     }
-    let step = frames.len().div_ceil(FRAMES).max(1);
+    let step = frames.len().div_ceil(MAX_FRAMES).max(1);
     let picture = |((source, frame), tiles): ((usize, u32), Tiles)| {
         let record = records.get(source)?;
         let title = record.variant.as_ref().map_or_else(String::new, |variant| format!("{variant}, "));

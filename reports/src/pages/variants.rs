@@ -6,14 +6,14 @@ use crate::attempts::Row;
 use plotters::prelude::*;
 
 /// Most bars that are shown, the most expensive ones.
-const BARS: usize = 60;
+const MAX_BARS: usize = 60;
 
 /// Draws the figure for variants or jobs.
 pub fn draw(variants: &[Row]) -> Result<String, ReportError> {
     let mut shown: Vec<(String, f64)> = variants.iter().map(|row| (name(row), row.cpu)).collect();
-    if shown.len() > BARS {
+    if shown.len() > MAX_BARS {
         shown.sort_by(|a, b| b.1.total_cmp(&a.1));
-        shown.truncate(BARS);
+        shown.truncate(MAX_BARS);
     }
     // The first one comes on top.
     shown.reverse();

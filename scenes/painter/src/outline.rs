@@ -6,7 +6,7 @@ use crate::canvas::trace_streamline;
 /// Distance between points of an outline, pixels.
 pub const STEP: f32 = 1.0;
 /// Distance below which two lines are merged, pixels.
-const APART: f32 = 3.0;
+const MIN_LINE_DISTANCE: f32 = 3.0;
 
 /// A line, or a piece of one.
 #[derive(Clone, Debug)]
@@ -20,7 +20,7 @@ pub struct Line {
 /// Returns the lines where objects meet, each once, smoothed over a pixel or two. Round objects come first, because they are mostly
 /// in front of others.
 pub fn outlines(view: &RenderView) -> Vec<Line> {
-    let mut drawn = PointGrid::new(view.width, view.height, APART);
+    let mut drawn = PointGrid::new(view.width, view.height, MIN_LINE_DISTANCE);
     let mut objects: Vec<u8> = (0..view.curvature.len() as u8).collect();
     let curved = |object: u8| view.curvature[usize::from(object)];
     objects.sort_by(|&a, &b| curved(b).total_cmp(&curved(a)));
@@ -37,7 +37,7 @@ pub fn outlines(view: &RenderView) -> Vec<Line> {
 pub fn level_lines(view: &RenderView, plane: &[f32], level: f32, keep: impl Fn(f32, f32) -> bool) -> Vec<Line> {
     let mut lines = Vec::new();
     for object in 0..view.curvature.len() as u8 {
-        let mut drawn = PointGrid::new(view.width, view.height, APART);
+        let mut drawn = PointGrid::new(view.width, view.height, MIN_LINE_DISTANCE);
         let on_it = |x: f32, y: f32| view.object[view.pixel_index(x, y)] == object && keep(x, y);
         let found = contours(view, plane, level, &mut drawn, on_it);
         lines.extend(found.into_iter().map(|points| Line { object, points }));

@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 /// rounder.
 const HALF_VIEW: f32 = 15.0;
 /// Albedo difference of neighbors, summed over all channels, below which they belong to one object.
-const SAME: f32 = 0.03;
+const MAX_ALBEDO_DIFFERENCE: f32 = 0.03;
 /// Size in pixels below which an object is merged into its surroundings: mostly edges of mixed pixels.
 const SMALL: usize = 60;
 
@@ -198,7 +198,7 @@ fn segment_objects(width: usize, height: usize, albedo: &[[f32; 3]]) -> Vec<u8> 
             size += 1;
             for next in neighbors(at) {
                 let unlike: f32 = (0..3).map(|i| (albedo[at][i] - albedo[next][i]).abs()).sum();
-                if region[next] == NONE && unlike < SAME {
+                if region[next] == NONE && unlike < MAX_ALBEDO_DIFFERENCE {
                     region[next] = number;
                     open.push(next);
                 }

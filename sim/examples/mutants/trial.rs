@@ -50,7 +50,7 @@ const CRATES: [(&str, &str); 5] = [
 const TIME_LIMIT: (u32, Duration) = (4, Duration::from_secs(20));
 
 /// Verdict on a mutant that does not compile.
-const BROKEN: &str = "does not compile";
+const COMPILE_ERROR_VERDICT: &str = "does not compile";
 
 /// Runs the mutants of the list that have no verdict.
 pub fn run(root: &Path, list: &Path, args: &RunArgs) -> anyhow::Result<()> {
@@ -63,14 +63,15 @@ pub fn run(root: &Path, list: &Path, args: &RunArgs) -> anyhow::Result<()> {
     let gone = keys.len() - mutants.len();
     let path = args.verdicts.clone().unwrap_or_else(|| home.join("verdicts"));
     let mut verdicts = read(&path)?;
-    let out = mutants.iter().filter(|(_, m)| verdicts.get(&m.key).is_some_and(|verdict| verdict == BROKEN));
+    let out =
+        mutants.iter().filter(|(_, m)| verdicts.get(&m.key).is_some_and(|verdict| verdict == COMPILE_ERROR_VERDICT));
     let built = build(&tree, &home, &mutants, out.map(|(number, _)| *number).collect())?;
     if args.again {
         verdicts.retain(|_, verdict| verdict != "survived");
     }
     for (number, mutant) in &mutants {
         if !built.mutants.contains(number) {
-            verdicts.insert(mutant.key.clone(), BROKEN.into());
+            verdicts.insert(mutant.key.clone(), COMPILE_ERROR_VERDICT.into());
         }
     }
     save(&path, &verdicts)?;
@@ -243,7 +244,7 @@ struct Trial<'a> {
 }
 
 /// Key of the worlds' duration in [`Trial::baseline`].
-const WORLDS: &str = "simulation";
+const SIMULATION_KEY: &str = "simulation";
 
 impl<'a> Trial<'a> {
     /// Measures the usual durations, without any mutant.
@@ -263,7 +264,7 @@ impl<'a> Trial<'a> {
         }
         let begun = Instant::now();
         ensure!(trial.worlds_pass(0, most)?, "a world goes wrong without any mutant");
-        trial.baseline.insert(WORLDS.to_owned(), begun.elapsed());
+        trial.baseline.insert(SIMULATION_KEY.to_owned(), begun.elapsed());
         println!("{seeds} worlds: {:.1} s", begun.elapsed().as_secs_f64());
         Ok(trial)
     }
@@ -283,11 +284,11 @@ impl<'a> Trial<'a> {
     /// Runs one mutant and returns its verdict. Tests or worlds run first, whichever are faster.
     fn verdict(&self, number: usize, mutant: &Mutant) -> anyhow::Result<String> {
         let by_worlds = || -> anyhow::Result<Option<String>> {
-            let lives = self.worlds_pass(number, self.time_limit(WORLDS))?;
+            let lives = self.worlds_pass(number, self.time_limit(SIMULATION_KEY))?;
             Ok((!lives).then(|| "the simulation".to_owned()))
         };
         let by_tests = || self.killing_test(&mutant.package, number, self.time_limit(&mutant.package));
-        let killer = if self.baseline.get(WORLDS) < self.baseline.get(&mutant.package) {
+        let killer = if self.baseline.get(SIMULATION_KEY) < self.baseline.get(&mutant.package) {
             by_worlds()?.map_or_else(by_tests, |killer| Ok(Some(killer)))?
         } else {
             by_tests()?.map_or_else(by_worlds, |killer| Ok(Some(killer)))?

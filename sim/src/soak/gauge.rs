@@ -13,11 +13,11 @@ use crate::shared::Shared;
 /// Permitted increase from the first to the second half of the measurements, in percent.
 const TOLERANCE: u64 = 5;
 /// Shortest run whose growth is checked.
-const MIN_TIME: Duration = Duration::from_secs(4 * 3600);
+const MIN_DURATION: Duration = Duration::from_secs(4 * 3600);
 
 /// One measurement.
 #[derive(Debug, Clone, Serialize)]
-pub struct Gauge {
+pub struct Measurement {
     /// Simulated hours.
     pub hours: f64,
     /// Real seconds.
@@ -44,7 +44,7 @@ pub struct Gauge {
     pub faults: u64,
 }
 
-impl Gauge {
+impl Measurement {
     /// Measures the disks and the memory.
     pub(super) fn read(
         now: Duration,
@@ -76,7 +76,7 @@ impl Gauge {
 }
 
 /// Reads one quantity of a measurement.
-type Reading = fn(&Gauge) -> u64;
+type Reading = fn(&Measurement) -> u64;
 
 /// Quantities that should stay constant, each with its name and an increase that is always permitted.
 const STEADY: [(&str, Reading, u64); 5] = [
@@ -89,14 +89,14 @@ const STEADY: [(&str, Reading, u64); 5] = [
 
 /// Finds quantities that grow from the first half of the measurements to the second. The first eighth is left out, because the farm
 /// fills up then.
-pub(super) fn growth(gauges: &[Gauge], time: Duration) -> Vec<Violation> {
+pub(super) fn growth(gauges: &[Measurement], time: Duration) -> Vec<Violation> {
     let gauges = &gauges[gauges.len().div_ceil(8)..];
-    if time < MIN_TIME || gauges.len() < 4 {
+    if time < MIN_DURATION || gauges.len() < 4 {
         return Vec::new();
     }
     let (first, second) = gauges.split_at(gauges.len() / 2);
-    let grown = |&(what, reading, slack): &(&'static str, fn(&Gauge) -> u64, u64)| {
-        let mean = |half: &[Gauge]| half.iter().map(reading).sum::<u64>() / half.len() as u64;
+    let grown = |&(what, reading, slack): &(&'static str, fn(&Measurement) -> u64, u64)| {
+        let mean = |half: &[Measurement]| half.iter().map(reading).sum::<u64>() / half.len() as u64;
         let (before, after) = (mean(first), mean(second));
         (after > before + before * TOLERANCE / 100 + slack).then_some(Violation::Growth { what, before, after })
     };
@@ -114,8 +114,8 @@ fn resident_bytes() -> u64 {
 mod tests {
     use super::*;
 
-    fn gauges(resident: impl Fn(u64) -> u64) -> Vec<Gauge> {
-        let gauge = |hour: u64| Gauge {
+    fn gauges(resident: impl Fn(u64) -> u64) -> Vec<Measurement> {
+        let gauge = |hour: u64| Measurement {
             hours: hour as f64,
             seconds: 0.0,
             resident_bytes: resident(hour),

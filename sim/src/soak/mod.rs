@@ -22,7 +22,7 @@ use crate::shared::Shared;
 use crate::test_jobs;
 use crate::world::{RunDetail, align_task_ids};
 use audit_queue::AuditQueue;
-pub use gauge::Gauge;
+pub use gauge::Measurement;
 
 /// Step of the simulated time. Most of the real time is spent on steps in which nothing happens.
 const TICK: Duration = Duration::from_millis(20);
@@ -31,9 +31,9 @@ const CYCLE: Duration = Duration::from_secs(60);
 /// Time after which an ended job expires.
 const KEEP_ENDED: Duration = Duration::from_secs(600);
 /// Time limit for the last jobs after people stop submitting.
-const FINAL_LIMIT: Duration = Duration::from_secs(3600);
+const FINAL_TIMEOUT: Duration = Duration::from_secs(3600);
 /// Number of measurements.
-const GAUGES: u32 = 24;
+const MEASUREMENTS: u32 = 24;
 
 /// Settings of a long run.
 #[derive(Debug, Clone, Copy)]
@@ -52,7 +52,7 @@ pub struct SoakReport {
     /// Violations that occurred.
     pub violations: Vec<String>,
     /// Measurements, oldest first.
-    pub gauges: Vec<Gauge>,
+    pub gauges: Vec<Measurement>,
     /// Counts of actions of people and of ends of jobs.
     pub counts: BTreeMap<&'static str, u64>,
     /// Number of times that each kind of fault took effect.
@@ -69,15 +69,15 @@ pub struct SoakReport {
 }
 
 impl Soak {
-    /// Runs until the end or the first violation. Calls `on_gauge` with each measurement.
-    pub fn run(&self, mut on_gauge: impl FnMut(&Gauge)) -> anyhow::Result<SoakReport> {
+    /// Runs until the end or the first violation. Calls `on_measurement` with each measurement.
+    pub fn run(&self, mut on_measurement: impl FnMut(&Measurement)) -> anyhow::Result<SoakReport> {
         align_task_ids()?;
         let begun = Instant::now();
         let shared = Shared::new(self.seed, self.detail == RunDetail::Story);
         let (medium, audit_queue) = (FaultyMedium::new(&shared), AuditQueue::default());
         let config = Config { keep_ended: Some(KEEP_ENDED.as_millis() as u64), ..test_jobs::chunked_config() };
         shared.lock().history.keep_ended = config.keep_ended;
-        let mut sim = hosts::build_sim(self.seed, [TICK, self.time + FINAL_LIMIT], &shared, &medium, &config);
+        let mut sim = hosts::build_sim(self.seed, [TICK, self.time + FINAL_TIMEOUT], &shared, &medium, &config);
         for number in 0..people::PERSONS {
             sim.client(
                 people::name(number),
@@ -95,13 +95,13 @@ impl Soak {
             let now = sim.elapsed();
             injector.run_due(&mut sim, &shared, &medium);
             if now >= CYCLE * storms && now < self.time {
-                injector.schedule(now, &FaultPlan::storm(self.storm(storms)), &shared);
+                injector.plan_storm(now, &FaultPlan::storm(self.storm(storms)), &shared);
                 audit_queue.audit_due(&shared, now);
                 storms += 1;
             }
-            if now >= self.time / GAUGES * gauges.len() as u32 && gauges.len() <= GAUGES as usize {
-                let gauge = Gauge::read(now, begun.elapsed(), &shared, &medium, &audit_queue)?;
-                on_gauge(&gauge);
+            if now >= self.time / MEASUREMENTS * gauges.len() as u32 && gauges.len() <= MEASUREMENTS as usize {
+                let gauge = Measurement::read(now, begun.elapsed(), &shared, &medium, &audit_queue)?;
+                on_measurement(&gauge);
                 gauges.push(gauge);
             }
             if !shared.lock().violations.is_empty() {

@@ -23,7 +23,7 @@ pub(super) const PERSONS: u64 = 3;
 /// Habits of the people of a long run.
 const TIMING: Timing = Timing { poll_interval: Duration::from_secs(2), timeout: Duration::from_secs(1800) };
 /// Age below which an artifact is never garbage.
-const GRACE: Duration = Duration::from_secs(300);
+const GRACE_PERIOD: Duration = Duration::from_secs(300);
 /// Longest time for which a worker is drained.
 const MAX_DRAIN: Duration = Duration::from_secs(60);
 
@@ -60,9 +60,9 @@ pub(super) async fn person(
 fn draw_request(rng: &mut SmallRng, owner: &str, number: u64) -> anyhow::Result<JobRequest> {
     let test_job = test_jobs::fresh_job(rng.random())?;
     let injected = match rng.random_range(0..32) {
-        0..4 => InjectedFailure::Sometimes,
-        4 => InjectedFailure::Always,
-        5 if RiskyFault::Deadly.is_enabled() => InjectedFailure::KillsWorker,
+        0..4 => InjectedFailure::RandomPanics,
+        4 => InjectedFailure::RepeatedPanic,
+        5 if RiskyFault::WorkerKillers.is_enabled() => InjectedFailure::KillsWorker,
         _ => InjectedFailure::Nothing,
     };
     let spec = JobSpec {
@@ -83,7 +83,7 @@ pub(super) async fn operator(soak: Soak, shared: Shared) -> turmoil::Result {
     while now() < soak.time {
         tokio::time::sleep(Duration::from_secs(rng.random_range(0..600))).await;
         drain_random_worker(&shared, &mut rng, MAX_DRAIN).await;
-        let collect = async |client: Client| client.collect(CollectMode::Remove, GRACE).await;
+        let collect = async |client: Client| client.collect(CollectMode::Remove, GRACE_PERIOD).await;
         if ask_leader(&shared, shared.request_time(), &collect).await.is_ok() {
             shared.lock().count_action("garbage collected");
         }

@@ -55,7 +55,7 @@ pub fn targets() -> Vec<Target> {
 
 /// Summary of some executions.
 #[derive(Debug, Default)]
-pub struct Tally {
+pub struct FuzzStatistics {
     /// Number of executions.
     pub executions: u64,
     /// Number of executions whose bytes were accepted.
@@ -67,7 +67,7 @@ pub struct Tally {
 }
 
 /// Runs `target` with the bytes of `seed`.
-pub fn execute(target: &Target, seed: u64, tally: &mut Tally) {
+pub fn execute(target: &Target, seed: u64, tally: &mut FuzzStatistics) {
     let bytes = (target.make)(&mut Rng::new(seed));
     let began = Instant::now();
     let outcome = catch_unwind(AssertUnwindSafe(|| (target.decode)(&bytes)));
@@ -99,11 +99,11 @@ mod tests {
             assert!(bytes.len() < 9, "too long");
             true
         });
-        let mut tally = Tally::default();
+        let mut tally = FuzzStatistics::default();
         (0..100).for_each(|seed| execute(&target, seed, &mut tally));
         let (name, seed, bytes) = tally.panics.first().expect("a finding");
         assert!(name == "fragile" && bytes.len() > 16);
-        let mut again = Tally::default();
+        let mut again = FuzzStatistics::default();
         execute(&target, *seed, &mut again);
         assert_eq!(again.panics, [(name.clone(), *seed, bytes.clone())]);
     }

@@ -148,7 +148,8 @@ fn compare_means(name: &str, a: &str, b: &str, spp: u32) -> ResultLine {
     });
     let [width, height] = a.camera.film;
     let pair = |seed: u64| {
-        let mut tracers = [&a, &b].map(|it| Tracer::new(it, PathSettings { seed, max_depth: 0, only: None }));
+        let mut tracers =
+            [&a, &b].map(|it| Tracer::new(it, PathSettings { seed, max_depth: 0, single_technique: None }));
         let (mut sums, mut bad) = ([0.0; 2], 0u64);
         for pixel in 0..width * height {
             for index in 0..spp {

@@ -26,7 +26,7 @@ fn albedos() -> Vec<Case> {
         .into();
     // A path has a thousand reflections. Russian roulette ends most paths and raises the weights of the others. A standard error of
     // 1e-3 would take ten minutes.
-    cases.push(Case::new("albedo 0.999", furnace(1.0, 1.0, 0.999), 1.0).with_sigma(2e-3).long());
+    cases.push(Case::new("albedo 0.999", furnace(1.0, 1.0, 0.999), 1.0).with_sigma(2e-3).as_long());
     // Only a black lamp absorbs, or a mirror of reflectance below 1. Paths end there.
     let lamp = |rd| material("lamp", &[&uniform_material(1.0, rd)]) + &horizontal_square("lamp", [0.0, 0.0, 0.7], 0.3);
     for rd in [0.999, 1.0] {

@@ -10,7 +10,7 @@ use std::fmt::Write;
 const RHO: f64 = 0.5;
 
 pub fn run(effort: &Effort, report: &mut dyn FnMut(ResultLine)) {
-    let cases = vec![random(100), random(10_000), random(100_000), lattice(100), lattice(316).long()];
+    let cases = vec![random(100), random(10_000), random(100_000), lattice(100), lattice(316).as_long()];
     measure_all("lights", &cases, effort, report);
 }
 

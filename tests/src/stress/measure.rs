@@ -21,20 +21,20 @@ const TRIES: u64 = 3;
 #[derive(Clone, Copy, Debug)]
 pub struct Effort {
     /// Factor on the target standard errors: 1 for a full run, 10 for a quick one, which also leaves out long cases.
-    pub coarser: f64,
+    pub error_factor: f64,
     /// Number of grazing rays.
     pub rays: u64,
 }
 
 impl Effort {
     /// Full run, with the standard errors that the cases state.
-    pub const FULL: Self = Self { coarser: 1.0, rays: 100_000_000 };
+    pub const FULL: Self = Self { error_factor: 1.0, rays: 100_000_000 };
     /// Quick run, which takes seconds.
-    pub const QUICK: Self = Self { coarser: 10.0, rays: 1_000_000 };
+    pub const QUICK: Self = Self { error_factor: 10.0, rays: 1_000_000 };
 
     /// Checks whether long cases are left out.
     pub fn is_quick(&self) -> bool {
-        self.coarser >= Self::QUICK.coarser
+        self.error_factor >= Self::QUICK.error_factor
     }
 }
 
@@ -93,7 +93,7 @@ impl Case {
     }
 
     /// Leaves the case out of quick runs.
-    pub fn long(self) -> Self {
+    pub fn as_long(self) -> Self {
         Self { is_long: true, ..self }
     }
 
@@ -123,7 +123,7 @@ impl Case {
     pub fn measure(&self, group: &str, effort: &Effort) -> ResultLine {
         let begun = Instant::now();
         let prepared = self.prepare();
-        let wanted = self.sigma * effort.coarser * self.truth.abs();
+        let wanted = self.sigma * effort.error_factor * self.truth.abs();
         let is_near =
             |it: &MeasuredMean| (it.mean - self.truth).abs() <= MAX_SIGMAS * it.error + self.slack * self.truth.abs();
         let mut now = measure_to_error(&prepared, self.max_depth, wanted, self.seed());
@@ -196,7 +196,7 @@ fn measure_to_error(prepared: &Prepared, max_depth: u32, wanted: f64, seed: u64)
 fn renderings(prepared: &Prepared, max_depth: u32, spp: u32, seed: u64) -> MeasuredMean {
     let [width, height] = prepared.camera.film;
     let rendering = |seed: u64| {
-        let mut tracer = Tracer::new(prepared, PathSettings { seed, max_depth, only: None });
+        let mut tracer = Tracer::new(prepared, PathSettings { seed, max_depth, single_technique: None });
         let (mut sum, mut bad) = (0.0, 0);
         for pixel in 0..width * height {
             for index in 0..spp {

@@ -32,7 +32,7 @@ fn thicknesses() -> Vec<Case> {
             let case = Case::new(format!("optical thickness {thickness:e}, albedo {albedo}"), text, 1.0);
             let case = case.with_sigma(sigma(albedo));
             // Paths have a thousand events and more. A standard error of 1e-3 would take ten minutes each.
-            cases.push(if albedo > 0.9 && thickness > 1.0 { case.with_sigma(5e-3).long() } else { case });
+            cases.push(if albedo > 0.9 && thickness > 1.0 { case.with_sigma(5e-3).as_long() } else { case });
         }
     }
     for (name, density) in [("thins with height", "height -.5 .3"), ("thins within a millimeter", "height 0 1e-3")] {

@@ -11,9 +11,9 @@ use crate::text::{camera, material};
 use std::f64::consts::PI;
 
 /// Optical thickness of the fog, followed by its albedo and the distance of the ball.
-const DEPTH: f64 = 1.0;
+const OPTICAL_THICKNESS: f64 = 1.0;
 const ALBEDO: f64 = 0.9;
-const FAR: f64 = 2.0;
+const LAMP_DISTANCE: f64 = 2.0;
 
 pub fn run(effort: &Effort, report: &mut dyn FnMut(ResultLine)) {
     let mut cases = Vec::new();
@@ -28,7 +28,7 @@ pub fn run(effort: &Effort, report: &mut dyn FnMut(ResultLine)) {
 }
 
 fn lamp(phase: &str, angle: f64, fraction_within: impl Fn(f64) -> f64) -> Case {
-    let radius = FAR * angle;
+    let radius = LAMP_DISTANCE * angle;
     // The field of view is a hundredth of the ball's angle.
     let view = camera("0 0 0", "1 0 0", 0.01 * angle.to_degrees()).replace("up .1 .2 .9", "up 0 0 1");
     let fog = format!("medium fog =\n sigma_s {ALBEDO}\n sigma_a {}\n phase {phase}\n", 1.0 - ALBEDO);
@@ -36,11 +36,12 @@ fn lamp(phase: &str, angle: f64, fraction_within: impl Fn(f64) -> f64) -> Case {
     // Scattered light crosses the same thickness of fog as direct light: paths to the ball are longer only by the square of small
     // angles.
     let text = format!(
-        "{view}{fog}mbox fog 0 -9 -9 {DEPTH} 9 9\n{lamp}v o =\n p {} 0 0\nm lamp\nsph o {radius}\n",
-        FAR + radius
+        "{view}{fog}mbox fog 0 -9 -9 {OPTICAL_THICKNESS} 9 9\n{lamp}v o =\n p {} 0 0\nm lamp\nsph o {radius}\n",
+        LAMP_DISTANCE + radius
     );
-    let share = integral(0.0, DEPTH, 64, |s| fraction_within((radius / (FAR + radius - s)).asin()));
-    let truth = (-DEPTH).exp() * (1.0 + ALBEDO * share);
+    let share =
+        integral(0.0, OPTICAL_THICKNESS, 64, |s| fraction_within((radius / (LAMP_DISTANCE + radius - s)).asin()));
+    let truth = (-OPTICAL_THICKNESS).exp() * (1.0 + ALBEDO * share);
     Case::new(format!("a lamp of {angle:.1e} rad through fog of phase {phase}"), text, truth)
         .with_max_depth(2)
         .with_slack(1e-4 + 0.3 * angle * angle)

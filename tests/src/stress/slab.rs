@@ -40,7 +40,7 @@ fn slab(thickness: f64, albedo: f64, more: &str, view: &str) -> String {
 }
 
 /// Returns a camera that looks at the slab at the angle of cosine `mu`.
-fn toward(from: SlabSide, thickness: f64, mu: f64) -> String {
+fn camera_toward_slab(from: SlabSide, thickness: f64, mu: f64) -> String {
     let sin = (1.0 - mu * mu).sqrt();
     match from {
         SlabSide::Above => camera("0 0 .5", &format!("{sin} 0 {}", 0.5 - mu), 0.01),
@@ -116,7 +116,7 @@ fn half_spaces() -> Vec<Case> {
     for (albedo, depth) in [(0.5, 60.0), (0.8, 90.0), (0.9, 120.0), (0.95, 160.0), (0.99, 350.0)] {
         let h = HFunction::new(albedo);
         for mu in [1.0, 0.5, 0.1] {
-            let text = slab(depth, albedo, "", &toward(SlabSide::Above, depth, mu));
+            let text = slab(depth, albedo, "", &camera_toward_slab(SlabSide::Above, depth, mu));
             cases.push(
                 Case::new(format!("half space of albedo {albedo}, cosine {mu}"), text, h.plane(mu)).with_slack(1e-4),
             );
@@ -125,19 +125,19 @@ fn half_spaces() -> Vec<Case> {
         cases.push(
             Case::new(format!("half space of albedo {albedo}, diffuse"), text, RHO * h.spherical()).with_slack(1e-4),
         );
-        cases.push(by_lamp(albedo, depth, &h));
+        cases.push(half_space_under_lamp(albedo, depth, &h));
     }
     cases
 }
 
 /// f_r = w/(4 pi) H(mu) H(mu0) / (mu + mu0), with a small distant lamp at mu0 = 0.6, seen from mu = 1.
-fn by_lamp(albedo: f64, depth: f64, h: &HFunction) -> Case {
+fn half_space_under_lamp(albedo: f64, depth: f64, h: &HFunction) -> Case {
     let (far, radius, mu0) = (1e5, 100.0, 0.6);
     let at = [0.8 * far, 0.0, mu0 * far];
     let lamp = material("lamp", &["sides 1", "ed 3141592.65358979"]);
     let lamp = lamp + &format!("v o =\n p {} {} {}\nm lamp\nsph o {radius}\n", at[0], at[1], at[2]);
     let fog = format!("medium fog =\n sigma_s {albedo}\n sigma_a {}\n", 1.0 - albedo);
-    let view = toward(SlabSide::Above, depth, 1.0);
+    let view = camera_toward_slab(SlabSide::Above, depth, 1.0);
     let text = format!("{view}{fog}mbox fog -{HALF_WIDTH} -{HALF_WIDTH} -{depth} {HALF_WIDTH} {HALF_WIDTH} 0\n{lamp}");
     let reflectance = albedo / (4.0 * PI) * h.at(1.0) * h.at(mu0) / (1.0 + mu0);
     let irradiance = PI * 1e6 * (radius / far).powi(2) * mu0;
@@ -152,7 +152,7 @@ fn milne() -> Vec<Case> {
     let h = HFunction::new(1.0);
     let flux = PI * 4.0 / 3.0 / (thickness + 2.0 * 0.710_446_1);
     let case = |mu: f64| {
-        let text = slab(thickness, 1.0, "", &toward(SlabSide::Below, thickness, mu));
+        let text = slab(thickness, 1.0, "", &camera_toward_slab(SlabSide::Below, thickness, mu));
         let truth = 3f64.sqrt() / (4.0 * PI) * h.at(mu) * flux;
         Case::new(format!("light that emerges from deep below, cosine {mu}"), text, truth)
             .with_slack(2e-4)
@@ -185,7 +185,7 @@ fn slabs() -> Vec<Case> {
             // The brief rounds its numbers to 1e-5, the last ones to 1e-4.
             let slack = |truth: f64| 1e-4 + if thickness > 5.0 { 6e-5 } else { 1e-5 } / truth;
             let sigma = if thickness > 2.0 && from == SlabSide::Below { 3e-3 } else { 1e-3 };
-            let text = slab(thickness, albedo, "", &toward(from, thickness, 1.0));
+            let text = slab(thickness, albedo, "", &camera_toward_slab(from, thickness, 1.0));
             cases.push(
                 Case::new(format!("{name} of a beam"), text, normal[k]).with_slack(slack(normal[k])).with_sigma(sigma),
             );
@@ -202,7 +202,7 @@ fn unscattered() -> Vec<Case> {
     let mut cases = Vec::new();
     for thickness in [1e-4, 0.1, 1.0, 5.0] {
         let e3 = integral(0.0, 1.0, 400, |mu| if mu > 0.0 { mu * (-thickness / mu).exp() } else { 0.0 });
-        let beam = slab(thickness, 0.0, "", &toward(SlabSide::Below, thickness, 1.0));
+        let beam = slab(thickness, 0.0, "", &camera_toward_slab(SlabSide::Below, thickness, 1.0));
         cases.push(Case::new(format!("absorber of {thickness}, a beam"), beam, (-thickness).exp()));
         let diffuse = slab(thickness, 0.0, "", &patch(SlabSide::Below, thickness));
         cases.push(
@@ -215,7 +215,7 @@ fn unscattered() -> Vec<Case> {
 /// T13: Henyey-Greenstein with g = 0.75, thickness 2, albedo 0.9: van de Hulst's table, as cited by \[wang1995\].
 fn forward() -> Vec<Case> {
     let case = |from: SlabSide, what: &str, truth: f64| {
-        let text = slab(2.0, 0.9, " phase hg .75\n", &toward(from, 2.0, 1.0));
+        let text = slab(2.0, 0.9, " phase hg .75\n", &camera_toward_slab(from, 2.0, 1.0));
         Case::new(format!("slab of 2, albedo 0.9, g 0.75, {what}"), text, truth).with_slack(1e-4)
     };
     vec![case(SlabSide::Above, "reflected", 0.09739), case(SlabSide::Below, "transmitted", 0.66096)]
@@ -230,7 +230,7 @@ fn giovanelli() -> Case {
     let fog = "medium fog =\n sigma_s .9\n sigma_a .1\n";
     let ceiling = material("ceiling", &["sides 2", &format!("ed {PI}")])
         + &horizontal_square("ceiling", [0.0, 0.0, 1.0], HALF_WIDTH);
-    let text = format!("{}{fog}{solid}{ceiling}", toward(SlabSide::Above, depth, 1.0));
+    let text = format!("{}{fog}{solid}{ceiling}", camera_toward_slab(SlabSide::Above, depth, 1.0));
     Case::new("half space of albedo 0.9 behind an index of 1.5", text, 0.2600).with_slack(5e-4)
 }
 

@@ -16,7 +16,7 @@ pub fn run(effort: &Effort, report: &mut dyn FnMut(ResultLine)) {
         let fluence = Fluence::new(albedo);
         for (name, r0, cos) in [("beside", 1.0, 0.0), ("toward", 3.0, -0.95), ("away", 1.0, 1.0), ("far", 2.0, 0.0)] {
             let case = scattered(name, &fluence, r0, cos).with_sigma(3e-3);
-            cases.push(if r0 > 1.0 || albedo > 0.5 { case.long() } else { case });
+            cases.push(if r0 > 1.0 || albedo > 0.5 { case.as_long() } else { case });
         }
     }
     cases.push(absorber());

@@ -12,9 +12,9 @@ pub fn run(effort: &Effort, report: &mut dyn FnMut(ResultLine)) {
         cases.extend(gas(x));
     }
     for rho in [0.5, 0.9, 0.99] {
-        cases.push(with_port(rho));
+        cases.push(sphere_with_port(rho));
     }
-    cases.extend([0.5, 0.99].map(with_lamp));
+    cases.extend([0.5, 0.99].map(sphere_with_lamp));
     measure_all("spheres", &cases, effort, report);
 }
 
@@ -36,7 +36,7 @@ fn gas(x: f64) -> Vec<Case> {
 
 /// A sphere of reflectance `rho` with a black lamp over the opening of a cap. The lamp illuminates the rest of the sphere evenly.
 /// The cap has the fraction f of the sphere's area, and each round loses f and 1 - rho: E = pi L f / (1 - rho (1 - f)).
-fn with_port(rho: f64) -> Case {
+fn sphere_with_port(rho: f64) -> Case {
     let h: f64 = 0.9;
     let f = 0.5 * (1.0 - h);
     let view = camera("0 0 -.5", "1 0 -.5", 60.0);
@@ -49,7 +49,7 @@ fn with_port(rho: f64) -> Case {
 /// A black ball of 5 cm and 1000 lm, 20 cm above the center of a sphere of 1 m. The result is nearly Phi rho / (A (1 - rho (1 -
 /// f))) with f the ratio of the areas, but the lamp is nearer to the top and casts a shadow. The truth comes from an integral
 /// equation for the illuminance, which depends only on the height.
-fn with_lamp(rho: f64) -> Case {
+fn sphere_with_lamp(rho: f64) -> Case {
     let text = INTEGRATING_SPHERE.replace("rd 0.99", &format!("rd {rho}"));
     let wall = Illuminance::new(rho);
     // The film's mean is taken over the centers of 96 x 96 pixels.

@@ -45,10 +45,10 @@ fn flaw(prepared: &mut Prepared, rd: Rgb) {
 #[test]
 fn non_finite_reflectance_is_counted_and_spoils_no_other_sample() {
     let clean = render(|_| {});
-    assert_eq!(clean.bad().total(), 0);
+    assert_eq!(clean.bad_samples().total(), 0);
     for (what, rd) in [("one channel", Rgb::new(0.5, f32::NAN, 0.5)), ("all", Rgb::NAN), ("infinite", Rgb::INFINITY)] {
         let film = render(|prepared| flaw(prepared, rd));
-        let bad = film.bad();
+        let bad = film.bad_samples();
         let of_kind = bad.count(BadKind::NotANumber) + bad.count(BadKind::Infinite);
         println!("{what}: {} of {} samples are bad, {of_kind} of them not finite", bad.total(), 64 * 64);
         assert!(of_kind > 100 && of_kind == bad.total(), "{what}: {bad:?}");

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use femc_tests::fuzz::{Tally, execute, peak_memory, targets};
+use femc_tests::fuzz::{FuzzStatistics, execute, peak_memory, targets};
 use prost::Message as _;
 
 #[test]
@@ -10,7 +10,7 @@ fn no_bytes_make_a_decoder_panic_or_fill_the_memory() {
     let targets = targets();
     let before = peak_memory();
     for target in &targets {
-        let mut tally = Tally::default();
+        let mut tally = FuzzStatistics::default();
         (0..400).for_each(|seed| execute(target, seed, &mut tally));
         assert!(tally.panics.is_empty(), "{:#?}", tally.panics);
         assert!(
@@ -28,7 +28,7 @@ const KNOWN_PANICS: [(&str, u64); 1] = [("elements", 222_945)];
 #[test]
 fn what_fuzzing_has_found_stays_found() {
     for target in targets() {
-        let mut tally = Tally::default();
+        let mut tally = FuzzStatistics::default();
         let seeds = KNOWN_PANICS.iter().filter(|(name, _)| *name == target.name);
         seeds.for_each(|&(_, seed)| execute(&target, seed, &mut tally));
         assert!(tally.panics.is_empty(), "{:#?}", tally.panics);

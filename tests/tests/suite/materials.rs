@@ -128,7 +128,7 @@ fn random_material_rooms_gain_no_light_and_have_no_bad_samples() {
         let settings = Settings { stop: StopCondition::Spp(16), method: Method::Pt, ..Settings::default() };
         let prepared = prepare_frame(&source, &settings, 1, None).unwrap_or_else(|error| panic!("{error}"));
         let film = render_frame(&prepared, &settings);
-        assert_eq!(film.bad().total(), 0, "{k}: {text}");
+        assert_eq!(film.bad_samples().total(), 0, "{k}: {text}");
         let pixels = film.resolve().color.pixels;
         // The lamp bounds every pixel. The test compares the median with it: where a channel's albedo is near 1 in a lobe that is
         // sampled for other channels, weights have infinite variance and single pixels are far off.
@@ -177,7 +177,7 @@ fn scenes_of_the_1990s_have_no_bad_sample() {
             Settings { stop: StopCondition::Spp(64), method: Method::Pt, size: Some([32, 24]), ..Settings::default() };
         let prepared = prepare_frame(&SceneSource::new(Arc::new(loaded.scene)), &settings, 1, None);
         let film = render_frame(&prepared.unwrap_or_else(|error| panic!("{name}: {error}")), &settings);
-        assert_eq!(film.bad().total(), 0, "{name}");
+        assert_eq!(film.bad_samples().total(), 0, "{name}");
     }
 }
 

@@ -8,8 +8,8 @@ type Names = BTreeSet<String>;
 /// A line of `tests/parts` with its groups expanded.
 struct Part {
     name: String,
-    due_by: Names,
-    without: Names,
+    triggers: Names,
+    exemptions: Names,
     command: String,
 }
 
@@ -34,7 +34,12 @@ fn parts() -> Vec<Part> {
             }
             words
         };
-        parts.push(Part { name: name.into(), due_by: words(due), without: words(without), command: command.into() });
+        parts.push(Part {
+            name: name.into(),
+            triggers: words(due),
+            exemptions: words(without),
+            command: command.into(),
+        });
     }
     parts
 }
@@ -44,7 +49,7 @@ fn each_part_is_there_once_and_names_what_there_is() {
     let mut names = Names::new();
     for part in parts() {
         assert!(names.insert(part.name.clone()), "{} is there twice", part.name);
-        for word in part.due_by.union(&part.without) {
+        for word in part.triggers.union(&part.exemptions) {
             assert!(root().join(word).exists(), "{}: there is no {word}", part.name);
         }
     }
@@ -55,14 +60,14 @@ fn dependencies_of_part_make_it_due_or_are_named_as_exempt() {
     let members = members();
     for part in parts() {
         let mut reached = Names::new();
-        for member in members.values().filter(|member| part.due_by.contains(&member.folder)) {
+        for member in members.values().filter(|member| part.triggers.contains(&member.folder)) {
             let used = member.direct.iter().filter_map(|name| members.get(name));
             reached.extend(used.map(|used| used.folder.clone()));
         }
         let forgotten: Vec<_> =
-            reached.iter().filter(|used| !part.due_by.contains(*used) && !part.without.contains(*used)).collect();
+            reached.iter().filter(|used| !part.triggers.contains(*used) && !part.exemptions.contains(*used)).collect();
         assert!(forgotten.is_empty(), "{}: its crates depend on {forgotten:?}, which it does not name", part.name);
-        let both: Vec<_> = part.due_by.intersection(&part.without).collect();
+        let both: Vec<_> = part.triggers.intersection(&part.exemptions).collect();
         assert!(both.is_empty(), "{}: {both:?} make it due and do not", part.name);
     }
 }
@@ -71,7 +76,7 @@ fn dependencies_of_part_make_it_due_or_are_named_as_exempt() {
 fn every_crate_makes_some_part_due() {
     // These are tests or tools of scripts. Every run of the tests covers them.
     const OTHERS: [&str; 3] = ["proto/generate", "tests", "tests/require"];
-    let due: Names = parts().into_iter().flat_map(|part| part.due_by).collect();
+    let due: Names = parts().into_iter().flat_map(|part| part.triggers).collect();
     let members = members();
     let idle: Vec<_> = members.values().map(|member| &member.folder).filter(|folder| !due.contains(*folder)).collect();
     let idle: Vec<_> = idle.into_iter().filter(|folder| !OTHERS.contains(&folder.as_str())).collect();

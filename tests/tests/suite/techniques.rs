@@ -2,7 +2,7 @@
 //! agree if their densities, weights and transmittances are right. Tests that always run have the fewest samples that show this.
 //! tests/all uses up to four times as many.
 
-use femc_montecarlo::Technique;
+use femc_montecarlo::MisTechnique;
 use femc_pipeline::{Settings, StopCondition};
 use femc_stats::testing::sidak;
 use femc_tests::agreement::Estimate;
@@ -17,7 +17,7 @@ const FOG: &str = "medium fog =\n sigma_s .5\n sigma_a .1\n phase hg .4\n";
 /// Checks that every pair of {all, light, scatter} agrees.
 fn assert_techniques_agree(name: &str, text: &str, spp: u32) {
     let scene = parse_scene_files(&[("test.mgf", text)]);
-    let techniques = [None, Some(Technique::Light), Some(Technique::Scatter)];
+    let techniques = [None, Some(MisTechnique::Light), Some(MisTechnique::Scatter)];
     let estimates = techniques.map(|only| Estimate::from_scene(&scene, only, spp));
     println!("{name}: {estimates:?}");
     // Near a source in fog, sampling only points on the source has infinite variance. Estimates that are too noisy are ignored.
@@ -40,7 +40,7 @@ fn floor(lines: &[&str]) -> String {
     material("floor", lines) + &horizontal_square("floor", [0.0; 3], 4.0)
 }
 
-fn above() -> String {
+fn camera_from_above() -> String {
     camera("-2 -.5 1.5", "0 0 .3", 25.0)
 }
 
@@ -56,7 +56,7 @@ fn surfaces(spp_factor: u32) {
     ];
     for (name, lines) in kinds {
         let below = material("ground", &["sides 2", "rd .5"]) + &horizontal_square("ground", [0.0, 0.0, -0.6], 4.0);
-        assert_techniques_agree(name, &(above() + &panel(1.5) + &floor(lines) + &below), 8 * spp_factor);
+        assert_techniques_agree(name, &(camera_from_above() + &panel(1.5) + &floor(lines) + &below), 8 * spp_factor);
     }
 }
 
@@ -71,7 +71,7 @@ fn panes(spp_factor: u32) {
     for (name, lines) in panes {
         for fog in ["", "mbox fog -3 -3 .2 3 3 2.6\n"] {
             let two = pane(lines, 2.0) + &pane(lines, 1.2);
-            let text = above() + FOG + fog + &panel(1.5) + &floor(&["sides 2", "rd .6"]) + &two;
+            let text = camera_from_above() + FOG + fog + &panel(1.5) + &floor(&["sides 2", "rd .6"]) + &two;
             assert_techniques_agree(&format!("{name} {fog}"), &text, 8 * spp_factor);
         }
     }
@@ -96,7 +96,7 @@ fn fogs(spp_factor: u32) {
         ("colored", "medium smoke =\n c\n crgb .9 .5 .2\n sigma_s .8\n sigma_a .1\nmglobal smoke\n".to_owned()),
     ];
     for (name, fog) in fogs {
-        let text = above() + FOG + &fog + &panel(1.5) + &floor(&["sides 2", "rd .4"]);
+        let text = camera_from_above() + FOG + &fog + &panel(1.5) + &floor(&["sides 2", "rd .4"]);
         assert_techniques_agree(name, &text, 8 * spp_factor);
     }
 }
@@ -110,11 +110,14 @@ fn sources(spp_factor: u32) {
     let sources = ["sph s .2", "cyl s .1 t", "cone s .2 t .05", "ring s .05 .3", "torus s .1 .3"];
     for shape in sources {
         for fog in ["", "mglobal fog\n"] {
-            let still =
-                above() + FOG + fog + &floor(&["sides 2", "rd .5"]) + &at(shape).replace("p .3 0 .5", "p .3 0 1.2");
+            let still = camera_from_above()
+                + FOG
+                + fog
+                + &floor(&["sides 2", "rd .5"])
+                + &at(shape).replace("p .3 0 .5", "p .3 0 1.2");
             assert_techniques_agree(&format!("{shape} {fog}"), &still, 4 * spp_factor);
             let moves = "time 0 1 10\npath p = linear\n key 0 -t 0 -.4 0 -rz 20\n key 1 -t .3 4 .6 -rz 70 -s 1.2\n";
-            let text = above().replace("film 8 8\n", "film 8 8\n shutter 0 .9\n") + FOG + fog;
+            let text = camera_from_above().replace("film 8 8\n", "film 8 8\n shutter 0 .9\n") + FOG + fog;
             let text =
                 format!("{moves}{text}{}xf -s 2\nxf -path p\n{}xf\nxf\n", floor(&["sides 2", "rd .5"]), at(shape));
             assert_techniques_agree(&format!("moving {shape} {fog}"), &text, 4 * spp_factor);
@@ -161,7 +164,7 @@ fn many_lamps(spp_factor: u32) {
     ];
     for count in [2, 40, 150] {
         for (name, fog) in &fogs {
-            let text = above() + fog + &lamps(count) + &floor(&["sides 2", "rd .3", "rs .3 .2"]);
+            let text = camera_from_above() + fog + &lamps(count) + &floor(&["sides 2", "rd .3", "rs .3 .2"]);
             assert_techniques_agree(&format!("{count} lamps, {name}"), &text, 16 * spp_factor);
         }
     }

@@ -49,7 +49,7 @@ fn solve_guides(prepared: &Prepared) -> Field {
 
 /// Renders the mean luminance of each block of pixels. Returns it with its variance.
 fn blocks(prepared: &Prepared, guide: Option<&Field>, seed: u64, spp: u32) -> Vec<[f64; 2]> {
-    let path = PathSettings { seed, max_depth: 0, only: None };
+    let path = PathSettings { seed, max_depth: 0, single_technique: None };
     let across = EDGE / BLOCK;
     let block = |index: u32| {
         let mut tracer = Tracer::new(prepared, path);

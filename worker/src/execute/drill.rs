@@ -37,17 +37,17 @@ struct Drill {
 
 impl Drill {
     /// Largest length of a block.
-    const MOST: u32 = 1 << 20;
+    const MAX_NUMBERS: u32 = 1 << 20;
     /// Largest allowed value of the minimum duration, milliseconds.
-    const LONGEST: u64 = 60_000;
+    const MAX_MILLISECONDS: u64 = 60_000;
 
     fn from_spec(spec: &JobSpec) -> Result<Self, Failure> {
         let Settings { drill } = serde_json::from_str(&spec.settings).map_err(settings_failure)?;
-        if drill.numbers == 0 || drill.numbers > Self::MOST || drill.milliseconds > Self::LONGEST {
+        if drill.numbers == 0 || drill.numbers > Self::MAX_NUMBERS || drill.milliseconds > Self::MAX_MILLISECONDS {
             return Err(settings_failure(format!(
                 "a drill must have 1 to {} numbers and take at most {} ms",
-                Self::MOST,
-                Self::LONGEST
+                Self::MAX_NUMBERS,
+                Self::MAX_MILLISECONDS
             )));
         }
         Ok(drill)

@@ -65,7 +65,7 @@ pub struct Painting {
 
 impl Painting {
     /// Checks that the style exists and `boil` is within 0 to 1.
-    pub fn is_sound(&self) -> bool {
+    pub fn is_valid(&self) -> bool {
         femc_stylize::styles::names().any(|name| name == self.style) && (0.0..=1.0).contains(&self.boil)
     }
 }
@@ -86,7 +86,7 @@ impl Video {
     }
 
     /// Checks that the file name is safe to pass to an encoder and that the rate is in range.
-    pub fn is_sound(&self) -> bool {
+    pub fn is_valid(&self) -> bool {
         let extension = self.name.rsplit_once('.').map_or("", |(_, extension)| extension);
         is_file(&self.name)
             && (1..=8).contains(&extension.len())
@@ -102,11 +102,11 @@ fn is_file(name: &str) -> bool {
 
 impl ExtraOutputs {
     /// Checks that the sheet is a PNG, that the clip and the painting are valid, and that sheet and clip are two files.
-    pub fn is_sound(&self) -> bool {
+    pub fn is_valid(&self) -> bool {
         let video = self.video.as_ref();
         self.sheet.as_ref().is_none_or(|name| is_file(name) && name.ends_with(".png"))
-            && video.is_none_or(|video| video.is_sound() && Some(&video.name) != self.sheet.as_ref())
-            && self.painting.as_ref().is_none_or(Painting::is_sound)
+            && video.is_none_or(|video| video.is_valid() && Some(&video.name) != self.sheet.as_ref())
+            && self.painting.as_ref().is_none_or(Painting::is_valid)
     }
 
     /// Checks that no output is requested.
@@ -119,7 +119,7 @@ impl ExtraOutputs {
         let shows = |template: &&StageTemplate| matches!(template.kind, StageKind::Encode | StageKind::Paint);
         let encode = graph.stages.iter().find(shows);
         let outputs = encode.and_then(|template| serde_json::from_str(&template.options).ok());
-        outputs.filter(Self::is_sound).unwrap_or_default()
+        outputs.filter(Self::is_valid).unwrap_or_default()
     }
 
     /// Adds the stages for the requested outputs to the graph of a job with `frames` frames. The frames' images do not change.
@@ -145,22 +145,22 @@ impl ExtraOutputs {
         let need = |stage, role, reach, round, gaps| Need { stage, role, reach, round, gaps };
         let thumbnails = need(render, Role::Thumbnail, Reach::Fan(FAN), Round::Every, false);
         let groups = tiles.div_ceil(FAN);
-        let mut levels = push(reduce(Scope::Frame, groups).needs(thumbnails));
+        let mut levels = push(reduce(Scope::Frame, groups).with_need(thumbnails));
         if groups > 1 {
-            levels = push(reduce(Scope::Frame, 1).reads(levels, Role::Levels, Reach::All));
+            levels = push(reduce(Scope::Frame, 1).with_input(levels, Role::Levels, Reach::All));
         }
         let (mut count, mut gaps) = (frames, true);
         while gaps || count > 1 {
             count = count.div_ceil(FAN);
             let below = need(levels, Role::Levels, Reach::Fan(FAN), Round::Same, gaps);
-            levels = push(reduce(Scope::Job, count).needs(below));
+            levels = push(reduce(Scope::Job, count).with_need(below));
             gaps = false;
         }
         // Serializing plain data cannot fail.
         let options = serde_json::to_string(self).unwrap_or_default();
         let encode = |tasks, role| {
             StageTemplate::new(StageKind::Encode, Scope::Job, TaskSizes::even(tasks, 1), &[role])
-                .options(options.clone())
+                .with_options(options.clone())
         };
         if self.painting.is_some() {
             let layers = need(image, Role::LayerImage, Reach::Fan(1), Round::Same, true);
@@ -170,21 +170,22 @@ impl ExtraOutputs {
                 TaskSizes::even(frames, 1),
                 &[Role::Painted, Role::Brushwork],
             );
-            let paint = paint.options(options.clone()).needs(layers).reads(levels, Role::Levels, Reach::All);
-            push(paint.reads(levels + 1, Role::Brushwork, Reach::Previous).tags(&[PAINTING]));
+            let paint =
+                paint.with_options(options.clone()).with_need(layers).with_input(levels, Role::Levels, Reach::All);
+            push(paint.with_input(levels + 1, Role::Brushwork, Reach::Previous).with_tags(&[PAINTING]));
         }
         if !(self.stills || self.sheet.is_some() || self.video.is_some()) {
             return;
         }
         let shown = if self.stills { Role::Still } else { Role::Picture };
         let images = need(image, Role::Image, Reach::Fan(1), Round::Same, true);
-        let stills = push(encode(frames, shown).needs(images).reads(levels, Role::Levels, Reach::All));
+        let stills = push(encode(frames, shown).with_need(images).with_input(levels, Role::Levels, Reach::All));
         if self.sheet.is_some() {
-            push(encode(1, Role::Sheet).reads(stills, shown, Reach::All));
+            push(encode(1, Role::Sheet).with_input(stills, shown, Reach::All));
         }
         if let Some(video) = &self.video {
             let tags: &[&str] = if video.needs_ffmpeg() { &[FFMPEG] } else { &[] };
-            push(encode(1, Role::Clip).reads(stills, shown, Reach::All).tags(tags));
+            push(encode(1, Role::Clip).with_input(stills, shown, Reach::All).with_tags(tags));
         }
     }
 }
@@ -304,7 +305,7 @@ fn clip(task: &Task, stage: &StageTemplate, tools: &Tools) -> Result<Vec<u8>, Fa
     let outputs: ExtraOutputs = serde_json::from_str(&stage.options).map_err(settings_failure)?;
     let video = outputs
         .video
-        .filter(Video::is_sound)
+        .filter(Video::is_valid)
         .ok_or_else(|| settings_failure("the stage's options describe no valid clip"))?;
     let (count, pictures) = pictures(task, tools)?;
     let folder = Folder::new().map_err(|error| Failure::Resources { message: error.to_string() })?;
@@ -431,15 +432,15 @@ mod tests {
         }
         for (style, boil) in [("aquatint", 0.5), ("oil", 1.5), ("oil", f32::NAN)] {
             let painting = Some(Painting { style: style.into(), boil });
-            assert!(!ExtraOutputs { painting, ..ExtraOutputs::default() }.is_sound(), "{style} {boil}");
+            assert!(!ExtraOutputs { painting, ..ExtraOutputs::default() }.is_valid(), "{style} {boil}");
         }
     }
 
     #[test]
     fn a_sheet_is_a_png_beside_the_clip() {
-        assert!(extra_outputs(false, Some("a.png"), Some("b.png")).is_sound() && ExtraOutputs::default().is_sound());
+        assert!(extra_outputs(false, Some("a.png"), Some("b.png")).is_valid() && ExtraOutputs::default().is_valid());
         for (sheet, clip) in [("a.jpg", "b.png"), (".png", "b.png"), ("a/b.png", "b.png"), ("a.png", "a.png")] {
-            assert!(!extra_outputs(false, Some(sheet), Some(clip)).is_sound(), "{sheet}, {clip}");
+            assert!(!extra_outputs(false, Some(sheet), Some(clip)).is_valid(), "{sheet}, {clip}");
         }
         let mut graph = femc_model::testing::frame_graph(TaskSizes::even(4, 64), &[4], 0);
         extra_outputs(true, Some("../a.png"), None).add_to(&mut graph, 3);
@@ -448,7 +449,7 @@ mod tests {
 
     #[test]
     fn a_clip_has_a_name_that_leads_nowhere_and_a_rate() {
-        let is_sound = |name: &str, rate| Video { name: name.into(), rate }.is_sound();
+        let is_sound = |name: &str, rate| Video { name: name.into(), rate }.is_valid();
         assert!(is_sound("drive.mp4", 24.0) && is_sound("a b.GIF", 0.01));
         for name in [
             "clip",

@@ -96,8 +96,8 @@ fn combine_rays(
         round = underway.round(),
         iterations = report.iterations,
         residual = report.residual,
-        checked = report.checked,
-        corrected = report.corrected,
+        checked = report.ray_link_ratio,
+        corrected = report.ray_correction,
         seconds = watch.seconds(),
         "settled"
     );
@@ -180,15 +180,15 @@ fn linked_state(
 }
 
 fn read_guides(task: &Task, tools: &Tools, lost: &mut LostInputs) -> Result<Vec<BlockGuides>, Failure> {
-    all(task, tools, lost, Role::Guides, BlockGuides::decode)
+    read_outputs(task, tools, lost, Role::Guides, BlockGuides::decode)
 }
 
 fn read_ray_hits(task: &Task, tools: &Tools) -> Result<Vec<RayHits>, Failure> {
-    all(task, tools, &mut LostInputs::default(), Role::Rays, RayHits::decode)
+    read_outputs(task, tools, &mut LostInputs::default(), Role::Rays, RayHits::decode)
 }
 
 /// Downloads and decodes the outputs of one role from all blocks, in order. The error names all lost outputs.
-fn all<T: Send>(
+fn read_outputs<T: Send>(
     task: &Task,
     tools: &Tools,
     lost: &mut LostInputs,

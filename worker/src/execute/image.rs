@@ -26,7 +26,7 @@ pub(crate) fn image(task: &Task, stage: &StageTemplate, tools: &Tools) -> Result
     } else {
         let frame = reduce_tiles(task, tile_span(task, stage, Role::Tile)?, tools)?;
         let samples = (0..frame.tiling().count()).flat_map(|tile| frame.ranges(tile)).copied().collect();
-        (tools.install(task, || frame.resolve()), frame.bad(), samples)
+        (tools.install(task, || frame.resolve()), frame.bad_samples(), samples)
     };
     let settings: Settings = serde_json::from_str(&task.spec.settings).map_err(settings_failure)?;
     let is_timed = matches!(settings.stop, StopCondition::Time(_));
@@ -88,7 +88,7 @@ fn assemble_frame(task: &Task, tools: &Tools) -> Result<(FrameImage, BadSamples,
     let mut samples = Vec::with_capacity(tiling.count());
     let account = |piece: &ImagePiece| (piece.tiling(), piece.tiles(), piece.samples().to_vec());
     read_groups(task, Role::Pixels, tools, ImagePiece::decode, account, |piece| {
-        bad.merge(piece.bad());
+        bad.merge(piece.bad_samples());
         samples.extend_from_slice(piece.samples());
         image.put(&piece)
     })?;

@@ -164,9 +164,9 @@ mod tests {
     async fn run_reduce(reach: Reach, change: impl FnOnce(&mut Task)) -> Result<Product, Failure> {
         let mut task = Arc::into_inner(crate::outbox::tests::task(0, b"").await).unwrap();
         let grid = Grid { film: [64, 16], tile: 16 };
-        let render = StageTemplate::new(StageKind::Render, Scope::Frame, grid.sizes(), &[Role::Tile]).steps(&[4]);
+        let render = StageTemplate::new(StageKind::Render, Scope::Frame, grid.sizes(), &[Role::Tile]).with_steps(&[4]);
         let reduce = StageTemplate::new(StageKind::Reduce, Scope::Frame, TaskSizes::even(2, 1), &[Role::Pixels]);
-        let graph = femc_model::Graph { stages: vec![render, reduce.reads(0, Role::Tile, reach)] };
+        let graph = femc_model::Graph { stages: vec![render, reduce.with_input(0, Role::Tile, reach)] };
         task.spec = Arc::new(JobSpec { grid, graph, ..(*task.spec).clone() });
         (task.assignment.task.stage.number, task.assignment.task.stage.kind) = (1, StageKind::Reduce);
         change(&mut task);

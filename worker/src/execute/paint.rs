@@ -18,7 +18,7 @@ pub(super) fn paint(task: &Task, stage: &StageTemplate, tools: &Tools) -> Result
     let watch = Stopwatch::start();
     task.set_phase(Phase::Preparing);
     let outputs: ExtraOutputs = serde_json::from_str(&stage.options).map_err(settings_failure)?;
-    let wanted = outputs.painting.filter(|painting| painting.is_sound());
+    let wanted = outputs.painting.filter(|painting| painting.is_valid());
     let wanted = wanted.ok_or_else(|| settings_failure("invalid job graph: a paint stage names no valid style"))?;
     let style =
         styles::painting(&wanted.style).ok_or_else(|| settings_failure("this worker does not know the paint style"))?;

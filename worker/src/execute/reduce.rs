@@ -36,7 +36,7 @@ pub(crate) fn reduce(task: &Task, stage: &StageTemplate, tools: &Tools) -> Resul
     if task.assignment.spec.next_round == NextRound::Possible {
         product.put(stage, Role::Sums, || tools.install(task, || sums::encode(&frame)));
     }
-    tracing::debug!(tiles = span.len(), bad = piece.bad().total(), seconds = watch.seconds(), "united");
+    tracing::debug!(tiles = span.len(), bad = piece.bad_samples().total(), seconds = watch.seconds(), "united");
     product.result.seconds = watch.seconds();
     Ok(product)
 }

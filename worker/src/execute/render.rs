@@ -47,7 +47,7 @@ pub(crate) fn render(task: &Task, stage: &StageTemplate, tools: &Tools) -> Resul
         };
         let made = outcome.map(|(rendered, statistics, layers)| {
             let (statistics, layers) = (statistics.map(|it| it.encode()), layers.map(|it| it.encode()));
-            let (rays, shadow_rays, bad) = (rendered.rays, rendered.shadow_rays, rendered.tile.bad().total());
+            let (rays, shadow_rays, bad) = (rendered.rays, rendered.shadow_rays, rendered.tile.bad_samples().total());
             task.account.rays.store(rays + shadow_rays, Ordering::Relaxed);
             tracing::debug!(?rect, ?samples, rays, shadow_rays, bad, seconds = watch.seconds(), "rendered");
             let thumbnail =

@@ -20,7 +20,7 @@ use femc_proto::Client;
 use femc_worker::{Metrics, Worker};
 
 /// Time limit for an event that is immediate on an idle machine.
-const PATIENCE: Duration = Duration::from_secs(60);
+const TEST_TIMEOUT: Duration = Duration::from_secs(60);
 
 /// Returns the number of abandoned threads, which still run a cancelled task.
 fn abandoned_threads(metrics: &Metrics) -> u64 {
@@ -33,7 +33,7 @@ fn abandoned_threads(metrics: &Metrics) -> u64 {
 async fn all_ended(metrics: &Metrics) {
     let begun = Instant::now();
     while abandoned_threads(metrics) > 0 {
-        assert!(begun.elapsed() < PATIENCE, "the cancelled task runs on");
+        assert!(begun.elapsed() < TEST_TIMEOUT, "the cancelled task runs on");
         tokio::time::sleep(Duration::from_millis(20)).await;
     }
 }
@@ -52,7 +52,7 @@ async fn free_after_cancel(client: &Client, endless: JobId) -> Duration {
     }
     assert_eq!(last.unwrap().state, JobState::Done);
     let free = begun.elapsed();
-    assert!(free < PATIENCE, "the other job waited for the cancelled one: {free:?}");
+    assert!(free < TEST_TIMEOUT, "the other job waited for the cancelled one: {free:?}");
     free
 }
 

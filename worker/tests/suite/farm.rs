@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
-use femc_coordinator::{Artifacts, Config, Coordinator, Handle, Log};
+use femc_coordinator::{ArtifactStorage, Config, Coordinator, Handle, LogStorage};
 use femc_film::{Image, Tiling, exr, pixel_digest};
 use femc_import::Bundle;
 use femc_model::*;
@@ -207,8 +207,8 @@ async fn a_coordinator_that_comes_back_goes_on_where_it_was() {
     let expected = reference(StopCondition::Spp(32)).await;
     let folder = tempfile::tempdir().unwrap();
     let config = Config {
-        log: Log::Sqlite(folder.path().join("log.sqlite")),
-        artifacts: Artifacts::Folder(folder.path().join("artifacts")),
+        log: LogStorage::Sqlite(folder.path().join("log.sqlite")),
+        artifacts: ArtifactStorage::Folder(folder.path().join("artifacts")),
         ..Config::default()
     };
     let farm = Coordinator::start(config.clone()).await.unwrap();
@@ -285,7 +285,7 @@ async fn drawn(client: &Client, job: JobId) -> Vec<u32> {
     for record in attempts.iter().filter(|record| record.ending == LeaseEnding::Done) {
         let TaskKey { stage, index, .. } = record.task;
         if (stage.frame, stage.number) == (1, number) {
-            let tile = Chunks::new(template, stage.round, None, shape.cut).task(index);
+            let tile = Chunks::new(template, stage.round, None, shape.chunk_size).task(index);
             counts[tile as usize] += (record.samples / 256) as u32;
         }
     }
@@ -466,7 +466,7 @@ async fn lost_first_pass_light_is_found_again_with_same_pixels() {
     for is_lost in [false, true] {
         let folder = tempfile::tempdir().unwrap();
         let artifacts = folder.path().join("artifacts");
-        let config = Config { artifacts: Artifacts::Folder(artifacts.clone()), ..Config::default() };
+        let config = Config { artifacts: ArtifactStorage::Folder(artifacts.clone()), ..Config::default() };
         let farm = Coordinator::start(config).await.unwrap();
         let client = Client::connect(&farm.url()).await.unwrap();
         let id = submit(&client, with_first_pass()).await;

@@ -7,7 +7,7 @@ use femc_scene::{LampKind, Scene, survey_scene};
 use serde::Serialize;
 
 /// Largest number of lamp lines in the table.
-const LAMPS: usize = 20;
+const MAX_LISTED_LAMPS: usize = 20;
 
 /// The contents of a scene in numbers.
 #[derive(Default, Serialize)]
@@ -85,9 +85,9 @@ impl Contents {
             let place = format!("{}:{}", lamp.file, lamp.line);
             vec![lamp.count.to_string(), lumens(lamp.lumens), area, format!("{} {name}", lamp.kind), place]
         };
-        let rows: Vec<Vec<String>> = self.lamps.iter().take(LAMPS).map(row).collect();
+        let rows: Vec<Vec<String>> = self.lamps.iter().take(MAX_LISTED_LAMPS).map(row).collect();
         printer.result(human::table(&["count", "lm each", "m2 each", "lamp", "first at"], &rows));
-        if let more @ 1.. = self.lamps.len().saturating_sub(LAMPS) {
+        if let more @ 1.. = self.lamps.len().saturating_sub(MAX_LISTED_LAMPS) {
             printer.result(format!("and {} (--json lists all)", human::counted_noun(more as u64, "more kind")));
         }
     }

@@ -51,8 +51,8 @@ pub fn fault_lines(root: &ScenePath, loaded: &LoadedScene) -> Vec<FaultLine> {
 }
 
 /// Returns the fault of a scene that reports the same problem as a warning of the import.
-fn equivalent_fault(oddity: &WarningKind) -> Option<FaultKind> {
-    match oddity {
+fn equivalent_fault(warning_kind: &WarningKind) -> Option<FaultKind> {
+    match warning_kind {
         WarningKind::NoArea => Some(FaultKind::DegenerateSurface),
         WarningKind::NotPlanar { .. } => Some(FaultKind::NonPlanarFace),
         WarningKind::OutOfGamut => Some(FaultKind::OutOfGamut),

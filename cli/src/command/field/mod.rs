@@ -83,7 +83,7 @@ pub fn run(args: FieldArgs, printer: Printer) -> Result<Exit, Failure> {
     let typed = SettingsArgs { frames: Some(Frames::single(args.frame)), set: args.set, ..SettingsArgs::default() };
     let named = |key: &str| (key == "frames").then(|| "--frame".to_owned());
     let resolved = ImportedScene::open(&args.scene, args.root.as_deref(), printer)?.resolve(&typed, &named)?;
-    resolved.warn_of_bent_light(printer);
+    resolved.warn_of_caustics(printer);
     let prepared =
         pool.install(|| femc_pipeline::prepare_frame(&resolved.source, &resolved.settings, args.frame, None));
     let prepared = prepared.map_err(failed)?;
@@ -127,15 +127,15 @@ pub fn run(args: FieldArgs, printer: Printer) -> Result<Exit, Failure> {
         elements: solve_report.census.elements.into(),
         leaves: LeafCounts::from_report(solve_report, &light),
         links: LinkCounts::from_report(solve_report),
-        refused: solve_report.refused,
+        refused: solve_report.inexact_links,
         rays: solve_report.rays,
         iterations: solve_report.iterations,
         residual: solve_report.residual,
         row_sum: solve_report.row_sum,
-        bounded: solve_report.bounded,
+        bounded: solve_report.is_energy_bounded,
         untrusted: solve_report.verify(&light).err().map(|reason| reason.to_string()),
-        checked: solve_report.checked,
-        corrected: solve_report.corrected,
+        checked: solve_report.ray_link_ratio,
+        corrected: solve_report.ray_correction,
         bytes: solve_report.bytes,
         energy: (&light).into(),
         irradiance: (&light).into(),

@@ -1,7 +1,7 @@
 //! Report on a solution, for people and as JSON.
 
 use crate::output::{Printer, human};
-use femc_pipeline::radiosity::{KindCounts, LightTotals, SolveReport as Found};
+use femc_pipeline::radiosity::{KindCounts, LightTotals, SolveReport};
 use serde::Serialize;
 
 /// The report.
@@ -119,24 +119,24 @@ pub struct Irradiance {
 
 impl LeafCounts {
     /// Collects the counts from the solver's report and the field's summary.
-    pub fn from_report(solve_report: &Found, light: &LightTotals) -> Self {
+    pub fn from_report(solve_report: &SolveReport, light: &LightTotals) -> Self {
         Self {
             all: solve_report.leaves,
             surfaces: light.surfaces,
             median_per_surface: light.median_leaves,
-            most_per_surface: light.most_leaves,
+            most_per_surface: light.max_leaves,
         }
     }
 }
 
 impl LinkCounts {
     /// Collects the counts from the solver's report.
-    pub fn from_report(solve_report: &Found) -> Self {
+    pub fn from_report(solve_report: &SolveReport) -> Self {
         Self {
             elements: solve_report.links,
             lamps: solve_report.lamp_links,
             by_receiver: solve_report.census.receivers.into(),
-            by_sender: solve_report.census.senders.into(),
+            by_sender: solve_report.census.sources.into(),
         }
     }
 }
@@ -149,7 +149,7 @@ impl From<&LightTotals> for Energy {
 
 impl From<&LightTotals> for Irradiance {
     fn from(light: &LightTotals) -> Self {
-        Self { least: light.least, median: light.median, most: light.most }
+        Self { least: light.min_irradiance, median: light.median, most: light.max_irradiance }
     }
 }
 

@@ -2,7 +2,7 @@
 
 use crate::exit::{Failure, failed, usage};
 use crate::request::FrameMetadata;
-use femc_film::convergence::BLOCK;
+use femc_film::convergence::BLOCK_EDGE;
 use femc_film::{FilmError, Image, Rect, exr};
 use femc_pipeline::Settings;
 use femc_pipeline::variance_attribution::ExpectedPixel;
@@ -76,10 +76,10 @@ impl Frame {
         let luminance = |pixel| f64::from(self.image.luminance(self.pixel_index(pixel)));
         let frame = Rect { x: 0, y: 0, width: self.width, height: self.height };
         let floor = 0.01 * frame.pixels().map(luminance).sum::<f64>() / frame.area() as f64;
-        let corners = (0..self.height).step_by(BLOCK as usize);
-        let corners = corners.flat_map(|y| (0..self.width).step_by(BLOCK as usize).map(move |x| (x, y)));
+        let corners = (0..self.height).step_by(BLOCK_EDGE as usize);
+        let corners = corners.flat_map(|y| (0..self.width).step_by(BLOCK_EDGE as usize).map(move |x| (x, y)));
         let block = |(x, y): (u32, u32)| {
-            let rect = Rect { x, y, width: BLOCK.min(self.width - x), height: BLOCK.min(self.height - y) };
+            let rect = Rect { x, y, width: BLOCK_EDGE.min(self.width - x), height: BLOCK_EDGE.min(self.height - y) };
             let mean = rect.pixels().map(luminance).sum::<f64>() / rect.area() as f64;
             WorstBlock { rect, error: f64::from(self.errors[self.pixel_index((x, y))]), mean, scale: mean.max(floor) }
         };

@@ -69,7 +69,7 @@ pub fn run(args: &FirefliesArgs, printer: Printer) -> Result<Exit, Failure> {
     }
     let worst = frame.worst_blocks(args.blocks as usize);
     let lamps = Lamps::new(&prepared);
-    let accounts = accounts(&frame, &prepared, &lamps, &worst, printer);
+    let accounts = attribute_variance(&frame, &prepared, &lamps, &worst, printer);
     let names = Names { prepared: &prepared, lamps: &lamps, display_path: &|file| with_root_prefix(&root, file) };
     let report = FirefliesReport::new(&args.frame, &args.scene, &frame, &worst, &accounts, &names);
     if args.format.json {
@@ -81,7 +81,7 @@ pub fn run(args: &FirefliesArgs, printer: Printer) -> Result<Exit, Failure> {
 }
 
 /// Returns the accounts of the blocks, in order.
-fn accounts(
+fn attribute_variance(
     frame: &Frame,
     prepared: &Prepared,
     lamps: &Lamps,

@@ -4,9 +4,9 @@ use super::report::{BlockReport, BrightestReport, FirefliesReport, LampReport, O
 use crate::output::{Printer, human};
 
 /// Number of origins in the table.
-const ROWS: usize = 15;
+const MAX_ROWS: usize = 15;
 /// Number of brightest samples whose paths are printed.
-const PATHS: usize = 3;
+const MAX_PATHS: usize = 3;
 
 /// Prints blocks, table and paths.
 pub fn print(printer: Printer, report: &FirefliesReport) {
@@ -16,16 +16,16 @@ pub fn print(printer: Printer, report: &FirefliesReport) {
     }
     printer
         .result(format!("{}\n", human::table(&["block", "error", "mean", "worst pixels", "mostly"], &blocks(report))));
-    let rows: Vec<Vec<String>> = report.origins.iter().take(ROWS).map(row).collect();
+    let rows: Vec<Vec<String>> = report.origins.iter().take(MAX_ROWS).map(row).collect();
     let header = ["variance", "light", "bounce", "what happened", "on what", "lamp", "brightest sample"];
     printer.result(human::table(&header, &rows));
-    if let more @ 1.. = report.origins.len().saturating_sub(ROWS) {
-        let rest: f64 = report.origins.iter().skip(ROWS).map(|origin| origin.share).sum();
+    if let more @ 1.. = report.origins.len().saturating_sub(MAX_ROWS) {
+        let rest: f64 = report.origins.iter().skip(MAX_ROWS).map(|origin| origin.share).sum();
         let more = human::counted_noun(more as u64, "more origin");
         printer.result(format!("and {more} with {} (--json lists all)", share(rest)));
     }
     printer.result("\npaths of the brightest samples, from the camera:");
-    for origin in report.origins.iter().take(PATHS) {
+    for origin in report.origins.iter().take(MAX_PATHS) {
         printer.result(format!("  {}", path(origin)));
     }
     if report.unlike > 0 {

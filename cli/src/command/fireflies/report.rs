@@ -12,9 +12,9 @@ use serde::Serialize;
 use std::path::Path;
 
 /// Number of pixels listed per block.
-const PIXELS: usize = 3;
+const MAX_PIXELS: usize = 3;
 /// Number of origins listed per block.
-const ORIGINS: usize = 5;
+const MAX_ORIGINS: usize = 5;
 
 /// The whole report.
 #[derive(Serialize)]
@@ -185,8 +185,8 @@ impl FirefliesReport {
                 height: block.rect.height,
                 relative_error: block.error,
                 mean: block.mean,
-                pixels: pixels.iter().take(PIXELS).map(share).collect(),
-                origins: origins(account, frame, names, ORIGINS),
+                pixels: pixels.iter().take(MAX_PIXELS).map(share).collect(),
+                origins: origins(account, frame, names, MAX_ORIGINS),
             }
         });
         Self {

@@ -6,7 +6,7 @@ use crate::exit::{Failure, failed};
 use crate::request::ResolvedRequest;
 use crate::request::picture;
 use crate::values::Exposure;
-use femc_film::convergence::BLOCK;
+use femc_film::convergence::BLOCK_EDGE;
 use std::path::Path;
 
 /// Metadata that the file of a finished frame must have.
@@ -29,7 +29,7 @@ impl ExpectedMetadata {
         let allocation = resolved.settings.allocation.as_ref().map(serde_json::to_value).transpose().map_err(failed)?;
         let (scene, sidecars) =
             (resolved.scene().digest().to_string(), SidecarKinds::from_settings(&resolved.settings));
-        let blocks = resolved.film().map(|pixels| pixels.div_ceil(BLOCK)).iter().product();
+        let blocks = resolved.film().map(|pixels| pixels.div_ceil(BLOCK_EDGE)).iter().product();
         Ok(Self { settings, allocation, scene, exposure, sidecars, blocks })
     }
 

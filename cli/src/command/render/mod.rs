@@ -11,7 +11,7 @@ mod sidecars;
 pub mod state;
 mod target;
 
-pub use sidecars::{SidecarKinds, Sidecars as FoundBeside, layers_path, statistics_path};
+pub use sidecars::{SidecarKinds, Sidecars, layers_path, statistics_path};
 
 pub use painting::{PaintingArgs, request_painting_layers};
 pub use target::{frame_name, painted_name, still_name};

@@ -51,7 +51,7 @@ impl PaintingArgs {
         let Some(style) = &self.style else { return Ok(None) };
         let boil = self.boil.unwrap_or(Settings::default().boil);
         let painting = Painting { style: style.display().to_string(), boil };
-        if self.style_source.is_none() && painting.is_sound() {
+        if self.style_source.is_none() && painting.is_valid() {
             return Ok(Some(painting));
         }
         self.style()?;

@@ -230,13 +230,13 @@ impl PaintRequest<'_> {
             if at > first_left {
                 keep(None)?;
             }
-            let watch = Watcher {
-                step: &|now| {
+            let watch = PaintingObserver {
+                report_progress: &|now| {
                     let part = (at as f64 + now.fraction) / targets.len() as f64;
                     let text = || format!("{}: level {}/{}", out.display(), now.level, now.levels);
                     progress.lock().unwrap_or_else(PoisonError::into_inner).update(part, text);
                 },
-                level: &|begun| {
+                save_checkpoint: &|begun| {
                     if let Err(failure) = keep(Some(begun)) {
                         printer.warning(format!(
                             "{}: cannot save the progress: {}",
@@ -286,18 +286,18 @@ impl PaintRequest<'_> {
 }
 
 /// Shows the progress of a frame's painting, and saves checkpoints.
-struct Watcher<'a> {
-    step: &'a (dyn Fn(femc_stylize::Progress) + Sync),
-    level: &'a (dyn Fn(Checkpoint) + Sync),
+struct PaintingObserver<'a> {
+    report_progress: &'a (dyn Fn(femc_stylize::Progress) + Sync),
+    save_checkpoint: &'a (dyn Fn(Checkpoint) + Sync),
 }
 
-impl ProgressObserver for Watcher<'_> {
+impl ProgressObserver for PaintingObserver<'_> {
     fn on_progress(&self, now: femc_stylize::Progress) {
-        (self.step)(now);
+        (self.report_progress)(now);
     }
 
     fn on_checkpoint(&self, begun: Checkpoint) {
-        (self.level)(begun);
+        (self.save_checkpoint)(begun);
     }
 }
 

@@ -10,9 +10,9 @@ use std::path::PathBuf;
 /// Width of a picture in pixels.
 const THUMBNAIL: u32 = 240;
 /// Largest number of pictures per row.
-const COLUMNS: usize = 10;
+const MAX_COLUMNS: usize = 10;
 /// Largest number of rows that viewers can open and people look at.
-const ROWS: usize = 200;
+const MAX_ROWS: usize = 200;
 /// Largest number of pictures that determine the exposure.
 const MAX_EXPOSED: usize = 32;
 
@@ -25,7 +25,7 @@ struct SheetPicture {
 /// Writes `contact.png`, if there is anything to show.
 pub fn write(sweep: &ResolvedSweep, folder: &SweepFolder, printer: Printer) -> Result<Option<String>, Failure> {
     let rows = rows(sweep, folder);
-    let all: Vec<&SheetPicture> = rows.iter().take(ROWS).flat_map(|(_, row)| row).collect();
+    let all: Vec<&SheetPicture> = rows.iter().take(MAX_ROWS).flat_map(|(_, row)| row).collect();
     if all.is_empty() {
         return Ok(None);
     }
@@ -37,12 +37,12 @@ pub fn write(sweep: &ResolvedSweep, folder: &SweepFolder, printer: Printer) -> R
     let row = |(title, row): &(String, Vec<SheetPicture>)| {
         Ok(SheetRow { title: title.clone(), cells: row.iter().map(cell).collect::<Result<_, Failure>>()? })
     };
-    let sheet: Vec<SheetRow> = rows.iter().take(ROWS).map(row).collect::<Result<_, Failure>>()?;
+    let sheet: Vec<SheetRow> = rows.iter().take(MAX_ROWS).map(row).collect::<Result<_, Failure>>()?;
     let path = folder.join("contact.png");
     let png = labeled_sheet(&sheet).to_png().map_err(failed)?;
     femc_film::file::write_atomic(&path, &png).map_err(failed)?;
-    if rows.len() > ROWS {
-        printer.note(format!("{}: the first {ROWS} of {} rows", path.display(), rows.len()));
+    if rows.len() > MAX_ROWS {
+        printer.note(format!("{}: the first {MAX_ROWS} of {} rows", path.display(), rows.len()));
     }
     Ok(Some(path.display().to_string()))
 }
@@ -64,7 +64,7 @@ fn rows(sweep: &ResolvedSweep, folder: &SweepFolder) -> Vec<(String, Vec<SheetPi
         let (title, caption) = title.rsplit_once(", ").unwrap_or(("", &title));
         for (_, file) in there(variant) {
             let shown = SheetPicture { file, caption: caption.to_owned() };
-            match rows.last_mut().filter(|(last, row)| last == title && row.len() < COLUMNS) {
+            match rows.last_mut().filter(|(last, row)| last == title && row.len() < MAX_COLUMNS) {
                 Some((_, row)) => row.push(shown),
                 None => rows.push((title.to_owned(), vec![shown])),
             }
@@ -75,7 +75,7 @@ fn rows(sweep: &ResolvedSweep, folder: &SweepFolder) -> Vec<(String, Vec<SheetPi
 
 /// Returns frames spread evenly over a clip, including the first and the last.
 fn spread(frames: Vec<(u32, PathBuf)>) -> Vec<SheetPicture> {
-    let (count, last) = (frames.len().min(COLUMNS), frames.len().saturating_sub(1));
+    let (count, last) = (frames.len().min(MAX_COLUMNS), frames.len().saturating_sub(1));
     let mut places = (0..count).map(|at| at * last / (count - 1).max(1)).peekable();
     let chosen = |(at, (frame, file)): (usize, (u32, PathBuf))| {
         places.next_if_eq(&at).map(|_| SheetPicture { file, caption: format!("frame {frame}") })

@@ -5,7 +5,7 @@ use super::resolved::{PlannedVariant, ResolvedSweep};
 use crate::clock::Clock;
 use crate::command::client::FarmClient;
 use crate::command::interrupt::Interrupt;
-use crate::command::render::FoundBeside;
+use crate::command::render::Sidecars;
 use crate::command::subject::{self, IncludedLogs};
 use crate::command::submit::unique_key;
 use crate::exit::{Failure, interrupted};
@@ -26,12 +26,12 @@ pub struct QueuedJob<'a> {
     /// Number of the job.
     pub job: JobId,
     /// Wanted frames of the job that are not fetched yet.
-    open: BTreeSet<u32>,
-    seen: u32,
+    unfetched_frames: BTreeSet<u32>,
+    frames_seen: u32,
 }
 
 /// Links frames that exist under another name. Returns the frames that no file has yet, each with the first variant that needs it.
-pub fn missing<'a>(
+pub fn link_existing_frames<'a>(
     sweep: &'a ResolvedSweep,
     folder: &mut SweepFolder,
 ) -> Result<Vec<(&'a PlannedVariant, Vec<u32>)>, Failure> {
@@ -75,7 +75,7 @@ pub async fn queue_jobs<'a>(
         let spec = JobSpec { frames: order.frames.clone(), ..variant.spec.clone() };
         let (job, _) = farm.submit(&sweep.scene, Digest::compute(order.ticket.as_bytes()), spec).await?;
         folder.set_order(&variant.name, JobOrder { job: Some(job.0), ..order });
-        queued.push(QueuedJob { variant, job, open: frames.into_iter().collect(), seen: 0 });
+        queued.push(QueuedJob { variant, job, unfetched_frames: frames.into_iter().collect(), frames_seen: 0 });
     }
     folder.save()?;
     Ok(queued)
@@ -144,11 +144,11 @@ pub async fn collect(
             farm.jobs_with_retry().await?.into_iter().map(|status| (status.job, status)).collect();
         let mut is_whole = true;
         for queued in queued.iter_mut() {
-            if let Some(status) = all.get(&queued.job).filter(|status| status.frames_done > queued.seen) {
-                queued.seen = status.frames_done;
+            if let Some(status) = all.get(&queued.job).filter(|status| status.frames_done > queued.frames_seen) {
+                queued.frames_seen = status.frames_done;
                 if queued.fetch_frames(folder, farm).await? == FetchOutcome::Incomplete {
                     // A lost frame is rendered again and counts afterwards.
-                    (queued.seen, is_whole) = (0, false);
+                    (queued.frames_seen, is_whole) = (0, false);
                 }
             }
         }
@@ -165,7 +165,7 @@ pub async fn collect(
             () = interrupt.wait() => {
                 progress.finish();
                 folder.save()?;
-                let open: usize = queued.iter().map(|queued| queued.open.len()).sum();
+                let open: usize = queued.iter().map(|queued| queued.unfetched_frames.len()).sum();
                 return Err(interrupted(format!(
                     "interrupted: {open} frames are not in {} yet; rerun the command to resume",
                     folder.path().display()
@@ -189,18 +189,18 @@ impl QueuedJob<'_> {
         let mut outcome = FetchOutcome::Complete;
         for record in farm.frames(self.job).await? {
             let planned = self.variant.frames.iter().find(|planning| planning.frame == record.frame);
-            if let Some(planned) = planned.filter(|_| self.open.contains(&record.frame)) {
+            if let Some(planned) = planned.filter(|_| self.unfetched_frames.contains(&record.frame)) {
                 let Some(bytes) = farm.image(&record).await? else {
                     outcome = FetchOutcome::Incomplete;
                     continue;
                 };
-                let Some(sidecars) = FoundBeside::fetch(farm, &record).await? else {
+                let Some(sidecars) = Sidecars::fetch(farm, &record).await? else {
                     outcome = FetchOutcome::Incomplete;
                     continue;
                 };
                 let name = self.variant.file(record.frame);
                 folder.write(&name, &bytes, &sidecars, frame_entry(&planned.key, &record))?;
-                self.open.remove(&record.frame);
+                self.unfetched_frames.remove(&record.frame);
             }
         }
         Ok(outcome)

@@ -5,7 +5,7 @@
 
 use super::resolved::{PlannedVariant, ResolvedSweep};
 use crate::clock::{Clock, Timestamp};
-use crate::command::render::{FoundBeside, SidecarKinds};
+use crate::command::render::{SidecarKinds, Sidecars};
 use crate::exit::{Failure, failed};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -153,13 +153,7 @@ impl SweepFolder {
     }
 
     /// Writes a finished frame and the files beside it.
-    pub fn write(
-        &mut self,
-        name: &str,
-        bytes: &[u8],
-        sidecars: &FoundBeside,
-        entry: FrameEntry,
-    ) -> Result<(), Failure> {
+    pub fn write(&mut self, name: &str, bytes: &[u8], sidecars: &Sidecars, entry: FrameEntry) -> Result<(), Failure> {
         sidecars.write(&self.join(name))?;
         femc_film::file::write_atomic(&self.join(name), bytes).map_err(failed)?;
         self.insert_entry(name, entry);

@@ -105,7 +105,7 @@ pub fn run(args: &SweepArgs, printer: Printer) -> Result<Exit, Failure> {
     let sharing = SharingCounts::count(&sweep, Some(&folder));
     sharing.note(printer);
     folder.set_variants(&sweep);
-    let missing = drive::missing(&sweep, &mut folder)?;
+    let missing = drive::link_existing_frames(&sweep, &mut folder)?;
     let mut report = SweepReport::new(&sweep, out, sharing);
     let mut troubles = Vec::new();
     if missing.is_empty() {
@@ -129,7 +129,7 @@ pub fn run(args: &SweepArgs, printer: Printer) -> Result<Exit, Failure> {
         return report.print_jobs(args.format.json, printer);
     }
     // Link equal frames of other variants, whose originals exist now.
-    let left = drive::missing(&sweep, &mut folder)?;
+    let left = drive::link_existing_frames(&sweep, &mut folder)?;
     let measured = measure::measure(&sweep, &folder)?;
     measure::frames(&sweep, &measured).write(out, "frames")?;
     measure::variants(&sweep, &measured).write(out, "variants")?;

@@ -29,7 +29,7 @@ pub async fn connections(target: &mut Target) -> String {
             open.push(stream);
         }
         if n % 1000 == 999 {
-            target.serves_others();
+            target.assert_serves_others();
         }
     }
     let mut turned_away = 0;
@@ -167,7 +167,7 @@ pub async fn open_calls(target: &mut Target) -> String {
         }
         sent += 1;
     }
-    target.serves_others();
+    target.assert_serves_others();
     let begun = Instant::now();
     drop(stream);
     format!("{sent} sent, 256 of them held; {} s", begun.elapsed().as_secs())
@@ -184,7 +184,7 @@ pub async fn rapid_reset(target: &mut Target) -> String {
         }
         sent += 1;
     }
-    target.serves_others();
+    target.assert_serves_others();
     wait_until_closed(&mut stream).await;
     assert!(sent < 200_000, "all were taken");
     format!("closed after {sent} calls, {} s", begun.elapsed().as_secs())
@@ -198,7 +198,7 @@ pub async fn pings(target: &mut Target) -> String {
     while sent < 500 && push(&mut stream, &many).await {
         sent += 1;
     }
-    target.serves_others();
+    target.assert_serves_others();
     wait_until_closed(&mut stream).await;
     format!("closed after {sent} times 10 000")
 }
@@ -223,7 +223,7 @@ pub async fn calls(target: &mut Target) -> String {
             outcomes
         }));
     }
-    target.serves_others();
+    target.assert_serves_others();
     let mut outcomes = BTreeMap::<String, u32>::new();
     for peer in peers {
         for (what, times) in peer.await.expect("no panic") {
@@ -253,7 +253,7 @@ pub async fn uploads(target: &mut Target) -> String {
         open.push((response, send));
     }
     tokio::time::sleep(Duration::from_secs(2)).await;
-    target.serves_others();
+    target.assert_serves_others();
     let held = target.resident().saturating_sub(before);
     assert!(held < super::GROWTH, "{held} bytes are held for who sends nothing");
     // This upload has a slot; the others wait for one.
@@ -285,7 +285,7 @@ pub async fn unread_downloads(target: &mut Target) -> String {
     }
     tokio::time::sleep(Duration::from_secs(3)).await;
     // The number of transfers per address is limited. This address has used all of its transfers; other addresses have their own.
-    target.serves_others();
+    target.assert_serves_others();
     let held = target.resident().saturating_sub(before);
     assert!(held < super::TRANSFERS + super::GROWTH, "{held} bytes are held for who reads nothing");
     format!("16 of 200 begun, {} KiB held", held >> 10)

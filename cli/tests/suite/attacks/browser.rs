@@ -7,40 +7,41 @@ use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 
 use super::Target;
 use super::peer::{connect, connect_from, wait_until_closed};
-use crate::common::http::{Answer, CHANGE, ask, send};
+use crate::common::http::{Answer, CHANGE, send, send_request};
 
 const CANCEL: &str = "{\"jobs\":[1],\"action\":\"cancel\"}";
 
-fn expect(answer: &Answer, status: u16, code: &str) {
+fn assert_answer(answer: &Answer, status: u16, code: &str) {
     assert_eq!((answer.status, answer.code().as_str()), (status, code));
 }
 
 /// Checks that the job still exists.
-fn untouched(target: &Target) {
-    let jobs = ask(target.address(), "GET /api/v1/jobs", &[], "").json();
+fn assert_job_queued(target: &Target) {
+    let jobs = send_request(target.address(), "GET /api/v1/jobs", &[], "").json();
     assert_eq!(jobs["jobs"][0]["state"], "queued");
 }
 
 pub async fn cross_site(target: &mut Target) -> String {
     target.submit();
-    let post = |head: &[&str]| ask(target.address(), "POST /api/v1/jobs/control", head, CANCEL);
+    let post = |head: &[&str]| send_request(target.address(), "POST /api/v1/jobs/control", head, CANCEL);
     let [json, own] = CHANGE;
     // Content types that a form can send.
     for kind in ["application/x-www-form-urlencoded", "text/plain", "multipart/form-data"] {
-        expect(&post(&[&format!("Content-Type: {kind}")]), 400, "invalid");
+        assert_answer(&post(&[&format!("Content-Type: {kind}")]), 400, "invalid");
     }
-    expect(&post(&[json]), 400, "invalid");
-    expect(&post(&[json, own, "Origin: http://evil.example"]), 403, "cross_site");
-    expect(&post(&[json, own, "Origin: null"]), 403, "cross_site");
-    expect(&post(&[json, own, "Sec-Fetch-Site: cross-site"]), 403, "cross_site");
-    let get = ask(target.address(), "GET /api/v1/jobs", &["Origin: http://evil.example"], "");
-    expect(&get, 403, "cross_site");
+    assert_answer(&post(&[json]), 400, "invalid");
+    assert_answer(&post(&[json, own, "Origin: http://evil.example"]), 403, "cross_site");
+    assert_answer(&post(&[json, own, "Origin: null"]), 403, "cross_site");
+    assert_answer(&post(&[json, own, "Sec-Fetch-Site: cross-site"]), 403, "cross_site");
+    let get = send_request(target.address(), "GET /api/v1/jobs", &["Origin: http://evil.example"], "");
+    assert_answer(&get, 403, "cross_site");
     assert_eq!(get.header("access-control-allow-origin"), "", "no page of another site may read");
-    let preflight = ask(target.address(), "OPTIONS /api/v1/jobs/control", &["Origin: http://evil.example"], "");
+    let preflight =
+        send_request(target.address(), "OPTIONS /api/v1/jobs/control", &["Origin: http://evil.example"], "");
     assert_eq!((preflight.status, preflight.header("access-control-allow-headers")), (405, ""));
-    let login = ask(target.address(), "POST /login", &["Origin: http://evil.example"], "token=x");
+    let login = send_request(target.address(), "POST /login", &["Origin: http://evil.example"], "token=x");
     assert_eq!(login.status, 403);
-    untouched(target);
+    assert_job_queued(target);
     "403 cross_site, 400 where a form could have sent it".to_owned()
 }
 
@@ -48,12 +49,12 @@ pub async fn rebinding(target: &mut Target) -> String {
     target.submit();
     for host in ["evil.example", "evil.example:7878", "127.0.0.1.evil.example", "10.1.2.3:7878", ""] {
         let host_line = format!("Host: {host}");
-        expect(&ask(target.address(), "GET /api/v1/jobs", &[&host_line], ""), 403, "foreign_host");
+        assert_answer(&send_request(target.address(), "GET /api/v1/jobs", &[&host_line], ""), 403, "foreign_host");
         let head = [&*host_line, CHANGE[0], CHANGE[1]];
-        expect(&ask(target.address(), "POST /api/v1/jobs/control", &head, CANCEL), 403, "foreign_host");
-        assert_eq!(ask(target.address(), "GET /", &[&host_line], "").status, 403);
+        assert_answer(&send_request(target.address(), "POST /api/v1/jobs/control", &head, CANCEL), 403, "foreign_host");
+        assert_eq!(send_request(target.address(), "GET /", &[&host_line], "").status, 403);
     }
-    untouched(target);
+    assert_job_queued(target);
     "403 foreign_host".to_owned()
 }
 
@@ -68,7 +69,7 @@ pub async fn path_traversal(target: &mut Target) -> String {
         "/api/v1/jobs/../../farm.db",
         "/api/v1/jobs/1/frames/1/../../../../farm.db",
     ] {
-        let answer = ask(target.address(), &format!("GET {path}"), &["Accept: */*"], "");
+        let answer = send_request(target.address(), &format!("GET {path}"), &["Accept: */*"], "");
         let text = String::from_utf8_lossy(&answer.body).into_owned();
         assert!(!text.contains("root:") && !text.contains("SQLite"), "{path}: {text}");
         assert!(matches!(answer.status, 400 | 404) || text.starts_with("<!doctype html>"), "{path}: {}", answer.status);
@@ -85,14 +86,15 @@ pub async fn huge_body(target: &mut Target) -> String {
     let mut request = announced.into_bytes();
     request.resize(request.len() + (16 << 20), b' ');
     let answer = send(&host, &request);
-    expect(&answer, 413, "too_large");
-    let login = ask(&host, "POST /login", &["Content-Type: application/x-www-form-urlencoded"], &"x".repeat(1 << 20));
+    assert_answer(&answer, 413, "too_large");
+    let login =
+        send_request(&host, "POST /login", &["Content-Type: application/x-www-form-urlencoded"], &"x".repeat(1 << 20));
     assert_eq!(login.status, 413);
     "413 too_large".to_owned()
 }
 
 pub async fn forged_tokens(target: &mut Target) -> String {
-    let get = |head: &str| ask(target.address(), "GET /api/v1/jobs", &[head], "");
+    let get = |head: &str| send_request(target.address(), "GET /api/v1/jobs", &[head], "");
     let real = target.token("eve");
     let forged = format!("femc_{}", "0".repeat(64));
     for head in [
@@ -108,20 +110,20 @@ pub async fn forged_tokens(target: &mut Target) -> String {
         assert!(matches!(answer.status, 400 | 401), "{head}: {}", answer.status);
     }
     let form = ["Content-Type: application/x-www-form-urlencoded"];
-    let login = ask(target.address(), "POST /login", &form, &format!("token={forged}"));
+    let login = send_request(target.address(), "POST /login", &form, &format!("token={forged}"));
     assert_eq!((login.status, login.header("set-cookie")), (401, ""));
     // Use the real token, and the cookie after the token has been revoked.
-    let login = ask(target.address(), "POST /login", &form, &format!("token={real}"));
+    let login = send_request(target.address(), "POST /login", &form, &format!("token={real}"));
     let cookie = login.header("set-cookie").to_owned();
     assert_eq!((login.status, login.header("location")), (303, "/"));
     assert!(cookie.contains("; HttpOnly; SameSite=Strict; Path=/"), "{cookie}");
     let cookie = format!("Cookie: {}", cookie.split(';').next().expect("a value"));
     assert_eq!(get(&cookie).status, 200);
-    let drained = ask(target.address(), "POST /api/v1/workers/drain", &[&cookie, CHANGE[0], CHANGE[1]], "{}");
-    expect(&drained, 403, "forbidden");
-    assert_eq!(ask(target.address(), "GET /api/v1/audit", &[&cookie], "").status, 403);
+    let drained = send_request(target.address(), "POST /api/v1/workers/drain", &[&cookie, CHANGE[0], CHANGE[1]], "{}");
+    assert_answer(&drained, 403, "forbidden");
+    assert_eq!(send_request(target.address(), "GET /api/v1/audit", &[&cookie], "").status, 403);
     target.revoke("eve");
-    expect(&get(&cookie), 401, "unauthenticated");
+    assert_answer(&get(&cookie), 401, "unauthenticated");
     "401 unauthenticated, before and after it counted".to_owned()
 }
 
@@ -152,7 +154,7 @@ pub async fn unread_feeds(target: &mut Target) -> String {
         target.submit();
         tokio::time::sleep(Duration::from_secs(1)).await;
     }
-    target.serves_others();
+    target.assert_serves_others();
     let mut bytes = vec![0; 1 << 16];
     let read = feeds[0].read(&mut bytes).await.expect("events");
     let text = String::from_utf8_lossy(&bytes[..read]).into_owned();

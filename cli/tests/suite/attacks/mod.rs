@@ -51,7 +51,7 @@ impl Target {
 
     /// Checks that another client gets answers.
     #[track_caller]
-    fn serves_others(&mut self) {
+    fn assert_serves_others(&mut self) {
         let identity = match (self.url.starts_with("https"), self.dir.path("dora.token").exists()) {
             (true, _) => "--identity ann.pem",
             (false, true) => "--token-file dora.token",
@@ -92,16 +92,16 @@ impl Target {
 #[track_caller]
 fn assert_withstands(name: &str, options: &str, growth: u64, attack: impl AsyncFnOnce(&mut Target) -> String) {
     let mut target = Target::start(options);
-    target.serves_others();
+    target.assert_serves_others();
     let before = target.resident();
     let runtime =
         tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().expect("a runtime");
     let refused = runtime.block_on(attack(&mut target));
-    target.serves_others();
+    target.assert_serves_others();
     // Close everything that the attack still holds open.
     runtime.shutdown_timeout(Duration::from_secs(1));
     std::thread::sleep(Duration::from_secs(1));
-    target.serves_others();
+    target.assert_serves_others();
     let after = target.resident();
     println!("{name}: {refused}; {} -> {} KiB", before >> 10, after >> 10);
     assert!(after <= before + growth, "{name}: grew from {before} to {after} bytes");

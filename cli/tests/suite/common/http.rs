@@ -78,7 +78,7 @@ pub fn send(address: &str, request: &[u8]) -> Answer {
 }
 
 /// Sends a request with this first line, these header lines and this body.
-pub fn ask(address: &str, line: &str, head: &[&str], body: &str) -> Answer {
+pub fn send_request(address: &str, line: &str, head: &[&str], body: &str) -> Answer {
     let host =
         if head.iter().any(|line| line.starts_with("Host:")) { String::new() } else { format!("Host: {address}\r\n") };
     let lines: String = head.iter().map(|line| format!("{line}\r\n")).collect();

@@ -24,9 +24,9 @@ const SERIES: [f64; 9] = [
 #[derive(Clone, Copy, Debug)]
 pub(super) struct SourceTerm {
     /// At its start.
-    pub from: f64,
+    pub start: f64,
     /// At its end.
-    pub to: f64,
+    pub end: f64,
 }
 
 /// Returns the weights of the light sent at the start and at the end, and the transmittance of the stretch: the integrals over s in
@@ -53,15 +53,15 @@ pub(super) fn endpoint_weights(depth: f64) -> ([f64; 2], f64) {
 /// Returns the light that arrives from the first part of the stretch, as a share of its length.
 /// - `end`: end of the part, in [0, 1].
 pub(super) fn partial_integral(depth: f64, sent: SourceTerm, end: f64) -> f64 {
-    let there = sent.from + (sent.to - sent.from) * end;
+    let there = sent.start + (sent.end - sent.start) * end;
     let ([first, second], _) = endpoint_weights(depth * end);
-    end * (sent.from * first + there * second)
+    end * (sent.start * first + there * second)
 }
 
 /// Returns the light that arrives from a position, per share of the length.
 #[inline]
 pub(super) fn density(depth: f64, sent: SourceTerm, at: f64) -> f64 {
-    exp(-depth * at) * (sent.from + (sent.to - sent.from) * at)
+    exp(-depth * at) * (sent.start + (sent.end - sent.start) * at)
 }
 
 /// Maximum number of steps of [`invert_integral`]; bisection alone would need the same number.
@@ -106,7 +106,7 @@ fn first_guess(channels: &[(f64, SourceTerm)], share: f64) -> f64 {
     }
     let (from, to) = channels.iter().fold((0.0, 0.0), |(from, to), (depth, sent)| {
         // As at the end of a line through the two values, attenuated by the stretch.
-        (from + sent.from, to + sent.to * (1.0 - depth + 0.5 * depth * depth))
+        (from + sent.start, to + sent.end * (1.0 - depth + 0.5 * depth * depth))
     });
     let root = (from * from + (to - from) * (to + from) * share).max(0.0).sqrt();
     let guess = (from + to) * share / (from + root);

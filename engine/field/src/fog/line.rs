@@ -115,7 +115,7 @@ impl FogLine {
     #[inline]
     fn channels(&self, index: usize) -> ([(f64, SourceTerm); 3], usize) {
         let channel = |depth: f32, [from, to]: [f32; 2]| {
-            (f64::from(depth), SourceTerm { from: f64::from(from), to: f64::from(to) })
+            (f64::from(depth), SourceTerm { start: f64::from(from), end: f64::from(to) })
         };
         let gray = self.pieces.len() - self.colored.len();
         if index < gray {

@@ -3,7 +3,7 @@
 use super::sums::mean;
 use super::tile::VERSION;
 use super::{FeatureLayout, FeatureTile, RANKS};
-use crate::codec::{finish, read_header, start_header, to_planes};
+use crate::codec::{compress_and_seal, read_header, start_header, to_planes};
 use crate::{FilmError, SampleRange, Tiling};
 use std::collections::BTreeSet;
 use std::ops::Range;
@@ -51,7 +51,7 @@ impl FeaturePiece {
         }
         let share = |count: u32, of: u32| if of == 0 { 0.0 } else { (f64::from(count) / f64::from(of)) as f32 };
         self.channels.extend(sums.counts.iter().map(|[samples, hits]| share(*hits, *samples).to_bits()));
-        for kind in &sums.shares {
+        for kind in &sums.id_counts {
             let ranked: Vec<[(u32, f32); RANKS]> = kind
                 .pixels()
                 .zip(&sums.counts)
@@ -91,7 +91,7 @@ impl FeaturePiece {
         let bounds = self.samples.iter().flat_map(|range| [range.start, range.end]);
         let words = [values, ids, width, height, edge, start, end].into_iter().chain(bounds);
         words.for_each(|word| out.extend_from_slice(&word.to_le_bytes()));
-        finish(out, &to_planes(&self.channels, |bits| bits.to_le_bytes()))
+        compress_and_seal(out, &to_planes(&self.channels, |bits| bits.to_le_bytes()))
     }
 
     /// Decodes tiles; damage of any kind is an error.

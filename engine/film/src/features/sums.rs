@@ -5,14 +5,14 @@ use super::FeatureLayout;
 /// Denominator of the fixed-point values: a value is a multiple of 1 over this.
 const UNIT: f64 = (1u64 << 40) as f64;
 /// Largest absolute value.
-const LIMIT: f64 = (1u64 << 40) as f64;
+const MAX_VALUE: f64 = (1u64 << 40) as f64;
 /// Largest term.
 pub(super) const MAX_TERM: i128 = 1 << 80;
 
 /// Converts a number to a term: clamped to the limits, and 0 for NaN.
 #[inline]
 fn quantize(value: f64) -> i128 {
-    (value.clamp(-LIMIT, LIMIT) * UNIT).round() as i128
+    (value.clamp(-MAX_VALUE, MAX_VALUE) * UNIT).round() as i128
 }
 
 /// Returns the mean of `count` values with this sum.
@@ -22,13 +22,13 @@ pub(super) fn mean(sum: i128, count: u32) -> f64 {
 
 /// Number of samples of each id, for each pixel: (id, samples), ids ascending.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub(super) struct Shares {
+pub(super) struct IdCounts {
     /// End of the entries of each pixel.
     ends: Vec<usize>,
     pub entries: Vec<[u32; 2]>,
 }
 
-impl Shares {
+impl IdCounts {
     pub fn push(&mut self, pixel: &[[u32; 2]]) {
         self.entries.extend_from_slice(pixel);
         self.ends.push(self.entries.len());
@@ -81,7 +81,7 @@ pub struct FeatureSums {
     pub(super) counts: Vec<[u32; 2]>,
     /// Sums of the values, pixel by pixel.
     pub(super) values: Vec<i128>,
-    pub(super) shares: Vec<Shares>,
+    pub(super) id_counts: Vec<IdCounts>,
     /// Ids of the current pixel.
     current_ids: Vec<Vec<[u32; 2]>>,
 }
@@ -90,17 +90,17 @@ impl FeatureSums {
     /// Creates sums without pixels.
     pub fn new(layout: FeatureLayout) -> Self {
         let kinds = layout.ids as usize;
-        let (shares, open) = (vec![Shares::default(); kinds], vec![Vec::new(); kinds]);
-        Self { layout, shares, current_ids: open, ..Self::default() }
+        let (shares, open) = (vec![IdCounts::default(); kinds], vec![Vec::new(); kinds]);
+        Self { layout, id_counts: shares, current_ids: open, ..Self::default() }
     }
 
     pub(super) fn from_parts(
         layout: FeatureLayout,
         counts: Vec<[u32; 2]>,
         values: Vec<i128>,
-        shares: Vec<Shares>,
+        shares: Vec<IdCounts>,
     ) -> Self {
-        Self { counts, values, shares, ..Self::new(layout) }
+        Self { counts, values, id_counts: shares, ..Self::new(layout) }
     }
 
     /// Finishes the current pixel, if there is one, and starts the next.
@@ -111,10 +111,10 @@ impl FeatureSums {
     }
 
     fn end_pixel(&mut self) {
-        if self.shares.iter().all(|shares| shares.ends.len() == self.counts.len()) {
+        if self.id_counts.iter().all(|shares| shares.ends.len() == self.counts.len()) {
             return;
         }
-        for (shares, open) in self.shares.iter_mut().zip(&mut self.current_ids) {
+        for (shares, open) in self.id_counts.iter_mut().zip(&mut self.current_ids) {
             shares.push(open);
             open.clear();
         }
@@ -139,7 +139,7 @@ impl FeatureSums {
             next.end_pixel();
             joined.counts.append(&mut next.counts);
             joined.values.append(&mut next.values);
-            for (mine, theirs) in joined.shares.iter_mut().zip(&next.shares) {
+            for (mine, theirs) in joined.id_counts.iter_mut().zip(&next.id_counts) {
                 theirs.pixels().for_each(|pixel| mine.push(pixel));
             }
         }
@@ -151,7 +151,7 @@ impl FeatureSums {
         let counts = self.counts.as_flattened_mut().iter_mut().zip(other.counts.as_flattened());
         counts.for_each(|(a, b)| *a = a.saturating_add(*b));
         self.values.iter_mut().zip(&other.values).for_each(|(a, b)| *a = a.saturating_add(*b));
-        self.shares.iter_mut().zip(&other.shares).for_each(|(a, b)| *a = a.merged(b));
+        self.id_counts.iter_mut().zip(&other.id_counts).for_each(|(a, b)| *a = a.merged(b));
     }
 }
 

@@ -1,8 +1,8 @@
 //! Features of the samples of a tile.
 
-use super::sums::{MAX_TERM, Shares};
+use super::sums::{IdCounts, MAX_TERM};
 use super::{FeatureLayout, FeatureSums};
-use crate::codec::{finish, from_planes, read_header, start_header, to_planes};
+use crate::codec::{compress_and_seal, from_planes, read_header, start_header, to_planes};
 use crate::tile::MAX_TILE_PIXELS;
 use crate::{FilmError, Rect, SampleRange};
 use std::ops::Range;
@@ -80,7 +80,7 @@ impl FeatureTile {
 
     /// Encodes the features. Equal sums give equal bytes.
     pub fn encode(&self) -> Vec<u8> {
-        let FeatureSums { layout, counts, values, shares, .. } = &self.sums;
+        let FeatureSums { layout, counts, values, id_counts: shares, .. } = &self.sums;
         let Rect { x, y, width, height } = self.rect;
         let mut out = start_header(MAGIC, VERSION);
         let head = [layout.values, layout.ids, x, y, width, height, self.samples.start, self.samples.end];
@@ -93,7 +93,7 @@ impl FeatureTile {
             planes.extend(to_planes(&lengths, |length| length.to_le_bytes()));
             planes.extend(to_planes(&shares.entries, pair_bytes));
         }
-        finish(out, &planes)
+        compress_and_seal(out, &planes)
     }
 
     /// Decodes features; damage of any kind is an error.
@@ -128,7 +128,7 @@ impl FeatureTile {
         let mut shares = Vec::with_capacity(entries.len());
         for count in entries {
             let lengths = from_planes(take(4 * area), area, |bytes: &[u8; 4]| u32::from_le_bytes(*bytes));
-            let kind = Shares::new(&lengths, from_planes(take(8 * count), count, pair));
+            let kind = IdCounts::new(&lengths, from_planes(take(8 * count), count, pair));
             shares.push(kind.ok_or(FilmError::Corrupt("wrong number of ids"))?);
         }
         check(&counts, &sums, &shares, samples)?;
@@ -137,7 +137,7 @@ impl FeatureTile {
 }
 
 /// Refuses sums that no samples can give.
-fn check(counts: &[[u32; 2]], values: &[i128], shares: &[Shares], samples: SampleRange) -> Result<(), FilmError> {
+fn check(counts: &[[u32; 2]], values: &[i128], shares: &[IdCounts], samples: SampleRange) -> Result<(), FilmError> {
     if counts.iter().any(|[all, hits]| hits > all || *all > samples.len()) {
         return Err(FilmError::Corrupt("more samples than its ranges hold"));
     }

@@ -73,7 +73,7 @@ proptest! {
             seen.push(i);
         }
         prop_assert_eq!(merged.pixels(), whole.pixels());
-        prop_assert_eq!(merged.bad(), whole.bad());
+        prop_assert_eq!(merged.bad_samples(), whole.bad_samples());
         prop_assert_eq!(merged.spp(), u64::from(SPP));
 
         // The same parts in key order, and grouped as a tree: the same bytes.
@@ -104,7 +104,7 @@ proptest! {
                     frame.insert(render(rect, range)).unwrap();
                 }
             }
-            (frame.resolve(), frame.bad())
+            (frame.resolve(), frame.bad_samples())
         };
         prop_assert_eq!(image(edge, turn), image(64, 0));
     }
@@ -142,8 +142,8 @@ fn nan_sample_is_counted_with_its_place_and_changes_no_pixel() {
     }
     planted.add(1, 0, 2, &Sample { color: Rgb::new(1.0, f32::NAN, 1.0), ..Sample::MISS });
     assert_eq!(planted.pixels(), clean.pixels());
-    assert_eq!((planted.bad().total(), planted.bad().count(BadKind::NotANumber)), (1, 1));
-    let first = planted.bad().first.unwrap();
+    assert_eq!((planted.bad_samples().total(), planted.bad_samples().count(BadKind::NotANumber)), (1, 1));
+    let first = planted.bad_samples().first.unwrap();
     assert_eq!((first.x, first.y, first.sample), (1, 0, 2));
 
     let mut frame = Frame::new(Tiling::new(2, 2, 64).unwrap());
@@ -153,7 +153,7 @@ fn nan_sample_is_counted_with_its_place_and_changes_no_pixel() {
     assert_eq!(image.color.pixels[1], [4.0 / 3.0; 3]);
     assert_eq!(image.color.pixels[0], [1.5; 3]);
     assert_eq!(
-        frame.bad().to_string(),
+        frame.bad_samples().to_string(),
         "1 bad samples (1 NaN, 0 infinite, 0 negative, 0 out of range), first: pixel 1,0 sample 2"
     );
 }
@@ -271,5 +271,5 @@ fn a_sum_out_of_range_is_reported() {
         tile.add(0, 0, i, &Sample { depth: 1e30, ..Sample::MISS });
         tile.add(1, 0, i, &Sample { color: Rgb::splat(femc_film::sample::MAX_RADIANCE), ..Sample::MISS });
     }
-    assert_eq!((tile.saturated_pixels(), tile.bad().total()), (1, 0));
+    assert_eq!((tile.saturated_pixels(), tile.bad_samples().total()), (1, 0));
 }

@@ -42,10 +42,10 @@ fn pieces_of_any_size_make_the_image_of_the_frame_to_the_bit() {
             let piece = ImagePiece::decode(&bytes).unwrap();
             let samples: Vec<SampleRange> = piece.tiles().map(|_| (0..5).into()).collect();
             assert_eq!((piece.encode(), piece.samples()), (bytes, &samples[..]));
-            bad.merge(piece.bad());
+            bad.merge(piece.bad_samples());
             image.put(&piece).unwrap();
         }
-        assert_eq!((image, bad), (frame.resolve(), frame.bad()), "pieces of {size} tiles");
+        assert_eq!((image, bad), (frame.resolve(), frame.bad_samples()), "pieces of {size} tiles");
     }
 }
 
@@ -79,7 +79,7 @@ fn render_in_parts(
         let counted: Vec<u32> = piece.samples().iter().map(|range| range.len()).collect();
         assert_eq!(counted, counts[tiles.clone()]);
         image.put(&piece).unwrap();
-        bad.merge(piece.bad());
+        bad.merge(piece.bad_samples());
         let of =
             ErrorStatistics::decode(&ErrorStatistics::from_frame(&frame, tiles.clone()).unwrap().encode()).unwrap();
         assert_eq!((of.tiling(), of.tiles()), (tiling, tiles));
@@ -110,7 +110,7 @@ proptest! {
                 let at = (y * 40 + x) as usize;
                 prop_assert_eq!(image.samples[at], sums.samples());
             }
-            prop_assert_eq!((errors[index].samples, errors[index].bad), ((0..count).into(), alone.bad().total()));
+            prop_assert_eq!((errors[index].samples, errors[index].bad), ((0..count).into(), alone.bad_samples().total()));
         }
     }
 }
@@ -122,10 +122,10 @@ fn the_error_of_the_tiles_is_the_error_of_the_image() {
     assert_eq!(of_tiles, image.error());
     for half in 0..2 {
         assert!(
-            errors[2].worst(half, of_tiles.floor, 0.0) < errors[4].worst(half, of_tiles.floor, 0.0),
+            errors[2].worst_error(half, of_tiles.floor, 0.0) < errors[4].worst_error(half, of_tiles.floor, 0.0),
             "more samples"
         );
-        assert_eq!(errors[3].worst(half, of_tiles.floor, 0.0), f64::INFINITY, "two samples tell a half nothing");
+        assert_eq!(errors[3].worst_error(half, of_tiles.floor, 0.0), f64::INFINITY, "two samples tell a half nothing");
     }
 }
 
@@ -172,13 +172,15 @@ fn bounds_include_unseen_light_and_ignore_always_bad_pixels() {
     // A constant: nothing varies, but three more events of the brightest sample's size may be unseen.
     let tile = block(0..16, |_, _, _| 2.0);
     assert_eq!((tile.blocks[0].block.variance, tile.blocks[0].halves[0].bound), (0.0, 3.0 * (2.0f64 / 8.0).powi(2)));
-    let relative = tile.worst(0, 0.0, f64::INFINITY);
+    let relative = tile.worst_error(0, 0.0, f64::INFINITY);
     assert!((relative - 1.959_964 * 1.5f64.sqrt() * 0.25 / 512.0).abs() < 1e-9, "{relative}");
     let black = block(0..16, |_, _, _| 0.0);
-    assert_eq!((black.worst(0, 1.0, 7.0), black.blocks[0].block.relative(1.0)), (7.0, None), "unlit");
+    assert_eq!((black.worst_error(0, 1.0, 7.0), black.blocks[0].block.relative_error(1.0)), (7.0, None), "unlit");
     let bad = block(0..16, |x, y, _| if (x, y) == (3, 3) { f32::NAN } else { 2.0 });
-    assert!(bad.worst(1, 0.0, 0.0).is_finite() && bad.bad == 16);
-    assert!(block(0..4, |x, y, _| if (x, y) == (3, 3) { f32::NAN } else { 2.0 }).worst(1, 0.0, 0.0).is_infinite());
+    assert!(bad.worst_error(1, 0.0, 0.0).is_finite() && bad.bad == 16);
+    assert!(
+        block(0..4, |x, y, _| if (x, y) == (3, 3) { f32::NAN } else { 2.0 }).worst_error(1, 0.0, 0.0).is_infinite()
+    );
 }
 
 #[test]

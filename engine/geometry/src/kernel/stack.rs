@@ -3,7 +3,7 @@
 
 #![expect(unsafe_code, reason = "measured: clearing the stack would cost as much as a ray")]
 
-use crate::tree::{Child, STACK, WIDTH};
+use crate::tree::{Child, STACK_CAPACITY, WIDTH};
 use femc_simd::Simd;
 use std::mem::MaybeUninit;
 
@@ -23,16 +23,16 @@ impl Entry {
     }
 }
 
-/// A stack of at most [`STACK`] entries; the first `len` are initialized.
+/// A stack of at most [`STACK_CAPACITY`] entries; the first `len` are initialized.
 pub(crate) struct Stack {
-    entries: [MaybeUninit<u64>; STACK],
+    entries: [MaybeUninit<u64>; STACK_CAPACITY],
     len: usize,
 }
 
 impl Stack {
     #[inline(always)]
     pub fn new() -> Self {
-        Self { entries: [const { MaybeUninit::uninit() }; STACK], len: 0 }
+        Self { entries: [const { MaybeUninit::uninit() }; STACK_CAPACITY], len: 0 }
     }
 
     /// Pushes the children whose bit in `mask` is set, with their distances. Returns their number.

@@ -1,4 +1,4 @@
-use super::{CrossingFilter, NearestPoint, Span, turn_about};
+use super::{CrossingFilter, NearestPoint, Span, angle_fraction_about};
 use femc_math::glam::{DVec3, Vec3A};
 
 /// An open truncated cone: distance from the axis = `radius + slope z` for z in [0, `height`].
@@ -55,7 +55,7 @@ impl Cone {
         NearestPoint {
             position: self.start + self.axis * z + across * (self.radius + self.slope * z),
             normal: (across - self.axis * self.slope).normalize(),
-            uv: [turn_about(self.axis, across), z / self.height],
+            uv: [angle_fraction_about(self.axis, across), z / self.height],
         }
     }
 }

@@ -131,7 +131,7 @@ impl Quadric {
     }
 
     /// Returns whether the shape is finite and has an area.
-    pub(crate) fn is_proper(&self) -> bool {
+    pub(crate) fn is_valid(&self) -> bool {
         let good = match *self {
             Self::Sphere { radius, .. } => radius > 0.0,
             Self::Cone { start, end, start_radius, end_radius, .. } => {
@@ -276,7 +276,7 @@ impl Quadric {
         let (mut point, facing) = match *self {
             Self::Sphere { center, radius, facing } => {
                 let n = (p - center.as_dvec3()).try_normalize().unwrap_or(DVec3::Z);
-                let uv = [turn(n.y, n.x), 2.0 * turn((n.x * n.x + n.y * n.y).sqrt(), n.z)];
+                let uv = [angle_fraction(n.y, n.x), 2.0 * angle_fraction((n.x * n.x + n.y * n.y).sqrt(), n.z)];
                 (NearestPoint { position: center.as_dvec3() + n * f64::from(radius), normal: n, uv }, facing)
             }
             Self::Cone { start, end, start_radius, end_radius, facing } => {
@@ -299,13 +299,13 @@ impl Quadric {
 }
 
 /// Returns the angle of the vector (`x`, `y`) / 2 pi, in [0, 1).
-fn turn(y: f64, x: f64) -> f64 {
+fn angle_fraction(y: f64, x: f64) -> f64 {
     let t = atan2(y, x) / TAU;
     if t < 0.0 { (t + 1.0).min(1.0 - f64::EPSILON) } else { t }
 }
 
 /// Returns the angle of `p` about `axis` / 2 pi, in [0, 1), from a fixed direction that depends only on the axis.
-fn turn_about(axis: DVec3, p: DVec3) -> f64 {
+fn angle_fraction_about(axis: DVec3, p: DVec3) -> f64 {
     let (x, y) = axis.any_orthonormal_pair();
-    turn(p.dot(y), p.dot(x))
+    angle_fraction(p.dot(y), p.dot(x))
 }

@@ -1,4 +1,4 @@
-use super::{CrossingFilter, NearestPoint, Span, turn_about};
+use super::{CrossingFilter, NearestPoint, Span, angle_fraction_about};
 use femc_math::glam::DVec3;
 
 /// Returns the crossing of the annulus about 0 between the two radii.
@@ -25,5 +25,5 @@ pub(super) fn nearest(p: DVec3, center: DVec3, normal: DVec3, [inner, outer]: [f
     let q = p - center;
     let flat = q - n * q.dot(n);
     let v = ((flat.length() - inner) / (outer - inner)).clamp(0.0, 1.0);
-    NearestPoint { position: center + flat, normal: n, uv: [turn_about(n, flat), v] }
+    NearestPoint { position: center + flat, normal: n, uv: [angle_fraction_about(n, flat), v] }
 }

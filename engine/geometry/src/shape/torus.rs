@@ -1,4 +1,4 @@
-use super::{CrossingFilter, NearestPoint, Span, polynomial, turn, turn_about};
+use super::{CrossingFilter, NearestPoint, Span, angle_fraction, angle_fraction_about, polynomial};
 use femc_math::glam::DVec3;
 
 /// A torus about 0: f(p) = (|p|^2 + R^2 - r^2)^2 - 4 R^2 |p - (p . axis) axis|^2, negative in the tube.
@@ -70,7 +70,7 @@ impl Torus {
         NearestPoint {
             position: center + outward * self.major + n * self.minor,
             normal: n,
-            uv: [turn_about(self.axis, outward), turn(z, flat.length() - self.major)],
+            uv: [angle_fraction_about(self.axis, outward), angle_fraction(z, flat.length() - self.major)],
         }
     }
 }

@@ -1,7 +1,7 @@
 //! Conversion of a binary tree to an eight-wide one.
 
 use super::{
-    Child, Node, STACK, Tree, WIDTH,
+    Child, Node, STACK_CAPACITY, Tree, WIDTH,
     sweep::{self, BinaryNode},
 };
 use crate::Aabb;
@@ -26,7 +26,7 @@ pub(crate) fn collapse(boxes: &[Aabb], rule: &mut impl LeafRule) -> Tree {
         return Tree { nodes: Vec::new(), root: Child::NONE, bounds: Aabb::EMPTY };
     }
     let tree = Plan::new(&sweep::build(boxes), rule).emit(rule);
-    if stack_need(&tree) <= STACK {
+    if stack_need(&tree) <= STACK_CAPACITY {
         return tree;
     }
     // A degenerate input produced a chain. The balanced tree is slower to trace, but never deep: fewer than 32 levels of at most 8

@@ -16,7 +16,7 @@ use crate::Aabb;
 pub(crate) use femc_simd::{Lanes, WIDTH};
 
 /// Maximum number of entries of a traversal's stack.
-pub(crate) const STACK: usize = 384;
+pub(crate) const STACK_CAPACITY: usize = 384;
 
 /// A reference to a child: a node, or a leaf of one of two kinds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -89,7 +89,7 @@ impl Node {
     }
 }
 
-/// An eight-wide tree. [`collapse`] ensures that traversal needs at most [`STACK`] entries.
+/// An eight-wide tree. [`collapse`] ensures that traversal needs at most [`STACK_CAPACITY`] entries.
 #[derive(Clone, Debug)]
 pub(crate) struct Tree {
     pub nodes: Vec<Node>,

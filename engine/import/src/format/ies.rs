@@ -129,7 +129,7 @@ pub(crate) fn parse(
     remarks.append(more);
     let lumens = flux::lumens(&photometry);
     remarks.warnings.extend(hints::no_light(&fields, lumens));
-    remarks.notes.extend(hints::more_than_lamps(&fields, lumens));
+    remarks.notes.extend(hints::excess_flux_remark(&fields, lumens));
     let normalization_hint = hints::normalization_hint(&fields, lumens);
     Ok(PhotometricFile { photometry, tilt: included_tilt.or(named_tilt), remarks, normalization_hint })
 }

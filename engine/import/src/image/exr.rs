@@ -16,9 +16,9 @@ use std::io::Cursor;
 /// Number of pixels up to which a picture may be mostly empty, and maximum ratio of a larger picture's area to its data. A file of
 /// a few bytes must not fill the memory with black.
 const FREE_AREA: usize = 1 << 22;
-const MOST_EMPTY: usize = 64;
+const MAX_EMPTY_RATIO: usize = 64;
 /// Maximum number of channels that a remark names.
-const NAMED: usize = 8;
+const MAX_NAMED_CHANNELS: usize = 8;
 
 /// Names of the color channels.
 #[derive(Clone, Debug, PartialEq)]
@@ -81,8 +81,9 @@ fn channel_names(header: &Header) -> Vec<String> {
 
 /// Lists the names of some channels and the number of the rest.
 fn list_names<'n>(names: impl Iterator<Item = &'n str> + Clone) -> String {
-    let shown: Vec<String> = names.clone().take(NAMED).map(|name| format!("`{}`", printable(name))).collect();
-    let more = names.count().saturating_sub(NAMED);
+    let shown: Vec<String> =
+        names.clone().take(MAX_NAMED_CHANNELS).map(|name| format!("`{}`", printable(name))).collect();
+    let more = names.count().saturating_sub(MAX_NAMED_CHANNELS);
     let more = if more > 0 { format!(" and {more} more") } else { String::new() };
     format!("{}{more}", shown.join(", "))
 }
@@ -250,9 +251,10 @@ fn place_in_display_window(
         return Ok((width, height, data));
     }
     let area = width as usize * height as usize;
-    if area > FREE_AREA && area / data.len() > MOST_EMPTY {
-        let reason =
-            format!("the display window of {width} x {height} pixels has data in less than 1/{MOST_EMPTY} of its area");
+    if area > FREE_AREA && area / data.len() > MAX_EMPTY_RATIO {
+        let reason = format!(
+            "the display window of {width} x {height} pixels has data in less than 1/{MAX_EMPTY_RATIO} of its area"
+        );
         return Err(file.bad_file_with_advice(reason, "crop the image to its data"));
     }
     let mut pixels = vec![[0.0; 3]; area];

@@ -103,11 +103,11 @@ enum Range {
 
 impl Range {
     /// Maps a value of `0..=most` to [0, 1].
-    fn normalize(self, value: f64, most: f64) -> f64 {
+    fn normalize(self, value: f64, max_value: f64) -> f64 {
         match self {
-            Self::Full => value / most,
+            Self::Full => value / max_value,
             Self::Narrow => {
-                let step = (most + 1.0) / 256.0;
+                let step = (max_value + 1.0) / 256.0;
                 ((value / step - 16.0) / 219.0).clamp(0.0, 1.0)
             }
         }

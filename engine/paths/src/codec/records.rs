@@ -12,8 +12,8 @@
 //! | radiances, of lights with radiance | 3 |
 //! | media, of light scattered in a medium | 1 |
 //!
-//! - A coordinate is written as its index on the [grid](Scope::grid_spacing), in two words, zigzag encoded: 2 i for i >= 0 and
-//!   -2 i - 1 for negative i. If a coordinate of a place is not such an index below 2^52, all three are 2^64 - 1 and the place is
+//! - A coordinate is written as its index on the [grid](Scope::grid_spacing), in two words, zigzag encoded: `2 i` for i >= 0 and
+//!   `-2 i - 1` for negative i. If a coordinate of a place is not such an index below 2^52, all three are 2^64 - 1 and the place is
 //!   in the next table.
 //! - For three channels, the second and third are the bits in which they differ from the first.
 //! - The class of an intersection is its interaction, plus 8 if its radiance includes the light of the lamp that the path hit there

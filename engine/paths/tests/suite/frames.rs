@@ -66,7 +66,7 @@ fn united_frames_share_one_box_and_conflicting_ones_are_refused() {
     // Decoding works for positions that are on no grid of the larger box.
     assert!(FrameStatistics::decode(&united.encode()).is_ok_and(|read| read == united));
     let mut other = a.clone();
-    other.portions.values_mut().for_each(|counters| counters.bad += 1);
+    other.portions.values_mut().for_each(|counters| counters.invalid += 1);
     let before = again.clone();
     assert!(matches!(again.merge([other]), Err(MergeError::Conflict(_))));
     assert_eq!(again, before, "an error changes nothing");

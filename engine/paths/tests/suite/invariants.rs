@@ -79,7 +79,7 @@ fn totals_are_the_samples_and_histograms_those_of_the_subset() {
     let all = merge_parts(&scope, tasks(&scope));
     let counted = all.clone().into_image_samples(0, ends);
     assert_eq!(all.samples(), 36 * 20 * 16);
-    assert_eq!(all.totals().bad, (36 * 20 * 16 - valid_samples(&scope).len()) as u64);
+    assert_eq!(all.totals().invalid, (36 * 20 * 16 - valid_samples(&scope).len()) as u64);
     let counts = |key: &PathKey| key.sample < ends(scope.tile_of(key.pixel), key.half());
     let subset: Vec<PathKey> =
         valid_samples(&scope).into_iter().filter(|key| counts(key) && key.hash(SEED) < counted.threshold).collect();
@@ -125,7 +125,7 @@ fn image_weights_sum_to_one_per_pixel_for_any_sample_counts() {
     all.merge_all(tiles(&scope).map(|tile| synthetic::record_task(&scope, tile, 0..16, 1.0, |_, _| true))).unwrap();
     let histograms = Histograms::from_statistics(&all, Table::Paths);
     let image: u64 = histograms.attributes[0].image.iter().sum();
-    let bad = all.totals().bad as f64 / 16.0;
+    let bad = all.totals().invalid as f64 / 16.0;
     let pixels = image as f64 / (1u64 << IMAGE_BITS) as f64;
     assert!((pixels - (36.0 * 20.0 - bad)).abs() < 1e-4, "{pixels}");
 }
@@ -164,7 +164,7 @@ fn parts_that_do_not_go_together_are_refused_and_change_nothing() {
     let clash = all.merge(task(&scope, 1, 2..6)).unwrap_err();
     assert!(matches!(clash, MergeError::Overlap(key) if (key.tile, key.begin) == (1, 2)), "{clash}");
     let mut other = task(&scope, 1, 0..4);
-    other.portions.values_mut().for_each(|counters| counters.bad += 1);
+    other.portions.values_mut().for_each(|counters| counters.invalid += 1);
     assert!(matches!(all.merge(other), Err(MergeError::Conflict(_))));
     assert_eq!(all.merge(LightStatistics::new(synthetic::scope(41), 0.5)), Err(MergeError::Scope));
     assert_eq!(all, before);

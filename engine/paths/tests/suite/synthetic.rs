@@ -130,7 +130,7 @@ pub(crate) fn record_task(
             let key = PathKey { frame: scope.frame, pixel, sample };
             let counters = &mut counters[usize::from(key.half())];
             if is_bad(key) {
-                counters.bad += 1;
+                counters.invalid += 1;
                 continue;
             }
             let path = path(scope, key);

@@ -118,7 +118,7 @@ struct FeatureRecorder<'a> {
     plan: &'a FeaturePlan,
     prepared: &'a Prepared,
     sums: FeatureSums,
-    latest: Option<u32>,
+    current_pixel: Option<u32>,
     // State of the current sample:
     key: [u32; 2],
     values: Vec<f64>,
@@ -130,7 +130,7 @@ impl<'a> FeatureRecorder<'a> {
     fn new(plan: &'a FeaturePlan, prepared: &'a Prepared) -> Self {
         let sums = FeatureSums::new(plan.layout());
         let (values, ids) = (Vec::new(), Vec::new());
-        Self { plan, prepared, sums, latest: None, key: [0; 2], values, ids, has_hit: false }
+        Self { plan, prepared, sums, current_pixel: None, key: [0; 2], values, ids, has_hit: false }
     }
 }
 
@@ -140,8 +140,8 @@ impl Recorder for FeatureRecorder<'_> {
     const WANTS_CAMERA_RAYS: bool = true;
 
     fn begin_sample(&mut self, pixel: u32, sample: u32) -> RecordLevel {
-        if self.latest != Some(pixel) {
-            self.latest = Some(pixel);
+        if self.current_pixel != Some(pixel) {
+            self.current_pixel = Some(pixel);
             self.sums.begin_pixel();
         }
         self.key = [pixel, sample];

@@ -78,13 +78,13 @@ impl LayerPlan {
         let plain = automaton.label_offset(LabelSet::default()).unwrap_or_default();
         let known =
             |sets: Vec<LabelSet>| sets.into_iter().map(|set| automaton.label_offset(set).unwrap_or(plain)).collect();
-        let place = |all: &[LabelSet], set: &LabelSet| all.partition_point(|one| one < set);
+        let index_in = |all: &[LabelSet], set: &LabelSet| all.partition_point(|one| one < set);
         Ok(Self {
             count: layers.len(),
             plain,
             is_unlabeled: surfaces.iter().chain(&media).all(|set| *set == LabelSet::default()),
-            objects: objects.iter().map(|set| (place(&rows, set) * columns.len()) as u32).collect(),
-            materials: materials.iter().map(|set| place(&columns, set) as u32).collect(),
+            objects: objects.iter().map(|set| (index_in(&rows, set) * columns.len()) as u32).collect(),
+            materials: materials.iter().map(|set| index_in(&columns, set) as u32).collect(),
             surfaces: known(surfaces),
             media: known(media),
             lamps: known(lamps),

@@ -23,9 +23,9 @@ use femc_prepared::Prepared;
 pub(super) struct LayerRecorder<'a> {
     plan: &'a LayerPlan,
     prepared: &'a Prepared,
-    done: FinishedPixels,
+    finished: FinishedPixels,
     /// Current pixel: its light by [`LayerSetIndex`] and half, and its samples.
-    latest: Option<u32>,
+    current_pixel: Option<u32>,
     pixel: PixelLight,
     count: [u32; HALVES],
     // State of the current sample:
@@ -64,7 +64,7 @@ struct PathNotes {
 /// A surface that scattered a path both diffusely and around a direction.
 struct NotedSplit {
     /// Number of the event.
-    at: u32,
+    event_index: u32,
     glossy: Symbol,
     /// Diffuse share by channel.
     share: Rgb,
@@ -74,7 +74,7 @@ struct NotedSplit {
 struct NotedLight {
     color: Rgb,
     /// Number of events of the path up to then.
-    at: u32,
+    event_count: u32,
     /// Event of the scatterer between the light and the path.
     scattered: Symbol,
     source: Symbol,
@@ -93,8 +93,8 @@ impl<'a> LayerRecorder<'a> {
         Self {
             plan,
             prepared,
-            done: FinishedPixels { count: Vec::new(), light: vec![Vec::new(); sets] },
-            latest: None,
+            finished: FinishedPixels { count: Vec::new(), light: vec![Vec::new(); sets] },
+            current_pixel: None,
             pixel: PixelLight { light: vec![LightBuffer::default(); sets], lit: Vec::new(), is_lit: vec![false; sets] },
             count: [0; HALVES],
             half: 0,
@@ -107,25 +107,25 @@ impl<'a> LayerRecorder<'a> {
 
     pub(super) fn finish(mut self) -> FinishedPixels {
         self.end_pixel();
-        self.done
+        self.finished
     }
 
     #[cold]
     fn begin_pixel(&mut self, pixel: u32) {
         self.end_pixel();
-        self.latest = Some(pixel);
+        self.current_pixel = Some(pixel);
     }
 
     fn end_pixel(&mut self) {
-        if self.latest.take().is_none() {
+        if self.current_pixel.take().is_none() {
             return;
         }
-        let before = self.done.count.len();
-        self.done.count.push(std::mem::take(&mut self.count));
-        for takers in self.pixel.lit.drain(..).map(usize::from) {
-            self.pixel.is_lit[takers] = false;
-            if let Some(sums) = self.pixel.light[takers].take() {
-                let done = &mut self.done.light[takers];
+        let before = self.finished.count.len();
+        self.finished.count.push(std::mem::take(&mut self.count));
+        for layer_set in self.pixel.lit.drain(..).map(usize::from) {
+            self.pixel.is_lit[layer_set] = false;
+            if let Some(sums) = self.pixel.light[layer_set].take() {
+                let done = &mut self.finished.light[layer_set];
                 done.resize(before, LightSums::default());
                 done.push(sums);
             }
@@ -148,20 +148,20 @@ impl<'a> LayerRecorder<'a> {
         let (automaton, half) = (&self.plan.automaton, self.half);
         let (mut state, mut at) = (automaton.start(), 0);
         // Light for the same layers in succession.
-        let (mut takers, mut light) = (NO_LAYERS, Rgb::ZERO);
+        let (mut layer_set, mut light) = (NO_LAYERS, Rgb::ZERO);
         for find in &self.notes.lights {
-            for event in self.notes.events.get(at..find.at as usize).unwrap_or_default() {
+            for event in self.notes.events.get(at..find.event_count as usize).unwrap_or_default() {
                 state = automaton.next(state, *event);
             }
-            at = find.at as usize;
-            let here = automaton.accepting_layers(automaton.next(state, find.scattered), find.source);
-            if here != takers {
-                add(&mut self.pixel, takers, half, light);
-                (takers, light) = (here, Rgb::ZERO);
+            at = find.event_count as usize;
+            let accepting = automaton.accepting_layers(automaton.next(state, find.scattered), find.source);
+            if accepting != layer_set {
+                add(&mut self.pixel, layer_set, half, light);
+                (layer_set, light) = (accepting, Rgb::ZERO);
             }
             light += find.color;
         }
-        add(&mut self.pixel, takers, half, light);
+        add(&mut self.pixel, layer_set, half, light);
     }
 
     /// Adds the light of a path that was split.
@@ -170,16 +170,16 @@ impl<'a> LayerRecorder<'a> {
         let automaton = &self.plan.automaton;
         let mut splits = self.notes.splits.iter().peekable();
         let mut finds = self.notes.lights.iter().peekable();
-        self.states.begin(automaton.start());
+        self.states.reset(automaton.start());
         for at in 0..=self.notes.events.len() {
-            while let Some(find) = finds.next_if(|find| find.at as usize == at) {
+            while let Some(find) = finds.next_if(|find| find.event_count as usize == at) {
                 for &(state, share) in &self.states.current {
-                    let takers = automaton.accepting_layers(automaton.next(state, find.scattered), find.source);
-                    add(&mut self.pixel, takers, self.half, find.color * share);
+                    let layer_set = automaton.accepting_layers(automaton.next(state, find.scattered), find.source);
+                    add(&mut self.pixel, layer_set, self.half, find.color * share);
                 }
             }
             let Some(&event) = self.notes.events.get(at) else { break };
-            match splits.next_if(|split| split.at as usize == at) {
+            match splits.next_if(|split| split.event_index as usize == at) {
                 None => self.states.step(&[(event, Rgb::ONE)], |state, event| automaton.next(state, event)),
                 Some(NotedSplit { glossy, share, .. }) => {
                     let events = [(event, *share), (*glossy, Rgb::ONE - *share)];
@@ -192,15 +192,15 @@ impl<'a> LayerRecorder<'a> {
 
 /// Adds light of a sample to the layers that accept it together.
 #[inline(always)]
-fn add(pixel: &mut PixelLight, takers: LayerSetIndex, half: usize, light: Rgb) {
-    if takers == NO_LAYERS {
+fn add(pixel: &mut PixelLight, layer_set: LayerSetIndex, half: usize, light: Rgb) {
+    if layer_set == NO_LAYERS {
         return;
     }
-    if !pixel.is_lit[usize::from(takers)] {
-        pixel.is_lit[usize::from(takers)] = true;
-        pixel.lit.push(takers);
+    if !pixel.is_lit[usize::from(layer_set)] {
+        pixel.is_lit[usize::from(layer_set)] = true;
+        pixel.lit.push(layer_set);
     }
-    pixel.light[usize::from(takers)].add(half, light);
+    pixel.light[usize::from(layer_set)].add(half, light);
 }
 
 /// Returns the events of a surface's lobes: diffuse, glossy.
@@ -215,7 +215,7 @@ fn lobes(labels: LabelOffset, transmitted: Transmitted) -> [Symbol; 2] {
 
 impl PathNotes {
     #[inline]
-    fn begin(&mut self) {
+    fn clear(&mut self) {
         self.events.clear();
         self.splits.clear();
         self.lights.clear();
@@ -223,7 +223,7 @@ impl PathNotes {
 
     #[inline(never)]
     fn note_split(&mut self, glossy: Symbol, share: Rgb) {
-        self.splits.push(NotedSplit { at: self.events.len() as u32, glossy, share });
+        self.splits.push(NotedSplit { event_index: self.events.len() as u32, glossy, share });
     }
 
     #[inline(never)]
@@ -234,12 +234,12 @@ impl PathNotes {
 
     #[inline]
     fn note_light(&mut self, color: Rgb, scattered: Symbol, source: Symbol) {
-        self.lights.push(NotedLight { color, at: self.events.len() as u32, scattered, source });
+        self.lights.push(NotedLight { color, event_count: self.events.len() as u32, scattered, source });
     }
 }
 
 impl PathStates {
-    fn begin(&mut self, state: State) {
+    fn reset(&mut self, state: State) {
         self.current.clear();
         if state != DEAD_STATE {
             self.current.push((state, Rgb::ONE));
@@ -271,11 +271,11 @@ impl Recorder for LayerRecorder<'_> {
 
     #[inline]
     fn begin_sample(&mut self, pixel: u32, sample: u32) -> RecordLevel {
-        if self.latest != Some(pixel) {
+        if self.current_pixel != Some(pixel) {
             self.begin_pixel(pixel);
         }
         self.half = half_of(replicate_of(sample));
-        self.notes.begin();
+        self.notes.clear();
         RecordLevel::All
     }
 
@@ -297,8 +297,8 @@ impl Recorder for LayerRecorder<'_> {
     }
 
     #[inline]
-    fn leave(&mut self, way: Continuation) {
-        let event = match way {
+    fn leave(&mut self, continuation: Continuation) {
+        let event = match continuation {
             Continuation::Straight => return,
             Continuation::Delta(Transmitted::No) => self.labels.symbol(EventKind::ReflectedSpecular),
             Continuation::Delta(Transmitted::Yes) => self.labels.symbol(EventKind::TransmittedSpecular),

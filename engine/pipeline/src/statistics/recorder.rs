@@ -32,11 +32,11 @@ pub(super) struct PathRecorder<'a> {
     /// Common hash state of its pixel's samples.
     pixel_hash: HashPrefix,
     /// Whether its path is recorded.
-    is_kept: bool,
+    is_recorded: bool,
     /// Whether all its events are needed: it is recorded, or all samples are counted in the histograms.
     is_wanted: bool,
     /// Current pixel.
-    latest: Option<u32>,
+    current_pixel: Option<u32>,
     depth: u32,
     stop: (Termination, Rgb),
     steps: Vec<(Vertex, Option<Continuation>)>,
@@ -54,9 +54,9 @@ impl<'a> PathRecorder<'a> {
             key: PathKey::default(),
             hash: 0,
             pixel_hash: HashPrefix::default(),
-            is_kept: false,
+            is_recorded: false,
             is_wanted: false,
-            latest: None,
+            current_pixel: None,
             depth: 0,
             stop: (Termination::Escaped, Rgb::ZERO),
             steps: Vec::new(),
@@ -68,7 +68,7 @@ impl<'a> PathRecorder<'a> {
     /// Returns the object of the first surface on a shadow ray that transmits nothing.
     fn occluder(&self, mut ray: Ray) -> Option<Name> {
         let prepared = self.names.prepared;
-        for _ in 0..CLEAR_SURFACES {
+        for _ in 0..MAX_CLEAR_SURFACES {
             let hit = prepared.world.intersect(&ray)?;
             let point = prepared.shading_point(&ray, &hit);
             let back = point.normal.dot(ray.dir) > 0.0;
@@ -84,7 +84,7 @@ impl<'a> PathRecorder<'a> {
 
     #[cold]
     fn begin_pixel(&mut self, pixel: u32) {
-        self.latest = Some(pixel);
+        self.current_pixel = Some(pixel);
         self.pixel_hash = self.key.pixel_hash(self.scope.seed);
         self.recorded.pixels.iter_mut().for_each(|pixels| pixels.push(PixelSums::default()));
     }
@@ -96,7 +96,7 @@ impl<'a> PathRecorder<'a> {
         if self.scope.has_full_histograms {
             self.recorded.counters[usize::from(self.key.half())].count_bins(&self.scope, &path);
         }
-        if self.is_kept {
+        if self.is_recorded {
             self.recorded.paths.push(path);
         }
     }
@@ -132,12 +132,12 @@ impl<'a> PathRecorder<'a> {
         path
     }
 
-    fn recorded_light(&self, (found, vertices, occluder): &RecordedLight) -> LightRecord {
-        let light = match (found.technique, found.light) {
+    fn recorded_light(&self, (contribution, vertices, occluder): &RecordedLight) -> LightRecord {
+        let light = match (contribution.technique, contribution.light) {
             (TracedTechnique::Glow(medium), None) => self.names.medium(medium),
             (_, light) => light.map_or(Name::NONE, |light| self.names.lamp(light)),
         };
-        let (how, medium) = match found.technique {
+        let (technique, medium) = match contribution.technique {
             TracedTechnique::CameraNextEvent => (LightTechnique::CameraNextEvent, Name::NONE),
             TracedTechnique::EmitterHit => (LightTechnique::EmitterHit, Name::NONE),
             TracedTechnique::NextEvent => (LightTechnique::NextEvent, Name::NONE),
@@ -145,8 +145,8 @@ impl<'a> PathRecorder<'a> {
             TracedTechnique::Glow(_) => (LightTechnique::Glow, Name::NONE),
             TracedTechnique::Field => (LightTechnique::Field, Name::NONE),
         };
-        let (vertex, radiance) = (*vertices as u32, found.color.to_array());
-        LightRecord { vertex, light, medium, radiance, occluder: *occluder, technique: how }
+        let (vertex, radiance) = (*vertices as u32, contribution.color.to_array());
+        LightRecord { vertex, light, medium, radiance, occluder: *occluder, technique }
     }
 
     fn intersection(&self, vertex: &Vertex, leaving: Option<Continuation>) -> Intersection {
@@ -179,7 +179,7 @@ impl<'a> PathRecorder<'a> {
 }
 
 /// Maximum number of clear surfaces to pass in the search for an occluder.
-const CLEAR_SURFACES: usize = 256;
+const MAX_CLEAR_SURFACES: usize = 256;
 
 fn path_end(stop: Termination) -> PathEnd {
     match stop {
@@ -195,12 +195,12 @@ impl Recorder for PathRecorder<'_> {
     #[inline(always)]
     fn begin_sample(&mut self, pixel: u32, sample: u32) -> RecordLevel {
         self.key = PathKey { frame: self.scope.frame, pixel, sample };
-        if self.latest != Some(pixel) {
+        if self.current_pixel != Some(pixel) {
             self.begin_pixel(pixel);
         }
         self.hash = self.key.hash_in_pixel(self.pixel_hash);
-        self.is_kept = self.hash < self.threshold;
-        self.is_wanted = self.is_kept || self.scope.has_full_histograms;
+        self.is_recorded = self.hash < self.threshold;
+        self.is_wanted = self.is_recorded || self.scope.has_full_histograms;
         if !self.is_wanted {
             return RecordLevel::End;
         }
@@ -214,9 +214,9 @@ impl Recorder for PathRecorder<'_> {
         self.steps.push((vertex(), None));
     }
 
-    fn leave(&mut self, way: Continuation) {
+    fn leave(&mut self, continuation: Continuation) {
         if let Some(last) = self.steps.last_mut() {
-            last.1 = Some(way);
+            last.1 = Some(continuation);
         }
     }
 
@@ -233,8 +233,8 @@ impl Recorder for PathRecorder<'_> {
     }
 
     #[inline]
-    fn terminate(&mut self, vertices: u32, why: Termination, throughput: Rgb) {
-        (self.depth, self.stop) = (vertices, (why, throughput));
+    fn terminate(&mut self, vertices: u32, termination: Termination, throughput: Rgb) {
+        (self.depth, self.stop) = (vertices, (termination, throughput));
     }
 
     #[inline(always)]
@@ -242,7 +242,7 @@ impl Recorder for PathRecorder<'_> {
         let half = usize::from(self.key.half());
         let counters = &mut self.recorded.counters[half];
         let Some(color) = color else {
-            counters.bad += 1;
+            counters.invalid += 1;
             return;
         };
         let (stop, throughput) = self.stop;

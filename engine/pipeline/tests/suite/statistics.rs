@@ -125,7 +125,7 @@ fn statistics_change_no_bit_of_a_tile_and_hold_all_laws() {
             let (tile, statistics) = render_tile_statistics(&prepared, &settings, rect, 0..8);
             assert!(tile == alone.encode());
             assert_eq!(statistics.samples(), rect.area() * 8);
-            assert_eq!(statistics.totals().bad, alone.bad().total());
+            assert_eq!(statistics.totals().invalid, alone.bad_samples().total());
             let read = LightStatistics::decode(&statistics.encode()).unwrap_or_else(|e| panic!("{e}"));
             assert!(read == statistics);
         }
@@ -138,7 +138,7 @@ fn records_are_the_samples_themselves_and_their_lights_add_up() {
         let (settings, prepared) = (settings(), prepared(&text, &settings()));
         let all = frame_statistics(&prepared, &settings, &[8]);
         assert_eq!(all.share(), 1.0, "a small frame has all of its samples");
-        assert_eq!(all.paths.len() as u64, 20 * 12 * 8 - all.totals().bad);
+        assert_eq!(all.paths.len() as u64, 20 * 12 * 8 - all.totals().invalid);
         let mut replay = Replay::new(&prepared, &settings);
         for path in all.paths.values() {
             let (color, recording) = replay.sample((path.key.pixel % 20, path.key.pixel / 20), path.key.sample);
@@ -236,8 +236,8 @@ fn a_sample_that_the_film_refuses_is_in_no_statistic() {
     for rect in tiling(&prepared).rects() {
         let alone = render_tile(&prepared, &settings, rect, 0..8, &cancel, &progress).unwrap().tile;
         let (_, statistics) = render_tile_statistics(&prepared, &settings, rect, 0..8);
-        assert_eq!(statistics.totals().bad, alone.bad().total());
-        refused += alone.bad().total();
+        assert_eq!(statistics.totals().invalid, alone.bad_samples().total());
+        refused += alone.bad_samples().total();
         let records = [&statistics.paths, &statistics.brightest, &statistics.deepest];
         let mut paths = records.into_iter().flat_map(|records| records.values());
         assert!(paths.all(|path| path.radiance.into_iter().all(|light| light <= 1_099_511_627_776.0)));

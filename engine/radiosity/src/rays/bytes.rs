@@ -9,11 +9,11 @@ impl RayHits {
     /// Encodes the hits.
     pub fn encode(&self) -> Vec<u8> {
         let mut writer = Writer::new(MAGIC);
-        writer.number(u64::from(self.leaf));
+        writer.number(u64::from(self.first_leaf));
         writer.number(self.traced);
         writer.numbers(self.counts.iter().copied());
         let hits = &self.hits;
-        writer.numbers(hits.iter().map(|sight| sight.first_leaf));
+        writer.numbers(hits.iter().map(|sight| sight.leaf));
         writer.bytes(hits.iter().map(|sight| sight.part));
         for axis in 0..3 {
             writer.bytes(hits.iter().map(|sight| sight.normal[axis] as u8));
@@ -38,8 +38,7 @@ impl RayHits {
         if leaves.len() as u64 != number {
             return Err(StepDecodeError("its number of rays is wrong"));
         }
-        let mut hits: Vec<RayHit> =
-            leaves.into_iter().map(|leaf| RayHit { first_leaf: leaf, ..RayHit::MISS }).collect();
+        let mut hits: Vec<RayHit> = leaves.into_iter().map(|leaf| RayHit { leaf, ..RayHit::MISS }).collect();
         fill(&mut hits, reader.bytes()?, |sight, part| sight.part = part)?;
         for axis in 0..3 {
             fill(&mut hits, reader.bytes()?, |sight, normal| sight.normal[axis] = normal as i8)?;
@@ -51,7 +50,7 @@ impl RayHits {
             fill(&mut hits, reader.numbers()?, |sight, bits| sight.density[end] = f32::from_bits(bits))?;
         }
         reader.expect_end()?;
-        Ok(Self { leaf, counts, hits, traced })
+        Ok(Self { first_leaf: leaf, counts, hits, traced })
     }
 }
 

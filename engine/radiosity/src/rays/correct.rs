@@ -28,24 +28,24 @@ pub struct RayCorrection {
 
 /// Sums over a part of a surface, for the comparison of rays and links.
 #[derive(Clone, Copy, Debug, Default)]
-struct Sums {
+struct PartSums {
     area: f32,
     /// Light of the rays and of the links, lm, and the rays' light by color.
     rays: f32,
     links: f32,
     color: Rgb,
     /// Light of the leaves' own rays, which are stratified, lm.
-    own: f32,
+    own_rays: f32,
     /// Sum over the ways of their light times the light if all rays of the leaf found as much, lm lx.
     squares: f32,
     /// Light of the brightest way, lm.
-    most: f32,
+    max_sample: f32,
     /// Sums over the leaves of the squared area over the number of rays; of that times the links' irradiance; and of that times its
     /// square.
     variances: [f32; 3],
 }
 
-impl Sums {
+impl PartSums {
     /// Creates the sums without ways.
     /// - `number`: number of rays of the part.
     fn new(area: f32, number: f32, links: f32) -> Self {
@@ -62,20 +62,20 @@ impl Sums {
     fn add_sample(&mut self, color: Rgb, bright: f32, is_own: bool) {
         let light = luminance(color);
         self.rays += light;
-        self.own += if is_own { light } else { 0.0 };
+        self.own_rays += if is_own { light } else { 0.0 };
         self.color += color;
         self.squares += light * bright;
-        self.most = self.most.max(light);
+        self.max_sample = self.max_sample.max(light);
     }
 
     fn add(&mut self, other: &Self) {
         self.area += other.area;
         self.rays += other.rays;
-        self.own += other.own;
+        self.own_rays += other.own_rays;
         self.links += other.links;
         self.color += other.color;
         self.squares += other.squares;
-        self.most = self.most.max(other.most);
+        self.max_sample = self.max_sample.max(other.max_sample);
         self.variances.iter_mut().zip(other.variances).for_each(|(sum, part)| *sum += part);
     }
 
@@ -87,8 +87,8 @@ impl Sums {
 
     /// Returns the share of the leaves' own rays in the light. It is no more than in the part above, since the others' rays may
     /// have missed this part.
-    fn own(&self, above: f32) -> f32 {
-        if self.rays > 0.0 { above.min(self.own / self.rays) } else { above }
+    fn own_share(&self, above: f32) -> f32 {
+        if self.rays > 0.0 { above.min(self.own_rays / self.rays) } else { above }
     }
 
     /// Returns the light of the part by an estimate, lm.
@@ -100,10 +100,11 @@ impl Sums {
     /// - `above`: estimate of the part above;
     /// - `chance`: the squared difference, in units of its variance, that counts as chance.
     fn estimate(&self, above: &LightEstimate, chance: f32) -> LightEstimate {
-        let (scale, extra, LightEstimate { bright, own, .. }) = (above.scale, luminance(above.extra), *above);
+        let (scale, extra, LightEstimate { bright, own_share: own, .. }) =
+            (above.scale, luminance(above.extra), *above);
         let before = self.light(above);
         // A single ray that hit the fog at a lamp does not prove more light.
-        let rays = if self.rays > before { (self.rays - self.most).max(before) } else { self.rays };
+        let rays = if self.rays > before { (self.rays - self.max_sample).max(before) } else { self.rays };
         // The variance assumes that the estimate above is right: few rays may have missed all of a part's light.
         let [area, links, squares] = self.variances;
         let once = scale * links + extra * area;
@@ -114,12 +115,12 @@ impl Sums {
         let change = sure.max(0.0) * difference;
         if change <= 0.0 {
             let less = if before > 0.0 { (1.0 + change / before).max(0.0) } else { 1.0 };
-            return LightEstimate { scale: scale * less, extra: above.extra * less, bright, own };
+            return LightEstimate { scale: scale * less, extra: above.extra * less, bright, own_share: own };
         }
         let room = (MAX_SCALE - scale).max(0.0) * self.links;
         let scaled = if self.links > 0.0 { scale + change.min(room) / self.links } else { scale };
         let more = (change - room).max(0.0) / (self.area * luminance(self.color)).max(f32::MIN_POSITIVE);
-        LightEstimate { scale: scaled, extra: above.extra + self.color * more, bright, own }
+        LightEstimate { scale: scaled, extra: above.extra + self.color * more, bright, own_share: own }
     }
 }
 
@@ -128,7 +129,7 @@ impl Rays {
     /// - `error`: allowed error of a link.
     pub fn correct(&self, arena: &Arena, lights: &mut ElementLights, error: f32) -> RayCorrection {
         let chance = CHANCE_VARIANCES * (ROUGH_ERROR / error).max(1.0);
-        let by_leaf: Vec<[Sums; MAX_PARTS]> = (0..self.leaves.len())
+        let by_leaf: Vec<[PartSums; MAX_PARTS]> = (0..self.leaves.len())
             .into_par_iter()
             .map(|place| {
                 let leaf = self.leaves[place];
@@ -137,8 +138,8 @@ impl Rays {
                 let parts = part_count(element);
                 let links = self.link_irradiance(arena, place, lights);
                 let (area, number) = (element.size / parts as f32, (own / parts) as f32);
-                let mut sums =
-                    [0, 1, 2, 3].map(|k| if k < parts { Sums::new(area, number, links[k]) } else { Sums::default() });
+                let mut sums = [0, 1, 2, 3]
+                    .map(|k| if k < parts { PartSums::new(area, number, links[k]) } else { PartSums::default() });
                 self.visit_samples(
                     (arena, &*lights),
                     place,
@@ -151,11 +152,11 @@ impl Rays {
                 sums
             })
             .collect();
-        let mut sums = vec![Sums::default(); arena.elements.len()];
+        let mut sums = vec![PartSums::default(); arena.elements.len()];
         for (&leaf, parts) in self.leaves.iter().zip(&by_leaf) {
             parts.iter().for_each(|part| sums[leaf as usize].add(part));
         }
-        let mut all = Sums::default();
+        let mut all = PartSums::default();
         for index in (0..arena.elements.len()).rev() {
             let element = &arena.elements[index];
             let part = sums[index];
@@ -166,11 +167,12 @@ impl Rays {
             }
         }
         // A parent comes before its children. The total of its parts is known best.
-        let nothing = LightEstimate { scale: 1.0, extra: Rgb::ZERO, bright: all.bright(0.0), own: all.own(1.0) };
+        let nothing =
+            LightEstimate { scale: 1.0, extra: Rgb::ZERO, bright: all.bright(0.0), own_share: all.own_share(1.0) };
         let whole = all.estimate(&nothing, chance);
         let mut known = vec![whole; arena.elements.len()];
         let roots: Vec<u32> = arena.roots.iter().copied().filter(|&root| root != NONE).collect();
-        let parts: Vec<Sums> = roots.iter().map(|&root| sums[root as usize]).collect();
+        let parts: Vec<PartSums> = roots.iter().map(|&root| sums[root as usize]).collect();
         for (&root, part) in roots.iter().zip(whole.part_estimates(&all, chance, &parts)) {
             known[root as usize] = part;
         }
@@ -192,11 +194,11 @@ impl Rays {
             let taken = lights.accepted[leaf as usize];
             if element.kind == ElementKind::Curved {
                 let arriving = &mut lights.incident[element.directional as usize];
-                arriving.ray_correction = arriving.whole[FROM_ELEMENTS] * Rgb::splat(above.scale - taken[0])
+                arriving.ray_correction = arriving.total[FROM_ELEMENTS] * Rgb::splat(above.scale - taken[0])
                     + Harmonics::from_irradiance(above.extra);
             } else {
                 parts = above.part_estimates(&sums[leaf as usize], chance, sums_of);
-                let whole = lights.elements[leaf as usize].whole[FROM_ELEMENTS];
+                let whole = lights.elements[leaf as usize].total[FROM_ELEMENTS];
                 for (node, (more, part)) in lights.ray_correction[leaf as usize].iter_mut().zip(&parts).enumerate() {
                     *more = whole[node] * (part.scale - taken[node]) + part.extra;
                 }
@@ -218,12 +220,12 @@ impl Rays {
     }
 
     /// Returns the irradiance of the links at the parts of a leaf, lx.
-    fn link_irradiance(&self, arena: &Arena, place: usize, lights: &ElementLights) -> [f32; MAX_PARTS] {
-        let leaf = self.leaves[place];
+    fn link_irradiance(&self, arena: &Arena, leaf_index: usize, lights: &ElementLights) -> [f32; MAX_PARTS] {
+        let leaf = self.leaves[leaf_index];
         let element = &arena.elements[leaf as usize];
         if element.kind == ElementKind::Curved {
-            let light = lights.incident[element.directional as usize].whole[FROM_ELEMENTS];
-            let range = self.first[place] as usize..self.first[place + 1] as usize;
+            let light = lights.incident[element.directional as usize].total[FROM_ELEMENTS];
+            let range = self.first[leaf_index] as usize..self.first[leaf_index + 1] as usize;
             let (sights, number) = (&self.hits[range.clone()], range.len() as f32);
             let sum: f32 = sights
                 .iter()
@@ -231,7 +233,7 @@ impl Rays {
                 .sum();
             return [sum / number; MAX_PARTS];
         }
-        lights.elements[leaf as usize].whole[FROM_ELEMENTS].map(|light| luminance(light.max(Rgb::ZERO)))
+        lights.elements[leaf as usize].total[FROM_ELEMENTS].map(|light| luminance(light.max(Rgb::ZERO)))
     }
 }
 
@@ -245,21 +247,21 @@ struct LightEstimate {
     /// Irradiance of a ray that hits something bright, lx.
     bright: f32,
     /// Share of the leaves' own rays in the light.
-    own: f32,
+    own_share: f32,
 }
 
 impl LightEstimate {
     /// Returns the estimates of the parts of a whole. Together they have the light of the whole.
-    fn part_estimates(self, whole: &Sums, chance: f32, parts: &[Sums]) -> Vec<Self> {
-        let above = Self { bright: whole.bright(self.bright), own: whole.own(self.own), ..self };
+    fn part_estimates(self, whole: &PartSums, chance: f32, parts: &[PartSums]) -> Vec<Self> {
+        let above = Self { bright: whole.bright(self.bright), own_share: whole.own_share(self.own_share), ..self };
         let known: Vec<Self> = parts.iter().map(|part| part.estimate(&above, chance)).collect();
         let together: f32 = parts.iter().zip(&known).map(|(part, known)| part.light(known)).sum();
         let more = (whole.light(&self) / together.max(f32::MIN_POSITIVE)).min(MAX_SCALE);
-        let of = |(part, known): (&Sums, Self)| Self {
+        let of = |(part, known): (&PartSums, Self)| Self {
             scale: known.scale * more,
             extra: known.extra * more,
             bright: part.bright(above.bright),
-            own: part.own(above.own),
+            own_share: part.own_share(above.own_share),
         };
         parts.iter().zip(known).map(of).collect()
     }
@@ -278,15 +280,16 @@ mod tests {
     fn part_missed_by_rays_of_other_leaves_is_not_darkened() {
         let gray = |light: f32| Rgb::splat(light);
         let part = |by_others: usize| {
-            let mut sums = Sums::new(1.0, 32.0, 1.0);
+            let mut sums = PartSums::new(1.0, 32.0, 1.0);
             (0..32).for_each(|_| sums.add_sample(gray(0.67 / 32.0), 0.67, true));
             (0..by_others).for_each(|_| sums.add_sample(gray(0.11), 3.52, false));
             sums
         };
-        let parts: Vec<Sums> = [4, 3, 5, 0, 3, 3, 4, 2].map(part).to_vec();
-        let mut all = Sums::default();
+        let parts: Vec<PartSums> = [4, 3, 5, 0, 3, 3, 4, 2].map(part).to_vec();
+        let mut all = PartSums::default();
         parts.iter().for_each(|part| all.add(part));
-        let nothing = LightEstimate { scale: 1.0, extra: Rgb::ZERO, bright: all.bright(0.0), own: all.own(1.0) };
+        let nothing =
+            LightEstimate { scale: 1.0, extra: Rgb::ZERO, bright: all.bright(0.0), own_share: all.own_share(1.0) };
         let known = nothing.part_estimates(&all, CHANCE_VARIANCES, &parts);
         let scales: Vec<f32> = known.iter().map(|known| known.scale).collect();
         assert!(scales.iter().all(|scale| (scale - 1.0).abs() < 0.01), "{scales:?}");
@@ -296,14 +299,15 @@ mod tests {
     #[test]
     fn light_that_no_link_brings_is_added() {
         let part = |light: f32| {
-            let mut sums = Sums::new(2.0, 400.0, 0.0);
+            let mut sums = PartSums::new(2.0, 400.0, 0.0);
             (0..400).for_each(|_| sums.add_sample(Rgb::splat(light * 2.0 / 400.0), light, true));
             sums
         };
         let parts = [part(3.0), part(5.0)];
-        let mut all = Sums::default();
+        let mut all = PartSums::default();
         parts.iter().for_each(|part| all.add(part));
-        let nothing = LightEstimate { scale: 1.0, extra: Rgb::ZERO, bright: all.bright(0.0), own: all.own(1.0) };
+        let nothing =
+            LightEstimate { scale: 1.0, extra: Rgb::ZERO, bright: all.bright(0.0), own_share: all.own_share(1.0) };
         let known = all.estimate(&nothing, CHANCE_VARIANCES).part_estimates(&all, CHANCE_VARIANCES, &parts);
         for (known, want) in known.iter().zip([3.0, 5.0]) {
             assert!((luminance(known.extra) / want - 1.0).abs() < 0.1, "{known:?} {want}");

@@ -8,8 +8,8 @@ use crate::{
 };
 
 /// Largest and smallest scene size that raises no warning, m.
-const LARGEST: f64 = 1e5;
-const SMALLEST: f64 = 1e-2;
+const MAX_SCENE_SIZE: f64 = 1e5;
+const MIN_SCENE_SIZE: f64 = 1e-2;
 /// Distance, in scene diagonals, from which a camera sees the scene as a dot.
 const FAR: f64 = 100.0;
 
@@ -23,10 +23,10 @@ pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
             "the scene has no surface and no luminaire",
             "add a surface or a luminaire",
         );
-    } else if size > LARGEST {
+    } else if size > MAX_SCENE_SIZE {
         let message = format!("the scene is {} across", format_length(size));
         faults.add(Warning, Scale, WHOLE_SCENE, message, "give lengths in meters (`xf -s` scales)");
-    } else if size < SMALLEST {
+    } else if size < MIN_SCENE_SIZE {
         let message = format!("the scene is only {} across", format_length(size));
         faults.add(Warning, Scale, WHOLE_SCENE, message, "give lengths in meters (`xf -s` scales)");
     }
@@ -71,7 +71,7 @@ fn check_camera(scope: &Scope<'_>, camera: &Camera, faults: &mut Faults) {
 }
 
 /// Maximum number of frames whose views are checked.
-const FRAMES: u32 = 100_000;
+const MAX_CHECKED_FRAMES: u32 = 100_000;
 
 /// Returns the first frame in which a camera on a path has no valid view.
 fn blind_frame(scope: &Scope<'_>, camera: &Camera) -> Option<u32> {
@@ -79,7 +79,7 @@ fn blind_frame(scope: &Scope<'_>, camera: &Camera) -> Option<u32> {
     if !camera.is_animated(&scene.paths) {
         return None;
     }
-    (1..=scene.frame_count().min(FRAMES)).find(|frame| {
+    (1..=scene.frame_count().min(MAX_CHECKED_FRAMES)).find(|frame| {
         let at = camera.at(&scene.paths, clip.start + f64::from(frame - 1) / clip.fps);
         let view = at.target - at.origin;
         view.cross(at.up).length() <= 1e-12 * view.length() * at.up.length()
@@ -87,8 +87,8 @@ fn blind_frame(scope: &Scope<'_>, camera: &Camera) -> Option<u32> {
 }
 
 /// Formats a length for messages.
-fn format_length(metres: f64) -> String {
-    match metres {
+fn format_length(meters: f64) -> String {
+    match meters {
         m if m >= 1e4 => format!("{:.4} km", m / 1e3),
         m if m >= 1.0 => format!("{m:.1} m"),
         m if m >= 1e-3 => format!("{:.1} mm", m * 1e3),

@@ -27,13 +27,13 @@ const TRIES: u32 = 2;
 /// Number of random walks of all cameras together.
 const WALKS: usize = 1024;
 /// Maximum number of cameras. If there are more, points that no camera sees are not reported.
-const CAMERAS: usize = 64;
+const MAX_CAMERAS: usize = 64;
 /// Share of a point lamp's light that glass and mirrors must take to be reported.
-const LOST: f64 = 0.5;
+const MIN_LOST_SHARE: f64 = 0.5;
 /// Greatest distance at which surfaces count as around a lamp: a share of the scene's diagonal, and an upper limit, m.
 const AROUND: (f64, f64) = (0.02, 0.2);
 /// Maximum number of rays and visibility tests for all lamps together.
-const BUDGET: u64 = 4_000_000;
+const MAX_RAYS: u64 = 4_000_000;
 
 /// End of the message for a camera that no light reaches. When it is present, lamps are not reported for the same reason.
 pub(super) const BLACK: &str = "its image is black";
@@ -44,27 +44,27 @@ pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
     let is_dark = faults.0.iter().any(|fault| fault.kind == CameraFault && fault.message.ends_with(BLACK));
     // First location and count of equal findings.
     let mut found: BTreeMap<(Location, HiddenReason), u32> = BTreeMap::new();
-    let mut looked_at = 0;
+    let mut checked_count = 0;
     for source in &all {
-        if search.ray_count > BUDGET {
+        if search.ray_count > MAX_RAYS {
             break;
         }
-        looked_at += 1;
+        checked_count += 1;
         if let Some(reason) = search.hidden_reason(source)
             && !(is_dark && matches!(reason, HiddenReason::Unseen | HiddenReason::Near(_)))
         {
             *found.entry((source.location, reason)).or_default() += 1;
         }
     }
-    let said = |location: Location| faults.0.iter().any(|f| f.kind == LightsNothing && f.location == location);
-    found.retain(|(location, _), _| !said(*location));
+    let is_reported = |location: Location| faults.0.iter().any(|f| f.kind == LightsNothing && f.location == location);
+    found.retain(|(location, _), _| !is_reported(*location));
     for ((location, reason), count) in found {
         let (message, advice) = search.describe(reason);
         let copies = if count == 1 { String::new() } else { format!(" ({count} copies of the lamp)") };
         faults.add(Warning, LightsNothing, location, format!("{message}{copies}"), advice);
     }
-    if looked_at < all.len() {
-        let message = format!("only {looked_at} of {} lamps were checked for light that is blocked", all.len());
+    if checked_count < all.len() {
+        let message = format!("only {checked_count} of {} lamps were checked for light that is blocked", all.len());
         faults.add(
             Note,
             Incomplete,
@@ -110,7 +110,7 @@ impl<'a, 'b> Search<'a, 'b> {
         let samplers = scope.scene.photometry.iter().map(EmissionSampler::new).collect();
         let cameras = &scope.scene.cameras;
         let (mut eyes, mut path_points, mut escapes, mut rng) = (Vec::new(), Vec::new(), false, SplitMix64(5));
-        for camera in cameras.iter().filter(|_| cameras.len() <= CAMERAS) {
+        for camera in cameras.iter().filter(|_| cameras.len() <= MAX_CAMERAS) {
             eyes.push(camera.at(&scope.scene.paths, scope.time).origin);
             for _ in 0..WALKS / cameras.len() {
                 let Some(ray) = camera_ray(scope, camera, &mut rng) else { break };
@@ -298,7 +298,7 @@ impl Tally {
     /// Returns the reason if glass and mirrors take most of a point lamp's light.
     fn lost_reason(&self) -> Option<HiddenReason> {
         let part = |count: u32| (100.0 * f64::from(count) / f64::from(self.rays.max(1))).round() as u32;
-        if f64::from(self.refracted + self.mirrored) <= LOST * f64::from(self.rays) {
+        if f64::from(self.refracted + self.mirrored) <= MIN_LOST_SHARE * f64::from(self.rays) {
             return None;
         }
         if self.refracted >= self.mirrored {

@@ -18,7 +18,7 @@ const WALKS: u64 = 256;
 /// Number of lamps that are tested from each point.
 const LAMPS: usize = 4;
 /// Maximum number of cameras that are checked.
-const CAMERAS: usize = 8;
+const MAX_CAMERAS: usize = 8;
 /// Share of the light that must come through the backs of a wall for the wall to be reported.
 const THROUGH_BACKS: f64 = 0.25;
 /// Reflectance sum below which a material absorbs.
@@ -32,7 +32,7 @@ pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
         .iter()
         .any(|m| scope.scene.max_over_time(&format!("medium.{}", m.name), "glow", m.glow) > 0.0);
     let (mut backs, mut lit, mut closed) = (BTreeMap::new(), 0, !scope.scene.cameras.is_empty());
-    for camera in scope.scene.cameras.iter().take(CAMERAS) {
+    for camera in scope.scene.cameras.iter().take(MAX_CAMERAS) {
         let counts = trace_camera_walks(scope, camera, &lamps, &mut backs);
         lit += counts.lit;
         let is_enclosed = counts.walks > 0 && counts.escaped == 0;

@@ -12,7 +12,7 @@ use std::{collections::BTreeMap, ops::ControlFlow};
 /// Distance, relative to a lamp's size, within which a surface in front of the lamp covers it.
 const GAP: f64 = 1e-3;
 /// Share of a lamp that must be covered for the lamp to be reported.
-const COVERED: f64 = 0.999;
+const MIN_COVERED_SHARE: f64 = 0.999;
 
 pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
     let used = scope.scene.materials.iter().zip(&scope.used).filter(|(_, used)| **used);
@@ -92,7 +92,7 @@ pub(super) fn covered_lamps(scope: &Scope<'_>, faults: &mut Faults) {
         entry.1 += covered_area(scope, lamp, &plane);
     }
     for (area, covered, location) in lamps.into_values() {
-        if covered > COVERED * area {
+        if covered > MIN_COVERED_SHARE * area {
             let message = "the one-sided lamp emits directly into a surface in front of it";
             faults.add(
                 Warning,

@@ -8,7 +8,7 @@ use crate::{
 };
 
 /// Emittance above that of the sun's surface, lm/m2.
-const BRIGHTEST: f64 = 1e9;
+const MAX_EMITTANCE: f64 = 1e9;
 /// Tolerance for rounded white points.
 const ROOM: f64 = 1e-3;
 
@@ -17,7 +17,7 @@ pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
     for (material, _) in materials {
         check_energy(material, faults);
         check_gamut(material, faults);
-        if material.ed.amount > BRIGHTEST {
+        if material.ed.amount > MAX_EMITTANCE {
             let message = format!("{} emits {:.1e} lm/m2", title(material), material.ed.amount);
             faults.add(Warning, Scale, material.location, message, "check the unit of `ed`");
         }

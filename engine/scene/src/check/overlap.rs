@@ -16,7 +16,7 @@ use std::{collections::BTreeMap, ops::ControlFlow};
 /// Distance below which two planes count as one, relative to the largest coordinate: single precision cannot tell them apart.
 const ONE_PLANE: f64 = 1e-6;
 /// Share of the smaller triangle that must be covered.
-const COVERED: f64 = 1e-3;
+const MIN_COVERED_SHARE: f64 = 1e-3;
 /// Maximum number of pairs of triangles that are compared.
 const PAIR_LIMIT: u64 = 50_000_000;
 /// Maximum number of pairs of faces that are reported.
@@ -116,7 +116,7 @@ fn coplanar_overlap(a: &Plane, b: &Plane, tolerance: f64) -> Option<(f64, Sense)
     }
     let shared = large.overlap(small);
     let sense = if large.normal.dot(small.normal) > 0.0 { Sense::Same } else { Sense::Opposite };
-    (shared > COVERED * small.area).then_some((shared, sense))
+    (shared > MIN_COVERED_SHARE * small.area).then_some((shared, sense))
 }
 
 fn report(

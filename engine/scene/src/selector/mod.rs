@@ -220,7 +220,7 @@ impl Scene {
     /// two values that are only valid together may be given in either order. On failure the scene is unchanged.
     pub fn set_all<S: AsRef<str>>(&mut self, values: &[(S, f64)]) -> Result<(), SelectorError> {
         let wanted = self.resolve_all(values)?;
-        self.view_mut().apply(&wanted).map_err(|(index, constraint)| refused_error(&values[index], constraint))?;
+        self.view_mut().apply(&wanted).map_err(|(index, constraint)| constraint_error(&values[index], constraint))?;
         self.varies.retain(|vary| values.iter().all(|(selector, _)| selector.as_ref() != vary.selector));
         Ok(())
     }
@@ -229,7 +229,7 @@ impl Scene {
     pub fn get(&self, selector: &str) -> Result<f64, SelectorError> {
         let view = self.view();
         let first = slot::resolve(&view, selector).first().and_then(|slot| slot.read(&view));
-        first.ok_or_else(|| self.unknown(selector))
+        first.ok_or_else(|| self.unknown_selector_error(selector))
     }
 
     /// Returns all names that [`Self::set`] accepts, in the order of the scene, each once.
@@ -258,20 +258,23 @@ impl Scene {
         if let Some(index) = wanted.iter().position(|(slots, _)| slots.iter().any(Slot::is_timeless)) {
             return Err(SelectorError::Timeless { selector: values[index].0.into() });
         }
-        scalars.view_mut().apply(&wanted).map_err(|(index, constraint)| refused_error(&values[index], constraint))?;
+        scalars
+            .view_mut()
+            .apply(&wanted)
+            .map_err(|(index, constraint)| constraint_error(&values[index], constraint))?;
         Ok(scalars)
     }
 
     fn resolve_all<S: AsRef<str>>(&self, values: &[(S, f64)]) -> Result<Vec<(Vec<Slot>, f64)>, SelectorError> {
         let view = self.view();
         let resolve = |(selector, value): &(S, f64)| match slot::resolve(&view, selector.as_ref()) {
-            slots if slots.is_empty() => Err(self.unknown(selector.as_ref())),
+            slots if slots.is_empty() => Err(self.unknown_selector_error(selector.as_ref())),
             slots => Ok((slots, *value)),
         };
         values.iter().map(resolve).collect()
     }
 
-    fn unknown(&self, selector: &str) -> SelectorError {
+    fn unknown_selector_error(&self, selector: &str) -> SelectorError {
         SelectorError::Unknown { selector: selector.into(), nearest: nearest::nearest(selector, &self.selectors()) }
     }
 
@@ -315,6 +318,6 @@ impl Scalars {
     }
 }
 
-fn refused_error<S: AsRef<str>>((selector, value): &(S, f64), constraint: Constraint) -> SelectorError {
+fn constraint_error<S: AsRef<str>>((selector, value): &(S, f64), constraint: Constraint) -> SelectorError {
     SelectorError::Refused { selector: selector.as_ref().into(), value: *value, constraint }
 }

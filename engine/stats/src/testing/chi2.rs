@@ -11,9 +11,9 @@ use super::gamma;
 use std::f64::consts::{PI, TAU};
 
 /// Expected count below which cells are pooled.
-const POOL: f64 = 5.0;
+const MIN_EXPECTED_COUNT: f64 = 5.0;
 /// Share of all samples that may fall where the density is zero (directions rounded over a border).
-const STRAY: f64 = 1e-5;
+const MAX_STRAY_SHARE: f64 = 1e-5;
 /// Mass of draws without a result that the cubature cannot tell from zero.
 const NEGLIGIBLE: f64 = 1e-4;
 
@@ -103,7 +103,7 @@ pub fn pooled_test(expected: &[f64], observed: &[u64]) -> Chi2 {
     let (mut bins, mut pool) = (Vec::new(), (0.0, 0u64));
     for i in order.into_iter().filter(|&i| expected[i] > 0.0) {
         pool = (pool.0 + expected[i], pool.1 + observed[i]);
-        if pool.0 >= POOL {
+        if pool.0 >= MIN_EXPECTED_COUNT {
             bins.push(std::mem::take(&mut pool));
         }
     }
@@ -114,7 +114,7 @@ pub fn pooled_test(expected: &[f64], observed: &[u64]) -> Chi2 {
     let statistic: f64 =
         bins.iter().map(|&(e, o)| if e > 0.0 { (o as f64 - e) * (o as f64 - e) / e } else { 0.0 }).sum();
     let dof = bins.len() - 1;
-    let p = if stray as f64 > (STRAY * total as f64).max(3.0) || !statistic.is_finite() {
+    let p = if stray as f64 > (MAX_STRAY_SHARE * total as f64).max(3.0) || !statistic.is_finite() {
         0.0
     } else if dof == 0 {
         f64::NAN

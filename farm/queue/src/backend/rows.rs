@@ -10,7 +10,7 @@ pub(super) struct Row {
 }
 
 impl Row {
-    fn is_sound(&self) -> bool {
+    fn is_valid(&self) -> bool {
         self.is_blank() || self.checksum == checksum(self.sequence, &self.bytes)
     }
 
@@ -66,7 +66,7 @@ pub(super) fn check_rows(snapshot: Option<Row>, rows: impl IntoIterator<Item = R
     let mut contents = LogContents::default();
     let mut last = 0;
     if let Some(snapshot) = snapshot {
-        if !snapshot.is_sound() {
+        if !snapshot.is_valid() {
             return Err(QueueError::DamagedSnapshot);
         }
         last = snapshot.sequence;
@@ -74,7 +74,7 @@ pub(super) fn check_rows(snapshot: Option<Row>, rows: impl IntoIterator<Item = R
     }
     let mut rows = rows.into_iter();
     for row in rows.by_ref() {
-        let is_sound = row.is_sound();
+        let is_sound = row.is_valid();
         if is_sound && row.sequence == last + 1 {
             last = row.sequence;
             if !row.is_blank() {
@@ -82,7 +82,7 @@ pub(super) fn check_rows(snapshot: Option<Row>, rows: impl IntoIterator<Item = R
             }
             continue;
         }
-        let after = rows.filter(Row::is_sound).count() as u64 + u64::from(is_sound);
+        let after = rows.filter(Row::is_valid).count() as u64 + u64::from(is_sound);
         let damage = Some(QueueError::Damaged { sequence: last + 1, after });
         return Ok(LogRows { contents, last, damage });
     }

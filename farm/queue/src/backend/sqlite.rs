@@ -25,7 +25,7 @@ use crate::{Batch, LogContents, LossPolicy, MissingRecords, NotePage, Queue, Que
 pub struct Sqlite {
     connection: SqliteConnection,
     path: PathBuf,
-    loss: LossPolicy,
+    loss_policy: LossPolicy,
     /// Header as read from the file; `None`: damaged.
     header: Option<Header>,
     /// The mark, once the log is loaded.
@@ -108,7 +108,7 @@ impl Sqlite {
     }
 
     /// Opens the log at `path`, or creates it.
-    /// - `loss`: policy for a log that has lost acknowledged records.
+    /// - `loss_policy`: policy for a log that has lost acknowledged records.
     pub async fn open_with(path: &Path, loss: LossPolicy) -> Result<Self, QueueError> {
         let options = connect_options(path)
             .create_if_missing(true)
@@ -130,7 +130,15 @@ impl Sqlite {
         }
         let headers = sqlx::query("SELECT identity, sealed, checksum FROM header").fetch_all(&mut connection).await?;
         let header = if let [header] = &headers[..] { Header::read(header) } else { None };
-        Ok(Self { connection, path: path.to_owned(), loss, header, watermark: None, is_moved: false, next: 1 })
+        Ok(Self {
+            connection,
+            path: path.to_owned(),
+            loss_policy: loss,
+            header,
+            watermark: None,
+            is_moved: false,
+            next: 1,
+        })
     }
 
     /// Returns the path of a file beside the log: the log's path followed by `finish_transaction`.
@@ -410,7 +418,7 @@ impl Queue for Sqlite {
         let (LogRows { mut contents, last, .. }, required) = self.read().await?;
         if let Some(error) = required.error {
             self.copy_write_ahead_log();
-            if self.loss == LossPolicy::Refuse {
+            if self.loss_policy == LossPolicy::Refuse {
                 return Err(error);
             }
             let known = match error {
@@ -449,10 +457,14 @@ impl Queue for Sqlite {
         Ok(())
     }
 
-    async fn reserve(&mut self, least: u32) -> Result<u32, QueueError> {
-        let Some(mark) = &mut self.watermark else { return Ok(least) };
-        let least = if std::mem::take(&mut self.is_moved) { least.max(minutes_since_2020()) } else { least };
-        let incarnation = least.max(mark.state().incarnation.saturating_add(1));
+    async fn reserve(&mut self, min_incarnation: u32) -> Result<u32, QueueError> {
+        let Some(mark) = &mut self.watermark else { return Ok(min_incarnation) };
+        let min_incarnation = if std::mem::take(&mut self.is_moved) {
+            min_incarnation.max(minutes_since_2020())
+        } else {
+            min_incarnation
+        };
+        let incarnation = min_incarnation.max(mark.state().incarnation.saturating_add(1));
         mark.reserve(incarnation)?;
         Ok(incarnation)
     }

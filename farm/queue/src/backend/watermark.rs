@@ -43,7 +43,7 @@ pub(super) struct Watermark {
     state: WatermarkState,
     /// Number of the latest write; its parity selects the slot.
     write_count: u64,
-    synced: Instant,
+    last_sync: Instant,
     /// Whether the latest write succeeded.
     is_current: bool,
 }
@@ -126,7 +126,14 @@ impl Watermark {
             let _ = fs::remove_file(&new);
             return Err(error);
         }
-        Ok(Self { file, path: path.to_owned(), state: known, write_count: 2, synced: Instant::now(), is_current: true })
+        Ok(Self {
+            file,
+            path: path.to_owned(),
+            state: known,
+            write_count: 2,
+            last_sync: Instant::now(),
+            is_current: true,
+        })
     }
 
     pub(super) fn state(&self) -> &WatermarkState {
@@ -137,8 +144,8 @@ impl Watermark {
     pub(super) fn advance(&mut self, sequence: i64) {
         self.state.sequence = sequence;
         self.try_write();
-        if self.synced.elapsed() >= Self::SYNC_INTERVAL {
-            self.synced = Instant::now();
+        if self.last_sync.elapsed() >= Self::SYNC_INTERVAL {
+            self.last_sync = Instant::now();
             let (file, path) = (self.file.try_clone(), self.path.clone());
             // The log's writer does not wait for the sync.
             tokio::task::spawn_blocking(move || {
@@ -174,7 +181,7 @@ impl Watermark {
 
     /// Syncs the mark to the disk.
     pub(super) fn sync(&mut self) -> io::Result<()> {
-        self.synced = Instant::now();
+        self.last_sync = Instant::now();
         self.file.sync_data()
     }
 }

@@ -85,9 +85,9 @@ impl<'a> GraphView<'a> {
     }
 
     /// Returns the tasks of a stage within this reach of a task.
-    pub(super) fn tasks_reached(&self, stage: u16, far: Reach, item: u32) -> Range<u32> {
+    pub(super) fn tasks_reached(&self, stage: u16, reach: Reach, item: u32) -> Range<u32> {
         let tasks = self.graph.stage(stage).map_or(0, StageTemplate::tasks);
-        tasks_in_reach(far, item, tasks)
+        tasks_in_reach(reach, item, tasks)
     }
 
     /// Returns the tasks of a frame's stage that a task of the job reads, numbered through all frames, and the number of tasks per

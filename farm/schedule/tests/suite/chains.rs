@@ -9,11 +9,9 @@ use femc_schedule::*;
 fn chain_job(frames: &[u32]) -> JobSpec {
     let drill =
         |scope, tasks, makes: &[Role]| StageTemplate::new(StageKind::Drill, scope, TaskSizes::even(tasks, 1), makes);
-    let chain = drill(Scope::Job, frames.len() as u32, &[Role::Answer]).reads(0, Role::Answer, Reach::Fan(1)).reads(
-        1,
-        Role::Answer,
-        Reach::Previous,
-    );
+    let chain = drill(Scope::Job, frames.len() as u32, &[Role::Answer])
+        .with_input(0, Role::Answer, Reach::Fan(1))
+        .with_input(1, Role::Answer, Reach::Previous);
     let spec = job_with_graph(frames, 1, Graph { stages: vec![drill(Scope::Frame, 1, &[Role::Answer]), chain] });
     assert_eq!((spec.graph.check(), spec.graph.check_frames(frames.len() as u64)), (Ok(()), Ok(())));
     spec
@@ -81,11 +79,11 @@ fn link_lost_after_job_end_is_remade_with_chain_and_no_frame() {
 fn a_chain_of_a_frame_s_cut_tasks_or_over_frames_is_refused() {
     let drill = |scope, tasks| StageTemplate::new(StageKind::Drill, scope, TaskSizes::even(tasks, 1), &[Role::Answer]);
     let refused = |stages: Vec<StageTemplate>| Graph { stages }.check().is_err();
-    let over = drill(Scope::Job, 3).reads(0, Role::Answer, Reach::Previous);
+    let over = drill(Scope::Job, 3).with_input(0, Role::Answer, Reach::Previous);
     assert!(refused(vec![drill(Scope::Frame, 1), over]));
-    let other = drill(Scope::Frame, 2).reads(0, Role::Answer, Reach::Previous);
+    let other = drill(Scope::Frame, 2).with_input(0, Role::Answer, Reach::Previous);
     assert!(refused(vec![drill(Scope::Frame, 3), other]), "of another length");
-    let looped = drill(Scope::Frame, 1).reads(0, Role::Answer, Reach::Previous).closes(0, 2);
+    let looped = drill(Scope::Frame, 1).with_input(0, Role::Answer, Reach::Previous).with_loop(0, 2);
     assert!(refused(vec![looped]));
-    assert!(!refused(vec![drill(Scope::Frame, 3).reads(0, Role::Answer, Reach::Previous)]));
+    assert!(!refused(vec![drill(Scope::Frame, 3).with_input(0, Role::Answer, Reach::Previous)]));
 }

@@ -13,7 +13,7 @@ fn need(stage: u16, role: Role, reach: Reach, round: Round) -> Need {
 }
 
 fn render_stage(tiles: u32, rounds: &[u32]) -> StageTemplate {
-    StageTemplate::new(Render, Scope::Frame, TaskSizes::even(tiles, 64), &[Role::Tile]).steps(rounds)
+    StageTemplate::new(Render, Scope::Frame, TaskSizes::even(tiles, 64), &[Role::Tile]).with_steps(rounds)
 }
 
 fn image_stage(scope: Scope, makes: &[Role]) -> StageTemplate {
@@ -26,9 +26,9 @@ fn job_with_job_stages(frames: &[u32], gaps: bool) -> JobSpec {
     let graph = Graph {
         stages: vec![
             render_stage(2, &[4]),
-            image_stage(Scope::Frame, &[Role::Image]).reads(0, Role::Tile, Reach::All).closes(0, 1),
-            pairs.needs(Need { gaps, ..need(0, Role::Tile, Reach::Fan(2), Round::Every) }),
-            image_stage(Scope::Job, &[Role::Preview]).reads(2, Role::Sums, Reach::All),
+            image_stage(Scope::Frame, &[Role::Image]).with_input(0, Role::Tile, Reach::All).with_loop(0, 1),
+            pairs.with_need(Need { gaps, ..need(0, Role::Tile, Reach::Fan(2), Round::Every) }),
+            image_stage(Scope::Job, &[Role::Preview]).with_input(2, Role::Sums, Reach::All),
         ],
     };
     job_with_graph(frames, 2, graph)
@@ -142,8 +142,8 @@ fn a_stage_behind_the_loop_reads_all_its_rounds() {
     let graph = Graph {
         stages: vec![
             render_stage(2, &[4, 8, 16]),
-            image_stage(Scope::Frame, &[]).reads(0, Role::Tile, Reach::All).closes(0, 3),
-            image_stage(Scope::Frame, &[Role::Image]).needs(need(0, Role::Tile, Reach::All, Round::Every)),
+            image_stage(Scope::Frame, &[]).with_input(0, Role::Tile, Reach::All).with_loop(0, 3),
+            image_stage(Scope::Frame, &[Role::Image]).with_need(need(0, Role::Tile, Reach::All, Round::Every)),
         ],
     };
     let id = farm.submit(job_with_graph(&[1], 2, graph));
@@ -197,8 +197,8 @@ fn stage_of_another_scope_reads_the_last_or_all_loop_rounds() {
             // Results of every round are kept for people; other outputs are not.
             for role in [Role::Sums, Role::Image] {
                 let blocks = StageTemplate::new(Reduce, made_by, TaskSizes::even(2, 1), &[role]);
-                let close = image_stage(made_by, &[]).reads(0, role, Reach::All).closes(0, 3);
-                let reader = image_stage(read_by, &[Role::Preview]).needs(need(0, role, Reach::All, round));
+                let close = image_stage(made_by, &[]).with_input(0, role, Reach::All).with_loop(0, 3);
+                let reader = image_stage(read_by, &[Role::Preview]).with_need(need(0, role, Reach::All, round));
                 let graph = Graph { stages: vec![blocks, close, reader] };
                 assert_eq!(inputs_of_first_task(&graph, 2), expected, "{round:?} {read_by:?} {role:?}");
             }
@@ -209,11 +209,11 @@ fn stage_of_another_scope_reads_the_last_or_all_loop_rounds() {
 #[test]
 fn decision_output_for_next_round_and_image_exists_every_round() {
     let graph = || {
-        let close = image_stage(Scope::Frame, &[Role::Stops]).reads(0, Role::Tile, Reach::All).closes(0, 3);
+        let close = image_stage(Scope::Frame, &[Role::Stops]).with_input(0, Role::Tile, Reach::All).with_loop(0, 3);
         let stages = vec![
             render_stage(1, &[4, 8, 12]),
-            close.needs(need(1, Role::Stops, Reach::All, Round::Previous)),
-            image_stage(Scope::Frame, &[Role::Image]).reads(1, Role::Stops, Reach::All),
+            close.with_need(need(1, Role::Stops, Reach::All, Round::Previous)),
+            image_stage(Scope::Frame, &[Role::Image]).with_input(1, Role::Stops, Reach::All),
         ];
         Graph { stages }
     };
@@ -256,9 +256,9 @@ fn round_is_counted_once_even_if_its_closing_task_is_redone() {
     let blocks = StageTemplate::new(Reduce, Scope::Frame, TaskSizes::even(2, 1), &[Role::Sums]);
     let graph = Graph {
         stages: vec![
-            blocks.needs(before(0, Role::Sums)).needs(before(1, Role::Numbers)),
-            image_stage(Scope::Frame, &[Role::Numbers]).reads(0, Role::Sums, Reach::All).closes(0, 3),
-            image_stage(Scope::Frame, &[Role::Image]).reads(0, Role::Sums, Reach::All),
+            blocks.with_need(before(0, Role::Sums)).with_need(before(1, Role::Numbers)),
+            image_stage(Scope::Frame, &[Role::Numbers]).with_input(0, Role::Sums, Reach::All).with_loop(0, 3),
+            image_stage(Scope::Frame, &[Role::Image]).with_input(0, Role::Sums, Reach::All),
         ],
     };
     let id = farm.submit(job_with_graph(&[1], 2, graph));
@@ -291,9 +291,9 @@ fn a_task_that_was_put_aside_in_another_round_gets_no_copy() {
     let mut farm = TestFarm::with_config(Config { prefetch: 0, late: 1, lease: 1 << 40, stall: 1 << 40, ..config() });
     let before = |stage, role| need(stage, role, Reach::All, Round::Previous);
     let blocks =
-        StageTemplate::new(Reduce, Scope::Frame, TaskSizes::even(3, 1), &[Role::Sums]).needs(before(0, Role::Sums));
-    let close = image_stage(Scope::Frame, &[]).reads(0, Role::Sums, Reach::All).closes(0, 2);
-    let end = image_stage(Scope::Frame, &[Role::Image]).reads(0, Role::Sums, Reach::All);
+        StageTemplate::new(Reduce, Scope::Frame, TaskSizes::even(3, 1), &[Role::Sums]).with_need(before(0, Role::Sums));
+    let close = image_stage(Scope::Frame, &[]).with_input(0, Role::Sums, Reach::All).with_loop(0, 2);
+    let end = image_stage(Scope::Frame, &[Role::Image]).with_input(0, Role::Sums, Reach::All);
     farm.submit(job_with_graph(&[1], 2, Graph { stages: vec![blocks, close, end] }));
     (1..=5).for_each(|worker| drop(farm.join(worker)));
     let find = |farm: &TestFarm, round: u32, index: u32| {
@@ -328,9 +328,9 @@ fn frame_fails_if_lost_output_is_of_a_task_quarantined_later() {
     let mut farm = TestFarm::with_config(Config { prefetch: 0, ..config() });
     let before = |stage, role| need(stage, role, Reach::All, Round::Previous);
     let blocks =
-        StageTemplate::new(Reduce, Scope::Frame, TaskSizes::even(3, 1), &[Role::Sums]).needs(before(0, Role::Sums));
-    let close = image_stage(Scope::Frame, &[]).reads(0, Role::Sums, Reach::All).closes(0, 2);
-    let end = image_stage(Scope::Frame, &[Role::Image]).reads(0, Role::Sums, Reach::All);
+        StageTemplate::new(Reduce, Scope::Frame, TaskSizes::even(3, 1), &[Role::Sums]).with_need(before(0, Role::Sums));
+    let close = image_stage(Scope::Frame, &[]).with_input(0, Role::Sums, Reach::All).with_loop(0, 2);
+    let end = image_stage(Scope::Frame, &[Role::Image]).with_input(0, Role::Sums, Reach::All);
     let id = farm.submit(job_with_graph(&[1], 2, Graph { stages: vec![blocks, close, end] }));
     (1..=6).for_each(|worker| drop(farm.join(worker)));
     let find = |farm: &TestFarm, round: u32, index: u32| {
@@ -391,8 +391,8 @@ fn failed_image_after_the_loop_is_named_as_it_was_leased() {
     let graph = Graph {
         stages: vec![
             render_stage(2, &[4, 8]),
-            image_stage(Scope::Frame, &[]).reads(0, Role::Tile, Reach::All).closes(0, 2),
-            image_stage(Scope::Frame, &[Role::Image]).reads(0, Role::Tile, Reach::All),
+            image_stage(Scope::Frame, &[]).with_input(0, Role::Tile, Reach::All).with_loop(0, 2),
+            image_stage(Scope::Frame, &[Role::Image]).with_input(0, Role::Tile, Reach::All),
         ],
     };
     let id = farm.submit(job_with_graph(&[1], 2, graph));
@@ -422,12 +422,12 @@ fn direct_and_indirect_tile_readers_get_step_counts_per_tile() {
         stages: vec![
             render_stage(4, &[4, 8, 16]),
             StageTemplate::new(Reduce, Scope::Frame, TaskSizes::even(2, 1), &[Role::Pixels, Role::Errors, Role::Sums])
-                .reads(0, Role::Tile, Reach::Fan(2))
-                .needs(need(1, Role::Sums, Reach::Same, Round::Previous)),
+                .with_input(0, Role::Tile, Reach::Fan(2))
+                .with_need(need(1, Role::Sums, Reach::Same, Round::Previous)),
             StageTemplate::new(StageKind::Decide, Scope::Frame, TaskSizes::even(1, 1), &[])
-                .reads(1, Role::Errors, Reach::All)
-                .closes(0, 3),
-            image_stage(Scope::Frame, &[Role::Image]).reads(1, Role::Pixels, Reach::All),
+                .with_input(1, Role::Errors, Reach::All)
+                .with_loop(0, 3),
+            image_stage(Scope::Frame, &[Role::Image]).with_input(1, Role::Pixels, Reach::All),
         ],
     };
     let id = farm.submit(job_with_graph(&[1], 4, graph));
@@ -492,20 +492,20 @@ fn an_output_goes_when_all_that_read_it_are_done() {
     let graph = Graph {
         stages: vec![
             render_stage(2, &[4]),
-            StageTemplate::new(Reduce, Scope::Frame, TaskSizes::even(1, 1), &[Role::Pixels]).reads(
+            StageTemplate::new(Reduce, Scope::Frame, TaskSizes::even(1, 1), &[Role::Pixels]).with_input(
                 0,
                 Role::Tile,
                 Reach::Fan(2),
             ),
-            StageTemplate::new(Reduce, Scope::Frame, TaskSizes::even(2, 1), &[Role::Sums]).reads(
+            StageTemplate::new(Reduce, Scope::Frame, TaskSizes::even(2, 1), &[Role::Sums]).with_input(
                 0,
                 Role::Tile,
                 Reach::Same,
             ),
             image_stage(Scope::Frame, &[Role::Image])
-                .reads(1, Role::Pixels, Reach::All)
-                .reads(2, Role::Sums, Reach::All)
-                .closes(0, 1),
+                .with_input(1, Role::Pixels, Reach::All)
+                .with_input(2, Role::Sums, Reach::All)
+                .with_loop(0, 1),
         ],
     };
     farm.submit(job_with_graph(&[1], 2, graph));
@@ -563,8 +563,8 @@ fn failed_job_revokes_readers_of_a_frame_lost_since() {
 
 /// Creates a job with one frame of two tiles whose image only workers with the tag `big` may make.
 fn tagged_job() -> JobSpec {
-    let image = image_stage(Scope::Frame, &[Role::Image]).reads(0, Role::Tile, Reach::All).closes(0, 1);
-    job_with_graph(&[1], 2, Graph { stages: vec![render_stage(2, &[4]), image.tags(&["big"])] })
+    let image = image_stage(Scope::Frame, &[Role::Image]).with_input(0, Role::Tile, Reach::All).with_loop(0, 1);
+    job_with_graph(&[1], 2, Graph { stages: vec![render_stage(2, &[4]), image.with_tags(&["big"])] })
 }
 
 #[test]

@@ -9,11 +9,11 @@ use femc_schedule::*;
 fn hint_job(frames: &[u32]) -> JobSpec {
     let drill =
         |tasks, makes: &[Role]| StageTemplate::new(StageKind::Drill, Scope::Frame, TaskSizes::even(tasks, 1), makes);
-    let blocks = drill(3, &[Role::Numbers]).hinted_by(0, Role::Numbers, Reach::Same);
+    let blocks = drill(3, &[Role::Numbers]).with_hint(0, Role::Numbers, Reach::Same);
     job_with_graph(
         frames,
         3,
-        Graph { stages: vec![blocks, drill(1, &[Role::Answer]).reads(0, Role::Numbers, Reach::All)] },
+        Graph { stages: vec![blocks, drill(1, &[Role::Answer]).with_input(0, Role::Numbers, Reach::All)] },
     )
 }
 

@@ -69,23 +69,23 @@ impl GraphForm {
     fn graph(self, tiles: u32, rounds: &[u32], frames: u32) -> Graph {
         use {Role::*, Scope::*, StageKind as Kind};
         let (one, most) = (TaskSizes::even(1, 1), rounds.len() as u32);
-        let render = StageTemplate::new(Kind::Render, Frame, TaskSizes::even(tiles, 64), &[Tile]).steps(rounds);
+        let render = StageTemplate::new(Kind::Render, Frame, TaskSizes::even(tiles, 64), &[Tile]).with_steps(rounds);
         let image = |scope, makes: &[Role]| StageTemplate::new(Kind::Image, scope, one.clone(), makes);
         let need = |stage, role, reach, round, gaps| Need { stage, role, reach, round, gaps };
         match self {
             Self::Frames(fan) => common::tile_graph(tiles, rounds, fan),
             Self::Diamond => {
                 let pairs = TaskSizes::even(tiles.div_ceil(2), 1);
-                let left = StageTemplate::new(Kind::Reduce, Frame, pairs, &[Pixels]).reads(0, Tile, Reach::Fan(2));
+                let left = StageTemplate::new(Kind::Reduce, Frame, pairs, &[Pixels]).with_input(0, Tile, Reach::Fan(2));
                 let right = StageTemplate::new(Kind::Reduce, Frame, TaskSizes::even(tiles, 1), &[Sums])
-                    .reads(0, Tile, Reach::Same)
-                    .needs(need(2, Sums, Reach::All, Round::Previous, false));
-                let end = image(Frame, &[Image]).reads(1, Pixels, Reach::All).reads(2, Sums, Reach::All);
-                Graph { stages: vec![render, left, right, end.closes(0, most)] }
+                    .with_input(0, Tile, Reach::Same)
+                    .with_need(need(2, Sums, Reach::All, Round::Previous, false));
+                let end = image(Frame, &[Image]).with_input(1, Pixels, Reach::All).with_input(2, Sums, Reach::All);
+                Graph { stages: vec![render, left, right, end.with_loop(0, most)] }
             }
             Self::ImageAfterLoop => {
-                let decide = image(Frame, &[]).reads(0, Tile, Reach::All).closes(0, most);
-                let end = image(Frame, &[Image]).needs(need(0, Tile, Reach::All, Round::Every, false));
+                let decide = image(Frame, &[]).with_input(0, Tile, Reach::All).with_loop(0, most);
+                let end = image(Frame, &[Image]).with_need(need(0, Tile, Reach::All, Round::Every, false));
                 Graph { stages: vec![render, decide, end] }
             }
             Self::Decided => {
@@ -95,35 +95,36 @@ impl GraphForm {
                     TaskSizes::even(tiles.div_ceil(2), 1),
                     &[Pixels, Errors, Sums, Numbers],
                 )
-                .reads(0, Tile, Reach::Fan(2))
-                .hinted_by(1, Numbers, Reach::Same)
-                .needs(need(1, Sums, Reach::Same, Round::Previous, false));
-                let decide = StageTemplate::new(Kind::Decide, Frame, one.clone(), &[]).reads(1, Errors, Reach::All);
-                let end = image(Frame, &[Image]).reads(1, Pixels, Reach::All);
-                let render = render.hinted_by(1, Numbers, Reach::All);
-                Graph { stages: vec![render, groups, decide.closes(0, most), end] }
+                .with_input(0, Tile, Reach::Fan(2))
+                .with_hint(1, Numbers, Reach::Same)
+                .with_need(need(1, Sums, Reach::Same, Round::Previous, false));
+                let decide =
+                    StageTemplate::new(Kind::Decide, Frame, one.clone(), &[]).with_input(1, Errors, Reach::All);
+                let end = image(Frame, &[Image]).with_input(1, Pixels, Reach::All);
+                let render = render.with_hint(1, Numbers, Reach::All);
+                Graph { stages: vec![render, groups, decide.with_loop(0, most), end] }
             }
             Self::Shared => {
                 let blocks = StageTemplate::new(Kind::Reduce, Content, TaskSizes::even(2, 1), &[Sums]);
                 let before = |stage, role| need(stage, role, Reach::All, Round::Previous, false);
-                let blocks = blocks.needs(before(0, Sums)).needs(before(1, Numbers));
-                let decide = image(Content, &[Numbers]).reads(0, Sums, Reach::All).closes(0, most);
+                let blocks = blocks.with_need(before(0, Sums)).with_need(before(1, Numbers));
+                let decide = image(Content, &[Numbers]).with_input(0, Sums, Reach::All).with_loop(0, most);
                 let field =
-                    StageTemplate::new(Kind::Reduce, Content, one.clone(), &[Pixels]).reads(0, Sums, Reach::All);
-                let render = render.reads(2, Pixels, Reach::All);
-                let end = image(Frame, &[Image]).reads(3, Tile, Reach::All).closes(3, most);
+                    StageTemplate::new(Kind::Reduce, Content, one.clone(), &[Pixels]).with_input(0, Sums, Reach::All);
+                let render = render.with_input(2, Pixels, Reach::All);
+                let end = image(Frame, &[Image]).with_input(3, Tile, Reach::All).with_loop(3, most);
                 Graph { stages: vec![blocks, decide, field, render, end] }
             }
             Self::JobStages { gaps } => {
-                let end = image(Frame, &[Image]).reads(0, Tile, Reach::All).closes(0, most);
+                let end = image(Frame, &[Image]).with_input(0, Tile, Reach::All).with_loop(0, most);
                 let all = tiles * frames;
                 let pairs = StageTemplate::new(Kind::Reduce, Job, TaskSizes::even(all.div_ceil(2), 1), &[Sums])
-                    .needs(need(0, Tile, Reach::Fan(2), Round::Every, gaps));
-                let whole = image(Job, &[Preview]).reads(2, Sums, Reach::All).tags(&[TAG]);
-                let whole = whole.needs(need(1, Image, Reach::All, Round::Same, gaps));
+                    .with_need(need(0, Tile, Reach::Fan(2), Round::Every, gaps));
+                let whole = image(Job, &[Preview]).with_input(2, Sums, Reach::All).with_tags(&[TAG]);
+                let whole = whole.with_need(need(1, Image, Reach::All, Round::Same, gaps));
                 let chain = StageTemplate::new(Kind::Paint, Job, TaskSizes::even(frames, 1), &[Painted, Brushwork])
-                    .needs(need(1, Image, Reach::Fan(1), Round::Same, gaps))
-                    .reads(4, Brushwork, Reach::Previous);
+                    .with_need(need(1, Image, Reach::Fan(1), Round::Same, gaps))
+                    .with_input(4, Brushwork, Reach::Previous);
                 Graph { stages: vec![render, end, pairs, whole, chain] }
             }
         }

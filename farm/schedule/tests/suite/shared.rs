@@ -12,8 +12,8 @@ fn shared_job(owner: &str, frames: &[u32], content: u8) -> Box<JobSpec> {
     let image = StageTemplate::new(Image, Scope::Frame, TaskSizes::even(1, 1), &[Role::Image]);
     let stages = vec![
         drill(2, Role::Numbers),
-        drill(1, Role::Answer).reads(0, Role::Numbers, Reach::All),
-        image.reads(1, Role::Answer, Reach::All).closes(2, 1),
+        drill(1, Role::Answer).with_input(0, Role::Numbers, Reach::All),
+        image.with_input(1, Role::Answer, Reach::All).with_loop(2, 1),
     ];
     let contents = vec![(frames.len() as u32, Digest::compute(&[content]))];
     Box::new(JobSpec { owner: owner.into(), contents, ..job_with_graph(frames, 1, Graph { stages }) })
@@ -160,13 +160,13 @@ fn each_build_makes_shared_results_for_its_own_frames_only() {
 fn restarted_frame_is_blocked_by_shared_failure_of_new_build() {
     let mut farm = farm(config());
     let mut spec = shared_job("ann", &[1, 2], 1);
-    let pair = StageTemplate::new(Drill, Scope::Frame, TaskSizes::even(2, 1), &[Role::Numbers]).reads(
+    let pair = StageTemplate::new(Drill, Scope::Frame, TaskSizes::even(2, 1), &[Role::Numbers]).with_input(
         1,
         Role::Answer,
         Reach::All,
     );
     let image = StageTemplate::new(Image, Scope::Frame, TaskSizes::even(1, 1), &[Role::Image]);
-    spec.graph.stages.splice(2.., [pair, image.reads(2, Role::Numbers, Reach::All).closes(3, 1)]);
+    spec.graph.stages.splice(2.., [pair, image.with_input(2, Role::Numbers, Reach::All).with_loop(3, 1)]);
     let id = submit(&mut farm, spec);
     let join = |farm: &mut TestFarm, worker: u64, engine: &str| {
         farm.join_as(worker, Registration { instance: worker, engine: engine.into(), ..registration() })
@@ -212,13 +212,13 @@ fn frame_keeps_its_build_though_another_began_shared_work() {
     let mut farm = farm(Config { shared_bytes: 0, ..config() });
     let spec = |owner: &str| {
         let mut spec = shared_job(owner, &[1], 1);
-        let pair = StageTemplate::new(Drill, Scope::Frame, TaskSizes::even(2, 1), &[Role::Numbers]).reads(
+        let pair = StageTemplate::new(Drill, Scope::Frame, TaskSizes::even(2, 1), &[Role::Numbers]).with_input(
             1,
             Role::Answer,
             Reach::All,
         );
         let image = StageTemplate::new(Image, Scope::Frame, TaskSizes::even(1, 1), &[Role::Image]);
-        spec.graph.stages.splice(2.., [pair, image.reads(2, Role::Numbers, Reach::All).closes(3, 1)]);
+        spec.graph.stages.splice(2.., [pair, image.with_input(2, Role::Numbers, Reach::All).with_loop(3, 1)]);
         spec
     };
     let join = |farm: &mut TestFarm, worker: u64, engine: &str| {
@@ -312,7 +312,7 @@ fn job_result_with_gaps_is_remade_after_another_jobs_retry() {
             let mut spec = shared_job(owner, frames, 1);
             let sheet = StageTemplate::new(StageKind::Reduce, Scope::Job, TaskSizes::even(1, 1), &[Role::Sums]);
             let images = Need { stage: 2, role: Role::Image, reach: Reach::All, round: Round::Same, gaps: true };
-            spec.graph.stages.push(sheet.needs(images));
+            spec.graph.stages.push(sheet.with_need(images));
             spec.contents = (1..).zip(frames).map(|(end, &frame)| (end, Digest::compute(&[frame as u8]))).collect();
             spec
         };

@@ -33,7 +33,7 @@ pub enum Outcome {
 
 impl AuditEntry {
     /// Maximum number of characters of a text from a client.
-    const LONGEST: usize = 200;
+    const MAX_TEXT_CHARS: usize = 200;
 
     /// Starts the entry of the request `path` from `from`.
     pub(super) fn new(operation: Operation, path: &str, from: Option<String>) -> Self {
@@ -63,8 +63,8 @@ impl AuditEntry {
     }
 
     /// Sets the action that the request asks for.
-    pub fn set_action(&self, what: &str) {
-        self.update(|event| event.what = Some(cut(what)));
+    pub fn set_action(&self, action: &str) {
+        self.update(|event| event.what = Some(cut(action)));
     }
 
     /// Sets the job of the request.
@@ -104,5 +104,5 @@ impl AuditEntry {
 }
 
 fn cut(text: &str) -> String {
-    text.chars().take(AuditEntry::LONGEST).collect()
+    text.chars().take(AuditEntry::MAX_TEXT_CHARS).collect()
 }

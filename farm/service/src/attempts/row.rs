@@ -62,7 +62,8 @@ pub struct Row {
     pub ended: f64,
     /// Seconds between arrival and start.
     pub wait: f64,
-    /// Seconds without a running attempt, from the first lease to the end of the last one; see [`femc_model::AttemptTimes::waiting`].
+    /// Seconds without a running attempt, from the first lease to the end of the last one; see
+    /// [`femc_model::AttemptTimes::waiting`].
     pub waiting: f64,
     /// Seconds from the start to the result.
     pub wall: f64,

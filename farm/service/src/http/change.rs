@@ -78,7 +78,7 @@ struct RefusedWorker {
 }
 
 /// Maximum number of jobs or workers in a request.
-const MOST: usize = 1000;
+const MAX_SELECTED: usize = 1000;
 
 impl<S: Send + 'static> Http<S> {
     /// Controls jobs.
@@ -167,7 +167,7 @@ fn parse<'a, T: Deserialize<'a>>(json: &'a [u8]) -> Result<T, HttpError> {
 }
 
 fn check_count(count: usize, field: &str) -> Result<(), HttpError> {
-    if count <= MOST { Ok(()) } else { Err(invalid(field, &format!("at most {MOST} at a time"))) }
+    if count <= MAX_SELECTED { Ok(()) } else { Err(invalid(field, &format!("at most {MAX_SELECTED} at a time"))) }
 }
 
 fn invalid(field: &str, message: &str) -> HttpError {

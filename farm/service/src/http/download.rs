@@ -13,7 +13,7 @@ use ::http::header::{
 use ::http::{Method, Response, StatusCode};
 use bytes::Bytes;
 use femc_model::{Artifact, JobId};
-use femc_store::{Soundness, Store, StoreError};
+use femc_store::{Integrity, Store, StoreError};
 use futures_util::Stream;
 use futures_util::stream::unfold;
 
@@ -59,10 +59,10 @@ impl<S: Send + 'static> Http<S> {
             _ if is_head => self.0.store.size(&artifact.digest).await.map(|size| size == Some(artifact.bytes)),
             RequestedRange::Unsatisfiable => Ok(true),
             RequestedRange::Part(part) if part.start > 0 => {
-                self.0.store.verify_unless_recent(&artifact).await.map(is_sound)
+                self.0.store.verify_unless_recent(&artifact).await.map(is_intact)
             }
             RequestedRange::Part(_) | RequestedRange::Whole => {
-                self.0.store.verify(&artifact.digest).await.map(is_sound)
+                self.0.store.verify(&artifact.digest).await.map(is_intact)
             }
         };
         let media = match is_sound {
@@ -127,7 +127,7 @@ impl<S: Send + 'static> Http<S> {
     async fn unreadable(&self, job: JobId, file: ResultFile, artifact: &Artifact, error: &StoreError) -> HttpError {
         match error {
             StoreError::Missing { .. } | StoreError::Mismatch { .. } => {
-                report_unless_sound(&self.0.store, &self.0.farm, artifact).await;
+                report_unless_intact(&self.0.store, &self.0.farm, artifact).await;
                 HttpError::ResultLost { job, file: file.describe() }
             }
             StoreError::Unsound { .. }
@@ -138,13 +138,13 @@ impl<S: Send + 'static> Http<S> {
     }
 }
 
-fn is_sound(found: Soundness) -> bool {
-    matches!(found, Soundness::Sound(_))
+fn is_intact(found: Integrity) -> bool {
+    matches!(found, Integrity::Intact(_))
 }
 
 /// Rereads an artifact, and reports it to the farm if it is damaged or missing.
-async fn report_unless_sound<S>(store: &Store, farm: &Farm<S>, artifact: &Artifact) {
-    if matches!(store.verify(&artifact.digest).await, Ok(Soundness::Damaged | Soundness::Missing)) {
+async fn report_unless_intact<S>(store: &Store, farm: &Farm<S>, artifact: &Artifact) {
+    if matches!(store.verify(&artifact.digest).await, Ok(Integrity::Damaged | Integrity::Missing)) {
         farm.report_lost(artifact.digest).await;
     }
 }
@@ -190,7 +190,7 @@ fn pieces<S: Send + 'static>(stream: DownloadStream<S>) -> impl Stream<Item = io
         let mut sending = sending?;
         if let Err(error) = sending.fill().await {
             tracing::warn!(digest = %sending.artifact.digest, %error, "download aborted");
-            report_unless_sound(&sending.store, &sending.farm, &sending.artifact).await;
+            report_unless_intact(&sending.store, &sending.farm, &sending.artifact).await;
             return Some((Err(io::Error::other(error.to_string())), None));
         }
         let block = &mut sending.block;

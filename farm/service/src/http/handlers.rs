@@ -95,7 +95,7 @@ struct AuditLines {
 
 impl<S: Send + 'static> Http<S> {
     /// Maximum size in bytes of a form or of JSON in a request.
-    const BODY: usize = 64 << 10;
+    const MAX_BODY_BYTES: usize = 64 << 10;
 
     /// Runs the request of a route.
     pub(super) async fn respond<B>(
@@ -139,16 +139,16 @@ impl<S: Send + 'static> Http<S> {
         B: http_body::Body<Data = Bytes> + Send,
         B::Error: std::fmt::Display,
     {
-        if body.size_hint().lower() > Self::BODY as u64 {
-            return Err(HttpError::TooLarge { limit: Self::BODY });
+        if body.size_hint().lower() > Self::MAX_BODY_BYTES as u64 {
+            return Err(HttpError::TooLarge { limit: Self::MAX_BODY_BYTES });
         }
         let patience = self.0.gate.limits().request_timeout;
         let mapped = body.map_err(|error| std::io::Error::other(error.to_string()));
-        let whole = tokio::time::timeout(patience, Limited::new(mapped, Self::BODY).collect()).await;
+        let whole = tokio::time::timeout(patience, Limited::new(mapped, Self::MAX_BODY_BYTES).collect()).await;
         let late = || HttpError::UnreadableBody { message: format!("timeout after {} s", patience.as_secs()) };
         match whole.map_err(|_| late())? {
             Ok(whole) => Ok(whole.to_bytes()),
-            Err(error) if error.is::<LengthLimitError>() => Err(HttpError::TooLarge { limit: Self::BODY }),
+            Err(error) if error.is::<LengthLimitError>() => Err(HttpError::TooLarge { limit: Self::MAX_BODY_BYTES }),
             Err(error) => Err(HttpError::UnreadableBody { message: error.to_string() }),
         }
     }
@@ -212,7 +212,7 @@ impl<S: Send + 'static> Http<S> {
 
     async fn frames(&self, job: JobId, Window { from, count }: Window) -> Result<Response<Body>, HttpError> {
         /// Maximum number of frames in one response.
-        const MOST: usize = 10_000;
+        const MAX_FRAMES: usize = 10_000;
         let shape = self.0.farm.call(|reply| Call::Shape { job, reply }).await?;
         let [width, height] = shape.spec.grid.film;
         let pixels = u64::from(width) * u64::from(height);
@@ -220,7 +220,7 @@ impl<S: Send + 'static> Http<S> {
         let times = self.0.farm.times(job, &shape).await?;
         let sums = times.as_ref().map(|times| times.totals());
         let total = frames.len();
-        let window = frames.iter_mut().skip(from).take(count.min(MOST));
+        let window = frames.iter_mut().skip(from).take(count.min(MAX_FRAMES));
         let frames = window.map(|frame| {
             if let Some(times) = &times {
                 times.fill_frame(frame);
@@ -237,9 +237,9 @@ impl<S: Send + 'static> Http<S> {
 
     async fn tasks(&self, job: JobId, window: TaskWindow) -> Result<Response<Body>, HttpError> {
         /// Maximum number of tasks in one response.
-        const MOST: usize = 10_000;
+        const MAX_TASKS: usize = 10_000;
         let TaskWindow { filter, order, from, count } = window;
-        let count = count.min(MOST);
+        let count = count.min(MAX_TASKS);
         if let Some(order) = order {
             let all = self.sorted_tasks(job, filter, order).await?;
             let first = usize::try_from(from).unwrap_or(usize::MAX);
@@ -291,7 +291,7 @@ impl<S: Send + 'static> Http<S> {
     }
 
     async fn attempts(&self, job: JobId, from: u64, task: Option<TaskKey>) -> Result<Response<Body>, HttpError> {
-        let JobShape { spec, cut } = self.0.farm.call(|reply| Call::Shape { job, reply }).await?;
+        let JobShape { spec, chunk_size: cut } = self.0.farm.call(|reply| Call::Shape { job, reply }).await?;
         let page = |from| self.0.farm.call(move |reply| Call::Attempts { job, from, reply });
         let AttemptPage { mut attempts, mut next } = page(from).await?;
         if let Some(task) = task {
@@ -316,7 +316,7 @@ impl<S: Send + 'static> Http<S> {
         task: Option<TaskKey>,
         caller_key: CallerKey,
     ) -> Result<Response<Body>, HttpError> {
-        let JobShape { spec, cut } = self.0.farm.call(|reply| Call::Shape { job, reply }).await?;
+        let JobShape { spec, chunk_size: cut } = self.0.farm.call(|reply| Call::Shape { job, reply }).await?;
         let all = self.0.farm.call(|reply| Call::Logs { job, since, reply }).await?;
         let is_wanted = |record: &LogRecord| task.is_none_or(|task| lease_belongs_to(&spec, cut, &task, &record.task));
         let wanted = all.into_iter().filter(is_wanted);

@@ -167,14 +167,14 @@ impl<S: Send + 'static> Http<S> {
         B: http_body::Body<Data = Bytes> + Send,
     {
         /// Maximum number of bytes read in this way. A client that announces more is answered at once.
-        const MOST: usize = 8 << 20;
+        const MAX_DISCARDED_BYTES: usize = 8 << 20;
         // The client waits for the response before it sends the body.
         let is_held_back = request_head.headers.contains_key(EXPECT);
-        if is_held_back || body.size_hint().lower() > MOST as u64 {
+        if is_held_back || body.size_hint().lower() > MAX_DISCARDED_BYTES as u64 {
             return;
         }
         let read = async {
-            let mut rest = MOST;
+            let mut rest = MAX_DISCARDED_BYTES;
             while let Some(Ok(frame)) = body.frame().await {
                 let Some(left) = rest.checked_sub(frame.data_ref().map_or(0, Bytes::len)) else { break };
                 rest = left;

@@ -19,7 +19,7 @@ pub struct TimesCache(Arc<Mutex<BTreeMap<JobId, Slot>>>);
 #[derive(Debug, Clone)]
 struct Slot {
     times: Arc<AsyncMutex<JobTimes>>,
-    used: Instant,
+    last_used: Instant,
     attempts: usize,
 }
 
@@ -41,8 +41,8 @@ impl TimesCache {
             tokio::spawn(evict_unused(Arc::downgrade(&self.0)));
         }
         let slot =
-            slots.entry(job).or_insert_with(|| Slot { times: Arc::default(), used: Instant::now(), attempts: 0 });
-        slot.used = Instant::now();
+            slots.entry(job).or_insert_with(|| Slot { times: Arc::default(), last_used: Instant::now(), attempts: 0 });
+        slot.last_used = Instant::now();
         slot.times.clone()
     }
 
@@ -54,7 +54,7 @@ impl TimesCache {
         }
         while slots.values().map(|slot| slot.attempts).sum::<usize>() > Self::MAX_ATTEMPTS {
             let others = slots.iter().filter(|(other, _)| **other != job);
-            let Some(oldest) = others.min_by_key(|(_, slot)| slot.used).map(|(other, _)| *other) else { break };
+            let Some(oldest) = others.min_by_key(|(_, slot)| slot.last_used).map(|(other, _)| *other) else { break };
             slots.remove(&oldest);
         }
     }
@@ -90,7 +90,7 @@ async fn evict_unused(slots: Weak<Mutex<BTreeMap<JobId, Slot>>>) {
         tokio::time::sleep(TimesCache::RETENTION / 2).await;
         let Some(slots) = slots.upgrade() else { return };
         let mut slots = slots.lock().unwrap_or_else(PoisonError::into_inner);
-        slots.retain(|_, slot| slot.used.elapsed() < TimesCache::RETENTION);
+        slots.retain(|_, slot| slot.last_used.elapsed() < TimesCache::RETENTION);
         if slots.is_empty() {
             return;
         }

@@ -93,7 +93,7 @@ impl JobTimes {
     pub fn put(&mut self, shape: &JobShape, record: &AttemptRecord) {
         let Stage { frame, round, number, .. } = record.task.stage;
         let Some(template) = shape.spec.graph.stage(number) else { return };
-        let item = Chunks::new(template, round, None, shape.cut).task(record.task.index);
+        let item = Chunks::new(template, round, None, shape.chunk_size).task(record.task.index);
         let key = AttemptKey { frame, number, item, round, index: record.task.index, epoch: record.epoch.0 };
         let new = Entry {
             granted: record.granted,

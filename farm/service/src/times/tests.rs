@@ -20,7 +20,7 @@ fn shape() -> JobShape {
         settings: "{}".into(),
         frames: vec![1, 2, 3],
         grid: Grid { film: [16, 16], tile: 8 },
-        graph: Graph { stages: vec![tiles.steps(&[8, 16]), image] },
+        graph: Graph { stages: vec![tiles.with_steps(&[8, 16]), image] },
         contents: Vec::new(),
         priority: 50,
         owner: "ann".into(),
@@ -28,7 +28,7 @@ fn shape() -> JobShape {
         notes: JobNotes::default(),
     };
     // Two chunks for each task and round.
-    JobShape { spec: Box::new(spec), cut: ChunkSize::Units(NonZeroU64::new(256).expect("not zero")) }
+    JobShape { spec: Box::new(spec), chunk_size: ChunkSize::Units(NonZeroU64::new(256).expect("not zero")) }
 }
 
 fn task(frame: u32, round: u32, index: u32) -> TaskKey {
@@ -131,7 +131,7 @@ fn frames_and_tasks_add_up_to_job_and_rows_of_statistics() {
     assert!(near(processor, sum(|times| times.processor)) && near(wall, sum(|times| times.wall)));
     assert_eq!(frames.iter().map(|times| times.attempts as usize).sum::<usize>(), records.len());
 
-    let JobShape { spec, cut } = shape();
+    let JobShape { spec, chunk_size: cut } = shape();
     let attempts: Attempts = records.iter().cloned().collect();
     let attempts = attempts.iter().cloned().collect();
     let record = JobRecord { job: JobId(1), run: 0, variant: None, spec: *spec, cut, attempts, failures: Vec::new() };

@@ -22,11 +22,11 @@ use object_store::client::{
 use tokio::time::{Instant, Sleep};
 
 /// Timeout for establishing a connection.
-const CONNECT: Duration = Duration::from_secs(5);
+const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
 /// Timeout until an answer begins; this includes the time to send a part of an upload.
-const ANSWER: Duration = Duration::from_secs(60);
+const RESPONSE_TIMEOUT: Duration = Duration::from_secs(60);
 /// Timeout between two pieces of an answer.
-const PIECE: Duration = Duration::from_secs(20);
+const READ_TIMEOUT: Duration = Duration::from_secs(20);
 
 /// Factory of HTTP clients.
 #[derive(Debug)]
@@ -59,7 +59,7 @@ pub fn https_connector(
     policy: PlaintextPolicy,
 ) -> Result<HttpsConnector<connect::HttpConnector>, Box<dyn Error + Send + Sync>> {
     let mut tcp = connect::HttpConnector::new();
-    tcp.set_connect_timeout(Some(CONNECT));
+    tcp.set_connect_timeout(Some(CONNECT_TIMEOUT));
     tcp.set_nodelay(true);
     tcp.enforce_http(false);
     let provider = rustls::crypto::ring::default_provider();
@@ -89,7 +89,7 @@ struct Service {
 #[async_trait]
 impl HttpService for Service {
     async fn call(&self, request: HttpRequest) -> Result<HttpResponse, HttpError> {
-        let answer = tokio::time::timeout(ANSWER, self.client.request(request)).await;
+        let answer = tokio::time::timeout(RESPONSE_TIMEOUT, self.client.request(request)).await;
         let answer = answer.map_err(|late| HttpError::new(HttpErrorKind::Timeout, late))?;
         let (head, body) = answer.map_err(|error| HttpError::new(kind(&error), error))?.into_parts();
         Ok(HttpResponse::from_parts(head, HttpResponseBody::new(TimeoutBody::new(body))))
@@ -114,7 +114,7 @@ fn transfer_error_kind(error: &hyper::Error) -> HttpErrorKind {
     }
 }
 
-/// A body that fails when no data arrives for [`PIECE`].
+/// A body that fails when no data arrives for [`READ_TIMEOUT`].
 struct TimeoutBody {
     body: Incoming,
     idle_timer: Pin<Box<Sleep>>,
@@ -122,7 +122,7 @@ struct TimeoutBody {
 
 impl TimeoutBody {
     fn new(body: Incoming) -> Self {
-        Self { body, idle_timer: Box::pin(tokio::time::sleep(PIECE)) }
+        Self { body, idle_timer: Box::pin(tokio::time::sleep(READ_TIMEOUT)) }
     }
 }
 
@@ -132,7 +132,7 @@ impl Body for TimeoutBody {
 
     fn poll_frame(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, HttpError>>> {
         if let Poll::Ready(frame) = Pin::new(&mut self.body).poll_frame(cx) {
-            self.idle_timer.as_mut().reset(Instant::now() + PIECE);
+            self.idle_timer.as_mut().reset(Instant::now() + READ_TIMEOUT);
             return Poll::Ready(
                 frame.map(|frame| frame.map_err(|error| HttpError::new(transfer_error_kind(&error), error))),
             );

@@ -80,7 +80,7 @@ fn spheres_integrate_with_a_port_and_with_gas_that_absorbs() {
 fn slab_transmits_directly_twice_third_exponential_integral() {
     assert!((third_exponential_integral(1.0) - 0.109_692).abs() < 1e-5);
     for (thickness, albedo) in [(1.0, 0.0), (2.0, 0.0), (1.0, 0.2)] {
-        let slab = Slab { thickness, albedo, reach: 6.0, lamps: 12 };
+        let slab = Slab { thickness, albedo, half_width: 6.0, lamps: 12 };
         let (solved, _) = slab.case(0.0, 0.0).solve(if albedo == 0.0 { 0.1 } else { 1.0 });
         let [_, _, straight] = Slab::reflected_and_transmitted(&solved);
         let want = 2.0 * third_exponential_integral(thickness);
@@ -110,7 +110,7 @@ fn light_of_a_lamp_in_fog_without_end_falls_off() {
 fn non_absorbing_slabs_reflect_and_transmit_as_in_closed_form() {
     for (number, most) in [(1, [0.05, 0.09, 0.07]), (2, [0.08, 0.08, 0.08])] {
         let (thickness, albedo, reflected, transmitted) = SLABS[number];
-        let case = Slab { thickness, albedo, reach: 6.0, lamps: 3 }.case(reflected, transmitted);
+        let case = Slab { thickness, albedo, half_width: 6.0, lamps: 3 }.case(reflected, transmitted);
         for (error, most) in [0.3, 0.1, 0.03].into_iter().zip(most).take(4 - number) {
             let found = case_errors(&case, error);
             assert!(found.rms < most, "{}, error {error}: {found:?}", case.name);

@@ -153,8 +153,8 @@ struct Definition<'a> {
 }
 
 impl<'a> Definition<'a> {
-    fn from_parameter(of: &'a TaskParameter) -> Self {
-        Self { name: &of.name, r#type: of.range.kind(), range: &of.range }
+    fn from_parameter(parameter: &'a TaskParameter) -> Self {
+        Self { name: &parameter.name, r#type: parameter.range.kind(), range: &parameter.range }
     }
 }
 

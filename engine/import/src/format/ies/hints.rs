@@ -14,7 +14,7 @@ pub(super) fn no_light(fields: &Fields, lumens: f64) -> Option<Remark> {
 }
 
 /// Returns a note if the table has more light than its lamps.
-pub(super) fn more_than_lamps(fields: &Fields, lumens: f64) -> Option<Remark> {
+pub(super) fn excess_flux_remark(fields: &Fields, lumens: f64) -> Option<Remark> {
     let of_lamps = fields.lamps * fields.lumens * fields.ballast;
     let what = format!(
         "the intensities add up to {lumens:.0} lm, more than the {of_lamps:.0} lm of the lamps; the intensities are used; check the \
@@ -27,7 +27,7 @@ pub(super) fn more_than_lamps(fields: &Fields, lumens: f64) -> Option<Remark> {
 /// them.
 pub(super) fn normalization_hint(fields: &Fields, lumens: f64) -> Option<Remark> {
     let is_1000 = |lumens: f64| (lumens / 1000.0 - 1.0).abs() <= EQUAL;
-    let excess = more_than_lamps(fields, lumens).is_some();
+    let excess = excess_flux_remark(fields, lumens).is_some();
     let gives = if is_1000(lumens) {
         "the flux of this file is exactly 1000 lm".to_owned()
     } else if is_1000(fields.lumens) && fields.multiplier == 1.0 && lumens > 0.0 && !excess {

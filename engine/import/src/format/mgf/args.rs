@@ -31,7 +31,7 @@ impl<'a> Args<'a> {
     }
 
     /// Returns the position of the entity.
-    pub fn at(&self) -> Position {
+    pub fn entity_position(&self) -> Position {
         self.position(&self.tokens[0])
     }
 
@@ -47,7 +47,7 @@ impl<'a> Args<'a> {
 
     /// Returns an error for the entity as a whole.
     pub fn fault(&self, fault: ImportFault) -> ImportError {
-        ImportError::new(self.at(), fault)
+        ImportError::new(self.entity_position(), fault)
     }
 
     /// Returns the position of argument `i`, or of the entity if there is no such argument.

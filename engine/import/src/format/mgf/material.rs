@@ -18,7 +18,7 @@ const SUM_TOLERANCE: f64 = 1e-6;
 /// Sum in one channel above which a warning is given. Chromaticities have few digits.
 const CHANNEL: f64 = 1.005;
 /// Number of entries of one name that are searched for an equal entry.
-const SEARCHED: usize = 8;
+const MAX_SEARCHED_ENTRIES: usize = 8;
 
 /// Current state of a material.
 #[derive(Clone, Debug, Default)]
@@ -83,7 +83,7 @@ impl Reader<'_> {
             let known = &self.scene.materials[id.index()];
             Material { location: known.location, ..material.clone() } == *known
         };
-        if let Some(&id) = entries.iter().rev().take(SEARCHED).find(equal) {
+        if let Some(&id) = entries.iter().rev().take(MAX_SEARCHED_ENTRIES).find(equal) {
             return id;
         }
         let id = MaterialId(self.scene.materials.len() as u32);

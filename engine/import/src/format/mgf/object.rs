@@ -37,7 +37,8 @@ impl Reader<'_> {
                 id
             }
             None => {
-                let id = self.add_object(Object { name: name.clone(), parent, hidden: false }, Some(args.at()));
+                let id =
+                    self.add_object(Object { name: name.clone(), parent, hidden: false }, Some(args.entity_position()));
                 self.object_ids.insert(name, id);
                 id
             }

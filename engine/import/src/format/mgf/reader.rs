@@ -240,7 +240,7 @@ impl<'f> Reader<'f> {
 
     /// Adds a warning at the entity.
     pub(super) fn warn(&mut self, args: &Args<'_>, kind: WarningKind) {
-        self.warnings.push(args.at(), kind);
+        self.warnings.push(args.entity_position(), kind);
     }
 
     /// Converts a location of the description to a position for messages.

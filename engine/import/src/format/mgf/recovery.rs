@@ -148,7 +148,7 @@ impl Reader<'_> {
             }
             b"i" => self.errors.lost_include = true,
             b"xf" if args.len() > 0 && self.frames.len() == frames => {
-                let frame = Frame::with_transform_of(self.frame(), args.at());
+                let frame = Frame::with_transform_of(self.frame(), args.entity_position());
                 self.frames.push(frame);
                 return Ok(());
             }

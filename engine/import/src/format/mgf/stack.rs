@@ -50,7 +50,7 @@ struct OpenedGroup {
 }
 
 impl Frame {
-    /// Returns a frame with the transform of `outer`, opened at `at`.
+    /// Returns a frame with the transform of `outer`, opened at `entity_position`.
     pub fn with_transform_of(outer: &Self, at: Position) -> Self {
         Self { opened: None, at, ..*outer }
     }
@@ -122,7 +122,7 @@ impl Reader<'_> {
             mirrored,
             id: self.frame_ids,
             opened,
-            at: args.at(),
+            at: args.entity_position(),
             copies,
             nesting,
         });

@@ -181,8 +181,8 @@ impl Queue for Postgres {
         Ok(())
     }
 
-    async fn reserve(&mut self, least: u32) -> Result<u32, QueueError> {
-        let reserve = sqlx::query(RESERVE).bind(self.epoch).bind(i64::from(least));
+    async fn reserve(&mut self, min_incarnation: u32) -> Result<u32, QueueError> {
+        let reserve = sqlx::query(RESERVE).bind(self.epoch).bind(i64::from(min_incarnation));
         let reserve = reserve.fetch_optional(&mut self.connection);
         let Some(row) = Self::while_leading(&self.database, &mut self.heartbeat, reserve).await? else {
             return Err(QueueError::Deposed { epoch: self.epoch });

@@ -96,14 +96,14 @@ pub async fn all_notes<Q: Queue>(queue: &mut Q, subject: u64) -> Vec<Vec<u8>> {
     while let Some(at) = from {
         let NotePage { notes, next } = queue.notes(subject, at).await.unwrap();
         let bytes: usize = notes.iter().map(Vec::len).sum();
-        let is_full = notes.len() == NotePage::MAX_NOTES || bytes >= NotePage::BYTES;
+        let is_full = notes.len() == NotePage::MAX_NOTES || bytes >= NotePage::MAX_BYTES;
         assert!(
             notes.len() <= NotePage::MAX_NOTES && (is_full || next.is_none()),
             "{} notes, {bytes} bytes",
             notes.len()
         );
         let before = bytes - notes.last().map_or(0, Vec::len);
-        assert!(before < NotePage::BYTES, "{before} bytes before the last");
+        assert!(before < NotePage::MAX_BYTES, "{before} bytes before the last");
         all.extend(notes);
         from = next;
     }

@@ -53,7 +53,7 @@ enum Action {
     /// Issue a token, for clients that cannot have an identity
     ///
     /// Issue a token, for clients that cannot have an identity. Its owner needs only the token file. The authority does not keep
-    /// the token itself, only its digest, in the file `tokens_path` of its folder, which coordinators read (--token-file): one line
+    /// the token itself, only its digest, in the file `tokens` of its folder, which coordinators read (--token-file): one line
     /// with name, role, digest and end. Everybody who copies a token can use it until it expires, or until its line is removed with
     /// `femc ca revoke`.
     #[command(after_help = "Examples:\n  \

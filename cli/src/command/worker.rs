@@ -38,7 +38,7 @@ pub struct WorkerArgs {
     /// Number of render threads [default: all cores]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=4096))]
     threads: Option<u32>,
-    /// Tags that the worker offers: jobs with tags go to workers that have all of them. `ffmpeg_version` is added if it is on the
+    /// Tags that the worker offers: jobs with tags go to workers that have all of them. `ffmpeg` is added if it is on the
     /// PATH
     #[arg(long, value_name = "A,B", value_delimiter = ',')]
     tags: Vec<String>,
@@ -153,7 +153,7 @@ pub fn run(args: WorkerArgs, printer: Printer) -> Result<Exit, Failure> {
     })
 }
 
-/// Returns the worker's tags: the typed ones, and `ffmpeg_version` if it can be run.
+/// Returns the worker's tags: the typed ones, and `ffmpeg` if it can be run.
 fn tags(mut tags: Vec<String>) -> Vec<String> {
     if !tags.iter().any(|tag| tag == FFMPEG) && clip::ffmpeg_version().is_some() {
         tags.push(FFMPEG.to_owned());

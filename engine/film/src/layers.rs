@@ -182,7 +182,7 @@ impl LayerTile {
         self.layers
     }
 
-    /// Unites the parts of a tile: its samples from `start_header` on. Parts may come in any order, and a repeated part counts
+    /// Unites the parts of a tile: its samples from `first_sample` on. Parts may come in any order, and a repeated part counts
     /// once. Samples before `start_header` are left out, and the halves are held from `ends` on.
     /// - errors: parts of different pixels or layers, with a gap, overlapping, or with samples on both sides of an end; no parts.
     pub fn from_parts(mut parts: Vec<Self>, first_sample: u32, ends: HalfEnds) -> Result<Self, FilmError> {

@@ -14,7 +14,7 @@
 //! | `interaction` | the intersection | a word of [`InteractionKind`] |
 //! | `light`, `occluder` | any light sampled there | name |
 //! | `light.radiance.r` `.g` `.b` | any of them | number |
-//! | `technique` | any of them | a word of [`LightTechnique`] |
+//! | `found` | any of them | a word of [`LightTechnique`] |
 //! | `path.radiance.r` `.g` `.b`, `path.throughput.r` `.g` `.b`, `depth`, `pixel.x`, `pixel.y`, `sample` | the path | number |
 //! | `end` | the path | a word of [`PathEnd`] |
 //!
@@ -129,7 +129,7 @@ pub enum WordField {
     Light,
     /// `occluder`
     Occluder,
-    /// `technique`
+    /// `found`
     Technique,
     /// `end`
     End,

@@ -58,7 +58,7 @@ pub fn split_first_pass(stages: Vec<Stage>, method: Method, blocks: u32) -> Vec<
         return stages;
     }
     let mut all = first_pass_stages(method, blocks);
-    // The last one makes the outputs of the first stage of `job_stages`.
+    // The last one makes the outputs of the first stage of `stages`.
     let more = all.len() as u16 - 1;
     all.extend(stages.into_iter().skip(1).map(|stage| Stage {
         needs: stage.needs.into_iter().map(|need| Need { stage: need.stage + more, ..need }).collect(),

@@ -79,8 +79,7 @@ impl KernelMedium {
         let start = exp(-((oz + dz * above.0 - z0) * inverse_scale).max(0.0));
         let rate = dz * inverse_scale * length;
         let mean = if rate.abs() < 1e-3 { 1.0 - 0.5 * rate } else { -exp_m1(-rate) / rate };
-        // On a descending ray far above the fog, `start` underflows while `channel_mean` overflows, so measure from the dense end
-        // instead.
+        // On a descending ray far above the fog, `start` underflows while `mean` overflows, so measure from the dense end instead.
         if rate < -60.0 {
             let end = exp(-((oz + dz * above.1 - z0) * inverse_scale).max(0.0));
             return below + end / (-dz * inverse_scale);

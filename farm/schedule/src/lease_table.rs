@@ -20,7 +20,7 @@ pub(crate) struct Worker {
     pub(crate) registration: Registration,
     /// Its leases, oldest first. In each lane it works on the first unfinished ones.
     pub(crate) held: VecDeque<WorkerLease>,
-    /// Sums over `leases_of_worker`, by lane.
+    /// Sums over `held`, by lane.
     queues: [LaneQueue; Lane::ALL.len()],
     /// Time up to which it is charged, while it holds a lease.
     charged_until: Tick,
@@ -220,7 +220,7 @@ impl Lease {
     }
 }
 
-/// Workers and leases. Each lease is also in its worker's `leases_of_worker`.
+/// Workers and leases. Each lease is also in its worker's `held`.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct LeaseTable {
     pub(crate) workers: BTreeMap<WorkerId, Worker>,

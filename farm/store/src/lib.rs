@@ -104,7 +104,7 @@ impl Store {
         &self.objects
     }
 
-    /// Returns the name of the store for people: a folder, an address, or `in_memory`.
+    /// Returns the name of the store for people: a folder, an address, or `memory`.
     pub fn name(&self) -> &str {
         &self.name
     }

@@ -18,7 +18,7 @@ use crate::identity::{check_private, create_private_file};
 use crate::{Fingerprint, Holder, Identity, RevocationList, Token, TokenFile, TokenLine, TrustError};
 
 /// A certificate authority. Its folder holds `authority.pem` (its certificate), `authority.key`, `name`, `issued.jsonl`,
-/// `revocation_list_path` and `tokens_path`.
+/// `revoked` and `tokens`.
 #[derive(Debug)]
 pub struct Authority {
     folder: PathBuf,

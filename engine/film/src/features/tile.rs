@@ -53,7 +53,7 @@ impl FeatureTile {
         &self.sums
     }
 
-    /// Unites the parts of a tile: its samples from `start_header` on. Parts may come in any order, and a repeated part counts
+    /// Unites the parts of a tile: its samples from `first_sample` on. Parts may come in any order, and a repeated part counts
     /// once. Samples before `start_header` are left out.
     /// - errors: parts of different pixels or features, with a gap, or overlapping; no parts.
     pub fn from_parts(mut parts: Vec<Self>, first_sample: u32) -> Result<Self, FilmError> {

@@ -141,7 +141,7 @@ impl Sqlite {
         })
     }
 
-    /// Returns the path of a file beside the log: the log's path followed by `finish_transaction`.
+    /// Returns the path of a file beside the log: the log's path followed by `end`.
     fn sibling_path(&self, suffix: &str) -> PathBuf {
         let mut name = self.path.clone().into_os_string();
         name.push(suffix);

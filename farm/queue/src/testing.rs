@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::{SystemTime, UNIX_EPOCH};
 
 use femc_require::Prerequisite;
 use sqlx::postgres::{PgConnectOptions, PgConnection, PgSslMode};
@@ -28,7 +29,9 @@ impl ScratchDatabase {
         let url = Prerequisite::Postgres.variable_or_skip("FEMC_TEST_POSTGRES")?;
         let server: PgConnectOptions = url.parse().expect("FEMC_TEST_POSTGRES is an address");
         let server = server.ssl_mode(PgSslMode::Disable);
-        let name = format!("femc_{}_{}", std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed));
+        // A later process may have the same number.
+        let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_nanos());
+        let name = format!("femc_{}_{now}_{}", std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed));
         let database = Self { server, name };
         database.run_on_server(&format!("CREATE DATABASE {}", database.name)).await;
         Some(database)

@@ -289,14 +289,14 @@ async fn diagnose_connection(error: CallError, option: &str) -> ConnectFailure {
         };
         return ConnectFailure { failure: map_call_error(error), retryable: may_come };
     };
-    let nobody = format!("start one with `femc coordinator`, or give its address with {option}");
+    let advice = format!("start one with `femc coordinator`, or give its address with {option}");
     if url.contains(',') {
-        return ConnectFailure { failure: unreachable(format!("{error}; {nobody}")), retryable: Retryable::Yes };
+        return ConnectFailure { failure: unreachable(format!("{error}; {advice}")), retryable: Retryable::Yes };
     }
     let is_https = url.starts_with("https:");
     let (message, may_come) = match femc_proto::probe_address(url).await {
         ProbeResult::Unreachable { message } => {
-            (format!("cannot connect to a coordinator at {url} ({message}); {nobody}"), Retryable::Yes)
+            (format!("cannot connect to a coordinator at {url} ({message}); {advice}"), Retryable::Yes)
         }
         ProbeResult::Tls if !is_https => (
             format!(
@@ -419,5 +419,5 @@ pub const DEFAULT_PRIORITY: u8 = 50;
 
 /// Returns the user's login name.
 fn login_name() -> String {
-    ["USER", "LOGNAME", "USERNAME"].iter().find_map(|name| std::env::var(name).ok()).unwrap_or_else(|| "nobody".into())
+    ["USER", "LOGNAME", "USERNAME"].iter().find_map(|name| std::env::var(name).ok()).unwrap_or_else(|| "advice".into())
 }

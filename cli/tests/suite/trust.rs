@@ -276,7 +276,7 @@ fn bad_authority_or_coordinator_identity_is_refused_with_advice() {
     dir.run("ca issue user ann").exits(2);
     dir.run("ca issue user ../ann --role viewer").exits(2);
     dir.run("ca issue worker w3 --days 0").exits(2);
-    dir.run("ca revoke nobody").exits(2);
+    dir.run("ca revoke w9").exits(2);
     let error = dir.run("coordinator --listen 127.0.0.1:0 --store memory --identity w1.pem").exits(1).stderr();
     assert!(error.contains("worker w1") && error.contains("femc ca issue coordinator"), "{error}");
     dir.run("coordinator --listen 127.0.0.1:0 --store memory --identity nothing.pem").exits(1);

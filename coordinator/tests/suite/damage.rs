@@ -365,8 +365,8 @@ async fn every_report_is_answered_and_its_log_is_kept() {
         let mut worker = TestWorker::join(&farm.url()).await;
         let held = worker.assigned().await;
         let (task, epoch) = (held.task, held.epoch);
-        let (result, nobody_has) = (worker.result(&held).await, Artifact::from_bytes(b"it was never sent"));
-        let outputs = vec![Output { role: Role::Tile, artifact: nobody_has }];
+        let (result, absent) = (worker.result(&held).await, Artifact::from_bytes(b"never uploaded"));
+        let outputs = vec![Output { role: Role::Tile, artifact: absent }];
         let tile = TaskResult { outputs, units: 16 * 64, ..TaskResult::default() };
         let failure = Failure::Panicked { message: "oops".into() };
         let log = |attempt, text| Some(TaskLog { outcome: attempt, seconds: 0.25, text });

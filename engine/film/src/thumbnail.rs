@@ -23,7 +23,7 @@ impl Tile {
     /// Returns the tile's sums in blocks of [`THUMBNAIL_BLOCK_EDGE`] x [`THUMBNAIL_BLOCK_EDGE`] pixels of the film: a tile of a
     /// smaller film. Bad samples are in the sums of neither tile. The thumbnail of a merge is the merge of the thumbnails (test
     /// `part_thumbnails_of_a_tile_sum_to_its_own_for_any_cut`).
-    /// - the tile must begin at whole blocks, like those of a tiling that has [`Tiling::thumbnail_tiling`].
+    /// - domain: tiles whose corner is a multiple of the block size; a tiling with [`Tiling::thumbnail_tiling`] has only such tiles.
     pub fn thumbnail(&self) -> Self {
         let Rect { x, y, width, height } = self.rect;
         let (left, top) = (x / THUMBNAIL_BLOCK_EDGE, y / THUMBNAIL_BLOCK_EDGE);

@@ -128,9 +128,9 @@ impl ElementLights {
         self.accepted.fill([1.0; 4]);
     }
 
-    /// Returns the greatest irradiance of a point if all elements have a radiosity of 1, and the fog that of its extinction. It is
-    /// 1 in a closed scene if all links are exact. The bound is [`MAX_ROW_SUM`], or less if elements reflect so much that light
-    /// would still grow.
+    /// Returns the greatest irradiance of a point if all elements have radiosity 1 and the fog emits in proportion to its extinction.
+    /// It is 1 in a closed scene with exact links. The bound is [`MAX_ROW_SUM`]. Scenes that reflect most of their light have a
+    /// lower bound, so that light cannot grow.
     pub fn row_sum(&mut self, scene: &Scene<'_>, arena: &Arena, links: &[Link], bound_action: EnergyBound) -> f32 {
         let (of, arriving) = (self.elements.clone(), self.incident.clone());
         for index in (0..arena.elements.len()).rev() {

@@ -65,13 +65,13 @@ struct RayHit {
     density: [f32; 2],
 }
 
-/// Weighting of a way that rays of either end may find.
+/// Weights of samples of a pair of leaves, which rays from either leaf can find.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum MisHeuristic {
-    /// By the rays of both ends. No way is excluded.
+    /// Balance heuristic over the rays of both leaves.
     Balance,
-    /// By the rays of the leaf itself, unless those of the other end are [`MIN_DENSITY_RATIO`]. Rays that are not stratified add
-    /// noise.
+    /// Only the leaf's own rays count, unless the other leaf's rays are denser by [`MIN_DENSITY_RATIO`]. Rays of the other leaf are
+    /// not stratified here and add noise.
     Maximum,
 }
 

@@ -239,7 +239,7 @@ mod tests {
         assert_eq!(
             last_contacts(&again.offline(&[])),
             [("a", 1995), ("b", 1000)],
-            "nobody has come yet: the latest first"
+            "all workers are offline, the latest contact first"
         );
         assert_eq!(again.offline(&[worker("b", 0), worker("a", 0)]), []);
     }

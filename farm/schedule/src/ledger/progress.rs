@@ -115,7 +115,7 @@ impl Progress {
         }
     }
 
-    /// Creates the progress of a formerly finished frame of which a result was lost. It has not begun again.
+    /// Creates the progress of a frame that was finished before one of its results was lost. Its rerun has not begun.
     pub(super) fn new_rerun(view: &GraphView<'_>, record: &FrameRecord) -> Self {
         Self { busy_seconds: record.busy_seconds, is_rerun: true, ..Self::new(view, Tick(u64::MAX)) }
     }
@@ -610,7 +610,7 @@ impl Progress {
         all
     }
 
-    /// Returns the keys of those of these tasks that can run.
+    /// Returns the keys of the tasks among `items` that can run.
     fn runnable_among(&self, view: &GraphView<'_>, stage_round: StageRound, items: Range<u32>) -> RangeSet {
         // In most cases none of them can run.
         let mut ready = items.filter(|&item| self.has_inputs(view, stage_round, item)).peekable();
@@ -636,7 +636,7 @@ impl Progress {
         self.failures.get(&failure_key(stage, key)).is_some_and(|failures| failures.is_lease_over(epoch))
     }
 
-    /// Counts the death of a worker for these tasks, one or more of which it died of.
+    /// Counts the death of a worker for the tasks that it was running. At least one of them caused the death.
     pub(super) fn add_death(&mut self, stage: &Stage, keys: impl Iterator<Item = u32>, death: &WorkerDeath) {
         for key in keys {
             let failure = Failure::Killed { deaths: 0, worker: String::new() };

@@ -455,8 +455,8 @@ fn restarted_worker_takes_lease_from_its_unended_session() {
     // Another process: only the lease shows that it is the same worker.
     let commands = farm.rejoin(2, std::slice::from_ref(&held));
     assert!(!commands.iter().any(|c| matches!(c, Command::Revoke { .. })), "{commands:?}");
-    assert!(is_refused(&farm.complete(1, &held, Done)), "the old session has lost it");
-    assert!(is_recorded(&farm.complete(2, &held, Done)), "and nobody else has got it");
+    assert!(is_refused(&farm.complete(1, &held, Done)), "the old session has lost the lease");
+    assert!(is_recorded(&farm.complete(2, &held, Done)), "the new session holds the lease");
     assert_eq!(farm.status(id).stale_messages, 1);
     // A later process with the same lease changes nothing.
     let commands = farm.rejoin(3, std::slice::from_ref(&held));

@@ -39,7 +39,7 @@ fn finished_frame_with_lost_image_is_rendered_again_with_reason() {
     farm.leave(1);
     let commands = farm.handle(Event::ArtifactLost { digest: lost });
     assert_eq!(restarted_frames(&commands), [(id, 2)]);
-    assert!(commands.contains(&Command::JobChanged(id)), "who watches hears of it");
+    assert!(commands.contains(&Command::JobChanged(id)), "watchers are notified");
     let status = farm.status(id);
     assert_eq!((status.state, status.frames_done, status.frames_failed), (JobState::Running, 1, 0));
     assert!(status.waits.contains(&WaitReason::ImageLost { frame: 2 }), "{:?}", status.waits);

@@ -184,8 +184,8 @@ impl IntensityDistribution {
         a + (b - a) * th
     }
 
-    /// Integrates the flux by midpoints: steps of at most 2 degrees in the angle about the axis, quarters of every table interval
-    /// in the other.
+    /// Integrates the flux exactly, up to rounding: the table is linear in both angles between its nodes, and the value of a
+    /// linear function at the centroid of a band is its mean over the band.
     fn integrate(&self) -> f64 {
         // The polar angle of B is h, and that of A and C is v; the weight of a band is its share of the sphere.
         let (polar, about) = match self.kind {
@@ -193,26 +193,25 @@ impl IntensityDistribution {
             PhotometryKind::A | PhotometryKind::C => (&self.vertical, &self.horizontal),
         };
         let bands = match (self.kind, self.horizontal.len()) {
-            (PhotometryKind::B, 1) => subdivide(&[-90.0, 90.0], 90, 2.0),
-            _ => subdivide(polar, 4, f64::INFINITY),
+            (PhotometryKind::B, 1) => vec![(-90.0, 90.0)],
+            _ => intervals(polar),
         };
         let sectors = match (self.kind, self.symmetry) {
             (_, Symmetry::Rotational) => vec![(0.0, 360.0)],
-            (PhotometryKind::C, Symmetry::Quadrants) => subdivide(&[0.0, 90.0], 1, 1.0),
-            (PhotometryKind::C, Symmetry::Across0) => subdivide(&[0.0, 180.0], 1, 1.0),
-            (PhotometryKind::C, Symmetry::Across90) => subdivide(&[90.0, 270.0], 1, 1.0),
-            (PhotometryKind::C, _) => subdivide(&[0.0, 360.0], 1, 1.0),
+            (PhotometryKind::C, Symmetry::Quadrants) => intervals(&extended(about, 0.0, 90.0)),
+            (PhotometryKind::C, Symmetry::Across0) => intervals(&extended(about, 0.0, 180.0)),
             (PhotometryKind::A, _) if self.horizontal.len() == 1 => vec![(-180.0, 180.0)],
-            (PhotometryKind::A | PhotometryKind::B, _) => subdivide(about, 2, 2.0),
+            _ => intervals(about),
         };
         let mut sum = 0.0;
         for &(p0, p1) in &bands {
-            let latitude = |p: f64| match self.kind {
-                PhotometryKind::C => -double::cos(p.to_radians()),
-                PhotometryKind::A | PhotometryKind::B => double::sin(p.to_radians()),
+            // Latitudes ascend with the polar angle; C counts its angle from the nadir.
+            let shift = match self.kind {
+                PhotometryKind::C => -90.0,
+                PhotometryKind::A | PhotometryKind::B => 0.0,
             };
-            let band = latitude(p1) - latitude(p0);
-            let middle = 0.5 * (p0 + p1);
+            let (band, centroid) = latitudes((p0 + shift).to_radians(), (p1 + shift).to_radians());
+            let middle = (centroid.to_degrees() - shift).clamp(p0, p1);
             for &(a0, a1) in &sectors {
                 let (v, h) = match self.kind {
                     PhotometryKind::B => (0.5 * (a0 + a1), middle),
@@ -268,16 +267,23 @@ fn locate(table: &[f32], x: f32) -> Option<(usize, usize, f32)> {
     })
 }
 
-/// Returns the intervals between neighbors, each cut into at least `parts` pieces and into pieces no wider than `width`.
-fn subdivide(nodes: &[f32], parts: u32, width: f64) -> Vec<(f64, f64)> {
-    let mut pieces = Vec::new();
-    for w in nodes.windows(2) {
-        let (a, b) = (f64::from(w[0]), f64::from(w[1]));
-        let n = parts.max(((b - a) / width).ceil() as u32);
-        let at = |i: u32| a + (b - a) * f64::from(i) / f64::from(n);
-        pieces.extend((0..n).map(|i| (at(i), at(i + 1))));
-    }
-    pieces
+/// Returns the intervals between neighbors.
+fn intervals(nodes: &[f32]) -> Vec<(f64, f64)> {
+    nodes.windows(2).map(|pair| (f64::from(pair[0]), f64::from(pair[1]))).collect()
+}
+
+/// Returns `nodes` with the ends of the range `first..=last` that they do not reach.
+fn extended(nodes: &[f32], first: f32, last: f32) -> Vec<f32> {
+    let inner = nodes.iter().copied().filter(|&node| node > first && node < last);
+    std::iter::once(first).chain(inner).chain([last]).collect()
+}
+
+/// Returns the difference of the sines of two latitudes, and the centroid of the band between them, all in radians.
+fn latitudes(from: f64, to: f64) -> (f64, f64) {
+    let ((s0, c0), (s1, c1)) = (double::sin_cos(from), double::sin_cos(to));
+    let band = s1 - s0;
+    let moment = (to - from) * s1 + c1 - c0;
+    (band, if band > 0.0 { from + moment / band } else { 0.5 * (from + to) })
 }
 
 /// Returns the unit direction, luminaire frame, of the angles (degrees) of a photometric `kind`: the inverse of the tables'

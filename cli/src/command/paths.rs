@@ -35,7 +35,11 @@ use std::path::PathBuf;
     throughput.r .g .b, object, material, interaction (absorbed, emission, diffuse, glossy, reflection, refraction, straight, \
     volume). Fields of the lights that were sampled there: light, light.radiance.r .g .b, occluder, found. Fields of the path: \
     path.radiance.r .g .b, path.throughput.r .g .b, depth, pixel.x, pixel.y, sample, end (escaped, absorbed, roulette, depth, \
-    field). Operators: == != < <= > >= and or not ( ). The name of an object includes all objects in it.\n\n\
+    field), first.x .y .z, first.object, first.interaction, last.*, brightest.radiance, brightest.light. Operators: == != < <= > >= \
+    and or not ( ). The name of an object includes all objects in it.\n\n\
+    More conditions: any(C) and all(C): C holds at some or all intersections of the path. light(C) and lights(C): for some or all of \
+    its lights. NAME then NAME: the path visits objects in this order. in box(X,Y,Z,X,Y,Z): the intersection lies in a box. \
+    in lasso(X,Y,X,Y,X,Y): the pixel lies within a closed line.\n\n\
     The recorded paths are a fair subset of all samples, selected by hashes of their numbers; their share is printed. --brightest \
     and --deepest query the paths of greatest radiance, and of greatest throughput after 8 or more intersections, of all samples.")]
 pub struct PathsArgs {
@@ -261,12 +265,13 @@ fn run_query<'a>(args: &PathsArgs, set: &'a FrameSet, query: &Query, printer: Pr
     };
     let mut frames: Vec<QueriedFrame<'a>> =
         set.frames.iter().map(|all| QueriedFrame { file: &set.file, statistics: all, matches: Vec::new() }).collect();
+    let matchers: Vec<_> = set.frames.iter().map(|all| query.compile(&all.scope, &all.names)).collect();
     let mut count = 0;
     for (number, weight) in chosen {
         let Some(&(frame, path)) = paths.get(number as usize) else { continue };
-        let QueriedFrame { statistics: all, matches: found, .. } = &mut frames[frame];
-        if let Some(places) = query.matches(&all.scope, &all.names, path) {
-            found.push(Match { number, path, positions: places, weight });
+        if let Some(selection) = matchers[frame].select(path) {
+            let positions = selection.intersections.into_iter().map(|index| index as usize).collect();
+            frames[frame].matches.push(Match { number, path, positions, weight });
             count += 1;
         }
     }

@@ -289,6 +289,17 @@ impl LightPath {
         add_rgb(sum_lights(false), sum_lights(true))
     }
 
+    /// Returns the index of the intersection at which a light of this path was sampled; `None`: at the camera, or past the recorded
+    /// intersections.
+    pub fn parent(&self, light: &LightRecord) -> Option<u32> {
+        light.vertex.checked_sub(1).filter(|&index| (index as usize) < self.intersections.len())
+    }
+
+    /// Returns the light of greatest luminance; of equal ones, the last.
+    pub fn brightest_light(&self) -> Option<&LightRecord> {
+        self.lights.iter().max_by(|a, b| luminance(a.radiance).total_cmp(&luminance(b.radiance)))
+    }
+
     /// Returns all names in the record.
     pub(crate) fn names(&self) -> impl Iterator<Item = Name> + '_ {
         let surfaces = self.intersections.iter().flat_map(|it| [it.object, it.material]);

@@ -129,7 +129,7 @@ pub fn path_bins(scope: &Scope, path: &LightPath) -> [u8; PATH_ATTRIBUTES.len()]
     let (first, last) = (path.intersections.first(), path.intersections.last());
     let [fx, fy, fz] = first.map_or([0; 3], |it| world_bins(scope, it.position));
     let [lx, ly, lz] = last.map_or([0; 3], |it| world_bins(scope, it.position));
-    let brightest = path.lights.iter().max_by(|a, b| luminance(a.radiance).total_cmp(&luminance(b.radiance)));
+    let brightest = path.brightest_light();
     [
         film_bin(x, width),
         film_bin(y, height),

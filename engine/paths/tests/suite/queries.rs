@@ -1,13 +1,16 @@
 //! Tests of queries for paths.
 
 use crate::synthetic::{merge_parts, scope, tasks};
-use femc_paths::query::{Condition, Query, QueryError};
-use femc_paths::{InteractionKind, LightPath, LightStatistics, Name, NameKind, PathEnd};
+use femc_paths::query::{Condition, Query, QueryError, Selection};
+use femc_paths::{
+    InteractionKind, Intersection, LightPath, LightRecord, LightStatistics, Name, NameKind, PathEnd, PathKey,
+};
 
 fn matching_paths<'a>(all: &'a LightStatistics, query: &Query) -> Vec<(&'a LightPath, Vec<usize>)> {
+    let matcher = query.compile(&all.scope, &all.names);
     let matches = |path: &'a LightPath| {
-        let places = query.matches(&all.scope, &all.names, path)?;
-        Some((path, places.into_iter().collect()))
+        let selection = matcher.select(path)?;
+        Some((path, selection.intersections.into_iter().map(|index| index as usize).collect()))
     };
     all.paths.values().filter_map(matches).collect()
 }
@@ -101,4 +104,130 @@ fn what_is_no_condition_says_where_and_what_is_expected() {
     for text in ["", "and", "\"", "é == 2", "object == é", "not", "object ==", "object == )", "depth == 1e999"] {
         let _ = Condition::parse(text).map_err(|error| error.to_string());
     }
+}
+
+/// Returns the selected paths with what is selected of them.
+fn selections(all: &LightStatistics, text: &str) -> Vec<(PathKey, Selection)> {
+    let query = parse_query(text);
+    let matcher = query.compile(&all.scope, &all.names);
+    all.paths.values().filter_map(|path| Some((path.key, matcher.select(path)?))).collect()
+}
+
+fn selected_paths(all: &LightStatistics, text: &str) -> Vec<PathKey> {
+    selections(all, text).into_iter().map(|(key, _)| key).collect()
+}
+
+fn paths_where(all: &LightStatistics, is_selected: impl Fn(&LightPath) -> bool) -> Vec<PathKey> {
+    all.paths.values().filter(|path| is_selected(path)).map(|path| path.key).collect()
+}
+
+#[test]
+fn quantities_of_intersections_equal_loops() {
+    let all = merge_parts(&scope(900), tasks(&scope(900)));
+    let is_deep = |it: &Intersection| it.bounce >= 1;
+    let hit = |path: &&LightPath| !path.intersections.is_empty();
+    let some = paths_where(&all, |path| path.intersections.iter().any(is_deep));
+    assert!(some.len() > 10 && some.len() < all.paths.len());
+    assert_eq!(selected_paths(&all, "any(bounce >= 1)"), some);
+    assert_eq!(selected_paths(&all, "bounce >= 1"), some);
+    let every = paths_where(&all, |path| hit(&path) && path.intersections.iter().all(|it| it.bounce == 0));
+    assert!(!every.is_empty());
+    assert_eq!(selected_paths(&all, "all(bounce == 0)"), every);
+    // Conditions on different intersections of a path.
+    let both = paths_where(&all, |path| {
+        path.intersections.iter().any(|it| it.interaction == InteractionKind::Reflection)
+            && path.intersections.iter().any(|it| it.interaction == InteractionKind::Diffuse)
+    });
+    assert!(!both.is_empty());
+    assert_eq!(selected_paths(&all, "any(interaction == reflection) and any(interaction == diffuse)"), both);
+    assert!(selected_paths(&all, "interaction == reflection and interaction == diffuse").is_empty());
+}
+
+#[test]
+fn quantities_of_lights_refer_to_one_light_and_its_intersection() {
+    let all = merge_parts(&scope(900), tasks(&scope(900)));
+    let plant = Name::new(NameKind::Object, "plant");
+    let is_selected = |path: &LightPath, light: &LightRecord| {
+        let parent = path.parent(light).map(|index| path.intersections[index as usize]);
+        light.occluder == Some(plant) && parent.is_some_and(|it| it.interaction == InteractionKind::Diffuse)
+    };
+    let text = "light(occluder == plant and interaction == diffuse)";
+    let found = selections(&all, text);
+    let keys: Vec<PathKey> = found.iter().map(|(key, _)| *key).collect();
+    assert_eq!(keys, paths_where(&all, |path| path.lights.iter().any(|light| is_selected(path, light))));
+    assert!(keys.len() > 10);
+    for (key, selection) in &found {
+        let path = all.paths.values().find(|path| path.key == *key).unwrap();
+        let lights = (0u32..).zip(&path.lights).filter(|(_, light)| is_selected(path, light));
+        let lights: Vec<(u32, Option<u32>)> = lights.map(|(index, light)| (index, path.parent(light))).collect();
+        assert!(selection.lights.iter().copied().eq(lights.iter().map(|(index, _)| *index)));
+        let mut parents: Vec<u32> = lights.iter().filter_map(|(_, parent)| *parent).collect();
+        parents.dedup();
+        assert_eq!(selection.intersections, parents);
+    }
+    let none = paths_where(&all, |path| path.lights.iter().all(|light| light.occluder != Some(plant)));
+    assert_eq!(selected_paths(&all, "lights(occluder != plant)"), none);
+}
+
+#[test]
+fn sequences_boxes_and_lassos_select_as_options_do() {
+    let all = merge_parts(&scope(900), tasks(&scope(900)));
+    let keys = |query: &Query| -> Vec<PathKey> { matching_paths(&all, query).iter().map(|(path, _)| path.key).collect() };
+    let sequence = Query { objects: vec!["plant".into(), "room.wall".into()], ..Query::default() };
+    assert_eq!(selected_paths(&all, "plant then room.wall"), keys(&sequence));
+    assert_eq!(sequence.to_condition().unwrap().to_string(), "plant then room.wall");
+    let within = Query { within: Some([[0.0, 0.0, 0.0], [1.0, 3.0, 1.0]]), ..Query::default() };
+    assert_eq!(selected_paths(&all, "in box(0,0,0, 1,3,1)"), keys(&within));
+    let width = all.scope.film[0];
+    let in_rectangle = paths_where(&all, |path| {
+        let (x, y) = (path.key.pixel % width, path.key.pixel / width);
+        (3..17).contains(&x) && (2..9).contains(&y)
+    });
+    assert!(in_rectangle.len() > 10);
+    assert_eq!(selected_paths(&all, "in lasso(3,2,17,2,17,9,3,9)"), in_rectangle);
+    // A pixel's center decides: half a pixel less on each side is the same.
+    assert_eq!(selected_paths(&all, "in lasso(3.4,2.4,17.4,2.4,17.4,9.4,3.4,9.4)"), in_rectangle);
+}
+
+#[test]
+fn conditions_on_the_first_the_last_and_the_brightest_equal_loops() {
+    let all = merge_parts(&scope(900), tasks(&scope(900)));
+    let plant = Name::new(NameKind::Object, "plant");
+    let last = paths_where(&all, |path| path.intersections.last().is_some_and(|it| it.object == plant));
+    assert!(!last.is_empty());
+    assert_eq!(selected_paths(&all, "last.object == plant"), last);
+    let first = paths_where(&all, |path| path.intersections.first().is_some_and(|it| it.position[0] < 0.5));
+    assert!(!first.is_empty());
+    assert_eq!(selected_paths(&all, "first.x < 0.5"), first);
+    let bright = paths_where(&all, |path| {
+        path.lights.iter().any(|light| femc_paths::record::luminance(light.radiance) > 1.0)
+    });
+    assert!(!bright.is_empty() && bright.len() < all.paths.len());
+    assert_eq!(selected_paths(&all, "brightest.radiance > 1"), bright);
+}
+
+#[test]
+fn a_condition_is_read_from_its_own_text() {
+    for text in [
+        "bounce == 2",
+        "not bounce == 2",
+        "not (bounce == 2 or depth > 3) and end == escaped",
+        "(bounce == 1 or bounce == 2) and (depth < 3 and depth > 1)",
+        "bounce == 1 or depth < 3 and depth > 1",
+        "any(object == room and not all(bounce < 3))",
+        "light(occluder == \"then\" and light.radiance.r >= 0.000001) or lights(found == sight)",
+        "plant then \"and\" then room.wall",
+        "in box(-1.5,0,0.25,1,2,3e9) and in lasso(0,0,10.5,0,0,10)",
+        "first.x < -1 and last.interaction == glossy and brightest.light == \"a lamp\" and sample != 3",
+    ] {
+        let condition = Condition::parse(text).unwrap_or_else(|error| panic!("{text}: {error}"));
+        let written = condition.to_string();
+        assert_eq!(Condition::parse(&written).as_ref(), Ok(&condition), "{text}: {written}");
+    }
+    let error = |text: &str| Condition::parse(text).unwrap_err().to_string();
+    assert_eq!(error("in sphere(1)"), "column 4: found \"sphere\", expected `box` or `lasso`");
+    assert!(error("in box(1,2,3,0,5,6)").contains("six numbers"));
+    assert!(error("in lasso(1,2,3,4)").contains("three or more points"));
+    assert_eq!(error("any(bounce == 2"), "column 16: found \"\", expected `)`");
+    assert_eq!(error("plant then"), "column 11: found \"\", expected a word");
 }

@@ -1,0 +1,267 @@
+//! Evaluation of queries. A query is compiled once for the names of a frame: texts become sets of names, so that a path needs no
+//! comparison of texts.
+
+use super::{CompareOp, Condition, EqualityOp, NumberField, Quantity, Query, WordField, is_text_within};
+use crate::record::{InteractionKind, Intersection, LightPath, LightRecord, LightTechnique, Name, Names, PathEnd, luminance};
+use crate::statistics::Scope;
+
+/// A query, compiled for the paths of a frame.
+#[derive(Clone, Debug)]
+pub struct Matcher<'a> {
+    scope: &'a Scope,
+    condition: Option<Compiled>,
+}
+
+/// Selected parts of a path.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Selection {
+    /// Indices of the selected intersections, ascending.
+    pub intersections: Vec<u32>,
+    /// Indices of the selected lights, ascending.
+    pub lights: Vec<u32>,
+}
+
+impl Query {
+    /// Compiles the query for frames of this scope with these names.
+    pub fn compile<'a>(&self, scope: &'a Scope, names: &Names) -> Matcher<'a> {
+        Matcher { scope, condition: self.to_condition().map(|condition| Compiled::new(&condition, names)) }
+    }
+}
+
+impl Matcher<'_> {
+    /// Checks whether a path is selected.
+    pub fn is_match(&self, path: &LightPath) -> bool {
+        let Some(condition) = &self.condition else { return true };
+        contexts(path).any(|index| condition.holds(&self.context(path, index)))
+    }
+
+    /// Returns the selected intersections and lights of a path, or `None` if the path is not selected. A selected path may have no
+    /// selected intersections.
+    pub fn select(&self, path: &LightPath) -> Option<Selection> {
+        if !self.is_match(path) {
+            return None;
+        }
+        let holds = |context: Context<'_>| self.condition.as_ref().is_none_or(|it| it.holds(&context));
+        let alone = |index: Option<u32>| Context { is_alone: true, ..self.context(path, index) };
+        let intersections = (0..path.intersections.len() as u32).filter(|&index| holds(alone(Some(index)))).collect();
+        let is_selected = |light: &LightRecord| holds(Context { light: Some(light), ..alone(path.parent(light)) });
+        let lights = (0..).zip(&path.lights).filter(|(_, light)| is_selected(light)).map(|(index, _)| index).collect();
+        Some(Selection { intersections, lights })
+    }
+
+    fn context<'a>(&'a self, path: &'a LightPath, index: Option<u32>) -> Context<'a> {
+        Context { scope: self.scope, path, index, light: None, is_alone: false }
+    }
+}
+
+/// Returns the places at which a condition is evaluated: all intersections, or once none.
+fn contexts(path: &LightPath) -> impl Iterator<Item = Option<u32>> + use<> {
+    let count = path.intersections.len() as u32;
+    (0..count).map(Some).chain((count == 0).then_some(None))
+}
+
+/// A set of names.
+#[derive(Clone, Debug)]
+struct NameSet(Vec<Name>);
+
+impl NameSet {
+    /// Returns the names that are `value` or lie in it.
+    fn new(names: &Names, value: &str) -> Self {
+        let within = names.iter().filter(|(_, (_, text))| is_text_within(text, value));
+        Self(within.map(|(name, _)| *name).collect())
+    }
+
+    fn contains(&self, name: Name) -> bool {
+        self.0.binary_search(&name).is_ok()
+    }
+}
+
+/// A condition whose texts are resolved.
+#[derive(Clone, Debug)]
+enum Compiled {
+    And(Box<Self>, Box<Self>),
+    Or(Box<Self>, Box<Self>),
+    Not(Box<Self>),
+    Number(NumberField, CompareOp, f64),
+    Name(WordField, NameSet),
+    /// An interaction; `None`: no known word.
+    Interaction(WordField, Option<InteractionKind>),
+    Technique(Option<LightTechnique>),
+    End(Option<PathEnd>),
+    Intersections(Quantity, Box<Self>),
+    Lights(Quantity, Box<Self>),
+    Sequence(Vec<NameSet>),
+    InBox([[f64; 3]; 2]),
+    InLasso(Vec<[f64; 2]>),
+}
+
+impl Compiled {
+    fn new(condition: &Condition, names: &Names) -> Self {
+        let inner = |condition: &Condition| Box::new(Self::new(condition, names));
+        match condition {
+            Condition::And(a, b) => Self::And(inner(a), inner(b)),
+            Condition::Or(a, b) => Self::Or(inner(a), inner(b)),
+            Condition::Not(condition) => Self::Not(inner(condition)),
+            Condition::Number(field, op, value) => Self::Number(*field, *op, *value),
+            Condition::Word(field, EqualityOp::IsNot, value) => {
+                Self::Not(inner(&Condition::Word(*field, EqualityOp::Is, value.clone())))
+            }
+            Condition::Word(field, EqualityOp::Is, value) => match field {
+                WordField::Object
+                | WordField::Material
+                | WordField::Light
+                | WordField::Occluder
+                | WordField::FirstObject
+                | WordField::LastObject
+                | WordField::BrightestLight => Self::Name(*field, NameSet::new(names, value)),
+                WordField::Interaction | WordField::FirstInteraction | WordField::LastInteraction => {
+                    Self::Interaction(*field, InteractionKind::ALL.iter().find(|it| it.word() == value).copied())
+                }
+                WordField::Technique => Self::Technique(LightTechnique::ALL.iter().find(|it| it.word() == value).copied()),
+                WordField::End => Self::End(PathEnd::ALL.iter().find(|it| it.word() == value).copied()),
+            },
+            Condition::Intersections(quantity, condition) => Self::Intersections(*quantity, inner(condition)),
+            Condition::Lights(quantity, condition) => Self::Lights(*quantity, inner(condition)),
+            Condition::Sequence(objects) => {
+                Self::Sequence(objects.iter().map(|object| NameSet::new(names, object)).collect())
+            }
+            Condition::InBox(corners) => Self::InBox(*corners),
+            Condition::InLasso(points) => Self::InLasso(points.clone()),
+        }
+    }
+
+    fn holds(&self, context: &Context<'_>) -> bool {
+        let path = context.path;
+        match self {
+            Self::And(a, b) => a.holds(context) && b.holds(context),
+            Self::Or(a, b) => a.holds(context) || b.holds(context),
+            Self::Not(condition) => !condition.holds(context),
+            Self::Number(field, op, value) => context.has_number(*field, |own| op.compare(own, *value)),
+            Self::Name(field, set) => context.has_name(*field, |name| set.contains(name)),
+            Self::Interaction(field, kind) => {
+                let own = match field {
+                    WordField::FirstInteraction => path.intersections.first(),
+                    WordField::LastInteraction => path.intersections.last(),
+                    _ => context.intersection(),
+                };
+                own.is_some_and(|it| Some(it.interaction) == *kind)
+            }
+            Self::Technique(technique) => context.lights().any(|light| Some(light.technique) == *technique),
+            Self::End(end) => Some(path.end) == *end,
+            Self::Intersections(_, condition) if context.is_alone => condition.holds(context),
+            Self::Intersections(quantity, condition) => {
+                quantity.holds(contexts(path).map(|index| condition.holds(&Context { index, light: None, ..*context })))
+            }
+            Self::Lights(_, condition) if context.is_alone && context.light.is_some() => condition.holds(context),
+            Self::Lights(quantity, condition) => {
+                let lights = path.lights.iter().map(|light| (light, path.parent(light)));
+                // An intersection alone has the lights sampled there.
+                let own = lights.filter(|(_, parent)| !context.is_alone || *parent == context.index);
+                quantity.holds(own.map(|(light, index)| condition.holds(&Context { index, light: Some(light), ..*context })))
+            }
+            Self::Sequence(objects) => {
+                let mut later = path.intersections.iter();
+                objects.iter().all(|set| later.any(|it| set.contains(it.object)))
+            }
+            Self::InBox([low, high]) => context
+                .intersection()
+                .is_some_and(|it| (0..3).all(|axis| (low[axis]..=high[axis]).contains(&it.position[axis]))),
+            Self::InLasso(points) => is_inside(points, context.pixel().map(|axis| f64::from(axis) + 0.5)),
+        }
+    }
+}
+
+/// Checks whether a point lies within a closed line, by the even-odd rule.
+fn is_inside(line: &[[f64; 2]], [x, y]: [f64; 2]) -> bool {
+    let ends = line.iter().cycle().skip(1);
+    let crossings = line.iter().zip(ends).filter(|([_, y0], [_, y1])| (*y0 <= y) != (*y1 <= y));
+    crossings.filter(|([x0, y0], [x1, y1])| x0 + (y - y0) / (y1 - y0) * (x1 - x0) <= x).count() % 2 == 1
+}
+
+impl Quantity {
+    fn holds(self, mut items: impl Iterator<Item = bool>) -> bool {
+        match self {
+            Self::Any => items.any(|holds| holds),
+            Self::All => items.all(|holds| holds),
+        }
+    }
+}
+
+impl CompareOp {
+    fn compare(self, a: f64, b: f64) -> bool {
+        match self {
+            Self::Equal => a == b,
+            Self::Unequal => a != b,
+            Self::Below => a < b,
+            Self::AtMost => a <= b,
+            Self::Above => a > b,
+            Self::AtLeast => a >= b,
+        }
+    }
+}
+
+/// A path, and the intersection and the light in question.
+#[derive(Clone, Copy)]
+struct Context<'a> {
+    scope: &'a Scope,
+    path: &'a LightPath,
+    /// Index of the intersection in the path.
+    index: Option<u32>,
+    light: Option<&'a LightRecord>,
+    /// Whether the intersection or the light is examined alone.
+    is_alone: bool,
+}
+
+impl<'a> Context<'a> {
+    fn intersection(&self) -> Option<&'a Intersection> {
+        self.index.and_then(|index| self.path.intersections.get(index as usize))
+    }
+
+    /// Returns the light in question, or else all lights sampled at the intersection.
+    fn lights(&self) -> impl Iterator<Item = &'a LightRecord> + use<'a> {
+        let (one, index) = (self.light, self.index);
+        let vertex = index.map_or(0, |index| index + 1);
+        let all = self.path.lights.iter().filter(move |light| one.is_none() && light.vertex == vertex);
+        one.into_iter().chain(all)
+    }
+
+    fn pixel(&self) -> [u32; 2] {
+        let (pixel, width) = (self.path.key.pixel, self.scope.film[0].max(1));
+        [pixel % width, pixel / width]
+    }
+
+    fn has_number(&self, field: NumberField, holds: impl Fn(f64) -> bool) -> bool {
+        let path = self.path;
+        let at = |it: Option<&Intersection>, get: &dyn Fn(&Intersection) -> f64| it.is_some_and(|it| holds(get(it)));
+        match field {
+            NumberField::Bounce => at(self.intersection(), &|it| f64::from(it.bounce)),
+            NumberField::Position(axis) => at(self.intersection(), &|it| it.position[axis]),
+            NumberField::Radiance(channel) => at(self.intersection(), &|it| f64::from(it.radiance[channel])),
+            NumberField::Throughput(channel) => at(self.intersection(), &|it| f64::from(it.throughput[channel])),
+            NumberField::LightRadiance(channel) => self.lights().any(|it| holds(f64::from(it.radiance[channel]))),
+            NumberField::PathRadiance(channel) => holds(f64::from(path.radiance[channel])),
+            NumberField::PathThroughput(channel) => holds(f64::from(path.throughput[channel])),
+            NumberField::Depth => holds(f64::from(path.depth)),
+            NumberField::Pixel(axis) => holds(f64::from(self.pixel()[axis])),
+            NumberField::Sample => holds(f64::from(path.key.sample)),
+            NumberField::FirstPosition(axis) => at(path.intersections.first(), &|it| it.position[axis]),
+            NumberField::LastPosition(axis) => at(path.intersections.last(), &|it| it.position[axis]),
+            NumberField::BrightestRadiance => {
+                path.brightest_light().is_some_and(|light| holds(f64::from(luminance(light.radiance))))
+            }
+        }
+    }
+
+    fn has_name(&self, field: WordField, is: impl Fn(Name) -> bool) -> bool {
+        let path = self.path;
+        match field {
+            WordField::Material => self.intersection().is_some_and(|it| is(it.material)),
+            WordField::Light => self.lights().any(|it| is(it.light)),
+            WordField::Occluder => self.lights().any(|it| it.occluder.is_some_and(&is)),
+            WordField::FirstObject => path.intersections.first().is_some_and(|it| is(it.object)),
+            WordField::LastObject => path.intersections.last().is_some_and(|it| is(it.object)),
+            WordField::BrightestLight => path.brightest_light().is_some_and(|light| is(light.light)),
+            _ => self.intersection().is_some_and(|it| is(it.object)),
+        }
+    }
+}

@@ -102,7 +102,7 @@ enum Table {
     Paths,
     /// An intersection that matches the query
     Intersections,
-    /// A light that a matching path has sampled
+    /// A light that matches the query
     Lights,
     /// A bin of an attribute's histogram, over all paths of the file
     Histograms,
@@ -270,8 +270,7 @@ fn run_query<'a>(args: &PathsArgs, set: &'a FrameSet, query: &Query, printer: Pr
     for (number, weight) in chosen {
         let Some(&(frame, path)) = paths.get(number as usize) else { continue };
         if let Some(selection) = matchers[frame].select(path) {
-            let positions = selection.intersections.into_iter().map(|index| index as usize).collect();
-            frames[frame].matches.push(Match { number, path, positions, weight });
+            frames[frame].matches.push(Match { number, path, selection, weight });
             count += 1;
         }
     }

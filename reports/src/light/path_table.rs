@@ -5,10 +5,10 @@ use crate::attempts::{Audience, Cell, Column, Kind, column};
 use femc_pipeline::paths::histogram::{Counts, Histograms, Table};
 use femc_pipeline::paths::octree::{Octree, Root, Voxel};
 use femc_pipeline::paths::pixels::{Pixel, PixelMaps};
+use femc_pipeline::paths::query::Selection;
 use femc_pipeline::paths::schema::{Scale, radiance_edge, throughput_edge};
 use femc_pipeline::paths::statistics::IMAGE_BITS;
 use femc_pipeline::paths::{Intersection, LightPath, LightRecord, LightStatistics, Name, Scope};
-use std::collections::BTreeSet;
 
 /// A path that matches a query.
 pub struct Match<'a> {
@@ -16,8 +16,8 @@ pub struct Match<'a> {
     pub number: u32,
     /// Record of the path.
     pub path: &'a LightPath,
-    /// Positions of the intersections that match the query.
-    pub positions: BTreeSet<usize>,
+    /// Selected intersections and lights of the path.
+    pub selection: Selection,
     /// Weight of the path among the representative paths.
     pub weight: Option<f64>,
 }
@@ -88,8 +88,9 @@ pub type PathRow<'a> = PathItem<'a, (usize, Option<&'a Intersection>, Option<f64
 /// Returns the rows of matching paths.
 pub fn path_rows<'a>(frame: &'a QueriedFrame<'a>) -> Vec<PathRow<'a>> {
     let row = |it: &Match<'a>| {
-        let first = it.positions.first().map(|place| &it.path.intersections[*place]);
-        frame.row(it, (it.positions.len(), first, it.weight))
+        let selected = &it.selection.intersections;
+        let first = selected.first().map(|index| &it.path.intersections[*index as usize]);
+        frame.row(it, (selected.len(), first, it.weight))
     };
     frame.matches.iter().map(row).collect()
 }
@@ -130,10 +131,12 @@ pub type IntersectionRow<'a> = PathItem<'a, (usize, &'a Intersection)>;
 
 /// Returns the rows of matching intersections.
 pub fn intersection_rows<'a>(frame: &'a QueriedFrame<'a>) -> Vec<IntersectionRow<'a>> {
-    let rows = frame
-        .matches
-        .iter()
-        .flat_map(|it| it.positions.iter().map(move |&place| frame.row(it, (place, &it.path.intersections[place]))));
+    let rows = frame.matches.iter().flat_map(|it| {
+        it.selection.intersections.iter().map(move |&index| {
+            let index = index as usize;
+            frame.row(it, (index, &it.path.intersections[index]))
+        })
+    });
     rows.collect()
 }
 
@@ -166,7 +169,10 @@ pub type LightRow<'a> = PathItem<'a, &'a LightRecord>;
 
 /// Returns the rows of lights that the paths sampled or hit.
 pub fn light_rows<'a>(frame: &'a QueriedFrame<'a>) -> Vec<LightRow<'a>> {
-    frame.matches.iter().flat_map(|it| it.path.lights.iter().map(move |light| frame.row(it, light))).collect()
+    let selected = |it: &'a Match<'a>| {
+        it.selection.lights.iter().map(move |&index| frame.row(it, &it.path.lights[index as usize]))
+    };
+    frame.matches.iter().flat_map(selected).collect()
 }
 
 /// Returns the columns of lights.

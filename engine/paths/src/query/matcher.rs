@@ -2,7 +2,9 @@
 //! comparison of texts.
 
 use super::{CompareOp, Condition, EqualityOp, NumberField, Quantity, Query, WordField, is_text_within};
-use crate::record::{InteractionKind, Intersection, LightPath, LightRecord, LightTechnique, Name, Names, PathEnd, luminance};
+use crate::record::{
+    InteractionKind, Intersection, LightPath, LightRecord, LightTechnique, Name, Names, PathEnd, luminance,
+};
 use crate::statistics::Scope;
 
 /// A query, compiled for the paths of a frame.
@@ -117,7 +119,9 @@ impl Compiled {
                 WordField::Interaction | WordField::FirstInteraction | WordField::LastInteraction => {
                     Self::Interaction(*field, InteractionKind::ALL.iter().find(|it| it.word() == value).copied())
                 }
-                WordField::Technique => Self::Technique(LightTechnique::ALL.iter().find(|it| it.word() == value).copied()),
+                WordField::Technique => {
+                    Self::Technique(LightTechnique::ALL.iter().find(|it| it.word() == value).copied())
+                }
                 WordField::End => Self::End(PathEnd::ALL.iter().find(|it| it.word() == value).copied()),
             },
             Condition::Intersections(quantity, condition) => Self::Intersections(*quantity, inner(condition)),
@@ -157,7 +161,9 @@ impl Compiled {
                 let lights = path.lights.iter().map(|light| (light, path.parent(light)));
                 // An intersection alone has the lights sampled there.
                 let own = lights.filter(|(_, parent)| !context.is_alone || *parent == context.index);
-                quantity.holds(own.map(|(light, index)| condition.holds(&Context { index, light: Some(light), ..*context })))
+                quantity.holds(
+                    own.map(|(light, index)| condition.holds(&Context { index, light: Some(light), ..*context })),
+                )
             }
             Self::Sequence(objects) => {
                 let mut later = path.intersections.iter();

@@ -27,6 +27,8 @@ pub enum Operation {
     Tasks,
     /// See a picture of a frame, also before it is finished.
     Picture,
+    /// Query the recorded light of frames, also before they are finished.
+    Light,
     /// Read a result of a job as a file.
     Download,
     /// See the resource usage of attempts.
@@ -71,7 +73,7 @@ pub enum Operation {
 
 impl Operation {
     /// Operations that are available over HTTP.
-    pub const HTTP: [Self; 19] = [
+    pub const HTTP: [Self; 20] = [
         Self::List,
         Self::Status,
         Self::Control,
@@ -79,6 +81,7 @@ impl Operation {
         Self::FrameTable,
         Self::Tasks,
         Self::Picture,
+        Self::Light,
         Self::Download,
         Self::Attempts,
         Self::Usage,
@@ -107,6 +110,7 @@ impl Operation {
             Self::FrameTable => "Jobs/FrameTable",
             Self::Tasks => "Jobs/Tasks",
             Self::Picture => "Jobs/Picture",
+            Self::Light => "Jobs/Light",
             Self::Download => "Jobs/Download",
             Self::Attempts => "Jobs/Attempts",
             Self::Usage => "Jobs/Usage",
@@ -144,6 +148,7 @@ impl Operation {
             | Self::FrameTable
             | Self::Tasks
             | Self::Picture
+            | Self::Light
             | Self::Download
             | Self::Attempts
             | Self::Usage

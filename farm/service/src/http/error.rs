@@ -70,6 +70,12 @@ pub(super) enum HttpError {
         /// Description of the result.
         file: String,
     },
+    /// Light statistics cannot be read.
+    #[error("{message}")]
+    UnreadableLight {
+        /// Name of the source, and its fault.
+        message: String,
+    },
     /// The requested range starts past the end of the file.
     #[error("Range: the file has only {length} bytes")]
     Range {
@@ -118,6 +124,7 @@ impl HttpError {
             Self::UnknownPath { .. } | Self::NoWebPage | Self::NoResult { .. } | Self::ResultLost { .. } => {
                 StatusCode::NOT_FOUND
             }
+            Self::UnreadableLight { .. } => StatusCode::UNPROCESSABLE_ENTITY,
             Self::Range { .. } => StatusCode::RANGE_NOT_SATISFIABLE,
             Self::Method { .. } => StatusCode::METHOD_NOT_ALLOWED,
             Self::Invalid { .. } => StatusCode::BAD_REQUEST,
@@ -134,6 +141,7 @@ impl HttpError {
             Self::Refused(refusal) => code(refusal),
             Self::UnknownPath { .. } | Self::NoWebPage | Self::NoResult { .. } => "not_found",
             Self::ResultLost { .. } => "lost",
+            Self::UnreadableLight { .. } => "unreadable",
             Self::Range { .. } => "range",
             Self::Method { .. } => "method_not_allowed",
             Self::Invalid { .. } => "invalid",
@@ -183,6 +191,9 @@ impl HttpError {
                 "the farm makes the result again (if the job failed or was cancelled: after a retry); \
                  request it when it is finished"
             }
+            Self::UnreadableLight { .. } => {
+                "render the frame again with `--stats`, by the same version of femc as this program"
+            }
             Self::Range { .. } => "request a range within the file, or the whole file without `Range`",
             Self::TooLarge { .. } => "send a smaller body",
             Self::HeadersTooLarge { .. } => "send fewer or shorter headers, such as cookies",
@@ -205,6 +216,7 @@ impl HttpError {
             | Self::Invalid { .. }
             | Self::NoResult { .. }
             | Self::ResultLost { .. }
+            | Self::UnreadableLight { .. }
             | Self::Range { .. }
             | Self::UnreadableBody { .. } => Outcome::Failed,
         }

@@ -9,6 +9,7 @@ mod connected_client;
 mod download;
 mod error;
 mod handlers;
+mod light;
 mod order;
 mod pages;
 mod range;
@@ -29,6 +30,7 @@ use http_body_util::BodyExt as _;
 use crate::access::{AccessGrant, AuditEntry, CallerKey, Gate, Limits, Outcome, PresentedCredentials, TransferSlots};
 use crate::farm::Farm;
 use crate::feed::Feed;
+use crate::light::{LightFile, LightViews, OpenLight};
 use crate::operation::Operation;
 use crate::picture::{DrawPicture, Pictures};
 pub use connected_client::{ConnectedClient, PermittedResponse, PublicResponse};
@@ -47,6 +49,10 @@ pub struct Site {
     pub engine: String,
     /// Function that draws frames. Without it, no pictures are served.
     pub draw: Option<DrawPicture>,
+    /// Function that decodes light statistics. Without it, no recorded light is served.
+    pub open_light: Option<OpenLight>,
+    /// Files with light statistics that are served beside the farm.
+    pub light_files: Vec<LightFile>,
 }
 
 /// HTTP interface of a farm.
@@ -67,7 +73,10 @@ struct Inner<S> {
     transfer_slots: TransferSlots,
     /// Slots for requests that read pixels. A slot is held until all bytes are sent.
     pixel_slots: TransferSlots,
+    /// Slots for questions about recorded light. A slot is held until all bytes are sent.
+    light_slots: TransferSlots,
     pictures: Pictures,
+    light: LightViews,
     sorted_tasks: SortedTasksCache,
     gate: Gate,
     site: Site,
@@ -111,13 +120,21 @@ impl<S: Send + 'static> Http<S> {
         let few = Limits { transfers: 4, transfers_per_caller: 2, transfers_per_connection: 2, ..*gate.limits() };
         let large = TransferSlots::new(&few);
         let pictures = Pictures::new(site.draw, store.clone());
+        let light = LightViews::new(site.open_light, site.light_files.clone(), store.clone());
         Self(Arc::new(Inner {
             farm,
             feed,
             store,
             transfer_slots,
             pixel_slots: large,
+            light_slots: TransferSlots::new(&Limits {
+                transfers: 8,
+                transfers_per_caller: 4,
+                transfers_per_connection: 4,
+                ..*gate.limits()
+            }),
             pictures,
+            light,
             sorted_tasks: SortedTasksCache::default(),
             gate,
             site,

@@ -6,13 +6,15 @@ use femc_model::{JobId, TaskFilter, TaskKey, TaskState, Tick};
 
 use super::RequestHead;
 use super::error::HttpError;
+use super::light;
 use super::order::TaskOrder;
 use crate::file::{FrameFile, ResultFile};
+use crate::light::{LightCall, LightTarget};
 use crate::operation::Operation;
 use crate::picture::PictureKind;
 
 /// Parsed request.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub(super) enum Route {
     /// A file of the web page.
     Page(String),
@@ -31,6 +33,10 @@ pub(super) enum Route {
     Logs(JobId, Tick, Option<TaskKey>),
     /// A frame as a picture.
     Picture(JobId, u32, PictureKind),
+    /// A question about recorded light.
+    Light(LightTarget, LightCall),
+    /// The files with light statistics beside the farm.
+    LightFiles,
     /// A result of a job as a file.
     Download(JobId, ResultFile),
     Control,
@@ -112,6 +118,15 @@ impl Route {
             ["jobs", job, "sheet.png"] => {
                 return Self::Download(number("job", job)?, ResultFile::Sheet).require_get_or_head(request_head, path);
             }
+            ["jobs", job, "light", call] => {
+                let target = LightTarget::Frames(number("job", job)?, light::frames(query)?);
+                (Self::Light(target, light::parse_call(call, query, path)?), Method::GET)
+            }
+            ["files"] => (Self::LightFiles, Method::GET),
+            ["files", file, "light", call] => {
+                let target = LightTarget::File(number("file", file)?);
+                (Self::Light(target, light::parse_call(call, query, path)?), Method::GET)
+            }
             ["workers"] => (Self::Workers, Method::GET),
             ["usage"] => (Self::Usage, Method::GET),
             ["workers", "drain"] => (Self::Drain, Method::POST),
@@ -167,6 +182,7 @@ impl Route {
             Self::Attempts(..) => Operation::Attempts,
             Self::Logs(..) => Operation::Logs,
             Self::Picture(..) => Operation::Picture,
+            Self::Light(..) | Self::LightFiles => Operation::Light,
             Self::Download(..) => Operation::Download,
             Self::Control => Operation::Control,
             Self::Workers => Operation::ListWorkers,
@@ -200,12 +216,12 @@ fn height(query: Query<'_>) -> Result<u32, HttpError> {
     if (1..=1024).contains(&height) { Ok(height) } else { Err(invalid("height", "expected a number from 1 to 1024")) }
 }
 
-fn invalid(field: &str, message: &str) -> HttpError {
+pub(super) fn invalid(field: &str, message: &str) -> HttpError {
     HttpError::Invalid { field: field.into(), message: message.into() }
 }
 
 /// Parses a number or an identifier in a path.
-fn number<T: std::str::FromStr>(field: &str, text: &str) -> Result<T, HttpError>
+pub(super) fn number<T: std::str::FromStr>(field: &str, text: &str) -> Result<T, HttpError>
 where
     T::Err: std::fmt::Display,
 {
@@ -271,7 +287,7 @@ mod tests {
                 *seen.entry(route.operation()).or_default() += 1;
             }
         }
-        assert_eq!(seen.values().sum::<usize>(), 26);
+        assert_eq!(seen.values().sum::<usize>(), 33);
         // The page itself has no row in the table, and neither have requests without an operation.
         let documented = seen.into_keys().chain([Operation::Page, Operation::Other]);
         assert_eq!(documented.collect::<BTreeSet<_>>(), BTreeSet::from(Operation::HTTP));

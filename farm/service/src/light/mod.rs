@@ -1,9 +1,14 @@
 //! Recorded light of frames, for the light view. The farm does not know the records: a program that does supplies an [`OpenLight`]
 //! function.
 
+mod views;
+
 use bytes::Bytes;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
+
+pub(crate) use views::{LightTarget, LightViewError, LightViews, TaggedAnswer};
 
 /// Recorded light of one frame, or of one file.
 #[derive(Debug, Clone)]
@@ -97,4 +102,13 @@ pub enum LightError {
     },
     /// The client is gone.
     Cancelled,
+}
+
+/// A file with light statistics that this program serves beside the farm.
+#[derive(Debug, Clone)]
+pub struct LightFile {
+    /// Name for display.
+    pub name: String,
+    /// Path of the file. The file is read again when it changes.
+    pub path: PathBuf,
 }

@@ -1,0 +1,324 @@
+//! Decoded light of frames and files, in a cache of bounded size, and the threads that answer questions about it.
+
+use std::collections::VecDeque;
+use std::fmt;
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::UNIX_EPOCH;
+
+use bytes::Bytes;
+use femc_model::{Artifact, Digest, FrameParts, FrameRecord, JobId, Refusal, Role};
+use femc_store::{Store, StoreError};
+use tokio::sync::{OnceCell, OwnedSemaphorePermit, Semaphore};
+
+use super::{LightAnswer, LightCall, LightData, LightError, LightFile, LightSource, OpenLight};
+use crate::call::Call;
+use crate::farm::Farm;
+use crate::job_control::store_refusal;
+
+/// Light that a question is about.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) enum LightTarget {
+    /// Frames of a job, ascending.
+    Frames(JobId, Vec<u32>),
+    /// File by its number.
+    File(usize),
+}
+
+/// An answer, and a tag that identifies its question and its data.
+#[derive(Debug)]
+pub(crate) struct TaggedAnswer {
+    pub(crate) tag: String,
+    /// `None`: the client has the answer with this tag.
+    pub(crate) answer: Option<LightAnswer>,
+}
+
+/// Reason why a question has no answer.
+#[derive(Debug)]
+pub(crate) enum LightViewError {
+    /// A parameter is not valid.
+    Invalid { field: &'static str, message: String },
+    /// Refusal by the farm.
+    Refused(Refusal),
+    /// The light statistics cannot be read.
+    Unreadable { message: String },
+    /// The frame is finished and has no light statistics.
+    NoStatistics { job: JobId, frame: u32 },
+    /// The file does not exist.
+    NoFile { number: usize },
+}
+
+impl From<Refusal> for LightViewError {
+    fn from(refusal: Refusal) -> Self {
+        Self::Refused(refusal)
+    }
+}
+
+type OpenedLight = Option<Arc<dyn LightData>>;
+type OpenedCell = Arc<OnceCell<OpenedLight>>;
+
+/// Answers questions of all clients. Clones share the cache.
+#[derive(Clone)]
+pub(crate) struct LightViews {
+    open: Option<OpenLight>,
+    files: Arc<[LightFile]>,
+    store: Store,
+    /// Limits the number of threads that decode and evaluate.
+    threads: Arc<Semaphore>,
+    /// Latest data by tag, the oldest use first.
+    cache: Arc<Mutex<VecDeque<(String, OpenedCell)>>>,
+}
+
+impl fmt::Debug for LightViews {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("LightViews").field("can_open", &self.open.is_some()).finish_non_exhaustive()
+    }
+}
+
+/// Parts of a target, before they are read.
+struct Located {
+    tag: String,
+    parts: Vec<LocatedPart>,
+}
+
+struct LocatedPart {
+    name: String,
+    is_growing: bool,
+    origin: Origin,
+}
+
+enum Origin {
+    Artifacts(Vec<Artifact>),
+    File(std::path::PathBuf),
+}
+
+impl LightViews {
+    /// Size limit of the cache, bytes.
+    const CACHE_BYTES: usize = 512 << 20;
+    /// Size limit of the encoded statistics of one target, bytes.
+    const MAX_TARGET_BYTES: u64 = 256 << 20;
+    /// Maximum number of cached targets, including those that have no data.
+    const MAX_CACHED: usize = 256;
+
+    pub(crate) fn new(open: Option<OpenLight>, files: Vec<LightFile>, store: Store) -> Self {
+        // The rest of the processors is for the coordinator itself.
+        let threads = std::thread::available_parallelism().map_or(1, |count| (count.get() / 2).clamp(1, 4));
+        Self { open, files: files.into(), store, threads: Arc::new(Semaphore::new(threads)), cache: Arc::default() }
+    }
+
+    /// Returns the files.
+    pub(crate) fn files(&self) -> &[LightFile] {
+        &self.files
+    }
+
+    /// Answers a question; `None`: no sample is recorded yet.
+    /// - `known`: tag of the answer that the client has. If it is current, nothing is computed.
+    pub(crate) async fn answer<S>(
+        &self,
+        farm: &Farm<S>,
+        target: &LightTarget,
+        call: LightCall,
+        known: Option<&str>,
+    ) -> Result<Option<TaggedAnswer>, LightViewError> {
+        let open = self.open.ok_or_else(|| unavailable("this program cannot read light statistics".into()))?;
+        let Some(located) = self.locate(farm, target).await? else { return Ok(None) };
+        let tag = Digest::compute(format!("{} {call:?}", located.tag).as_bytes()).to_string();
+        if known == Some(&tag) {
+            return Ok(Some(TaggedAnswer { tag, answer: None }));
+        }
+        let cell = self.cell(&located.tag);
+        let opened = cell.get_or_try_init(|| self.open(farm, open, located)).await?.clone();
+        self.evict();
+        let Some(data) = opened else { return Ok(None) };
+        let permit = self.permit().await;
+        let is_cancelled = CancelOnDrop::default();
+        let flag = is_cancelled.0.clone();
+        let work = move || {
+            let _permit = permit;
+            data.answer(&call, &flag)
+        };
+        let answered = tokio::task::spawn_blocking(work).await.map_err(|error| unavailable(error.to_string()))?;
+        match answered {
+            Ok(answer) => Ok(Some(TaggedAnswer { tag, answer: Some(answer) })),
+            Err(LightError::Invalid { field, message }) => Err(LightViewError::Invalid { field, message }),
+            Err(LightError::Cancelled) => Err(unavailable("the question was cancelled".into())),
+        }
+    }
+
+    /// Finds the parts of a target; `None`: there are none yet.
+    async fn locate<S>(&self, farm: &Farm<S>, target: &LightTarget) -> Result<Option<Located>, LightViewError> {
+        match target {
+            LightTarget::File(number) => {
+                let file = self.files.get(*number).ok_or(LightViewError::NoFile { number: *number })?;
+                let version = version(&file.path)
+                    .await
+                    .map_err(|error| unreadable(format!("cannot read {}: {error}", file.path.display())))?;
+                let part =
+                    LocatedPart { name: file.name.clone(), is_growing: false, origin: Origin::File(file.path.clone()) };
+                Ok(Some(Located { tag: Digest::compute(version.as_bytes()).to_string(), parts: vec![part] }))
+            }
+            LightTarget::Frames(job, frames) => self.locate_frames(farm, *job, frames).await,
+        }
+    }
+
+    async fn locate_frames<S>(
+        &self,
+        farm: &Farm<S>,
+        job: JobId,
+        frames: &[u32],
+    ) -> Result<Option<Located>, LightViewError> {
+        let finished: Vec<FrameRecord> = farm.call(|reply| Call::Frames { job, reply }).await?;
+        let record = |frame: u32| finished.iter().find(|record| record.frame == frame);
+        let unfinished: Vec<FrameParts> = if frames.iter().all(|frame| record(*frame).is_some()) {
+            Vec::new()
+        } else {
+            farm.call(|reply| Call::Parts { job, reply }).await?
+        };
+        let mut parts = Vec::new();
+        for &frame in frames {
+            let (artifacts, is_growing) = match record(frame) {
+                Some(record) => {
+                    let artifact =
+                        record.output(Role::Statistics).ok_or(LightViewError::NoStatistics { job, frame })?;
+                    (vec![artifact], false)
+                }
+                None => {
+                    let own = unfinished.iter().filter(|parts| parts.frame == frame).flat_map(|parts| &parts.outputs);
+                    let of_light = own.filter(|output| matches!(output.role, Role::Paths | Role::Statistics));
+                    (of_light.map(|output| output.artifact).collect(), true)
+                }
+            };
+            if !artifacts.is_empty() {
+                parts.push(LocatedPart {
+                    name: format!("frame {frame}"),
+                    is_growing,
+                    origin: Origin::Artifacts(artifacts),
+                });
+            }
+        }
+        let artifacts = || {
+            parts.iter().flat_map(|part| match &part.origin {
+                Origin::Artifacts(artifacts) => &artifacts[..],
+                Origin::File(_) => &[],
+            })
+        };
+        let bytes: u64 = artifacts().map(|artifact| artifact.bytes).sum();
+        if bytes > Self::MAX_TARGET_BYTES {
+            let message = format!(
+                "the light statistics of these frames have {} MiB, at most {} are possible: choose fewer frames",
+                bytes >> 20,
+                Self::MAX_TARGET_BYTES >> 20
+            );
+            return Err(LightViewError::Invalid { field: "frames", message });
+        }
+        let mut identity: Vec<u8> = artifacts().flat_map(|artifact| *artifact.digest.as_bytes()).collect();
+        identity.extend(parts.iter().map(|part| u8::from(part.is_growing)));
+        let tag = Digest::compute(&identity).to_string();
+        Ok((!parts.is_empty()).then_some(Located { tag, parts }))
+    }
+
+    /// Returns the cell of the cache for a tag, and marks it as the latest used.
+    fn cell(&self, tag: &str) -> OpenedCell {
+        // A poisoned lock is safe to use: a panic in the few lines under it leaves no partial change.
+        let mut cache = self.cache.lock().unwrap_or_else(PoisonError::into_inner);
+        let position = cache.iter().position(|(other, _)| other == tag);
+        let entry = position.and_then(|position| cache.remove(position));
+        let entry = entry.unwrap_or_else(|| (tag.to_owned(), OpenedCell::default()));
+        let cell = entry.1.clone();
+        cache.push_back(entry);
+        cell
+    }
+
+    /// Removes the data that was not used for the longest time, until the rest is within the limits.
+    fn evict(&self) {
+        let mut cache = self.cache.lock().unwrap_or_else(PoisonError::into_inner);
+        let size = |cell: &OpenedCell| cell.get().and_then(Option::as_ref).map_or(0, |data| data.memory_bytes());
+        let mut bytes: usize = cache.iter().map(|(_, cell)| size(cell)).sum();
+        while bytes > Self::CACHE_BYTES || cache.len() > Self::MAX_CACHED {
+            let Some((_, cell)) = cache.pop_front() else { break };
+            bytes -= size(&cell);
+        }
+    }
+
+    async fn permit(&self) -> Option<OwnedSemaphorePermit> {
+        // The semaphore is never closed.
+        self.threads.clone().acquire_owned().await.ok()
+    }
+
+    /// Reads and decodes the parts of a target.
+    async fn open<S>(&self, farm: &Farm<S>, open: OpenLight, located: Located) -> Result<OpenedLight, LightViewError> {
+        // Parts are read within the limit on threads, so that few of them are in memory at a time.
+        let permit = self.permit().await;
+        let mut sources = Vec::with_capacity(located.parts.len());
+        for LocatedPart { name, is_growing, origin } in located.parts {
+            let parts = match origin {
+                Origin::File(path) => vec![read_file(&path, Self::MAX_TARGET_BYTES).await?],
+                Origin::Artifacts(artifacts) => {
+                    let mut parts = Vec::with_capacity(artifacts.len());
+                    for artifact in artifacts {
+                        match self.store.get(&artifact.digest).await {
+                            Ok(bytes) => parts.push(bytes),
+                            // The frame has progressed meanwhile, and the part was replaced.
+                            Err(StoreError::Missing { .. }) if is_growing => {}
+                            Err(error) => {
+                                if matches!(error, StoreError::Missing { .. } | StoreError::Mismatch { .. }) {
+                                    farm.report_lost(artifact.digest).await;
+                                }
+                                return Err(store_refusal(&error).into());
+                            }
+                        }
+                    }
+                    parts
+                }
+            };
+            sources.push(LightSource { name, parts, is_growing });
+        }
+        let work = move || {
+            let _permit = permit;
+            open(&located.tag, sources)
+        };
+        let opened = tokio::task::spawn_blocking(work).await.map_err(|error| error.to_string());
+        opened.and_then(|opened| opened).map_err(unreadable)
+    }
+}
+
+/// Flag that is set when the request that owns it is dropped.
+#[derive(Default)]
+struct CancelOnDrop(Arc<AtomicBool>);
+
+impl Drop for CancelOnDrop {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+}
+
+fn unavailable(message: String) -> LightViewError {
+    LightViewError::Refused(Refusal::Unavailable { message })
+}
+
+fn unreadable(message: String) -> LightViewError {
+    LightViewError::Unreadable { message }
+}
+
+/// Returns a text that changes when the file changes.
+async fn version(path: &Path) -> std::io::Result<String> {
+    let metadata = tokio::fs::metadata(path).await?;
+    let modified = metadata.modified().ok().and_then(|time| time.duration_since(UNIX_EPOCH).ok());
+    Ok(format!("{} {} {:?}", path.display(), metadata.len(), modified))
+}
+
+/// Reads a file of at most `limit` bytes.
+async fn read_file(path: &Path, limit: u64) -> Result<Bytes, LightViewError> {
+    let failed = |error: std::io::Error| unreadable(format!("cannot read {}: {error}", path.display()));
+    let bytes = tokio::fs::metadata(path).await.map_err(failed)?.len();
+    if bytes > limit {
+        return Err(unreadable(format!(
+            "{} has {} MiB, at most {} are possible",
+            path.display(),
+            bytes >> 20,
+            limit >> 20
+        )));
+    }
+    tokio::fs::read(path).await.map(Bytes::from).map_err(failed)
+}

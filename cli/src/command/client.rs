@@ -418,6 +418,6 @@ pub fn first_pass_keys(resolved: &ResolvedRequest, frames: &[u32]) -> Result<Vec
 pub const DEFAULT_PRIORITY: u8 = 50;
 
 /// Returns the user's login name.
-fn login_name() -> String {
+pub fn login_name() -> String {
     ["USER", "LOGNAME", "USERNAME"].iter().find_map(|name| std::env::var(name).ok()).unwrap_or_else(|| "advice".into())
 }

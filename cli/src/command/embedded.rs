@@ -1,29 +1,85 @@
 //! A farm in this process: the coordinator and the workers of `femc coordinator` and `femc worker`, on a loopback port that the
 //! system chooses. It costs one copy of every result through a socket. In return there is only one way to render.
 
-use super::client::{self, FarmClient};
+use super::client::{self, FarmClient, login_name};
 use super::site::site;
 use crate::exit::{Failure, failed};
 use crate::output::Printer;
-use femc_coordinator::{ArtifactStorage, Config, Coordinator, Handle, LogStorage};
+use femc_coordinator::{AccessControl, ArtifactStorage, Config, Coordinator, Handle, LogStorage, Site};
 use femc_proto::Dialer;
+use femc_trust::{Authority, Holder, Role, TokenFile, Tokens};
 use femc_worker::{Cache, PieceCache, Worker, WorkerError};
+use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
+use tempfile::TempDir;
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 
 /// Configuration of the farm.
-#[derive(Clone, Debug)]
-pub struct EmbeddedConfig {
-    /// SQLite file of the log.
-    pub log: PathBuf,
-    /// Folder of the artifacts.
-    pub artifacts: PathBuf,
-    /// Number of workers, >= 1.
+pub struct EmbeddedConfig<'a> {
+    /// Address of this machine to listen on; port 0: any free port.
+    pub listen: SocketAddr,
+    /// Location of the log.
+    pub log: LogStorage,
+    /// Location of the artifacts.
+    pub artifacts: ArtifactStorage,
+    /// Number of workers. Without workers, the farm only serves pages.
     pub workers: u32,
     /// Threads of each worker; `None`: all cores.
     pub threads: Option<u32>,
+    /// Web pages.
+    pub site: Site,
+    /// Tokens that clients need; `None`: all clients of this machine are accepted.
+    pub tokens: Option<&'a RunTokens>,
+}
+
+impl EmbeddedConfig<'_> {
+    /// Returns the configuration of a run that keeps its state in files.
+    pub fn with_files(log: PathBuf, artifacts: PathBuf, workers: u32, threads: Option<u32>) -> Self {
+        Self {
+            listen: SocketAddr::from(([127, 0, 0, 1], 0)),
+            log: LogStorage::Sqlite(log),
+            artifacts: ArtifactStorage::Folder(artifacts),
+            workers,
+            threads,
+            site: site(),
+            tokens: None,
+        }
+    }
+}
+
+/// Tokens of one run: for its user and its workers. They are valid while this object lives and the farm runs.
+pub struct RunTokens {
+    folder: TempDir,
+    user: TokenFile,
+    worker: TokenFile,
+}
+
+impl RunTokens {
+    /// Validity in days, far beyond the length of a run.
+    const DAYS: u32 = 30;
+
+    /// Makes new tokens.
+    pub fn new() -> Result<Self, Failure> {
+        let folder = tempfile::Builder::new().prefix("femc-tokens-").tempdir().map_err(failed)?;
+        let authority = Authority::init(&folder.path().join("authority"), "view").map_err(failed)?;
+        let token = |holder: Holder| authority.issue_token(holder, Self::DAYS).map_err(failed);
+        let user = token(Holder::User { name: login_name(), role: Role::Operator })?;
+        let worker = token(Holder::Worker { name: "worker".into() })?;
+        Ok(Self { folder, user, worker })
+    }
+
+    /// Returns the token of the user.
+    pub fn user_token(&self) -> String {
+        self.user.token().secret()
+    }
+
+    fn access_control(&self) -> Result<AccessControl, Failure> {
+        let authority = Authority::open(&self.folder.path().join("authority")).map_err(failed)?;
+        let tokens = Tokens::open(&authority.tokens_path()).map_err(failed)?;
+        Ok(AccessControl { identity: None, revoked: None, tokens: Some(tokens) })
+    }
 }
 
 /// A running farm.
@@ -35,11 +91,13 @@ pub struct EmbeddedFarm {
 
 impl EmbeddedFarm {
     /// Starts the farm, and connects to it.
-    pub async fn start(settings: EmbeddedConfig) -> Result<(Self, FarmClient), Failure> {
+    pub async fn start(settings: EmbeddedConfig<'_>) -> Result<(Self, FarmClient), Failure> {
         let config = Config {
-            log: LogStorage::Sqlite(settings.log),
-            artifacts: ArtifactStorage::Folder(settings.artifacts),
-            site: site(),
+            listen: settings.listen,
+            log: settings.log,
+            artifacts: settings.artifacts,
+            site: settings.site,
+            access_control: settings.tokens.map(RunTokens::access_control).transpose()?,
             // The workers stop together with the coordinator, so there are none to wait for after a restart.
             scheduler: femc_schedule::Config { regroup: 0, ..femc_schedule::Config::default() },
             ..Config::default()
@@ -48,11 +106,16 @@ impl EmbeddedFarm {
         let (stop, stopped) = watch::channel(());
         // No cache is needed: the store is on the same disk.
         let (mut workers, cache) = (JoinSet::new(), Cache::with_pieces(PieceCache::in_memory(0)));
+        let dialer = |token: fn(&RunTokens) -> &TokenFile| {
+            let token = settings.tokens.map(|tokens| token(tokens).clone());
+            token.map_or_else(Dialer::tcp, |token| Dialer::tcp().with_token(token))
+        };
         for number in 1..=settings.workers {
             let config = femc_worker::Config {
                 name: format!("worker {number}"),
                 threads: settings.threads.map_or(0, |threads| threads as usize),
                 cache: cache.clone(),
+                dial: dialer(|tokens| &tokens.worker),
                 ..femc_worker::Config::new(coordinator.url())
             };
             let mut stopped = stopped.clone();
@@ -61,7 +124,7 @@ impl EmbeddedFarm {
                 let _ = stopped.changed().await;
             }));
         }
-        let client = FarmClient::connect(&Dialer::tcp(), &coordinator.url(), client::SERVER_OPTIONS)
+        let client = FarmClient::connect(&dialer(|tokens| &tokens.user), &coordinator.url(), client::SERVER_OPTIONS)
             .await
             .map_err(|unmet| unmet.failure)?;
         Ok((Self { coordinator, workers, stop }, client))
@@ -77,16 +140,12 @@ impl EmbeddedFarm {
             return;
         }
         printer.note(format!("the run in a browser: {page}"));
-        let has_desktop = ["DISPLAY", "WAYLAND_DISPLAY"].iter().any(|name| std::env::var_os(name).is_some());
-        let opener = if cfg!(target_os = "macos") { "open" } else { "xdg-open" };
-        if has_desktop || cfg!(target_os = "macos") {
-            let mut browser = Command::new(opener);
-            browser.arg(&page).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
-            // The browser runs independently; the address is valid in any case.
-            if let Err(error) = browser.spawn() {
-                tracing::debug!(%error, opener, "cannot open a browser");
-            }
-        }
+        open_browser(&page);
+    }
+
+    /// Returns the farm's address.
+    pub fn url(&self) -> String {
+        self.coordinator.url()
     }
 
     /// Waits until a part of the farm ends by itself, which happens only after an error.
@@ -111,6 +170,20 @@ impl EmbeddedFarm {
         }
         if let Err(error) = self.coordinator.stop().await {
             tracing::warn!(%error, "the coordinator ended with an error");
+        }
+    }
+}
+
+/// Opens a page in a browser if there is a desktop. The address is valid in any case.
+pub fn open_browser(page: &str) {
+    let has_desktop = ["DISPLAY", "WAYLAND_DISPLAY"].iter().any(|name| std::env::var_os(name).is_some());
+    let opener = if cfg!(target_os = "macos") { "open" } else { "xdg-open" };
+    if has_desktop || cfg!(target_os = "macos") {
+        let mut browser = Command::new(opener);
+        browser.arg(page).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
+        // The browser runs independently.
+        if let Err(error) = browser.spawn() {
+            tracing::debug!(%error, opener, "cannot open a browser");
         }
     }
 }

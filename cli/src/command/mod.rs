@@ -38,6 +38,7 @@ mod subject;
 pub mod submit;
 pub mod sweep;
 pub mod usage;
+pub mod view;
 pub mod watch;
 pub mod worker;
 pub mod workers;
@@ -85,6 +86,7 @@ pub enum Command {
     Field(field::FieldArgs),
     Paths(paths::PathsArgs),
     Bottlenecks(bottlenecks::BottlenecksArgs),
+    View(view::ViewArgs),
     Stylize(stylize::StylizeArgs),
     Coordinator(coordinator::CoordinatorArgs),
     Worker(worker::WorkerArgs),
@@ -167,6 +169,7 @@ pub fn run(cli: Cli, printer: Printer) -> Result<Exit, Failure> {
         Command::Stylize(args) => stylize::run(&args, printer),
         Command::Coordinator(args) => coordinator::run(args, printer),
         Command::Worker(args) => worker::run(args, printer),
+        Command::View(args) => view::run(args, printer),
         Command::Submit(args) => submit::run(args, printer),
         Command::Sweep(args) => sweep::run(&args, printer),
         #[cfg(feature = "openjd")]

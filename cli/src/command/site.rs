@@ -8,5 +8,11 @@ pub fn site() -> Site {
     let files = PageFiles(femc_web::FILES);
     #[cfg(not(feature = "ui"))]
     let files = PageFiles::default();
-    Site { files, engine: femc_worker::engine().to_owned(), draw: Some(femc_pictures::draw_frame) }
+    Site {
+        files,
+        engine: femc_worker::engine().to_owned(),
+        draw: Some(femc_pictures::draw_frame),
+        open_light: Some(femc_pictures::open_light),
+        light_files: Vec::new(),
+    }
 }

@@ -1,10 +1,11 @@
 //! Pictures of a farm's frames. This crate connects the service, which has no rendering code, with the film.
 //!
 //! [`draw_frame`] is the function that [`femc_service::Site`] takes. It draws thumbnails as PNG, and pixels and light statistics as
-//! planes of half floats. [`PartialFrame`] is an unfinished frame. It combines the available outputs as the farm will combine all
+//! planes of half floats. [`open_light`] answers questions about recorded light paths. [`PartialFrame`] is an unfinished frame. It combines the available outputs as the farm will combine all
 //! of them.
 #![deny(missing_docs)]
 
+mod light;
 mod partial_frame;
 mod planes;
 mod thumbnail;
@@ -14,6 +15,7 @@ use femc_model::Role;
 use femc_service::{PictureKind, PictureSource};
 use std::io::Cursor;
 
+pub use light::open_light;
 pub use partial_frame::PartialFrame;
 
 /// Draws a frame as a thumbnail or as planes of its pixels.

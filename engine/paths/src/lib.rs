@@ -4,7 +4,8 @@
 //! those whose hash of (seed, frame, pixel, sample) is least. Which samples these are depends only on the set of all samples. So
 //! parts of a frame are united in any order and grouping, and a part that arrives twice counts once. Everything else is a function
 //! of the records: [`histogram`]s, exact over the samples that the hash chose, a small [`representative`](represent) set for plots,
-//! and the energy of the scene in an [`octree`]. The founding documents are \[simons2016\] and the thesis on which it is based.
+//! and the energy of the scene in an [`octree`]. [`RecordedPaths`] answers questions about selections of the records: masks, shares
+//! of the light, densities over pixels and histograms. The founding documents are \[simons2016\] and the thesis on which it is based.
 //!
 //! This crate does not render, does not read files and knows nothing about the farm.
 #![deny(missing_docs)]
@@ -17,8 +18,10 @@ pub mod octree;
 pub mod pixels;
 pub mod query;
 pub mod record;
+pub mod recorded;
 pub mod represent;
 pub mod schema;
+pub mod selection;
 pub mod statistics;
 
 pub use codec::PathsError;
@@ -26,4 +29,5 @@ pub use frames::FrameStatistics;
 pub use record::{
     InteractionKind, Intersection, LightPath, LightRecord, LightTechnique, Name, NameEntry, NameKind, PathEnd, PathKey,
 };
+pub use recorded::RecordedPaths;
 pub use statistics::{LightStatistics, MergeError, PortionKey, SampleCounters, Scope};

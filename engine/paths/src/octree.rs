@@ -4,7 +4,7 @@
 //! of the three channels. Sums are integers, so adding trees of disjoint records gives the same result in any order. Only leaves
 //! are stored. A voxel of a coarser level is the sum of its leaves.
 
-use crate::record::LightPath;
+use crate::record::{Intersection, LightPath};
 use femc_stats::ExactSum;
 use std::collections::BTreeMap;
 
@@ -56,6 +56,11 @@ impl Root {
         let width = self.width / (1u64 << level.min(MAX_LEVELS)) as f64;
         (std::array::from_fn(|axis| self.lower[axis] + width * compact_bits(code >> axis) as f64), width)
     }
+}
+
+/// Returns the place of a voxel among the voxels of its level, by axis.
+pub fn voxel_place(code: u64) -> [u64; 3] {
+    std::array::from_fn(|axis| compact_bits(code >> axis))
 }
 
 /// Spreads the bits of a number of 20 bits to every third position.
@@ -119,15 +124,18 @@ impl Octree {
 
     /// Adds the intersections of a path.
     pub fn add(&mut self, path: &LightPath) {
-        for it in &path.intersections {
-            let energy = it.radiance.iter().map(|value| f64::from(*value)).sum::<f64>() / 3.0;
-            match (self.root.morton_code(it.position), EnergySum::quantize(energy)) {
-                (Some(code), Ok(units)) => {
-                    let voxel = Voxel { count: 1, energy: EnergySum::from_units(units) };
-                    self.leaves.entry((it.bounce, code)).or_default().merge(voxel);
-                }
-                _ => self.outside += 1,
+        path.intersections.iter().for_each(|it| self.add_intersection(it));
+    }
+
+    /// Adds an intersection.
+    pub fn add_intersection(&mut self, it: &Intersection) {
+        let energy = it.radiance.iter().map(|value| f64::from(*value)).sum::<f64>() / 3.0;
+        match (self.root.morton_code(it.position), EnergySum::quantize(energy)) {
+            (Some(code), Ok(units)) => {
+                let voxel = Voxel { count: 1, energy: EnergySum::from_units(units) };
+                self.leaves.entry((it.bounce, code)).or_default().merge(voxel);
             }
+            _ => self.outside += 1,
         }
     }
 

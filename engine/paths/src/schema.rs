@@ -178,7 +178,8 @@ fn film_bin(place: u32, size: u32) -> u8 {
     (u64::from(place) * FINE_BINS as u64 / u64::from(size.max(1))).min(FINE_BINS as u64 - 1) as u8
 }
 
-fn world_bins(scope: &Scope, position: [f64; 3]) -> [u8; 3] {
+/// Returns the fine bins of a position.
+pub fn world_bins(scope: &Scope, position: [f64; 3]) -> [u8; 3] {
     std::array::from_fn(|axis| {
         let (low, high) = (scope.lower[axis], scope.upper[axis]);
         let part = (position[axis] - low) / (high - low);

@@ -40,15 +40,26 @@ impl Matcher<'_> {
     /// Returns the selected intersections and lights of a path, or `None` if the path is not selected. A selected path may have no
     /// selected intersections.
     pub fn select(&self, path: &LightPath) -> Option<Selection> {
+        let mut selection = Selection::default();
+        self.select_into(path, &mut selection).then_some(selection)
+    }
+
+    /// Checks whether a path is selected, and replaces `selection` with its selected intersections and lights.
+    pub fn select_into(&self, path: &LightPath, selection: &mut Selection) -> bool {
+        selection.intersections.clear();
+        selection.lights.clear();
         if !self.is_match(path) {
-            return None;
+            return false;
         }
         let holds = |context: Context<'_>| self.condition.as_ref().is_none_or(|it| it.holds(&context));
         let alone = |index: Option<u32>| Context { is_alone: true, ..self.context(path, index) };
-        let intersections = (0..path.intersections.len() as u32).filter(|&index| holds(alone(Some(index)))).collect();
+        selection
+            .intersections
+            .extend((0..path.intersections.len() as u32).filter(|&index| holds(alone(Some(index)))));
         let is_selected = |light: &LightRecord| holds(Context { light: Some(light), ..alone(path.parent(light)) });
-        let lights = (0..).zip(&path.lights).filter(|(_, light)| is_selected(light)).map(|(index, _)| index).collect();
-        Some(Selection { intersections, lights })
+        let lights = (0..).zip(&path.lights).filter(|(_, light)| is_selected(light));
+        selection.lights.extend(lights.map(|(index, _)| index));
+        true
     }
 
     fn context<'a>(&'a self, path: &'a LightPath, index: Option<u32>) -> Context<'a> {

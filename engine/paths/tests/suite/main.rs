@@ -8,4 +8,5 @@ mod invariants;
 mod plants;
 mod queries;
 mod representatives;
+mod selection;
 mod synthetic;

@@ -1,0 +1,265 @@
+//! Answers about recorded light, for the light view.
+//!
+//! [`open_light`] is the function that [`femc_service::Site`] takes. It decodes and unites the light statistics of frames.
+
+mod columns;
+mod representatives;
+mod schema;
+#[cfg(test)]
+mod tests;
+
+use columns::Columns;
+use femc_paths::histogram::Table;
+use femc_paths::octree::{Root, voxel_place};
+use femc_paths::query::{Condition, Query};
+use femc_paths::recorded::{Bounds, CountedSamples, HistogramRequest, PairKey, Weighting};
+use femc_paths::selection::{Cancelled, SelectedRecords};
+use femc_paths::{FrameStatistics, LightStatistics, RecordedPaths};
+use femc_service::{LightAnswer, LightCall, LightCallKind, LightData, LightError, LightSource};
+use serde_json::{Value, json};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+/// Maximum number of paths in an answer.
+const MAX_PATHS: u32 = 20_000;
+/// Maximum number of joint histograms in an answer.
+const MAX_PAIRS: usize = 256;
+/// Maximum level of the voxels in an answer.
+const MAX_LEVEL: u32 = 7;
+
+/// Decodes recorded light and unites its frames. `None`: no path is recorded yet.
+/// - `tag`: identifies the sources; all answers contain it.
+/// - errors: the fault of a source.
+pub fn open_light(tag: &str, sources: Vec<LightSource>) -> Result<Option<Arc<dyn LightData>>, String> {
+    let is_growing = sources.iter().any(|source| source.is_growing);
+    let names: Vec<String> = sources.iter().map(|source| source.name.clone()).collect();
+    let mut frames = FrameStatistics::default();
+    let mut has_parts = false;
+    for source in sources {
+        let decoded = decode_source(&source).map_err(|fault| format!("{}: {fault}", source.name))?;
+        has_parts |= !decoded.is_empty();
+        frames.merge(decoded).map_err(|error| format!("{}: {error}", source.name))?;
+    }
+    let paths = RecordedPaths::new(frames);
+    if !paths.paths().is_empty() {
+        return Ok(Some(Arc::new(RecordedLight { tag: tag.to_owned(), is_growing, paths })));
+    }
+    if !has_parts || is_growing {
+        return Ok(None);
+    }
+    Err(format!("{}: no recorded paths; render the frame again with --stats", names.join(", ")))
+}
+
+/// Decodes the parts of a source: united frames, or parts of one frame.
+fn decode_source(source: &LightSource) -> Result<Vec<LightStatistics>, String> {
+    let (mut united, mut parts) = (Vec::new(), Vec::new());
+    for (at, bytes) in source.parts.iter().enumerate() {
+        let place = |fault: String| match source.parts.len() {
+            1 => fault,
+            count => format!("part {} of {count}: {fault}", at + 1),
+        };
+        if FrameStatistics::has_magic(bytes) {
+            let frames = FrameStatistics::decode(bytes).map_err(|error| place(error.to_string()))?;
+            united.extend(frames.into_frames());
+        } else {
+            parts.push(LightStatistics::decode(bytes).map_err(|error| place(error.to_string()))?);
+        }
+    }
+    let mut parts = parts.into_iter();
+    if let Some(mut frame) = parts.next() {
+        frame.merge_all(parts).map_err(|error| error.to_string())?;
+        united.push(frame);
+    }
+    Ok(united)
+}
+
+/// Decoded recorded light.
+struct RecordedLight {
+    tag: String,
+    is_growing: bool,
+    paths: RecordedPaths,
+}
+
+impl LightData for RecordedLight {
+    fn memory_bytes(&self) -> usize {
+        size_of::<Self>() + self.paths.memory_bytes()
+    }
+
+    fn answer(&self, call: &LightCall, is_cancelled: &AtomicBool) -> Result<LightAnswer, LightError> {
+        let query = parse_query(call)?;
+        let bounds = check_bounds(call)?;
+        let answer = Answer { light: self, query: query.as_ref(), bounds, is_cancelled };
+        match &call.kind {
+            LightCallKind::Schema => Ok(LightAnswer::Json(schema::encode_schema(self))),
+            LightCallKind::Paths { count, .. } if !(1..=MAX_PATHS).contains(count) => {
+                Err(invalid("count", format!("give a number from 1 to {MAX_PATHS}")))
+            }
+            LightCallKind::Paths { count, brightest: true } => answer.brightest(*count as usize),
+            LightCallKind::Paths { count, brightest: false } => answer.representatives(*count as usize),
+            LightCallKind::Histograms { pairs, by_image } => {
+                answer.histograms(pairs, if *by_image { Weighting::Image } else { Weighting::Samples })
+            }
+            LightCallKind::Voxels { level, bounce } => answer.voxels(*level, *bounce),
+            LightCallKind::Selection { with_density: true } => answer.selection(Density::ByPixel),
+            LightCallKind::Selection { with_density: false } => answer.selection(Density::Omitted),
+        }
+    }
+}
+
+fn invalid(field: &'static str, message: impl Into<String>) -> LightError {
+    LightError::Invalid { field, message: message.into() }
+}
+
+fn cancelled(_: Cancelled) -> LightError {
+    LightError::Cancelled
+}
+
+/// Parses the condition of a call.
+fn parse_query(call: &LightCall) -> Result<Option<Query>, LightError> {
+    let Some(text) = &call.condition else { return Ok(None) };
+    let condition = Condition::parse(text).map_err(|error| invalid("where", error.to_string()))?;
+    Ok(Some(Query { condition: Some(condition), ..Query::default() }))
+}
+
+/// Checks the box of a call.
+fn check_bounds(call: &LightCall) -> Result<Option<Bounds>, LightError> {
+    let is_valid = |[lower, upper]: &Bounds| {
+        (0..3).all(|axis| lower[axis].is_finite() && upper[axis].is_finite() && lower[axis] <= upper[axis])
+    };
+    match call.bounds {
+        Some(bounds) if !is_valid(&bounds) => {
+            Err(invalid("box", "give six finite numbers, the lower corner before the upper"))
+        }
+        bounds => Ok(bounds),
+    }
+}
+
+/// Part of a selection's answer about pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Density {
+    ByPixel,
+    Omitted,
+}
+
+/// Answer in the making.
+struct Answer<'a> {
+    light: &'a RecordedLight,
+    query: Option<&'a Query>,
+    bounds: Option<Bounds>,
+    is_cancelled: &'a AtomicBool,
+}
+
+impl Answer<'_> {
+    fn paths(&self) -> &RecordedPaths {
+        &self.light.paths
+    }
+
+    /// Creates an answer without columns.
+    fn columns(&self) -> Columns {
+        let mut columns = Columns::new();
+        columns.set("tag", json!(self.light.tag));
+        columns.set("recorded", json!(self.paths().totals()[0]));
+        columns
+    }
+
+    /// Returns the selected records; `None`: all.
+    fn selected(&self) -> Result<Option<SelectedRecords>, LightError> {
+        self.query.map(|query| self.paths().select(query, self.is_cancelled).map_err(cancelled)).transpose()
+    }
+
+    fn selection(&self, density: Density) -> Result<LightAnswer, LightError> {
+        let (Some(query), Some(selected)) = (self.query, self.selected()?) else {
+            return Err(invalid("where", "give a condition"));
+        };
+        let paths = self.paths();
+        let mut columns = self.columns();
+        columns.set("text", json!(query.to_condition().map(|condition| condition.to_string())));
+        columns.set("counts", counts_by_table(selected.counts()));
+        columns.set("totals", counts_by_table(paths.totals()));
+        columns.set("light_share", json!(paths.light_share(&selected.paths)));
+        columns.set("samples", json!(paths.estimate_samples(selected.counts()[0])));
+        for table in Table::ALL {
+            columns.add_u8(&format!("{}.mask", table.name()), selected.mask(table).as_bytes());
+        }
+        if density == Density::ByPixel {
+            let pixels = paths.density(&selected.paths).map_err(|error| invalid("density", error.to_string()))?;
+            columns.add_u32("density.pixel", pixels.iter().map(|it| it.pixel));
+            columns.add_f32("density.count", pixels.iter().map(|it| it.count as f32));
+            columns.add_f32("density.light", pixels.iter().map(|it| it.luminance as f32));
+        }
+        Ok(LightAnswer::Columns(columns.finish()))
+    }
+
+    fn histograms(&self, pairs: &[[usize; 3]], weighting: Weighting) -> Result<LightAnswer, LightError> {
+        if pairs.len() > MAX_PAIRS {
+            return Err(invalid("pairs", format!("give at most {MAX_PAIRS} pairs")));
+        }
+        let pairs: Vec<PairKey> = pairs.iter().map(|pair| parse_pair(*pair)).collect::<Result<_, _>>()?;
+        let selected = self.selected()?;
+        let request = HistogramRequest { selected: selected.as_ref(), pairs: &pairs, weighting, bounds: self.bounds };
+        let found = self.paths().histograms(&request, self.is_cancelled).map_err(cancelled)?;
+        let mut columns = self.columns();
+        let counted = match found.counted {
+            CountedSamples::Recorded => "recorded",
+            CountedSamples::All => "all samples",
+        };
+        columns.set("counted", json!(counted));
+        let categories = self.paths().categories().iter().map(|it| {
+            let name = it.table.attributes()[it.attribute].name;
+            (format!("{}.{name}", it.table.name()), json!(it.names))
+        });
+        columns.set("categories", Value::Object(categories.collect()));
+        for table in Table::ALL {
+            for (axis, counts) in found.single[table as usize].iter().enumerate() {
+                columns.add_f64(&format!("{}.{axis}", table.name()), counts);
+            }
+        }
+        for (pair, counts) in pairs.iter().zip(&found.pairs) {
+            let name = format!("{}.{}-{}", pair.table.name(), pair.row, pair.column);
+            columns.add_f32(&name, counts.iter().copied());
+        }
+        Ok(LightAnswer::Columns(columns.finish()))
+    }
+
+    fn voxels(&self, level: u32, bounce: Option<u32>) -> Result<LightAnswer, LightError> {
+        if level > MAX_LEVEL {
+            return Err(invalid("level", format!("give a number from 0 to {MAX_LEVEL}")));
+        }
+        let [lower, upper] = self.bounds.unwrap_or_else(|| self.paths().bounds());
+        let root = Root::around(lower, upper, level as u8);
+        let selected = self.selected()?;
+        let tree = self.paths().octree(root, selected.as_ref(), bounce, self.is_cancelled).map_err(cancelled)?;
+        let index = |code: u64| {
+            let [x, y, z] = voxel_place(code);
+            (x | y << level | z << (2 * level)) as u32
+        };
+        let mut voxels: Vec<(u32, u64, f64)> = tree
+            .level(root.levels, None)
+            .into_iter()
+            .map(|(code, voxel)| (index(code), voxel.count, voxel.energy.value()))
+            .collect();
+        voxels.sort_unstable_by_key(|(index, ..)| *index);
+        let mut columns = self.columns();
+        columns.set("cube", json!([lower, lower.map(|axis| axis + root.width)]));
+        columns.set("level", json!(level));
+        columns.add_u32("voxels.index", voxels.iter().map(|(index, ..)| *index));
+        columns.add_u32("voxels.count", voxels.iter().map(|(_, count, _)| *count as u32));
+        columns.add_f32("voxels.energy", voxels.iter().map(|(.., energy)| *energy as f32));
+        Ok(LightAnswer::Columns(columns.finish()))
+    }
+}
+
+/// Returns an object with a number for each table.
+fn counts_by_table(counts: [u32; 3]) -> Value {
+    Value::Object(Table::ALL.into_iter().zip(counts).map(|(table, count)| (table.name().to_owned(), json!(count))).collect())
+}
+
+fn parse_pair([table, row, column]: [usize; 3]) -> Result<PairKey, LightError> {
+    let table = *Table::ALL.get(table).ok_or_else(|| invalid("pairs", "the tables are paths, intersections and lights"))?;
+    let axes = table.attributes().len();
+    if row >= axes || column >= axes {
+        let fault = format!("{}:{row}-{column}: its attributes are 0 to {}", table.name(), axes - 1);
+        return Err(invalid("pairs", fault));
+    }
+    Ok(PairKey { table, row, column })
+}

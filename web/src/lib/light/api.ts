@@ -1,0 +1,183 @@
+/** Requests for the recorded light of frames or files. */
+
+import { ApiError, failure } from '../api';
+import { formatNumbers, parseNumbers } from '../route';
+import { decodeColumns, type Columns } from './columns';
+import type { ScaleName, TableName } from './plot/contract';
+
+export const TABLES: readonly TableName[] = ['paths', 'intersections', 'lights'];
+/** Largest number of frames that the coordinator unites. */
+export const MOST_FRAMES = 64;
+/** Number of fine bins of an axis. */
+export const BINS = 64;
+/** Row or number of a record that does not exist. */
+export const NONE = 0xffffffff;
+
+/** A data set: the recorded light of frames of a job, or of a file. */
+export type Source = { job: number; frames: readonly number[] } | { file: number };
+
+export type Corners = readonly [readonly [number, number, number], readonly [number, number, number]];
+
+export interface SchemaAxis {
+  name: string;
+  scale: ScaleName;
+  /** Name in conditions. */
+  field: string;
+  /** Words of a class axis. */
+  words?: string[];
+}
+
+export interface Schema {
+  /** Identifies the data: answers with equal tags agree. */
+  tag: string;
+  version: number;
+  growing: boolean;
+  frames: number[];
+  film: [number, number];
+  box: Corners;
+  /** Number of all samples. */
+  samples: number;
+  bad_samples: number;
+  /** Share of the samples that are recorded. */
+  share: number;
+  recorded: number;
+  full_histograms: boolean;
+  counts: Record<TableName, number>;
+  tables: Record<TableName, SchemaAxis[]>;
+  names: string[];
+  kinds: string[];
+  words: Record<string, string[]>;
+  radiance_edges: number[];
+  throughput_edges: number[];
+}
+
+export type Among = 'all' | 'selection' | 'brightest';
+
+export interface PathsHeader {
+  set: number;
+  candidates: number;
+  d: number | null;
+  dj: number | null;
+  effective_size: number | null;
+}
+
+export interface HistogramsHeader {
+  counted: 'recorded' | 'all samples';
+  /** Name indices of each name axis, by falling share. */
+  categories: Record<string, number[]>;
+}
+
+export interface SelectionHeader {
+  /** The condition in canonical form. */
+  text: string;
+  counts: Record<TableName, number>;
+  totals: Record<TableName, number>;
+  light_share: number | null;
+  samples: number;
+}
+
+export interface ServedFile {
+  file: number;
+  name: string;
+  bytes: number;
+}
+
+/** Version of the attributes that this page knows. */
+export const SCHEMA_VERSION = 1;
+
+/** Formats a data set for the address: `7/1..3` or `f0`. */
+export const formatSource = (source: Source): string =>
+  'file' in source ? `f${source.file}` : `${source.job}/${formatNumbers(source.frames)}`;
+
+/** Parses a data set from the address; null if there is none. */
+export function parseSource(text: string | undefined): Source | null {
+  const file = /^f(\d{1,6})$/.exec(text ?? '');
+  if (file) return { file: Number(file[1]) };
+  const job = /^(\d{1,15})\/(.+)$/.exec(text ?? '');
+  const frames = parseNumbers(job?.[2]).slice(0, MOST_FRAMES);
+  return job && frames.length ? { job: Number(job[1]), frames } : null;
+}
+
+type Values = Record<string, string | number | null | undefined>;
+
+function address(source: Source, call: string, values: Values): string {
+  const of = 'file' in source ? `files/${source.file}` : `jobs/${source.job}`;
+  const query = new URLSearchParams();
+  if ('frames' in source) query.set('frames', formatNumbers(source.frames));
+  for (const [key, value] of Object.entries(values)) if (value != null && value !== '') query.set(key, String(value));
+  const text = query.toString();
+  return `/api/v1/${of}/light/${call}${text ? `?${text}` : ''}`;
+}
+
+async function ask(path: string, init: RequestInit): Promise<Response> {
+  const answer = await fetch(path, { credentials: 'same-origin', ...init }).catch((error: unknown) => {
+    if (init.signal?.aborted) throw error;
+    throw new ApiError(0, 'unreachable', 'the server does not answer', 'the page retries automatically');
+  });
+  if (!answer.ok && answer.status !== 304) throw await failure(answer);
+  return answer;
+}
+
+/** Answers with an unchanged ETag come from the browser's cache. */
+async function columns<H>(source: Source, call: string, values: Values, signal?: AbortSignal): Promise<Columns<H> | null> {
+  const answer = await ask(address(source, call, values), { signal: signal ?? null, cache: 'no-cache' });
+  return answer.status === 204 ? null : decodeColumns<H>(await answer.arrayBuffer());
+}
+
+export const formatBox = (box: Corners | null): string | null => box && box.flat().join(',');
+
+export interface SchemaAnswer {
+  /** Null until there are data. */
+  schema: Schema | null;
+  etag: string | null;
+}
+
+export const light = {
+  async files(signal?: AbortSignal): Promise<ServedFile[]> {
+    const answer = await ask('/api/v1/files', { signal: signal ?? null, cache: 'no-cache' });
+    return ((await answer.json()) as { files: ServedFile[] }).files;
+  },
+
+  /** Returns the description of a data set; `undefined` if `etag` still matches. */
+  async schema(source: Source, etag: string | null, signal?: AbortSignal): Promise<SchemaAnswer | undefined> {
+    const headers: Record<string, string> = etag ? { 'If-None-Match': etag } : {};
+    const answer = await ask(address(source, 'schema', {}), { signal: signal ?? null, cache: 'no-store', headers });
+    if (answer.status === 304) return undefined;
+    if (answer.status === 204) return { schema: null, etag: null };
+    const schema = (await answer.json()) as Schema;
+    if (schema.version !== SCHEMA_VERSION) {
+      const text = `the recorded light has version ${schema.version} of its attributes, this page reads version ${SCHEMA_VERSION}`;
+      throw new ApiError(0, 'version', text, 'reload the page, or update femc');
+    }
+    return { schema, etag: answer.headers.get('ETag') };
+  },
+
+  /** Returns representative paths with their intersections and lights. */
+  paths: (
+    source: Source,
+    { where, box, count, among }: { where: string; box: Corners | null; count: number; among: Among },
+    signal?: AbortSignal,
+  ) =>
+    columns<PathsHeader>(
+      source,
+      'paths',
+      {
+        count,
+        among: among === 'brightest' ? 'brightest' : null,
+        where: among === 'selection' ? where : null,
+        box: formatBox(box),
+      },
+      signal,
+    ),
+
+  /** Returns the counts of all axes, and the joint counts of pairs of axes (`paths:0-3`). */
+  histograms: (
+    source: Source,
+    { where, box, pairs }: { where: string; box: Corners | null; pairs: readonly string[] },
+    signal?: AbortSignal,
+  ) => columns<HistogramsHeader>(source, 'histograms', { where, box: formatBox(box), pairs: pairs.join(',') }, signal),
+
+  /** Evaluates a condition over all recorded paths. */
+  selection: (source: Source, where: string, density: boolean, signal?: AbortSignal) =>
+    columns<SelectionHeader>(source, 'selection', { where, density: density ? 1 : null }, signal),
+};

@@ -1,0 +1,91 @@
+/** Bins of the axes as bars on a canvas. */
+
+import type { PlotSet } from './contract';
+import { ratioColor } from './ratio';
+import { BINS } from './scale';
+import type { Scene, ShownAxis } from './lines';
+
+type Rgb = readonly [number, number, number];
+const css = ([r, g, b]: Rgb, alpha: number) => `rgb(${r} ${g} ${b} / ${alpha})`;
+
+/** A bar: neighboring bins that are together at least as high as a bar must be. */
+export interface Bar {
+  /** Heights on the axis. */
+  from: number;
+  to: number;
+  bins: number[];
+}
+
+/** Returns the bars of an axis; none is lower than `least`. */
+export function barsOf({ scale }: ShownAxis, least: number): Bar[] {
+  const bins = Array.from({ length: BINS }, (_, k) => k).filter((k) => scale.to[k]! > scale.from[k]!);
+  bins.sort((a, b) => scale.from[a]! - scale.from[b]!);
+  const bars: Bar[] = [];
+  for (const k of bins) {
+    const last = bars.at(-1);
+    const [from, to] = [scale.from[k]!, scale.to[k]!];
+    const isSlot = scale.base > 0 && k === 0;
+    if (last && last.to - last.from < least && !scale.isCategorical && !isSlot && !(scale.base > 0 && last.bins[0] === 0)) {
+      last.to = to;
+      last.bins.push(k);
+    } else bars.push({ from, to, bins: [k] });
+  }
+  return bars;
+}
+
+/** Returns the share of a set's records in a bar. */
+export function shareIn(bar: Bar, counts: ArrayLike<number> | undefined, total: number): number {
+  if (!counts || !(total > 0)) return 0;
+  let sum = 0;
+  for (const k of bar.bins) sum += counts[k] ?? 0;
+  return sum / total;
+}
+
+/** Draws the bars of all axes; lengths are in CSS pixels. */
+export function drawBars(context: CanvasRenderingContext2D, scene: Scene): void {
+  const { ratio, width, height, axes, sets, palette, top, bottom } = scene;
+  context.setTransform(ratio, 0, 0, ratio, 0, 0);
+  context.clearRect(0, 0, width, height);
+  const length = bottom - top;
+  const most = Math.min(0.42 * scene.spacing, 44) * (sets.length > 1 ? 0.75 : 1);
+  const hasSelection = sets.some((it) => it.selectedBins);
+  axes.forEach((axis, place) => {
+    const x = scene.left + place * scene.spacing;
+    const bars = barsOf(axis, 3 / length);
+    const shares = (set: PlotSet, bins: PlotSet['selectedBins']) =>
+      bars.map((bar) => shareIn(bar, bins?.[axis.index], set.total));
+    const all = sets.map((it) => shares(it, it.bins));
+    const chosen = sets.map((it) => shares(it, it.selectedBins));
+    // The place of records without a value may have most of them: it does not make the others invisible.
+    const isSlot = (i: number) => axis.scale.base > 0 && bars[i]!.bins[0] === 0;
+    let greatest = 0;
+    for (const list of all) list.forEach((share, i) => (greatest = isSlot(i) ? greatest : Math.max(greatest, share)));
+    if (greatest === 0) greatest = 1;
+    bars.forEach((bar, i) => {
+      const [low, high] = axis.flipped ? [1 - bar.to, 1 - bar.from] : [bar.from, bar.to];
+      let [y, size] = [top + (1 - high) * length, (high - low) * length];
+      if (axis.scale.isCategorical) [y, size] = [y + 0.08 * size, 0.84 * size];
+      else if (size > 4) size -= 1;
+      const two = sets.length > 1;
+      sets.forEach((_, number) => {
+        const side = two && number === 0 ? -1 : 1;
+        const draw = (share: number, style: string) => {
+          if (!(share > 0)) return;
+          const part = Math.max(most * Math.min(share / greatest, 1), 1.2);
+          context.fillStyle = style;
+          context.fillRect(side > 0 ? x + 1 : x - 1 - part, y, part, size);
+          if (share > greatest * 1.001) {
+            // The bar is cut.
+            context.clearRect(x + side * (most - 4) - 0.75, y, 1.5, size);
+          }
+        };
+        const tone = (list: number[][]) => (two ? ratioColor(list[0]![i]!, list[1]![i]!, palette) : palette.single);
+        if (!hasSelection) draw(all[number]![i]!, css(tone(all), 0.8));
+        else {
+          draw(all[number]![i]!, css(palette.rest, 0.5));
+          draw(chosen[number]![i]!, css(tone(chosen), 0.95));
+        }
+      });
+    });
+  });
+}

@@ -185,12 +185,10 @@ fn quantities_select_paths_as_a_whole() {
     }
     // Of a selected path, the intersections and lights that fulfill the inner condition alone.
     let found = select(&all, "light(light.radiance.g > 1)");
-    let by_light = select_by_loops(&all, |it| it.light.is_some_and(|light| light.radiance[1] > 1.0));
     let bright: Vec<u32> = {
         let lights = all.paths().iter().flat_map(|path| &path.lights);
         (0..).zip(lights).filter(|(_, light)| light.radiance[1] > 1.0).map(|(number, _)| number).collect()
     };
-    assert_eq!(by_light.counts()[0], 0, "no path is selected without a light");
     assert!(found.lights.numbers().eq(bright));
 }
 
@@ -478,17 +476,17 @@ fn representatives_of_a_selection_are_selected_and_nearest_by_hash() {
     let all = recorded();
     let selected = select(&all, "depth > 1 and pixel.x < 18");
     let [count, ..] = selected.counts();
-    let found = all.choose_representatives(Some(&selected.paths), None, 100);
-    assert_eq!((found.numbers.len(), found.weights.len(), found.represented), (100, 100, count as usize));
+    let found = all.choose_representatives(Some(&selected.paths), None, 40);
+    assert_eq!((found.numbers.len(), found.weights.len(), found.represented), (40, 40, count as usize));
     assert!(found.numbers.is_sorted_by(|a, b| a < b));
     assert!(found.numbers.iter().all(|number| selected.paths.contains(*number)));
-    assert!((found.weights.iter().sum::<f64>() - 100.0).abs() < 1e-6);
+    assert!((found.weights.iter().sum::<f64>() - 40.0).abs() < 1e-6);
     // Candidates are those with the smallest hashes.
     let hash = |number: u32| all.paths()[number as usize].key.hash(crate::synthetic::SEED);
     let mut hashes: Vec<u64> = selected.paths.numbers().map(hash).collect();
     hashes.sort_unstable();
-    assert!(hashes.len() > 800);
-    assert!(found.numbers.iter().all(|number| hash(*number) <= hashes[799]));
+    assert!(hashes.len() > 320);
+    assert!(found.numbers.iter().all(|number| hash(*number) <= hashes[319]));
     let few = select(&all, "depth == 5 and pixel.x < 4");
     let found = all.choose_representatives(Some(&few.paths), None, 500);
     assert!(!found.numbers.is_empty() && found.numbers.iter().copied().eq(few.paths.numbers()));

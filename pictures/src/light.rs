@@ -149,8 +149,8 @@ struct Answer<'a> {
     is_cancelled: &'a AtomicBool,
 }
 
-impl Answer<'_> {
-    fn paths(&self) -> &RecordedPaths {
+impl<'a> Answer<'a> {
+    fn paths(&self) -> &'a RecordedPaths {
         &self.light.paths
     }
 

@@ -280,7 +280,8 @@ impl RecordedPaths {
                 // Overhead of two allocations.
                 + 32
         };
-        let names: usize = self.frames.iter().map(|it| it.names.values().map(|(_, text)| text.len() + 64).sum::<usize>()).sum();
+        let names: usize =
+            self.frames.iter().map(|it| it.names.values().map(|(_, text)| text.len() + 64).sum::<usize>()).sum();
         let columns = size_of_val(&self.weights[..])
             + size_of_val(&self.firsts[..])
             + size_of_val(&self.by_hash[..])

@@ -21,7 +21,7 @@ struct Row<'a> {
     weight: f64,
 }
 
-impl Answer<'_> {
+impl<'a> Answer<'a> {
     /// Returns paths that represent all selected paths.
     pub fn representatives(&self, count: usize) -> Result<LightAnswer, LightError> {
         let paths = self.paths();
@@ -52,18 +52,16 @@ impl Answer<'_> {
         let is_selected = |(frame, path): &&(u32, LightPath)| {
             matchers.as_ref().is_none_or(|matchers| matchers[*frame as usize].is_match(path))
         };
-        let selected: Vec<&(u32, LightPath)> = paths.brightest().iter().filter(is_selected).collect();
+        let selected: Vec<&'a (u32, LightPath)> = paths.brightest().iter().filter(is_selected).collect();
         if self.is_cancelled.load(Ordering::Relaxed) {
             return Err(cancelled(Cancelled));
         }
         let candidates = selected.len();
         let shown = &selected[..candidates.min(count)];
         let numbers = paths.numbers_of(shown.iter().map(|(frame, path)| (*frame, path.key)));
-        let row = |((frame, path), number): (&&(u32, LightPath), Option<u32>)| Row {
-            path,
-            frame: *frame as usize,
-            number,
-            weight: 1.0,
+        let row = |(sample, number): (&&'a (u32, LightPath), Option<u32>)| {
+            let (frame, path) = *sample;
+            Row { path, frame: *frame as usize, number, weight: 1.0 }
         };
         let rows: Vec<Row<'_>> = shown.iter().zip(numbers).map(row).collect();
         let header = [

@@ -57,7 +57,12 @@ pub struct RenderResult {
 pub fn run(request: &RenderRequest<'_>, state: &RunState, printer: Printer) -> Result<RenderResult, Failure> {
     client::runtime()?.block_on(async {
         let mut interrupt = Interrupt::listen()?;
-        let settings = embedded::EmbeddedConfig::with_files(state.log(), state.artifacts(), request.resolved.workers, request.resolved.threads);
+        let settings = embedded::EmbeddedConfig::with_files(
+            state.log(),
+            state.artifacts(),
+            request.resolved.workers,
+            request.resolved.threads,
+        );
         let (mut farm, client) = EmbeddedFarm::start(settings).await?;
         if request.watch {
             farm.show_in_browser(printer);

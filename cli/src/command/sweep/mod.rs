@@ -169,7 +169,12 @@ fn render_locally(
 ) -> Result<Vec<String>, Failure> {
     client::runtime()?.block_on(async {
         let mut interrupt = Interrupt::listen()?;
-        let settings = embedded::EmbeddedConfig::with_files(state.log(), state.artifacts(), sweep.first.workers, sweep.first.threads);
+        let settings = embedded::EmbeddedConfig::with_files(
+            state.log(),
+            state.artifacts(),
+            sweep.first.workers,
+            sweep.first.threads,
+        );
         let (mut embedded, farm) = EmbeddedFarm::start(settings).await?;
         let outcome = async {
             let mut queued = drive::queue_jobs(sweep, missing, folder, &farm).await?;

@@ -1,11 +1,12 @@
 //! Evaluation of queries. A query is compiled once for the names of a frame: texts become sets of names, so that a path needs no
-//! comparison of texts.
+//! comparison of texts. Terms that hold for a whole path are evaluated at most once for each path ([`PathFacts`]).
 
 use super::{CompareOp, Condition, EqualityOp, NumberField, Quantity, Query, WordField, is_text_within};
 use crate::record::{
     InteractionKind, Intersection, LightPath, LightRecord, LightTechnique, Name, Names, PathEnd, luminance,
 };
 use crate::statistics::Scope;
+use std::cell::Cell;
 
 /// A query, compiled for the paths of a frame.
 #[derive(Clone, Debug)]
@@ -26,15 +27,20 @@ pub struct Selection {
 impl Query {
     /// Compiles the query for frames of this scope with these names.
     pub fn compile<'a>(&self, scope: &'a Scope, names: &Names) -> Matcher<'a> {
-        Matcher { scope, condition: self.to_condition().map(|condition| Compiled::new(&condition, names)) }
+        let compile = |condition| Compiled::new(&condition, names).with_facts(&mut (0..u64::BITS));
+        Matcher { scope, condition: self.to_condition().map(compile) }
     }
 }
 
 impl Matcher<'_> {
     /// Checks whether a path is selected.
     pub fn is_match(&self, path: &LightPath) -> bool {
+        self.is_match_with(path, &PathFacts::default())
+    }
+
+    fn is_match_with(&self, path: &LightPath, facts: &PathFacts) -> bool {
         let Some(condition) = &self.condition else { return true };
-        contexts(path).any(|index| condition.holds(&self.context(path, index)))
+        contexts(path).any(|index| condition.holds(&self.context(path, facts, index)))
     }
 
     /// Returns the selected intersections and lights of a path, or `None` if the path is not selected. A selected path may have no
@@ -48,22 +54,45 @@ impl Matcher<'_> {
     pub fn select_into(&self, path: &LightPath, selection: &mut Selection) -> bool {
         selection.intersections.clear();
         selection.lights.clear();
-        if !self.is_match(path) {
+        let facts = PathFacts::default();
+        if !self.is_match_with(path, &facts) {
             return false;
         }
         let holds = |context: Context<'_>| self.condition.as_ref().is_none_or(|it| it.holds(&context));
-        let alone = |index: Option<u32>| Context { is_alone: true, ..self.context(path, index) };
-        selection
-            .intersections
-            .extend((0..path.intersections.len() as u32).filter(|&index| holds(alone(Some(index)))));
+        let alone = |index: Option<u32>| Context { is_alone: true, ..self.context(path, &facts, index) };
+        selection.intersections.extend((0..path.intersections.len() as u32).filter(|&index| holds(alone(Some(index)))));
         let is_selected = |light: &LightRecord| holds(Context { light: Some(light), ..alone(path.parent(light)) });
         let lights = (0..).zip(&path.lights).filter(|(_, light)| is_selected(light));
         selection.lights.extend(lights.map(|(index, _)| index));
         true
     }
 
-    fn context<'a>(&'a self, path: &'a LightPath, index: Option<u32>) -> Context<'a> {
-        Context { scope: self.scope, path, index, light: None, is_alone: false }
+    fn context<'a>(&'a self, path: &'a LightPath, facts: &'a PathFacts, index: Option<u32>) -> Context<'a> {
+        Context { scope: self.scope, path, facts, index, light: None, is_alone: false }
+    }
+}
+
+/// Results of the terms that hold for a whole path, as far as they are known: one bit each.
+#[derive(Debug, Default)]
+struct PathFacts {
+    known: Cell<u64>,
+    holding: Cell<u64>,
+}
+
+/// Number of a term among those that hold for a whole path; `None`: there are more than [`PathFacts`] has bits.
+type FactNumber = Option<u32>;
+
+impl PathFacts {
+    /// Returns the result of a term, evaluated at most once.
+    fn get(&self, number: FactNumber, evaluate: impl FnOnce() -> bool) -> bool {
+        let Some(number) = number else { return evaluate() };
+        let bit = 1 << number;
+        if self.known.get() & bit == 0 {
+            let holds = evaluate();
+            self.known.set(self.known.get() | bit);
+            self.holding.set(if holds { self.holding.get() | bit } else { self.holding.get() });
+        }
+        self.holding.get() & bit != 0
     }
 }
 
@@ -85,7 +114,8 @@ impl NameSet {
     }
 
     fn contains(&self, name: Name) -> bool {
-        self.0.binary_search(&name).is_ok()
+        const MAX_SCANNED: usize = 8;
+        if self.0.len() <= MAX_SCANNED { self.0.contains(&name) } else { self.0.binary_search(&name).is_ok() }
     }
 }
 
@@ -101,11 +131,13 @@ enum Compiled {
     Interaction(WordField, Option<InteractionKind>),
     Technique(Option<LightTechnique>),
     End(Option<PathEnd>),
-    Intersections(Quantity, Box<Self>),
-    Lights(Quantity, Box<Self>),
+    Intersections(Quantity, FactNumber, Box<Self>),
+    Lights(Quantity, FactNumber, Box<Self>),
     Sequence(Vec<NameSet>),
     InBox([[f64; 3]; 2]),
     InLasso(Vec<[f64; 2]>),
+    /// A condition on the path, which holds or not at all its intersections and lights.
+    OfPath(FactNumber, Box<Self>),
 }
 
 impl Compiled {
@@ -135,13 +167,68 @@ impl Compiled {
                 }
                 WordField::End => Self::End(PathEnd::ALL.iter().find(|it| it.word() == value).copied()),
             },
-            Condition::Intersections(quantity, condition) => Self::Intersections(*quantity, inner(condition)),
-            Condition::Lights(quantity, condition) => Self::Lights(*quantity, inner(condition)),
+            Condition::Intersections(quantity, condition) => Self::Intersections(*quantity, None, inner(condition)),
+            Condition::Lights(quantity, condition) => Self::Lights(*quantity, None, inner(condition)),
             Condition::Sequence(objects) => {
                 Self::Sequence(objects.iter().map(|object| NameSet::new(names, object)).collect())
             }
             Condition::InBox(corners) => Self::InBox(*corners),
             Condition::InLasso(points) => Self::InLasso(points.clone()),
+        }
+    }
+
+    /// Checks whether the condition is on the path only.
+    fn is_of_path(&self) -> bool {
+        match self {
+            Self::And(a, b) | Self::Or(a, b) => a.is_of_path() && b.is_of_path(),
+            Self::Not(condition) => condition.is_of_path(),
+            Self::Number(field, ..) => match field {
+                NumberField::PathRadiance(_)
+                | NumberField::PathThroughput(_)
+                | NumberField::Depth
+                | NumberField::Pixel(_)
+                | NumberField::Sample
+                | NumberField::FirstPosition(_)
+                | NumberField::LastPosition(_)
+                | NumberField::BrightestRadiance => true,
+                NumberField::Bounce
+                | NumberField::Position(_)
+                | NumberField::Radiance(_)
+                | NumberField::Throughput(_)
+                | NumberField::LightRadiance(_) => false,
+            },
+            Self::Name(field, _) | Self::Interaction(field, _) => matches!(
+                field,
+                WordField::FirstObject
+                    | WordField::FirstInteraction
+                    | WordField::LastObject
+                    | WordField::LastInteraction
+                    | WordField::BrightestLight
+            ),
+            Self::End(_) | Self::Sequence(_) | Self::InLasso(_) | Self::OfPath(..) => true,
+            Self::Technique(_) | Self::Intersections(..) | Self::Lights(..) | Self::InBox(_) => false,
+        }
+    }
+
+    /// Gives a number to each term that holds for a whole path.
+    fn with_facts(self, next: &mut impl Iterator<Item = u32>) -> Self {
+        if self.is_of_path() {
+            return Self::OfPath(next.next(), Box::new(self));
+        }
+        let mut inner = |condition: Box<Self>| Box::new(condition.with_facts(next));
+        match self {
+            Self::And(a, b) => Self::And(inner(a), inner(b)),
+            Self::Or(a, b) => Self::Or(inner(a), inner(b)),
+            Self::Not(condition) => Self::Not(inner(condition)),
+            Self::Intersections(quantity, _, condition) => {
+                let condition = inner(condition);
+                Self::Intersections(quantity, next.next(), condition)
+            }
+            Self::Lights(quantity, _, condition) => {
+                let condition = inner(condition);
+                Self::Lights(quantity, next.next(), condition)
+            }
+            term => term,
         }
     }
 
@@ -163,18 +250,20 @@ impl Compiled {
             }
             Self::Technique(technique) => context.lights().any(|light| Some(light.technique) == *technique),
             Self::End(end) => Some(path.end) == *end,
-            Self::Intersections(_, condition) if context.is_alone => condition.holds(context),
-            Self::Intersections(quantity, condition) => {
+            Self::Intersections(_, _, condition) if context.is_alone => condition.holds(context),
+            Self::Intersections(quantity, fact, condition) => context.facts.get(*fact, || {
                 quantity.holds(contexts(path).map(|index| condition.holds(&Context { index, light: None, ..*context })))
-            }
-            Self::Lights(_, condition) if context.is_alone && context.light.is_some() => condition.holds(context),
-            Self::Lights(quantity, condition) => {
-                let lights = path.lights.iter().map(|light| (light, path.parent(light)));
+            }),
+            Self::Lights(_, _, condition) if context.is_alone && context.light.is_some() => condition.holds(context),
+            Self::Lights(quantity, fact, condition) => {
                 // An intersection alone has the lights sampled there.
-                let own = lights.filter(|(_, parent)| !context.is_alone || *parent == context.index);
-                quantity.holds(
-                    own.map(|(light, index)| condition.holds(&Context { index, light: Some(light), ..*context })),
-                )
+                let fact = fact.filter(|_| !context.is_alone);
+                context.facts.get(fact, || {
+                    let lights = path.lights.iter().map(|light| (light, path.parent(light)));
+                    let own = lights.filter(|(_, parent)| !context.is_alone || *parent == context.index);
+                    let holds = |(light, index)| condition.holds(&Context { index, light: Some(light), ..*context });
+                    quantity.holds(own.map(holds))
+                })
             }
             Self::Sequence(objects) => {
                 let mut later = path.intersections.iter();
@@ -183,6 +272,7 @@ impl Compiled {
             Self::InBox([low, high]) => context
                 .intersection()
                 .is_some_and(|it| (0..3).all(|axis| (low[axis]..=high[axis]).contains(&it.position[axis]))),
+            Self::OfPath(fact, condition) => context.facts.get(*fact, || condition.holds(context)),
             Self::InLasso(points) => is_inside(points, context.pixel().map(|axis| f64::from(axis) + 0.5)),
         }
     }
@@ -222,6 +312,7 @@ impl CompareOp {
 struct Context<'a> {
     scope: &'a Scope,
     path: &'a LightPath,
+    facts: &'a PathFacts,
     /// Index of the intersection in the path.
     index: Option<u32>,
     light: Option<&'a LightRecord>,
@@ -249,24 +340,24 @@ impl<'a> Context<'a> {
 
     fn has_number(&self, field: NumberField, holds: impl Fn(f64) -> bool) -> bool {
         let path = self.path;
-        let at = |it: Option<&Intersection>, get: &dyn Fn(&Intersection) -> f64| it.is_some_and(|it| holds(get(it)));
-        match field {
-            NumberField::Bounce => at(self.intersection(), &|it| f64::from(it.bounce)),
-            NumberField::Position(axis) => at(self.intersection(), &|it| it.position[axis]),
-            NumberField::Radiance(channel) => at(self.intersection(), &|it| f64::from(it.radiance[channel])),
-            NumberField::Throughput(channel) => at(self.intersection(), &|it| f64::from(it.throughput[channel])),
-            NumberField::LightRadiance(channel) => self.lights().any(|it| holds(f64::from(it.radiance[channel]))),
-            NumberField::PathRadiance(channel) => holds(f64::from(path.radiance[channel])),
-            NumberField::PathThroughput(channel) => holds(f64::from(path.throughput[channel])),
-            NumberField::Depth => holds(f64::from(path.depth)),
-            NumberField::Pixel(axis) => holds(f64::from(self.pixel()[axis])),
-            NumberField::Sample => holds(f64::from(path.key.sample)),
-            NumberField::FirstPosition(axis) => at(path.intersections.first(), &|it| it.position[axis]),
-            NumberField::LastPosition(axis) => at(path.intersections.last(), &|it| it.position[axis]),
-            NumberField::BrightestRadiance => {
-                path.brightest_light().is_some_and(|light| holds(f64::from(luminance(light.radiance))))
+        let value = match field {
+            NumberField::LightRadiance(channel) => {
+                return self.lights().any(|it| holds(f64::from(it.radiance[channel])));
             }
-        }
+            NumberField::Bounce => self.intersection().map(|it| f64::from(it.bounce)),
+            NumberField::Position(axis) => self.intersection().map(|it| it.position[axis]),
+            NumberField::Radiance(channel) => self.intersection().map(|it| f64::from(it.radiance[channel])),
+            NumberField::Throughput(channel) => self.intersection().map(|it| f64::from(it.throughput[channel])),
+            NumberField::PathRadiance(channel) => Some(f64::from(path.radiance[channel])),
+            NumberField::PathThroughput(channel) => Some(f64::from(path.throughput[channel])),
+            NumberField::Depth => Some(f64::from(path.depth)),
+            NumberField::Pixel(axis) => Some(f64::from(self.pixel()[axis])),
+            NumberField::Sample => Some(f64::from(path.key.sample)),
+            NumberField::FirstPosition(axis) => path.intersections.first().map(|it| it.position[axis]),
+            NumberField::LastPosition(axis) => path.intersections.last().map(|it| it.position[axis]),
+            NumberField::BrightestRadiance => path.brightest_light().map(|it| f64::from(luminance(it.radiance))),
+        };
+        value.is_some_and(holds)
     }
 
     fn has_name(&self, field: WordField, is: impl Fn(Name) -> bool) -> bool {

@@ -53,6 +53,19 @@ const DIVERGING_STOPS: readonly Rgb[] = [
   [103, 0, 31],
 ];
 
+// Hot body: black over red and yellow to white; lightness rises throughout.
+const HOT_STOPS: readonly Rgb[] = [
+  [11, 0, 0],
+  [92, 0, 0],
+  [173, 0, 0],
+  [255, 0, 0],
+  [255, 81, 0],
+  [255, 162, 0],
+  [255, 243, 0],
+  [255, 255, 110],
+  [255, 255, 255],
+];
+
 function along(stops: readonly Rgb[], t: number): Rgb {
   if (Number.isNaN(t)) return [255, 0, 255];
   const place = Math.min(Math.max(t, 0), 1) * (stops.length - 1);
@@ -66,6 +79,9 @@ export const viridis = (t: number): Rgb => along(VIRIDIS_STOPS, t);
 
 /** Returns a color from blue (0) over white (0.5) to red (1) in bytes; magenta for NaN. */
 export const diverging = (t: number): Rgb => along(DIVERGING_STOPS, t);
+
+/** Returns the color of a hot body at `t` in 0..1 in bytes, from black to white; magenta for NaN. */
+export const hot = (t: number): Rgb => along(HOT_STOPS, t);
 
 export const css = ([r, g, b]: Rgb): string => `rgb(${Math.round(r)} ${Math.round(g)} ${Math.round(b)})`;
 

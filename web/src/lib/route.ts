@@ -2,14 +2,18 @@
 
 import { ranges } from './format';
 
-export type JobTab = 'frames' | 'picture' | 'tasks' | 'timeline' | 'logs' | 'settings' | 'clip';
-export const JOB_TABS: readonly JobTab[] = ['frames', 'picture', 'tasks', 'timeline', 'logs', 'settings', 'clip'];
+export type JobTab = 'frames' | 'picture' | 'light' | 'tasks' | 'timeline' | 'logs' | 'settings' | 'clip';
+/** Views of a job, in the order of their tabs. */
+export const JOB_TABS: readonly JobTab[] = ['frames', 'picture', 'light', 'tasks', 'timeline', 'logs', 'settings', 'clip'];
+/** Views of a job that the keys from `1` on open. */
+export const TAB_KEYS: readonly JobTab[] = ['frames', 'picture', 'tasks', 'timeline', 'logs', 'settings', 'clip', 'light'];
 
 export type Route =
   | { page: 'jobs' }
   | { page: 'job'; job: number; tab: JobTab }
   | { page: 'workers' }
   | { page: 'audit' }
+  | { page: 'view' }
   | { page: 'login' }
   | { page: 'unknown'; path: string };
 
@@ -18,7 +22,9 @@ export function parsePath(path: string): Route {
   const parts = path.split('/').filter(Boolean);
   const [first, second, third] = parts;
   if (parts.length === 0 || (first === 'jobs' && parts.length === 1)) return { page: 'jobs' };
-  if (parts.length === 1 && (first === 'workers' || first === 'audit' || first === 'login')) return { page: first };
+  if (parts.length === 1 && (['workers', 'audit', 'view', 'login'].includes(first!))) {
+    return { page: first as 'workers' | 'audit' | 'view' | 'login' };
+  }
   const tab = (third ?? 'frames') as JobTab;
   if (first === 'jobs' && parts.length <= 3 && /^\d{1,15}$/.test(second!) && JOB_TABS.includes(tab)) {
     return { page: 'job', job: Number(second), tab };

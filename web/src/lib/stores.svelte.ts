@@ -70,7 +70,7 @@ class Views {
   }
 }
 
-const SELECTION_KEYS = new Set(['jobs', 'frames', 'frame', 'task', 'pixel', 'lasso']);
+const SELECTION_KEYS = new Set(['jobs', 'frames', 'frame', 'task', 'pixel', 'lasso', 'where']);
 
 export const views = new Views();
 

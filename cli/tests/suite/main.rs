@@ -44,6 +44,7 @@ mod sweep;
 mod threads;
 mod trust;
 mod usage;
+mod view;
 mod watch;
 mod web;
 mod worker;

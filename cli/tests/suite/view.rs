@@ -1,0 +1,248 @@
+//! Tests of `femc view` and of the calls for recorded light.
+#![cfg(unix)]
+
+use femc_require::Prerequisite;
+use std::path::Path;
+use std::process::Command;
+
+use crate::common::http::{Answer, send_request};
+use crate::common::{TestFolder, TestProcess, start_coordinator, status};
+
+/// Pages of a running `femc view`.
+struct Pages {
+    _process: TestProcess,
+    address: String,
+    authorization: String,
+    /// Page that the address leads to.
+    page: String,
+}
+
+impl Pages {
+    fn open(dir: &TestFolder, line: &str) -> Self {
+        let mut process = dir.start(&format!("view {line} --no-browser"));
+        let url = process.first_line();
+        let (address, fragment) = url.split_once("/login#").unwrap_or_else(|| panic!("no address: {url}"));
+        let value = |name: &str| {
+            let pairs = fragment.split('&').filter_map(|pair| pair.split_once('='));
+            pairs.clone().find(|(key, _)| *key == name).map_or_else(String::new, |(_, value)| value.to_owned())
+        };
+        Self {
+            address: address.trim_start_matches("http://").to_owned(),
+            authorization: format!("Authorization: Bearer {}", value("token")),
+            page: value("from"),
+            _process: process,
+        }
+    }
+
+    fn get(&self, path: &str) -> Answer {
+        send_request(&self.address, &format!("GET /api/v1/{path}"), &[&self.authorization], "")
+    }
+}
+
+/// Encodes text for the query of a URL.
+fn encoded(text: &str) -> String {
+    text.bytes()
+        .map(|byte| if byte.is_ascii_alphanumeric() { char::from(byte).to_string() } else { format!("%{byte:02X}") })
+        .collect()
+}
+
+/// Returns the header of an answer in columns.
+fn header(answer: &Answer) -> serde_json::Value {
+    assert_eq!(answer.status, 200, "{}", String::from_utf8_lossy(&answer.body));
+    assert_eq!(&answer.body[..4], b"FLCV");
+    let length = u32::from_le_bytes(answer.body[8..12].try_into().expect("four bytes")) as usize;
+    serde_json::from_slice(&answer.body[12..12 + length]).expect("JSON")
+}
+
+/// Returns a column of bytes.
+fn bytes<'a>(answer: &'a Answer, name: &str) -> &'a [u8] {
+    let header = header(answer);
+    let length = u32::from_le_bytes(answer.body[8..12].try_into().expect("four bytes")) as usize;
+    let columns = header["columns"].as_array().expect("columns");
+    let column = columns.iter().find(|column| column["name"] == name).expect("the column");
+    let number = |key: &str| column[key].as_u64().expect("a number") as usize;
+    assert_eq!(column["type"], "u8");
+    &answer.body[12 + length + number("offset")..][..number("length")]
+}
+
+fn write_gallery(dir: &TestFolder) {
+    let scenes = Path::new(env!("CARGO_MANIFEST_DIR")).join("../scenes");
+    dir.run(&format!("render {} -o gallery.exr --size 64x48 --spp 64 --stats", scenes.join("gallery.mgf").display()))
+        .exits(0);
+}
+
+/// Numbers of rows of the three tables of `femc paths`.
+fn rows(dir: &TestFolder, file: &str, condition: &str) -> serde_json::Value {
+    let count = |table: &str| {
+        let mut command = dir.command(&format!("paths {file} --table {table} --csv --where"));
+        let output = command.arg(condition).output().expect("the command runs");
+        assert!(output.status.success(), "{condition}: {}", String::from_utf8_lossy(&output.stderr));
+        String::from_utf8_lossy(&output.stdout).lines().count().saturating_sub(1)
+    };
+    serde_json::json!({ "paths": count("paths"), "intersections": count("intersections"), "lights": count("lights") })
+}
+
+#[test]
+fn counts_of_pages_are_those_of_the_command_line_and_of_polars() {
+    let Some(programs) = Prerequisite::Python.variable_or_skip("FEMC_TEST_PYTHON_BIN") else { return };
+    let dir = TestFolder::new();
+    write_gallery(&dir);
+    for table in ["paths", "intersections", "lights"] {
+        dir.run(&format!("paths gallery.paths --table {table} --parquet {table}.parquet")).exits(0);
+    }
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/light_selections.py");
+    let mut command = Command::new(Path::new(&programs).join("python"));
+    let output = command.arg(script).arg(dir.path("")).output().expect("Python runs");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let by_polars: serde_json::Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    let pages = Pages::open(&dir, "gallery.paths");
+    let conditions = by_polars.as_object().expect("conditions");
+    assert!(conditions.len() >= 12);
+    for (condition, expected) in conditions {
+        let answer = pages.get(&format!("files/0/light/selection?density=1&where={}", encoded(condition)));
+        let header = header(&answer);
+        assert_eq!(header["counts"], *expected, "page and polars: {condition}");
+        // The page shows this text, and copies it as a command.
+        let text = header["text"].as_str().expect("a text");
+        assert_eq!(rows(&dir, "gallery.paths", text), *expected, "command line and polars: {condition}, {text}");
+        for table in ["paths", "intersections", "lights"] {
+            let ones: u32 = bytes(&answer, &format!("{table}.mask")).iter().map(|byte| byte.count_ones()).sum();
+            assert_eq!(u64::from(ones), expected[table].as_u64().expect("a number"), "{condition}: mask of {table}");
+        }
+    }
+}
+
+#[test]
+fn a_view_needs_its_token_and_names_faults_of_parameters() {
+    let dir = TestFolder::new();
+    dir.run("render fog.mgf -o fog.exr --size 32x32 --spp 8 --stats").exits(0);
+    dir.run("render fog.mgf -o other.exr --size 24x24 --spp 8 --stats --seed 2").exits(0);
+    let pages = Pages::open(&dir, "fog.paths other.paths");
+    assert_eq!(pages.page, "/view%3Fb%3D1");
+    let without = send_request(&pages.address, "GET /api/v1/files", &[], "");
+    assert_eq!((without.status, without.code().as_str()), (401, "unauthenticated"));
+    let login = ["Content-Type: application/x-www-form-urlencoded"];
+    let token = pages.authorization.trim_start_matches("Authorization: Bearer ");
+    let signed_in = send_request(&pages.address, "POST /login", &login, &format!("token={token}"));
+    assert!(signed_in.header("set-cookie").contains("HttpOnly"), "{:?}", signed_in.head);
+    let files = pages.get("files").json();
+    assert_eq!((&files["files"][0]["name"], &files["files"][1]["name"]), (&"fog.paths".into(), &"other.paths".into()));
+    let schema = pages.get("files/1/light/schema");
+    assert_eq!(
+        (schema.json()["film"].clone(), schema.json()["growing"].clone()),
+        (serde_json::json!([24, 24]), false.into())
+    );
+    let tag = format!("If-None-Match: {}", schema.header("etag"));
+    let again = send_request(&pages.address, "GET /api/v1/files/1/light/schema", &[&pages.authorization, &tag], "");
+    assert_eq!(again.status, 304);
+    for (call, fault) in [
+        ("selection?where=deepth%3E3", "where: column 1: unknown name \"deepth\""),
+        ("selection", "where"),
+        ("paths?count=0", "count: expected a number from 1 to 20000"),
+        ("paths?among=few", "among: expected all or brightest"),
+        ("histograms?pairs=paths:0-99", "pairs"),
+        ("histograms?pairs=roofs:0-1", "pairs: `roofs:0-1`"),
+        ("histograms?box=1,2,3", "box: expected six numbers"),
+        ("voxels?level=9", "level: expected a number from 0 to 7"),
+    ] {
+        let answer = pages.get(&format!("files/0/light/{call}"));
+        let message = answer.json()["error"]["message"].as_str().unwrap_or_default().to_owned();
+        assert_eq!(answer.status, 400, "{call}: {message}");
+        assert!(message.starts_with(fault), "{call}: {message}");
+    }
+    assert_eq!(pages.get("files/2/light/schema").status, 404);
+    assert_eq!(pages.get("files/0/light/nothing").status, 404);
+    // The file is damaged while it is shown.
+    let mut damaged = std::fs::read(dir.path("fog.paths")).expect("the file");
+    let middle = damaged.len() / 2;
+    damaged.truncate(middle);
+    std::fs::write(dir.path("fog.paths"), damaged).expect("it is written");
+    let answer = pages.get("files/0/light/schema");
+    assert_eq!((answer.status, answer.code().as_str()), (422, "unreadable"), "{}", answer.json());
+}
+
+#[test]
+fn files_that_cannot_be_shown_are_refused_before_the_browser_opens() {
+    let dir = TestFolder::new();
+    dir.run("render fog.mgf -o fog.exr --size 32x32 --spp 8 --stats").exits(0);
+    let whole = std::fs::read(dir.path("fog.paths")).expect("the file");
+    let mut later = whole.clone();
+    later[8] = later[8].wrapping_add(1);
+    for (name, bytes) in
+        [("cut.paths", &whole[..whole.len() / 2]), ("later.paths", &later[..]), ("text.paths", b"hello")]
+    {
+        std::fs::write(dir.path(name), bytes).expect("it is written");
+        let ran = dir.run(&format!("view {name} --no-browser")).exits(1);
+        assert!(ran.stderr().contains(name), "{}", ran.stderr());
+    }
+    assert!(dir.run("view nothing.paths --no-browser").exits(1).stderr().contains("nothing.paths"));
+    let mixed = dir.run("view fog.paths fog.mgf --no-browser").exits(2);
+    assert!(mixed.stderr().contains("one scene, or one or two statistics files"), "{}", mixed.stderr());
+}
+
+#[test]
+fn light_of_a_frame_in_progress_grows_until_it_is_the_finished_one() {
+    let dir = TestFolder::new();
+    let (_farm, url) = start_coordinator(&dir, 0);
+    let address = url.trim_start_matches("http://").to_owned();
+    let ran = dir.run(&format!("submit fog.mgf --frames 3 --size 160x96 --spp 24 --stats --server {url}")).exits(0);
+    let job = ran.stdout().trim().to_owned();
+    let get = |call: &str| send_request(&address, &format!("GET /api/v1/jobs/{job}/light/{call}"), &[], "");
+    assert_eq!(get("schema?frames=3").status, 204, "nothing is rendered yet");
+    assert_eq!(get("schema").status, 400, "the frames are missing");
+    let mut worker = dir.start(&format!("worker --join {url} --threads 1"));
+    let (mut growing, mut last) = (0, 0);
+    worker.wait_until("the frame is done", || {
+        let answer = get("schema?frames=3");
+        if answer.status == 200 {
+            let schema = answer.json();
+            let samples = schema["samples"].as_u64().expect("a number");
+            assert!(samples >= last, "{samples} after {last}");
+            last = samples;
+            growing += u32::from(schema["growing"] == true);
+        }
+        status(&dir, &url, &job)["state"] == "done"
+    });
+    assert!(growing > 0, "the growing frame was never shown");
+    let schema = get("schema?frames=3").json();
+    assert_eq!((schema["growing"].clone(), schema["samples"].clone()), (false.into(), (160 * 96 * 24).into()));
+    dir.run(&format!("fetch {job} -o out --server {url}")).exits(0);
+    let file = crate::common::file_names(&dir.path("out")).into_iter().find(|name| name.ends_with(".paths"));
+    let condition = "any(interaction == volume) and depth > 2";
+    let answer = get(&format!("selection?frames=3&where={}", encoded(condition)));
+    assert_eq!(header(&answer)["counts"], rows(&dir, &format!("out/{}", file.expect("a file")), condition));
+    let plain = dir.run(&format!("submit fog.mgf --frames 3 --size 16x16 --spp 2 --server {url}")).exits(0);
+    let plain = plain.stdout().trim().to_owned();
+    worker.wait_until("the plain job is done", || status(&dir, &url, &plain)["state"] == "done");
+    let none = send_request(&address, &format!("GET /api/v1/jobs/{plain}/light/schema?frames=3"), &[], "");
+    assert_eq!((none.status, none.code().as_str()), (404, "not_found"), "{}", none.json());
+}
+
+#[test]
+fn a_scene_is_rendered_in_view_and_paused() {
+    let dir = TestFolder::new();
+    let pages = Pages::open(&dir, "fog.mgf --size 64x48 --spp 4000 --frames 2 --threads 1");
+    assert_eq!(pages.page, "/jobs/1/light%3Fframes%3D2");
+    let control = |action: &str| {
+        let head = ["Content-Type: application/json", "X-Femc: 1", &pages.authorization];
+        let body = format!("{{\"jobs\": [1], \"action\": \"{action}\"}}");
+        assert_eq!(send_request(&pages.address, "POST /api/v1/jobs/control", &head, &body).status, 200);
+    };
+    let samples = || pages.get("jobs/1/light/schema?frames=2").json()["samples"].as_u64().expect("a number");
+    let mut waited = 0;
+    while pages.get("jobs/1/light/schema?frames=2").status != 200 {
+        std::thread::sleep(std::time::Duration::from_millis(50));
+        waited += 1;
+        assert!(waited < 600, "no light after 30 s");
+    }
+    control("pause");
+    assert_eq!(pages.get("jobs/1").json()["job"]["state"], "paused");
+    control("resume");
+    let before = samples();
+    let mut waited = 0;
+    while samples() == before {
+        std::thread::sleep(std::time::Duration::from_millis(50));
+        waited += 1;
+        assert!(waited < 600, "no more light after 30 s");
+    }
+}

@@ -1,0 +1,11 @@
+import { chromium } from 'playwright-core';
+const [url, out, w = '1360', h = '900', scheme = 'light', wait = '2500'] = process.argv.slice(2);
+const browser = await chromium.launch({ executablePath: process.env.CHROMIUM ?? '/usr/bin/chromium', args: ['--no-sandbox', '--use-gl=angle', '--use-angle=swiftshader', '--enable-unsafe-swiftshader'] });
+const page = await browser.newPage({ viewport: { width: +w, height: +h }, colorScheme: scheme });
+page.on('console', (m) => console.log('console', m.type(), m.text()));
+page.on('pageerror', (e) => console.log('error', e.message));
+await page.goto(url);
+await page.waitForTimeout(+wait);
+console.log(page.url());
+await page.screenshot({ path: out, fullPage: true });
+await browser.close();

@@ -218,6 +218,28 @@ fn light_of_a_frame_in_progress_grows_until_it_is_the_finished_one() {
     assert_eq!((none.status, none.code().as_str()), (404, "not_found"), "{}", none.json());
 }
 
+/// Light of all rounds so far is shown, and not only that of the latest round.
+#[test]
+fn light_of_several_rounds_grows() {
+    let dir = TestFolder::new();
+    let (_farm, url) = start_coordinator(&dir, 0);
+    let address = url.trim_start_matches("http://").to_owned();
+    let ran = dir.run(&format!("submit fog.mgf --frames 3 --size 96x64 --error 0.03 --stats --server {url}")).exits(0);
+    let job = ran.stdout().trim().to_owned();
+    let mut worker = dir.start(&format!("worker --join {url} --threads 1"));
+    let mut seen = Vec::new();
+    worker.wait_until("the frame is done", || {
+        let path = format!("GET /api/v1/jobs/{job}/light/schema?frames=3");
+        let answer = send_request(&address, &path, &[], "");
+        if answer.status == 200 && answer.json()["growing"] == true {
+            seen.push(answer.json()["samples"].as_u64().expect("a number"));
+        }
+        status(&dir, &url, &job)["state"] == "done"
+    });
+    seen.dedup();
+    assert!(seen.len() > 1 && seen.is_sorted(), "{seen:?}");
+}
+
 #[test]
 fn a_scene_is_rendered_in_view_and_paused() {
     let dir = TestFolder::new();

@@ -697,7 +697,8 @@ impl Progress {
     }
 
     /// Returns the outputs for a preview: results and outputs that may become results, with each sample once. Outputs that were
-    /// merged into others are not needed any more. The sums of earlier rounds are left out if this round includes them.
+    /// merged into others are not needed any more. The sums of earlier rounds are left out if this round includes them. Outputs of
+    /// earlier rounds are kept if a later stage reads all rounds of them.
     pub(crate) fn preview_outputs(&self, view: &GraphView<'_>) -> Vec<Output> {
         let is_carried = |(round, number): StageRound, role: Role| {
             view.graph.readers(number).any(|(_, need)| (need.role, need.round) == (role, Round::Previous))
@@ -710,6 +711,7 @@ impl Progress {
             let is_of_now =
                 stage_round.0 == self.round && !is_read_by_next_round_only(view, stage_round.1, output.role);
             is_of_now
+                || has_reader_of_all_rounds(view, stage_round.1, output.role)
                 || (is_carried(stage_round, output.role)
                     && stage_round.0 + 1 == self.round
                     && !has_successor(stage_round, first))
@@ -756,6 +758,11 @@ fn chunks<'a>(
 fn is_read_by_next_round_only(view: &GraphView<'_>, number: u16, role: Role) -> bool {
     let mut readers = view.graph.readers(number).filter(|(_, need)| need.role == role).peekable();
     readers.peek().is_some() && readers.all(|(_, need)| need.round == Round::Previous)
+}
+
+/// Checks whether a later stage reads all rounds of an output of a stage.
+fn has_reader_of_all_rounds(view: &GraphView<'_>, number: u16, role: Role) -> bool {
+    view.graph.readers(number).any(|(_, need)| (need.role, need.round) == (role, Round::Every))
 }
 
 /// Returns the key under which the failures of a task are counted.

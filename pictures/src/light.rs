@@ -251,11 +251,14 @@ impl<'a> Answer<'a> {
 
 /// Returns an object with a number for each table.
 fn counts_by_table(counts: [u32; 3]) -> Value {
-    Value::Object(Table::ALL.into_iter().zip(counts).map(|(table, count)| (table.name().to_owned(), json!(count))).collect())
+    Value::Object(
+        Table::ALL.into_iter().zip(counts).map(|(table, count)| (table.name().to_owned(), json!(count))).collect(),
+    )
 }
 
 fn parse_pair([table, row, column]: [usize; 3]) -> Result<PairKey, LightError> {
-    let table = *Table::ALL.get(table).ok_or_else(|| invalid("pairs", "the tables are paths, intersections and lights"))?;
+    let table =
+        *Table::ALL.get(table).ok_or_else(|| invalid("pairs", "the tables are paths, intersections and lights"))?;
     let axes = table.attributes().len();
     if row >= axes || column >= axes {
         let fault = format!("{}:{row}-{column}: its attributes are 0 to {}", table.name(), axes - 1);

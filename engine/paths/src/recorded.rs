@@ -105,6 +105,8 @@ impl RecordedPaths {
                 paths: first..paths.len() as u32,
             });
         }
+        // Records in the order in which they are read: neighbors in memory.
+        let paths: Vec<LightPath> = paths.iter().map(LightPath::clone).collect();
         brightest.sort_by(|(_, a), (_, b)| b.luminance().total_cmp(&a.luminance()));
         let mut by_hash: Vec<u32> = (0..paths.len() as u32).collect();
         by_hash.sort_unstable_by_key(|number| (hashes[*number as usize], *number));
@@ -280,7 +282,8 @@ impl RecordedPaths {
                 // Overhead of two allocations.
                 + 32
         };
-        let names: usize = self.frames.iter().map(|it| it.names.values().map(|(_, text)| text.len() + 64).sum::<usize>()).sum();
+        let names: usize =
+            self.frames.iter().map(|it| it.names.values().map(|(_, text)| text.len() + 64).sum::<usize>()).sum();
         let columns = size_of_val(&self.weights[..])
             + size_of_val(&self.firsts[..])
             + size_of_val(&self.by_hash[..])

@@ -2,7 +2,9 @@
 //! comparison of texts. Terms that hold for a whole path are evaluated at most once for each path ([`PathFacts`]).
 
 use super::{CompareOp, Condition, EqualityOp, NumberField, Quantity, Query, WordField, is_text_within};
-use crate::record::{InteractionKind, Intersection, LightPath, LightRecord, LightTechnique, Name, Names, PathEnd, luminance};
+use crate::record::{
+    InteractionKind, Intersection, LightPath, LightRecord, LightTechnique, Name, Names, PathEnd, luminance,
+};
 use crate::statistics::Scope;
 use std::cell::Cell;
 
@@ -11,6 +13,8 @@ use std::cell::Cell;
 pub struct Matcher<'a> {
     scope: &'a Scope,
     condition: Option<Compiled>,
+    /// Whether the condition means the same for an intersection alone as for an intersection among those of its path.
+    is_alike_alone: bool,
 }
 
 /// Selected parts of a path.
@@ -26,7 +30,9 @@ impl Query {
     /// Compiles the query for frames of this scope with these names.
     pub fn compile<'a>(&self, scope: &'a Scope, names: &Names) -> Matcher<'a> {
         let compile = |condition| Compiled::new(&condition, names).with_facts(&mut (0..u64::BITS));
-        Matcher { scope, condition: self.to_condition().map(compile) }
+        let condition = self.to_condition().map(compile);
+        let is_alike_alone = condition.as_ref().is_none_or(|condition| !condition.has_quantities());
+        Matcher { scope, condition, is_alike_alone }
     }
 }
 
@@ -38,6 +44,9 @@ impl Matcher<'_> {
 
     fn is_match_with(&self, path: &LightPath, facts: &PathFacts) -> bool {
         let Some(condition) = &self.condition else { return true };
+        if let Compiled::OfPath(_, condition) = condition {
+            return condition.holds(&self.context(path, facts, None));
+        }
         contexts(path).any(|index| condition.holds(&self.context(path, facts, index)))
     }
 
@@ -53,14 +62,23 @@ impl Matcher<'_> {
         selection.intersections.clear();
         selection.lights.clear();
         let facts = PathFacts::default();
-        if !self.is_match_with(path, &facts) {
+        let count = path.intersections.len() as u32;
+        let must_match_first =
+            !self.is_alike_alone || count == 0 || matches!(self.condition, Some(Compiled::OfPath(..)));
+        if must_match_first && !self.is_match_with(path, &facts) {
             return false;
         }
-        let holds = |context: Context<'_>| self.condition.as_ref().is_none_or(|it| it.holds(&context));
+        let Some(condition) = self.condition.as_ref().filter(|it| !matches!(it, Compiled::OfPath(..))) else {
+            selection.intersections.extend(0..count);
+            selection.lights.extend(0..path.lights.len() as u32);
+            return true;
+        };
+        let holds = |context: Context<'_>| condition.holds(&context);
         let alone = |index: Option<u32>| Context { is_alone: true, ..self.context(path, &facts, index) };
-        selection
-            .intersections
-            .extend((0..path.intersections.len() as u32).filter(|&index| holds(alone(Some(index)))));
+        selection.intersections.extend((0..count).filter(|&index| holds(alone(Some(index)))));
+        if !must_match_first && selection.intersections.is_empty() {
+            return false;
+        }
         let is_selected = |light: &LightRecord| holds(Context { light: Some(light), ..alone(path.parent(light)) });
         let lights = (0..).zip(&path.lights).filter(|(_, light)| is_selected(light));
         selection.lights.extend(lights.map(|(index, _)| index));
@@ -162,7 +180,9 @@ impl Compiled {
                 WordField::Interaction | WordField::FirstInteraction | WordField::LastInteraction => {
                     Self::Interaction(*field, InteractionKind::ALL.iter().find(|it| it.word() == value).copied())
                 }
-                WordField::Technique => Self::Technique(LightTechnique::ALL.iter().find(|it| it.word() == value).copied()),
+                WordField::Technique => {
+                    Self::Technique(LightTechnique::ALL.iter().find(|it| it.word() == value).copied())
+                }
                 WordField::End => Self::End(PathEnd::ALL.iter().find(|it| it.word() == value).copied()),
             },
             Condition::Intersections(quantity, condition) => Self::Intersections(*quantity, None, inner(condition)),
@@ -205,6 +225,16 @@ impl Compiled {
             ),
             Self::End(_) | Self::Sequence(_) | Self::InLasso(_) | Self::OfPath(..) => true,
             Self::Technique(_) | Self::Intersections(..) | Self::Lights(..) | Self::InBox(_) => false,
+        }
+    }
+
+    /// Checks whether a part of the condition is on several intersections or lights.
+    fn has_quantities(&self) -> bool {
+        match self {
+            Self::And(a, b) | Self::Or(a, b) => a.has_quantities() || b.has_quantities(),
+            Self::Not(condition) => condition.has_quantities(),
+            Self::Intersections(..) | Self::Lights(..) => true,
+            _ => false,
         }
     }
 

@@ -49,9 +49,9 @@ mod parse;
 
 pub use matcher::{Matcher, Selection};
 
-use crate::record::{Name, Names};
 #[cfg(doc)]
 use crate::record::{InteractionKind, LightTechnique, PathEnd};
+use crate::record::{Name, Names};
 use parse::{MAX_DEPTH, MAX_TOKENS};
 use std::fmt;
 

@@ -63,7 +63,9 @@ fn known_words(word: WordField) -> Vec<&'static str> {
         | WordField::FirstObject
         | WordField::LastObject
         | WordField::BrightestLight => Vec::new(),
-        WordField::Interaction | WordField::FirstInteraction | WordField::LastInteraction => InteractionKind::ALL.iter().map(|it| it.word()).collect(),
+        WordField::Interaction | WordField::FirstInteraction | WordField::LastInteraction => {
+            InteractionKind::ALL.iter().map(|it| it.word()).collect()
+        }
         WordField::Technique => LightTechnique::ALL.iter().map(|it| it.word()).collect(),
         WordField::End => PathEnd::ALL.iter().map(|it| it.word()).collect(),
     }
@@ -174,7 +176,9 @@ impl Parser {
             Condition::Not(Box::new(self.term()?))
         } else if self.is_next("(", 0) {
             self.in_parentheses()?
-        } else if self.is_next("(", 1) && let Some(bind) = self.accept_quantifier() {
+        } else if self.is_next("(", 1)
+            && let Some(bind) = self.accept_quantifier()
+        {
             bind(Box::new(self.in_parentheses()?))
         } else if self.accept("in") {
             self.region()?
@@ -271,9 +275,7 @@ impl Parser {
         let field = parse_field(&name).ok_or_else(|| QueryError::UnknownName { column, name: name.clone() })?;
         let order = self.compare_op()?;
         match field {
-            Field::Number(number) => {
-                Ok(Condition::Number(number, order, self.number()?))
-            }
+            Field::Number(number) => Ok(Condition::Number(number, order, self.number()?)),
             Field::Word(word) => {
                 let equality = match order {
                     CompareOp::Equal => EqualityOp::Is,

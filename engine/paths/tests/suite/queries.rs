@@ -172,7 +172,8 @@ fn quantities_of_lights_refer_to_one_light_and_its_intersection() {
 #[test]
 fn sequences_boxes_and_lassos_select_as_options_do() {
     let all = merge_parts(&scope(900), tasks(&scope(900)));
-    let keys = |query: &Query| -> Vec<PathKey> { matching_paths(&all, query).iter().map(|(path, _)| path.key).collect() };
+    let keys =
+        |query: &Query| -> Vec<PathKey> { matching_paths(&all, query).iter().map(|(path, _)| path.key).collect() };
     let sequence = Query { objects: vec!["plant".into(), "room.wall".into()], ..Query::default() };
     assert_eq!(selected_paths(&all, "plant then room.wall"), keys(&sequence));
     assert_eq!(sequence.to_condition().unwrap().to_string(), "plant then room.wall");
@@ -199,9 +200,8 @@ fn conditions_on_the_first_the_last_and_the_brightest_equal_loops() {
     let first = paths_where(&all, |path| path.intersections.first().is_some_and(|it| it.position[0] < 0.5));
     assert!(!first.is_empty());
     assert_eq!(selected_paths(&all, "first.x < 0.5"), first);
-    let bright = paths_where(&all, |path| {
-        path.lights.iter().any(|light| femc_paths::record::luminance(light.radiance) > 1.0)
-    });
+    let bright =
+        paths_where(&all, |path| path.lights.iter().any(|light| femc_paths::record::luminance(light.radiance) > 1.0));
     assert!(!bright.is_empty() && bright.len() < all.paths.len());
     assert_eq!(selected_paths(&all, "brightest.radiance > 1"), bright);
 }

@@ -463,6 +463,19 @@ fn full_histograms_are_of_all_samples() {
 }
 
 #[test]
+fn frames_of_different_boxes_have_histograms_of_recorded_samples() {
+    let full = |frame, upper| Scope { has_full_histograms: true, upper, ..scope(frame) };
+    let [three, four] = [full(3, [4.0, 2.0, 1.0]), full(4, [4.0, 2.0, 3.0])];
+    let light = open(vec![source("frame 3", &parts(&three)), source("frame 4", &[frame(&four)])]);
+    assert_eq!(schema(&light)["box"], json!([[0.0, 0.0, 0.0], [4.0, 2.0, 3.0]]));
+    let found = ask_columns(&light, LightCallKind::Histograms { pairs: vec![], by_image: false }, None);
+    assert_eq!(found.header["counted"], "recorded");
+    // Positions have z = 0.5: a sixth of 63 bins.
+    let with_hits = recorded().iter().filter(|path| !path.intersections.is_empty()).count();
+    assert_eq!(found.column("paths.12")[1 + 63 / 6], with_hits as f64);
+}
+
+#[test]
 fn voxels_have_all_intersections() {
     let light = open_frames();
     let all = recorded();
@@ -548,7 +561,7 @@ fn damaged_and_missing_data_are_told_apart() {
     damaged.parts[2] = bytes.into();
     assert_eq!(fault(vec![good.clone(), damaged]), "frame 3: part 3 of 4: invalid light statistics: checksum mismatch");
     let other = source("frame 3", &[frame(&scope(3)), frame(&scope(4))]);
-    assert_eq!(fault(vec![other]), "frame 3: the statistics belong to different frames or settings");
+    assert_eq!(fault(vec![other]), "frame 3: part 2 of 2: the statistics belong to different frames or settings");
     let picture = LightSource { name: "a.exr".into(), parts: vec![vec![7; 100].into()], is_growing: false };
     assert!(fault(vec![picture]).starts_with("a.exr: invalid light statistics: wrong magic number"));
     let empty = source("a.paths", &[LightStatistics::new(scope(3), 0.5)]);

@@ -245,8 +245,14 @@ impl Compiled {
         }
         let mut inner = |condition: Box<Self>| Box::new(condition.with_facts(next));
         match self {
-            Self::And(a, b) => Self::And(inner(a), inner(b)),
-            Self::Or(a, b) => Self::Or(inner(a), inner(b)),
+            Self::And(a, b) => {
+                let [a, b] = path_first([inner(a), inner(b)]);
+                Self::And(a, b)
+            }
+            Self::Or(a, b) => {
+                let [a, b] = path_first([inner(a), inner(b)]);
+                Self::Or(a, b)
+            }
             Self::Not(condition) => Self::Not(inner(condition)),
             Self::Intersections(quantity, _, condition) => {
                 let condition = inner(condition);
@@ -304,6 +310,11 @@ impl Compiled {
             Self::InLasso(points) => is_inside(points, context.pixel().map(|axis| f64::from(axis) + 0.5)),
         }
     }
+}
+
+/// Puts a condition on the path first, since it is evaluated only once.
+fn path_first([a, b]: [Box<Compiled>; 2]) -> [Box<Compiled>; 2] {
+    if matches!(*b, Compiled::OfPath(..)) { [b, a] } else { [a, b] }
 }
 
 /// Checks whether a point lies within a closed line, by the even-odd rule.

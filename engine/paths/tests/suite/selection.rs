@@ -15,7 +15,7 @@ use femc_paths::{
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
-const RUNNING: AtomicBool = AtomicBool::new(false);
+static RUNNING: AtomicBool = AtomicBool::new(false);
 
 fn frame(number: u32, keep: u32) -> LightStatistics {
     let scope = Scope { frame: number, ..scope(keep) };

@@ -10,7 +10,7 @@ mod tests;
 
 use columns::Columns;
 use femc_paths::histogram::Table;
-use femc_paths::octree::{Root, voxel_place};
+use femc_paths::octree::{Root, Voxel, voxel_place};
 use femc_paths::query::{Condition, Query};
 use femc_paths::recorded::{Bounds, CountedSamples, HistogramRequest, PairKey, Weighting};
 use femc_paths::selection::{Cancelled, SelectedRecords};
@@ -287,16 +287,13 @@ impl<'a> Answer<'a> {
         let [lower, upper] = self.bounds.unwrap_or_else(|| self.paths().bounds());
         let root = Root::around(lower, upper, level as u8);
         let selected = self.selected()?;
-        let tree = self.paths().octree(root, selected.as_ref(), bounce, self.is_cancelled).map_err(cancelled)?;
+        let found = self.paths().voxels(root, selected.as_ref(), bounce, self.is_cancelled).map_err(cancelled)?;
         let index = |code: u64| {
             let [x, y, z] = voxel_place(code);
             (x | y << level | z << (2 * level)) as u32
         };
-        let mut voxels: Vec<(u32, u64, f64)> = tree
-            .level(root.levels, None)
-            .into_iter()
-            .map(|(code, voxel)| (index(code), voxel.count, voxel.energy.value()))
-            .collect();
+        let voxel = |(code, voxel): (u64, Voxel)| (index(code), voxel.count, voxel.energy.value());
+        let mut voxels: Vec<(u32, u64, f64)> = found.into_iter().map(voxel).collect();
         voxels.sort_unstable_by_key(|(index, ..)| *index);
         let mut columns = self.columns();
         columns.set("cube", json!([lower, lower.map(|axis| axis + root.width)]));

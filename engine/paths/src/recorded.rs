@@ -11,7 +11,7 @@ pub use categories::{Categories, MAX_CATEGORIES, NameTable, OTHERS_BIN};
 
 use crate::FrameStatistics;
 use crate::histogram::{Counts, Histograms, Table};
-use crate::octree::{Octree, Root};
+use crate::octree::{Root, Voxel};
 use crate::record::{LightPath, Names, PathKey};
 use crate::represent::{Distance, PathBins, Target, choose_representative};
 use crate::schema::path_bins;
@@ -252,28 +252,35 @@ impl RecordedPaths {
         RepresentativePaths { numbers, weights, represented, distance, effective_size }
     }
 
-    /// Returns the energy of the selected intersections in the voxels of a cube.
+    /// Returns the voxels of the finest level of a cube that have selected intersections, with their codes, ascending.
     /// - `selected`: `None`: all intersections;
     /// - `bounce`: `None`: all bounces.
-    pub fn octree(
+    pub fn voxels(
         &self,
         root: Root,
         selected: Option<&SelectedRecords>,
         bounce: Option<u32>,
         is_cancelled: &AtomicBool,
-    ) -> Result<Octree, Cancelled> {
-        let mut tree = Octree::new(root);
+    ) -> Result<Vec<(u64, Voxel)>, Cancelled> {
+        let mut all: Vec<(u64, Voxel)> = Vec::new();
         for number in 0..self.paths.len() as u32 {
             check_cancelled(number, is_cancelled)?;
             for (own, it) in self.intersections_of(number).zip(&self.paths[number as usize].intersections) {
                 let is_wanted = bounce.is_none_or(|bounce| it.bounce == bounce)
                     && selected.is_none_or(|selected| selected.intersections.contains(own));
-                if is_wanted {
-                    tree.add_intersection(it);
-                }
+                all.extend(Some(it).filter(|_| is_wanted).and_then(|it| root.voxel_of(it)));
             }
         }
-        Ok(tree)
+        // Sums are integers, so the order of equal codes does not matter.
+        all.sort_unstable_by_key(|(code, _)| *code);
+        all.dedup_by(|(code, voxel), (first, sum)| {
+            let is_same = code == first;
+            if is_same {
+                sum.merge(*voxel);
+            }
+            is_same
+        });
+        Ok(all)
     }
 
     /// Returns the approximate size in memory, bytes.

@@ -368,7 +368,8 @@ impl<'a> Context<'a> {
     fn lights(&self) -> impl Iterator<Item = &'a LightRecord> + use<'a> {
         let (one, index) = (self.light, self.index);
         let vertex = index.map_or(0, |index| index + 1);
-        let all = self.path.lights.iter().filter(move |light| one.is_none() && light.vertex == vertex);
+        let others: &'a [LightRecord] = if one.is_some() { &[] } else { &self.path.lights };
+        let all = others.iter().filter(move |light| light.vertex == vertex);
         one.into_iter().chain(all)
     }
 

@@ -1,8 +1,8 @@
 //! Pictures of a farm's frames. This crate connects the service, which has no rendering code, with the film.
 //!
 //! [`draw_frame`] is the function that [`femc_service::Site`] takes. It draws thumbnails as PNG, and pixels and light statistics as
-//! planes of half floats. [`open_light`] answers questions about recorded light paths. [`PartialFrame`] is an unfinished frame. It combines the available outputs as the farm will combine all
-//! of them.
+//! planes of half floats. [`open_light`] answers questions about recorded light paths. [`PartialFrame`] is an unfinished frame. It
+//! combines the available outputs as the farm will combine all of them.
 #![deny(missing_docs)]
 
 mod light;

@@ -10,13 +10,14 @@ mod tests;
 
 use columns::Columns;
 use femc_paths::histogram::Table;
-use femc_paths::octree::{Root, voxel_place};
+use femc_paths::octree::{Root, Voxel, voxel_place};
 use femc_paths::query::{Condition, Query};
 use femc_paths::recorded::{Bounds, CountedSamples, HistogramRequest, PairKey, Weighting};
 use femc_paths::selection::{Cancelled, SelectedRecords};
-use femc_paths::{FrameStatistics, LightStatistics, RecordedPaths};
+use femc_paths::{FrameStatistics, LightStatistics, MergeError, RecordedPaths};
 use femc_service::{LightAnswer, LightCall, LightCallKind, LightData, LightError, LightSource};
 use serde_json::{Value, json};
+use std::fmt::Display;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
@@ -33,14 +34,16 @@ const MAX_LEVEL: u32 = 7;
 pub fn open_light(tag: &str, sources: Vec<LightSource>) -> Result<Option<Arc<dyn LightData>>, String> {
     let is_growing = sources.iter().any(|source| source.is_growing);
     let names: Vec<String> = sources.iter().map(|source| source.name.clone()).collect();
-    let mut frames = FrameStatistics::default();
+    let mut frames = FrameCollector::default();
     let mut has_parts = false;
     for source in sources {
-        let decoded = decode_source(&source).map_err(|fault| format!("{}: {fault}", source.name))?;
+        let fault = |fault: String| format!("{}: {fault}", source.name);
+        let decoded = decode_source(&source).map_err(fault)?;
         has_parts |= !decoded.is_empty();
-        frames.merge(decoded).map_err(|error| format!("{}: {error}", source.name))?;
+        frames.add(decoded).map_err(|error| fault(error.to_string()))?;
     }
-    let paths = RecordedPaths::new(frames);
+    let united = frames.finish().map_err(|error| format!("{}: {error}", names.join(", ")))?;
+    let paths = RecordedPaths::new(united);
     if !paths.paths().is_empty() {
         return Ok(Some(Arc::new(RecordedLight { tag: tag.to_owned(), is_growing, paths })));
     }
@@ -52,25 +55,81 @@ pub fn open_light(tag: &str, sources: Vec<LightSource>) -> Result<Option<Arc<dyn
 
 /// Decodes the parts of a source: united frames, or parts of one frame.
 fn decode_source(source: &LightSource) -> Result<Vec<LightStatistics>, String> {
-    let (mut united, mut parts) = (Vec::new(), Vec::new());
+    let mut frames = Vec::new();
+    let mut unfinished: Option<LightStatistics> = None;
     for (at, bytes) in source.parts.iter().enumerate() {
-        let place = |fault: String| match source.parts.len() {
-            1 => fault,
+        let place = |fault: &dyn Display| match source.parts.len() {
+            1 => fault.to_string(),
             count => format!("part {} of {count}: {fault}", at + 1),
         };
         if FrameStatistics::has_magic(bytes) {
-            let frames = FrameStatistics::decode(bytes).map_err(|error| place(error.to_string()))?;
-            united.extend(frames.into_frames());
-        } else {
-            parts.push(LightStatistics::decode(bytes).map_err(|error| place(error.to_string()))?);
+            let united = FrameStatistics::decode(bytes).map_err(|error| place(&error))?;
+            frames.extend(united.into_frames().into_iter().map(without_maps));
+            continue;
+        }
+        let part = without_maps(LightStatistics::decode(bytes).map_err(|error| place(&error))?);
+        match &mut unfinished {
+            Some(all) => all.merge_untrimmed(part).map_err(|error| place(&error))?,
+            None => unfinished = Some(part),
         }
     }
-    let mut parts = parts.into_iter();
-    if let Some(mut frame) = parts.next() {
-        frame.merge_all(parts).map_err(|error| error.to_string())?;
-        united.push(frame);
+    if let Some(mut frame) = unfinished {
+        frame.trim();
+        frames.push(frame);
     }
-    Ok(united)
+    Ok(frames)
+}
+
+/// Removes data that no answer needs: sums of pixels, which take more memory than all the rest, and the deepest paths.
+fn without_maps(mut frame: LightStatistics) -> LightStatistics {
+    frame.portions.values_mut().for_each(|counters| counters.pixels = Vec::new());
+    frame.deepest.clear();
+    frame
+}
+
+/// Number of records of frames that are held in memory before the frames are united.
+const MAX_PENDING_RECORDS: usize = 1 << 18;
+
+/// Union of frames. Frames are united in groups: all at once would need much memory, and one by one would take long.
+#[derive(Default)]
+struct FrameCollector {
+    frames: Vec<LightStatistics>,
+    bounds: Option<Bounds>,
+    has_several_boxes: bool,
+    /// Number of records of frames that are not united yet.
+    pending: usize,
+}
+
+impl FrameCollector {
+    fn add(&mut self, frames: Vec<LightStatistics>) -> Result<(), MergeError> {
+        for frame in frames {
+            let own = [frame.scope.lower, frame.scope.upper];
+            self.has_several_boxes |= *self.bounds.get_or_insert(own) != own;
+            self.pending += frame.paths.len() + frame.brightest.len();
+            self.frames.push(frame);
+        }
+        if self.pending > MAX_PENDING_RECORDS {
+            self.frames = self.unite()?.into_frames();
+        }
+        Ok(())
+    }
+
+    fn unite(&mut self) -> Result<FrameStatistics, MergeError> {
+        let mut frames = std::mem::take(&mut self.frames);
+        self.pending = 0;
+        if self.has_several_boxes {
+            // Histograms of all samples cannot be converted to another box, but those of recorded samples can.
+            for frame in &mut frames {
+                frame.scope.has_full_histograms = false;
+                frame.portions.values_mut().for_each(|counters| counters.bins = Vec::new());
+            }
+        }
+        FrameStatistics::from_statistics(frames)
+    }
+
+    fn finish(mut self) -> Result<FrameStatistics, MergeError> {
+        self.unite()
+    }
 }
 
 /// Decoded recorded light.
@@ -228,16 +287,13 @@ impl<'a> Answer<'a> {
         let [lower, upper] = self.bounds.unwrap_or_else(|| self.paths().bounds());
         let root = Root::around(lower, upper, level as u8);
         let selected = self.selected()?;
-        let tree = self.paths().octree(root, selected.as_ref(), bounce, self.is_cancelled).map_err(cancelled)?;
+        let found = self.paths().voxels(root, selected.as_ref(), bounce, self.is_cancelled).map_err(cancelled)?;
         let index = |code: u64| {
             let [x, y, z] = voxel_place(code);
             (x | y << level | z << (2 * level)) as u32
         };
-        let mut voxels: Vec<(u32, u64, f64)> = tree
-            .level(root.levels, None)
-            .into_iter()
-            .map(|(code, voxel)| (index(code), voxel.count, voxel.energy.value()))
-            .collect();
+        let voxel = |(code, voxel): (u64, Voxel)| (index(code), voxel.count, voxel.energy.value());
+        let mut voxels: Vec<(u32, u64, f64)> = found.into_iter().map(voxel).collect();
         voxels.sort_unstable_by_key(|(index, ..)| *index);
         let mut columns = self.columns();
         columns.set("cube", json!([lower, lower.map(|axis| axis + root.width)]));
@@ -251,11 +307,14 @@ impl<'a> Answer<'a> {
 
 /// Returns an object with a number for each table.
 fn counts_by_table(counts: [u32; 3]) -> Value {
-    Value::Object(Table::ALL.into_iter().zip(counts).map(|(table, count)| (table.name().to_owned(), json!(count))).collect())
+    Value::Object(
+        Table::ALL.into_iter().zip(counts).map(|(table, count)| (table.name().to_owned(), json!(count))).collect(),
+    )
 }
 
 fn parse_pair([table, row, column]: [usize; 3]) -> Result<PairKey, LightError> {
-    let table = *Table::ALL.get(table).ok_or_else(|| invalid("pairs", "the tables are paths, intersections and lights"))?;
+    let table =
+        *Table::ALL.get(table).ok_or_else(|| invalid("pairs", "the tables are paths, intersections and lights"))?;
     let axes = table.attributes().len();
     if row >= axes || column >= axes {
         let fault = format!("{}:{row}-{column}: its attributes are 0 to {}", table.name(), axes - 1);

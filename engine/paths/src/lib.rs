@@ -4,8 +4,10 @@
 //! those whose hash of (seed, frame, pixel, sample) is least. Which samples these are depends only on the set of all samples. So
 //! parts of a frame are united in any order and grouping, and a part that arrives twice counts once. Everything else is a function
 //! of the records: [`histogram`]s, exact over the samples that the hash chose, a small [`representative`](represent) set for plots,
-//! and the energy of the scene in an [`octree`]. [`RecordedPaths`] answers questions about selections of the records: masks, shares
-//! of the light, densities over pixels and histograms. The founding documents are \[simons2016\] and the thesis on which it is based.
+//! and the energy of the scene in an [`octree`]. The founding documents are \[simons2016\] and the thesis on which it is based.
+//!
+//! [`RecordedPaths`] answers questions about the records of several frames. A [`selection`] has the records that fulfill a condition
+//! ([`query`]): masks, the share of the light, densities over pixels, histograms and representatives.
 //!
 //! This crate does not render, does not read files and knows nothing about the farm.
 #![deny(missing_docs)]

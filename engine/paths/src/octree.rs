@@ -51,6 +51,13 @@ impl Root {
         Some(code)
     }
 
+    /// Returns the leaf of an intersection, with the contents that the intersection adds. `None`: it is outside.
+    pub(crate) fn voxel_of(&self, it: &Intersection) -> Option<(u64, Voxel)> {
+        let energy = it.radiance.iter().map(|value| f64::from(*value)).sum::<f64>() / 3.0;
+        let units = EnergySum::quantize(energy).ok()?;
+        Some((self.morton_code(it.position)?, Voxel { count: 1, energy: EnergySum::from_units(units) }))
+    }
+
     /// Returns the lower corner and the width of a voxel of a level, m.
     pub fn voxel(&self, level: u8, code: u64) -> ([f64; 3], f64) {
         let width = self.width / (1u64 << level.min(MAX_LEVELS)) as f64;
@@ -87,7 +94,7 @@ impl Voxel {
         if self.count == 0 { 0.0 } else { self.energy.value() / self.count as f64 }
     }
 
-    fn merge(&mut self, other: Self) {
+    pub(crate) fn merge(&mut self, other: Self) {
         self.count = self.count.saturating_add(other.count);
         self.energy.merge(other.energy);
     }
@@ -124,18 +131,11 @@ impl Octree {
 
     /// Adds the intersections of a path.
     pub fn add(&mut self, path: &LightPath) {
-        path.intersections.iter().for_each(|it| self.add_intersection(it));
-    }
-
-    /// Adds an intersection.
-    pub fn add_intersection(&mut self, it: &Intersection) {
-        let energy = it.radiance.iter().map(|value| f64::from(*value)).sum::<f64>() / 3.0;
-        match (self.root.morton_code(it.position), EnergySum::quantize(energy)) {
-            (Some(code), Ok(units)) => {
-                let voxel = Voxel { count: 1, energy: EnergySum::from_units(units) };
-                self.leaves.entry((it.bounce, code)).or_default().merge(voxel);
+        for it in &path.intersections {
+            match self.root.voxel_of(it) {
+                Some((code, voxel)) => self.leaves.entry((it.bounce, code)).or_default().merge(voxel),
+                None => self.outside += 1,
             }
-            _ => self.outside += 1,
         }
     }
 

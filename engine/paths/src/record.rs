@@ -297,7 +297,8 @@ impl LightPath {
 
     /// Returns the light of greatest luminance; of equal ones, the last.
     pub fn brightest_light(&self) -> Option<&LightRecord> {
-        self.lights.iter().max_by(|a, b| luminance(a.radiance).total_cmp(&luminance(b.radiance)))
+        let ranked = self.lights.iter().map(|light| (luminance(light.radiance), light));
+        ranked.max_by(|(a, _), (b, _)| a.total_cmp(b)).map(|(_, light)| light)
     }
 
     /// Returns all names in the record.

@@ -1,7 +1,8 @@
 //! Selections of recorded paths: a query evaluated over all of them.
 //!
 //! A selection is three masks, for paths, intersections and lights. Bit `number` of a mask belongs to the record of this number
-//! ([`RecordedPaths`]). A selection is exact over the recorded paths. Divided by their share, its counts estimate counts of samples.
+//! ([`RecordedPaths`]). A selection is exact over the recorded paths. Its counts, divided by the share of recorded samples, estimate
+//! counts of all samples.
 
 use crate::histogram::Table;
 use crate::query::{Query, Selection};
@@ -19,7 +20,10 @@ pub struct Cancelled;
 
 /// Error: pixels of frames with different films cannot be added.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("frame {} has a film of {} x {} pixels, but frame {} has {} x {}; choose frames with one film", .frames[0], .films[0][0], .films[0][1], .frames[1], .films[1][0], .films[1][1])]
+#[error(
+    "frame {} has a film of {} x {} pixels, but frame {} has {} x {}; choose frames with one film",
+    .frames[0], .films[0][0], .films[0][1], .frames[1], .films[1][0], .films[1][1]
+)]
 pub struct FilmMismatch {
     /// Numbers of two frames.
     pub frames: [u32; 2],

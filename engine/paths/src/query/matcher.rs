@@ -13,6 +13,8 @@ use std::cell::Cell;
 pub struct Matcher<'a> {
     scope: &'a Scope,
     condition: Option<Compiled>,
+    /// Whether the condition means the same for an intersection alone as for an intersection among those of its path.
+    is_alike_alone: bool,
 }
 
 /// Selected parts of a path.
@@ -28,7 +30,9 @@ impl Query {
     /// Compiles the query for frames of this scope with these names.
     pub fn compile<'a>(&self, scope: &'a Scope, names: &Names) -> Matcher<'a> {
         let compile = |condition| Compiled::new(&condition, names).with_facts(&mut (0..u64::BITS));
-        Matcher { scope, condition: self.to_condition().map(compile) }
+        let condition = self.to_condition().map(compile);
+        let is_alike_alone = condition.as_ref().is_none_or(|condition| !condition.has_quantities());
+        Matcher { scope, condition, is_alike_alone }
     }
 }
 
@@ -40,6 +44,9 @@ impl Matcher<'_> {
 
     fn is_match_with(&self, path: &LightPath, facts: &PathFacts) -> bool {
         let Some(condition) = &self.condition else { return true };
+        if let Compiled::OfPath(_, condition) = condition {
+            return condition.holds(&self.context(path, facts, None));
+        }
         contexts(path).any(|index| condition.holds(&self.context(path, facts, index)))
     }
 
@@ -55,12 +62,23 @@ impl Matcher<'_> {
         selection.intersections.clear();
         selection.lights.clear();
         let facts = PathFacts::default();
-        if !self.is_match_with(path, &facts) {
+        let count = path.intersections.len() as u32;
+        let must_match_first =
+            !self.is_alike_alone || count == 0 || matches!(self.condition, Some(Compiled::OfPath(..)));
+        if must_match_first && !self.is_match_with(path, &facts) {
             return false;
         }
-        let holds = |context: Context<'_>| self.condition.as_ref().is_none_or(|it| it.holds(&context));
+        let Some(condition) = self.condition.as_ref().filter(|it| !matches!(it, Compiled::OfPath(..))) else {
+            selection.intersections.extend(0..count);
+            selection.lights.extend(0..path.lights.len() as u32);
+            return true;
+        };
+        let holds = |context: Context<'_>| condition.holds(&context);
         let alone = |index: Option<u32>| Context { is_alone: true, ..self.context(path, &facts, index) };
-        selection.intersections.extend((0..path.intersections.len() as u32).filter(|&index| holds(alone(Some(index)))));
+        selection.intersections.extend((0..count).filter(|&index| holds(alone(Some(index)))));
+        if !must_match_first && selection.intersections.is_empty() {
+            return false;
+        }
         let is_selected = |light: &LightRecord| holds(Context { light: Some(light), ..alone(path.parent(light)) });
         let lights = (0..).zip(&path.lights).filter(|(_, light)| is_selected(light));
         selection.lights.extend(lights.map(|(index, _)| index));
@@ -210,6 +228,16 @@ impl Compiled {
         }
     }
 
+    /// Checks whether a part of the condition is on several intersections or lights.
+    fn has_quantities(&self) -> bool {
+        match self {
+            Self::And(a, b) | Self::Or(a, b) => a.has_quantities() || b.has_quantities(),
+            Self::Not(condition) => condition.has_quantities(),
+            Self::Intersections(..) | Self::Lights(..) => true,
+            _ => false,
+        }
+    }
+
     /// Gives a number to each term that holds for a whole path.
     fn with_facts(self, next: &mut impl Iterator<Item = u32>) -> Self {
         if self.is_of_path() {
@@ -217,8 +245,14 @@ impl Compiled {
         }
         let mut inner = |condition: Box<Self>| Box::new(condition.with_facts(next));
         match self {
-            Self::And(a, b) => Self::And(inner(a), inner(b)),
-            Self::Or(a, b) => Self::Or(inner(a), inner(b)),
+            Self::And(a, b) => {
+                let [a, b] = path_first([inner(a), inner(b)]);
+                Self::And(a, b)
+            }
+            Self::Or(a, b) => {
+                let [a, b] = path_first([inner(a), inner(b)]);
+                Self::Or(a, b)
+            }
             Self::Not(condition) => Self::Not(inner(condition)),
             Self::Intersections(quantity, _, condition) => {
                 let condition = inner(condition);
@@ -278,6 +312,11 @@ impl Compiled {
     }
 }
 
+/// Puts a condition on the path first, since it is evaluated only once.
+fn path_first([a, b]: [Box<Compiled>; 2]) -> [Box<Compiled>; 2] {
+    if matches!(*b, Compiled::OfPath(..)) { [b, a] } else { [a, b] }
+}
+
 /// Checks whether a point lies within a closed line, by the even-odd rule.
 fn is_inside(line: &[[f64; 2]], [x, y]: [f64; 2]) -> bool {
     let ends = line.iter().cycle().skip(1);
@@ -329,7 +368,8 @@ impl<'a> Context<'a> {
     fn lights(&self) -> impl Iterator<Item = &'a LightRecord> + use<'a> {
         let (one, index) = (self.light, self.index);
         let vertex = index.map_or(0, |index| index + 1);
-        let all = self.path.lights.iter().filter(move |light| one.is_none() && light.vertex == vertex);
+        let others: &'a [LightRecord] = if one.is_some() { &[] } else { &self.path.lights };
+        let all = others.iter().filter(move |light| light.vertex == vertex);
         one.into_iter().chain(all)
     }
 

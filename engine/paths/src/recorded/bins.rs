@@ -161,8 +161,8 @@ impl RecordedPaths {
         }
     }
 
-    /// Computes histograms. The histograms of single attributes contain all samples if these are known, and neither a selection nor
-    /// another box is asked for.
+    /// Computes histograms. The histograms of single attributes contain all samples if these are known and the request has neither a
+    /// selection nor another box.
     pub fn histograms(
         &self,
         request: &HistogramRequest<'_>,
@@ -240,7 +240,7 @@ impl RecordedPaths {
         Ok(())
     }
 
-    /// Returns the histograms of a table over all samples. Names that share a bin in the statistics share its count in proportion to
+    /// Returns the histograms of a table over all samples. The count of a bin that several names share is divided in proportion to
     /// their records. Names without records belong to the others.
     fn full_histograms(&self, table: Table, full: &[Vec<Counts>; 3], weighting: Weighting) -> Vec<[f64; FINE_BINS]> {
         let mut all = Vec::with_capacity(full[table as usize].len());

@@ -50,6 +50,7 @@ describe('conditions', () => {
     ['in lasso(1,2,3,4)', 18, 'three or more'],
     ['then then', 10, 'word'],
     ['depth == three', 10, 'number'],
+    ['depth == 3 and and', 16, 'a name'],
   ])('%s has an error at column %d', (text, column, words) => {
     try {
       parse(text);

@@ -189,7 +189,8 @@ class Parser {
 
   private comparison(): Body {
     const field = this.tokens[this.at]?.text ?? '';
-    if (!/^\p{Alphabetic}/u.test(field)) this.fail('a name');
+    const isKeyword = KEYWORDS.has(field) && !WORD_FIELDS.has(field);
+    if (isKeyword || !/^\p{Alphabetic}/u.test(field)) this.fail('a name');
     this.at++;
     const op = this.tokens[this.at]?.text.replace(/^=$/, '==') ?? '';
     if (!['==', '!=', '<', '<=', '>', '>='].includes(op)) this.fail('`==`, `!=`, `<`, `<=`, `>` or `>=`');

@@ -43,10 +43,15 @@ export async function open(more = {}, query = '') {
     console.error(`error of a script: ${error.message}`);
     isBad = true;
   });
-  page.on('console', (message) => ['error', 'warning'].includes(message.type()) && console.error(message.text()));
+  page.on('console', (message) => {
+    if (message.type() === 'error' && !message.text().includes('404')) console.error(message.text());
+  });
   await page.addInitScript(() => {
     globalThis.tasks = [];
-    new PerformanceObserver((list) => globalThis.tasks.push(...list.getEntries().map((it) => it.duration))).observe({
+    new PerformanceObserver((list) => {
+      const begin = performance.getEntriesByName('mount')[0]?.startTime ?? Infinity;
+      for (const it of list.getEntries()) if (it.startTime >= begin - 5) globalThis.tasks.push(it.duration);
+    }).observe({
       type: 'longtask',
       buffered: true,
     });

@@ -15,7 +15,7 @@ const RETRY_MS = 3000;
 /** Requests of one kind: one at a time, and the newest wins. */
 export class Newest {
   private running: AbortController | null = null;
-  private began = 0;
+  private began = -Infinity;
   private next: ((signal: AbortSignal) => Promise<void>) | null = null;
   private timer: ReturnType<typeof setTimeout> | undefined;
   private stopped = false;

@@ -98,7 +98,7 @@ export function encode(steps: Int16Array, { columns, rows }: StripShape, bytes: 
 export class StripCounts {
   /** Counts as bytes, row by row from the lowest on. */
   bytes = new Uint8Array();
-  private key = '';
+  private key: string | null = null;
   private steps = new Int16Array();
   private counted: Uint8Array | null = null;
 

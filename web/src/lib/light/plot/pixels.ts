@@ -132,8 +132,8 @@ export class PixelDrawing implements Drawing {
     const hasSelection = sets.some((it) => it.selected);
     sets.slice(0, 2).forEach((set, number) => {
       const lines = {
-        left: heightsOf(set.values[a.index]!, a.scale),
-        right: heightsOf(set.values[b.index]!, b.scale),
+        left: heightsOf(set.values[a.index], a.scale),
+        right: heightsOf(set.values[b.index], b.scale),
         leftFlipped: a.flipped,
         rightFlipped: b.flipped,
         rows: set.rows,

@@ -20,6 +20,7 @@ import {
   type Histograms,
 } from '../../src/lib/light/data';
 import { densityScale, paintDensity, spreadOut } from '../../src/lib/light/density';
+import { smooth } from '../../src/lib/picture';
 import { formatChips, toChips } from '../../src/lib/light/text';
 import type { Brush, TableName } from '../../src/lib/light/plot/contract';
 
@@ -233,9 +234,12 @@ describe('density', () => {
     const values = spreadOut(density, 'count', [4, 2], 0);
     expect([...values]).toEqual([1, 0, 0, 0, 0, 100, 0, 0]);
     expect(spreadOut(density, 'light', [4, 2], 0)[5]).toBe(3);
-    const smooth = spreadOut(density, 'count', [4, 2], 1);
-    expect(smooth[5]).toBeLessThan(100);
-    expect(smooth[4]).toBeGreaterThan(1);
+    const film: [number, number] = [23, 17];
+    const some = { ...density, pixel: Uint32Array.of(0, 200, 390), light: density.count };
+    for (const sigma of [0.5, 1, 4]) {
+      const due = smooth(spreadOut(some, 'count', film, 0), ...film, sigma);
+      spreadOut(some, 'count', film, sigma).forEach((v, i) => expect(v).toBeCloseTo(due[i]!, 4));
+    }
     expect(densityScale(values, true)).toEqual({ low: 1, high: 100, logarithmic: true });
     expect(densityScale(values, false)).toEqual({ low: 0, high: 100, logarithmic: false });
     expect(densityScale(new Float32Array(4), true)).toBeNull();

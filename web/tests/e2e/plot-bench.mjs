@@ -204,7 +204,7 @@ async function check() {
   await page.context().close();
 
   // A finger on a small dark screen.
-  page = await open({ viewport: { width: 390, height: 700 }, hasTouch: true, isMobile: true, deviceScaleFactor: 2 }, '&theme=dark&sets=2');
+  page = await open({ viewport: { width: 390, height: 700 }, hasTouch: true, isMobile: true, deviceScaleFactor: 2, colorScheme: 'dark' }, '&theme=dark&sets=2');
   const touch = await page.context().newCDPSession(page);
   const finger = async (...points) => {
     const send = (type, list) => touch.send('Input.dispatchTouchEvent', { type, touchPoints: list.map(([x, y]) => ({ x, y })) });
@@ -237,7 +237,7 @@ async function check() {
   await page.evaluate(() => plot.brush([{ axis: 9, ranges: [], categories: [4], inverted: false }]));
   await shoot(page, 'plot-two-brushed');
   await page.context().close();
-  page = await open({}, '&sets=2&theme=dark&density=1&opacity=0.02');
+  page = await open({ colorScheme: 'dark' }, '&sets=2&theme=dark&opacity=0.02');
   await page.evaluate(() => plot.brush([{ axis: 9, ranges: [], categories: [4], inverted: false }]));
   await page.waitForTimeout(300);
   await shoot(page, 'plot-two-dark');
@@ -247,6 +247,9 @@ async function check() {
   page = await open({}, '&sets=2', 'card');
   await page.waitForTimeout(300);
   await shoot(page, 'plot-card-two');
+  await page.context().close();
+  page = await open({ colorScheme: 'dark' }, '&theme=dark&opacity=0.03', 'card');
+  await shoot(page, 'plot-card-dark');
   await page.context().close();
   page = await open({}, '&rows=3000', 'card');
   await page.evaluate(() => plot.brush([{ axis: 1, ranges: [[0, 200]], categories: [], inverted: false }]));

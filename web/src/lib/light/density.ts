@@ -1,6 +1,6 @@
 /** The density of selected paths over the pixels, as colors. */
 
-import { hot, lookup, type Rgb } from '../color';
+import { autoExposure, hot, lookup, srgbByte, toneGain, type Rgb } from '../color';
 import type { Scale } from '../scale';
 import type { Density } from './state.svelte';
 
@@ -129,6 +129,19 @@ export function paintDensity(
       ((g * alpha + ((under >>> 8) & 255) * rest + 0.5) << 8) |
       (r * alpha + (under & 255) * rest + 0.5);
   }
+  return out;
+}
+
+/** Returns a gray picture of the luminance of all recorded paths, for data without an image; 32-bit words of a canvas. */
+export function grayPicture(all: Density, film: readonly [number, number]): Uint32Array<ArrayBuffer> {
+  const luminances = spreadOut(all, 'light', film, 0);
+  const exposure = autoExposure(luminances);
+  const out = new Uint32Array(luminances.length);
+  luminances.forEach((y, i) => {
+    const exposed = Math.max(y * exposure, 0);
+    const byte = srgbByte(exposed * toneGain(exposed));
+    out[i] = 0xff000000 | (byte << 16) | (byte << 8) | byte;
+  });
   return out;
 }
 

@@ -50,6 +50,7 @@ describe('conditions', () => {
     ['in lasso(1,2,3,4)', 18, 'three or more'],
     ['then then', 10, 'word'],
     ['depth == three', 10, 'number'],
+    ['depth == 3 and and', 16, 'a name'],
   ])('%s has an error at column %d', (text, column, words) => {
     try {
       parse(text);
@@ -77,6 +78,7 @@ describe('chips', () => {
     expect(kinds('depth >= 3 and depth <= 5 and end == escaped')).toEqual(['brush', 'brush']);
     expect(kinds('(depth >= 1 and depth <= 2 or depth == 5) or not first.object == a')).toEqual(['brush', 'not brush']);
     expect(kinds('not depth >= 3 and depth <= 5')).toEqual(['not brush', 'brush']);
+    expect(kinds('depth == 1 or depth >= 3 and depth <= 5')).toEqual(['brush']);
     expect(kinds('any(object == a and bounce == 0) and a then b and in box(0,0,0,1,1,1)')).toEqual([
       ...['group', 'term', 'term'],
     ]);

@@ -82,6 +82,9 @@ export interface ServedFile {
   bytes: number;
 }
 
+/** Checks whether a job records light (`--stats`). */
+export const recordsStatistics = (spec: { settings: string }): boolean => /"statistics"\s*:\s*true/.test(spec.settings);
+
 /** Version of the attributes that this page knows. */
 export const SCHEMA_VERSION = 1;
 

@@ -15,7 +15,7 @@ const RETRY_MS = 3000;
 /** Requests of one kind: one at a time, and the newest wins. */
 export class Newest {
   private running: AbortController | null = null;
-  private began = 0;
+  private began = -Infinity;
   private next: ((signal: AbortSignal) => Promise<void>) | null = null;
   private timer: ReturnType<typeof setTimeout> | undefined;
   private stopped = false;
@@ -127,7 +127,12 @@ export class DataSet {
   /** Milliseconds of the last evaluation. */
   evaluated = $state<number | null>(null);
 
+  /** Whether the plots can be shown, or never will be. */
+  isSettled = $derived(this.error !== null || this.status === 'none' || (this.rows !== null && this.histograms !== null));
+
   private etag: string | null = null;
+  /** Whether a request has failed since the last description. */
+  private isStale = false;
   private wish: Wish | null = null;
   private where = '';
   private wantsWhole = false;
@@ -139,6 +144,7 @@ export class DataSet {
   private readonly fail = (error: unknown) => {
     const status = error instanceof ApiError ? error.status : 0;
     this.error = { text: explain(error), status };
+    this.isStale = true;
     if (status === 0 || status >= 500) {
       clearTimeout(this.retry);
       this.retry = setTimeout(() => {
@@ -172,7 +178,8 @@ export class DataSet {
         this.status = 'none';
         return;
       }
-      const isNew = answer.schema.tag !== this.schema?.tag;
+      const isNew = answer.schema.tag !== this.schema?.tag || this.isStale;
+      this.isStale = false;
       this.schema = answer.schema;
       this.status = 'ready';
       if (isNew) this.reload();

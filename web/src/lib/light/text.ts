@@ -189,7 +189,8 @@ class Parser {
 
   private comparison(): Body {
     const field = this.tokens[this.at]?.text ?? '';
-    if (!/^\p{Alphabetic}/u.test(field)) this.fail('a name');
+    const isKeyword = KEYWORDS.has(field) && !WORD_FIELDS.has(field);
+    if (isKeyword || !/^\p{Alphabetic}/u.test(field)) this.fail('a name');
     this.at++;
     const op = this.tokens[this.at]?.text.replace(/^=$/, '==') ?? '';
     if (!['==', '!=', '<', '<=', '>', '>='].includes(op)) this.fail('`==`, `!=`, `<`, `<=`, `>` or `>=`');
@@ -265,7 +266,13 @@ export function toChips(text: string): Chips {
   return split(parse(text), text);
 }
 
-function split({ terms, joins }: Chain, text: string): Chips {
+function split(chain: Chain, text: string): Chips {
+  const { terms, joins } = chain;
+  // A union on one field is one chip, with or without parentheses around it.
+  const field = joins.includes('or') ? fieldOf(chain) : null;
+  if (field !== null) {
+    return { chips: [{ kind: 'brush', negated: false, field, chain, text: chainText(chain, text) }], joins: [] };
+  }
   const out: Chips = { chips: [], joins: [] };
   for (let i = 0; i < terms.length; i++) {
     if (i > 0) out.joins.push(joins[i - 1]!);
@@ -348,6 +355,9 @@ export function withChip(all: Chips, [first, ...rest]: ChipPath, change: (chip: 
   // A chip leaves with its `and`, if it has one, so that the others keep their meaning.
   const before = first! - 1;
   const gone = all.joins[before] === 'and' ? before : all.joins[first!] === 'and' ? first! : Math.max(before, 0);
+  const [only] = chips;
+  // A group that is left alone needs no parentheses.
+  if (chips.length === 1 && only?.kind === 'group' && !only.word && !only.negated) return only.inner;
   return { chips, joins: all.joins.filter((_, i) => i !== gone) };
 }
 

@@ -65,17 +65,12 @@ export function binOf({ scale, extent, edges }: Axis, v: number): number {
   return Math.min(v, 63);
 }
 
-export function binsOf(values: readonly Float32Array[], rows: number, mask: Uint8Array | null): [Float64Array[], Uint8Array[]] {
-  const of = values.map((column, i) => Uint8Array.from(column, (v) => binOf(AXES[i]!, v)));
-  const counts = of.map((column) => {
-    const list = new Float64Array(64);
-    for (let i = 0; i < rows; i++) if (!mask || mask[i]) list[column[i]!]!++;
-    return list;
-  });
-  return [counts, of];
+export interface MadeSet extends PlotSet {
+  /** Returns the counts of the rows of a mask. */
+  count(mask: Uint8Array | null): Float64Array[];
 }
 
-export function makeSet(rows: number, seed: number, shift = 0): PlotSet {
+export function makeSet(rows: number, seed: number, shift = 0): MadeSet {
   const { next, normal } = generator(seed);
   const values = AXES.map(() => new Float32Array(rows));
   for (let i = 0; i < rows; i++) {
@@ -110,13 +105,20 @@ export function makeSet(rows: number, seed: number, shift = 0): PlotSet {
     ];
     row.forEach((v, k) => (values[k]![i] = v));
   }
-  const [bins, of] = binsOf(values, rows, null);
+  const of = values.map((column, i) => Uint8Array.from(column, (v) => binOf(AXES[i]!, v)));
+  const count = (mask: Uint8Array | null) =>
+    of.map((column) => {
+      const list = new Float64Array(64);
+      for (let i = 0; i < rows; i++) if (!mask || mask[i]) list[column[i]!]!++;
+      return list;
+    });
   const pairs = new Map<string, Float32Array>();
   return {
     values,
     rows,
     selected: null,
-    bins,
+    bins: count(null),
+    count,
     selectedBins: null,
     total: rows,
     pair(a, b) {
@@ -130,4 +132,11 @@ export function makeSet(rows: number, seed: number, shift = 0): PlotSet {
       return counts;
     },
   };
+}
+
+/** Returns made-up sets with the joint histograms of the first order of axes. */
+export function prepare(rows: number, sets: number): MadeSet[] {
+  const data = Array.from({ length: sets }, (_, i) => makeSet(rows, 7 + i, 0.8 * i));
+  for (let i = 0; i + 1 < AXES.length; i++) for (const set of data) set.pair(i, i + 1);
+  return data;
 }

@@ -1,8 +1,15 @@
 /** Page of plot-bench.mjs: a plot of made-up paths. Address: `?rows=10000&sets=2&height=320`. */
 import { mount } from 'svelte';
 import '../../../src/app.css';
+import { prepare } from './data';
 import Host from './Host.svelte';
 
 const theme = new URLSearchParams(location.search).get('theme');
 if (theme) document.documentElement.dataset.theme = theme;
-mount(Host, { target: document.getElementById('app')! });
+const query = new URLSearchParams(location.search);
+const data = prepare(Number(query.get('rows') ?? 10_000), Number(query.get('sets') ?? 1));
+// The times of the plot are without those of the data.
+setTimeout(() => {
+  performance.mark('mount');
+  mount(Host, { target: document.getElementById('app')!, props: { data } });
+}, 300);

@@ -1,9 +1,9 @@
 /** Bins of the axes as bars on a canvas. */
 
 import type { PlotSet } from './contract';
-import { ratioColor } from './ratio';
-import { BINS } from './scale';
-import type { Scene, ShownAxis } from './lines';
+import { ratio as ratioOf, ratioColor } from './ratio';
+import { BINS, type AxisScale } from './scale';
+import type { Scene } from './lines';
 
 type Rgb = readonly [number, number, number];
 const css = ([r, g, b]: Rgb, alpha: number) => `rgb(${r} ${g} ${b} / ${alpha})`;
@@ -16,8 +16,18 @@ export interface Bar {
   bins: number[];
 }
 
+const known = new WeakMap<AxisScale, { least: number; bars: Bar[] }>();
+
 /** Returns the bars of an axis; none is lower than `least`. */
-export function barsOf({ scale }: ShownAxis, least: number): Bar[] {
+export function barsOf({ scale }: { scale: AxisScale }, least: number): Bar[] {
+  const last = known.get(scale);
+  if (last?.least === least) return last.bars;
+  const bars = makeBars(scale, least);
+  known.set(scale, { least, bars });
+  return bars;
+}
+
+function makeBars(scale: AxisScale, least: number): Bar[] {
   const bins = Array.from({ length: BINS }, (_, k) => k).filter((k) => scale.to[k]! > scale.from[k]!);
   bins.sort((a, b) => scale.from[a]! - scale.from[b]!);
   const bars: Bar[] = [];
@@ -49,13 +59,22 @@ export function drawBars(context: CanvasRenderingContext2D, scene: Scene): void 
   const length = bottom - top;
   const most = Math.min(0.42 * scene.spacing, 44) * (sets.length > 1 ? 0.75 : 1);
   const hasSelection = sets.some((it) => it.selectedBins);
+  // Rectangles of one color are filled together.
+  const layers: Map<string, number[]>[] = [new Map(), new Map(), new Map()];
+  const cuts: [number, number, number, number][] = [];
+  const fill = (layer: number, style: string, ...box: [number, number, number, number]) => {
+    const boxes = layers[layer]!.get(style);
+    if (boxes) boxes.push(...box);
+    else layers[layer]!.set(style, box);
+  };
+  const two = sets.length > 1;
   axes.forEach((axis, place) => {
     const x = scene.left + place * scene.spacing;
     const bars = barsOf(axis, 3 / length);
     const shares = (set: PlotSet, bins: PlotSet['selectedBins']) =>
       bars.map((bar) => shareIn(bar, bins?.[axis.index], set.total));
     const all = sets.map((it) => shares(it, it.bins));
-    const chosen = sets.map((it) => shares(it, it.selectedBins));
+    const chosen = hasSelection ? sets.map((it) => shares(it, it.selectedBins)) : null;
     // The place of records without a value may have most of them: it does not make the others invisible.
     const isSlot = (i: number) => axis.scale.base > 0 && bars[i]!.bins[0] === 0;
     let greatest = 0;
@@ -66,26 +85,38 @@ export function drawBars(context: CanvasRenderingContext2D, scene: Scene): void 
       let [y, size] = [top + (1 - high) * length, (high - low) * length];
       if (axis.scale.isCategorical) [y, size] = [y + 0.08 * size, 0.84 * size];
       else if (size > 4) size -= 1;
-      const two = sets.length > 1;
+      const tone = (list: number[][], alpha: number) => {
+        // Sixteen steps of color on each side keep the number of fills small.
+        const t = Math.round(16 * ratioOf(list[0]![i]!, list[1]![i]!));
+        return css(ratioColor(1 + t / 16, 1 - t / 16, palette), alpha);
+      };
       sets.forEach((_, number) => {
         const side = two && number === 0 ? -1 : 1;
-        const draw = (share: number, style: string) => {
+        const draw = (layer: number, share: number, style: string) => {
           if (!(share > 0)) return;
           const part = Math.max(most * Math.min(share / greatest, 1), 1.2);
-          context.fillStyle = style;
-          context.fillRect(side > 0 ? x + 1 : x - 1 - part, y, part, size);
-          if (share > greatest * 1.001) {
-            // The bar is cut.
-            context.clearRect(x + side * (most - 4) - 0.75, y, 1.5, size);
-          }
+          const left = side > 0 ? x + 1 : x - 1 - part;
+          // An edge in the color of the page separates bars from lines.
+          if (layer === 1) fill(0, css(palette.panel, 0.85), left - (side > 0 ? 0 : 1), y - 0.5, part + 1, size + 1);
+          fill(layer, style, left, y, part, size);
+          if (layer === 1 && share > greatest * 1.001) cuts.push([x + side * (most - 4) - 0.75, y, 1.5, size]);
         };
-        const tone = (list: number[][]) => (two ? ratioColor(list[0]![i]!, list[1]![i]!, palette) : palette.single);
-        if (!hasSelection) draw(all[number]![i]!, css(tone(all), 0.8));
+        if (!chosen) draw(1, all[number]![i]!, two ? tone(all, 0.9) : css(palette.bar, 0.9));
         else {
-          draw(all[number]![i]!, css(palette.rest, 0.5));
-          draw(chosen[number]![i]!, css(tone(chosen), 0.95));
+          draw(1, all[number]![i]!, css(palette.rest, 0.55));
+          draw(2, chosen[number]![i]!, two ? tone(chosen, 1) : css(palette.single, 1));
         }
       });
     });
   });
+  for (const layer of layers) {
+    for (const [style, boxes] of layer) {
+      context.fillStyle = style;
+      context.beginPath();
+      for (let i = 0; i < boxes.length; i += 4) context.rect(boxes[i]!, boxes[i + 1]!, boxes[i + 2]!, boxes[i + 3]!);
+      context.fill();
+    }
+  }
+  // Marks of bars that are longer than there is room for.
+  for (const box of cuts) context.clearRect(...box);
 }

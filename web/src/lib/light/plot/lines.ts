@@ -4,7 +4,7 @@
  * a new drawing of the lines. The layer of all lines is kept while a selection changes.
  *
  * Lines are drawn in blocks. A frame has as many of them as the graphics processor finishes in time, so slow processors
- * show a part first and remain responsive.
+ * show a part first and remain responsive. Without a graphics card, pixels.ts draws the same picture.
  */
 
 import type { PlotSet } from './contract';
@@ -43,6 +43,14 @@ const WIDTH = 1024;
 /** Lines of a block. */
 const BLOCK = 2500;
 
+/** Opacity of the density, and its value for full opacity, times 5. */
+export const DENSITY = 0.55;
+export const DENSEST = 160;
+/** Opacity of lines outside the selection. */
+export const REST = 0.5;
+/** Part of the deep tone in the color of very many lines. */
+export const DEEP = 0.6;
+
 const LINES = `#version 300 es
 precision highp float;
 uniform highp sampler2D heights;
@@ -77,13 +85,14 @@ uniform vec2 area;
 uniform vec3 scaling;
 uniform vec3 palette[5];
 uniform vec4 options;
+uniform vec4 deep;
 out vec4 color;
 vec3 tint(vec2 n) {
   if (options.z < 0.5) return palette[3];
   float t = (n.x - n.y) / max(n.x + n.y, 1e-20);
   return mix(palette[1], t < 0.0 ? palette[2] : palette[0], abs(t));
 }
-float cover(vec2 n, float opacity) { return 1.0 - pow(1.0 - opacity, n.x + n.y); }
+float cover(float x) { return x / (1.0 + x); }
 vec4 over(vec4 below, vec3 tone, float alpha) { return vec4(tone * alpha, alpha) + below * (1.0 - alpha); }
 void main() {
   ivec2 at = ivec2(gl_FragCoord.xy);
@@ -94,15 +103,19 @@ void main() {
     float u = floor(s) * ${COLUMNS}.0 + clamp(fract(s) * ${COLUMNS}.0, 0.5, ${COLUMNS - 0.5});
     vec2 d = texture(density, vec2(u / (strips.z * ${COLUMNS}.0), v)).rg;
     float m = options.z < 0.5 ? d.x : 0.5 * (d.x + d.y);
-    float alpha = options.w * min(log(1.0 + 5.0 * m) / log(160.0), 1.0);
+    float alpha = options.w * min(log(1.0 + 5.0 * m) / log(${DENSEST}.0), 1.0);
     c = over(c, options.z < 0.5 ? palette[4] : tint(d), alpha);
   }
   vec2 n = texelFetch(all, at, 0).rg * scaling.z;
   if (options.y > 0.5) {
-    c = over(c, palette[4], min(cover(n, 0.4 * options.x), 0.4));
+    c = over(c, palette[4], ${REST} * cover(options.x * (n.x + n.y)));
     n = texelFetch(chosen, at, 0).rg * scaling.z;
   }
-  if (n.x + n.y > 0.0) c = over(c, tint(n * scaling.xy), cover(n, options.x));
+  float x = options.x * (n.x + n.y);
+  if (x > 0.0) {
+    vec3 tone = mix(tint(n * scaling.xy), deep.rgb, deep.w * clamp(log2(1.0 + x) / 5.0 - 0.25, 0.0, 1.0));
+    c = over(c, tone, cover(x));
+  }
   color = c;
 }`;
 
@@ -139,19 +152,15 @@ interface Work {
 const numbers = new WeakMap<object, number>();
 let lastNumber = 0;
 /** Returns a number that identifies an object. */
-function identity(it: object | null | undefined): number {
+export function identity(it: object | null | undefined): number {
   if (!it) return 0;
   let number = numbers.get(it);
   if (number === undefined) numbers.set(it, (number = ++lastNumber));
   return number;
 }
 
-/** Returns whether the processor draws without a graphics card. */
-const isSoftware = (gl: WebGL2RenderingContext): boolean => {
-  const info = gl.getExtension('WEBGL_debug_renderer_info');
-  const name = String(gl.getParameter(info ? info.UNMASKED_RENDERER_WEBGL : gl.RENDERER));
-  return /swiftshader|llvmpipe|software|basic render/i.test(name);
-};
+/** Returns a text that changes with the heights of an axis. */
+export const shape = ({ index, scale, flipped }: ShownAxis): string => `${index} ${flipped} ${scale.key}`;
 
 /** Drawing of the lines on a canvas. */
 export class LineDrawing {
@@ -175,8 +184,7 @@ export class LineDrawing {
   private isFloat = false;
   private samples = 0;
   /** Segments of lines that a frame may draw. */
-  private budget = 60_000;
-  private isSlow = false;
+  private budget = 200_000;
   private isLost = false;
 
   /**
@@ -210,9 +218,8 @@ export class LineDrawing {
 
   private begin() {
     const { gl } = this;
-    this.isSlow = isSoftware(gl);
-    this.isFloat = !this.isSlow && gl.getExtension('EXT_color_buffer_float') !== null;
-    this.budget = this.isSlow ? 60_000 : 400_000;
+    this.isFloat = gl.getExtension('EXT_color_buffer_float') !== null;
+    this.budget = 200_000;
     this.uniforms.clear();
     this.lines = this.program(LINES, COUNT);
     this.colors = this.program(SCREEN, COLORS);
@@ -308,7 +315,7 @@ export class LineDrawing {
       this.dropLayers();
       this.work = [];
       // Pixels of fine screens are smaller than what samples within pixels improve.
-      const most = this.isSlow || scene.ratio > 1.5 ? 0 : 4;
+      const most = scene.ratio > 1.5 ? 0 : 4;
       const offered = gl.getInternalformatParameter(gl.RENDERBUFFER, this.isFloat ? gl.RG16F : gl.RG8, gl.SAMPLES);
       this.samples = Math.min(most, (offered as Int32Array | null)?.[0] ?? 0);
       this.layers = [this.layer(width, height), this.layer(width, height)];
@@ -374,7 +381,6 @@ export class LineDrawing {
     const { gl } = this;
     const { axes, sets } = scene;
     const strips = Math.max(axes.length - 1, 0);
-    const shape = ({ index, scale, flipped }: ShownAxis) => `${index} ${flipped} ${scale.key}`;
     const keys = Array.from({ length: strips }, (_, i) => {
       const [a, b] = [axes[i]!, axes[i + 1]!];
       const data = sets.map((it) => `${it.rows} ${identity(it.values[a.index])} ${identity(it.values[b.index])}`);
@@ -450,7 +456,7 @@ export class LineDrawing {
       this.fence = null;
       const { at, segments } = this.submitted;
       if (segments > 0) {
-        const factor = (this.isSlow ? 60 : 20) / Math.max(performance.now() - at, 1);
+        const factor = 20 / Math.max(performance.now() - at, 1);
         const wasFull = segments > 0.7 * this.budget;
         if (wasFull || factor < 1) this.budget *= Math.min(Math.max(factor, 0.5), 2);
         this.budget = Math.min(Math.max(this.budget, 15_000), 5_000_000);
@@ -565,8 +571,9 @@ export class LineDrawing {
     const tones = [palette.a, palette.equal, palette.b, palette.single, palette.rest];
     gl.uniform3fv(at('palette'), tones.flatMap((it) => it.map((v) => v / 255)));
     const hasSelection = sets.some((it) => it.selected);
-    const dense = scene.showDensity && this.density && strips > 0 ? 0.55 : 0;
+    const dense = scene.showDensity && this.density && strips > 0 ? DENSITY : 0;
     gl.uniform4f(at('options'), Math.min(Math.max(scene.opacity, 0), 0.999), Number(hasSelection), Number(sets.length > 1), dense);
+    gl.uniform4f(at('deep'), ...(palette.deep.map((v) => v / 255) as [number, number, number]), DEEP);
     gl.bindVertexArray(null);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
     gl.activeTexture(gl.TEXTURE0);

@@ -14,6 +14,12 @@ export interface Palette {
   single: Rgb;
   /** Records outside the selection. */
   rest: Rgb;
+  /** Tone toward which the color of many lines goes. */
+  deep: Rgb;
+  /** Bars of a single set. */
+  bar: Rgb;
+  /** Background. */
+  panel: Rgb;
 }
 
 export const LIGHT: Palette = {
@@ -22,6 +28,9 @@ export const LIGHT: Palette = {
   b: [20, 92, 190],
   single: [0, 95, 153],
   rest: [138, 147, 160],
+  deep: [0, 16, 48],
+  bar: [74, 86, 104],
+  panel: [255, 255, 255],
 };
 
 export const DARK: Palette = {
@@ -30,6 +39,9 @@ export const DARK: Palette = {
   b: [84, 160, 255],
   single: [108, 189, 240],
   rest: [120, 131, 145],
+  deep: [255, 255, 255],
+  bar: [176, 188, 204],
+  panel: [22, 29, 38],
 };
 
 /** Returns (h1 - h2) / (h1 + h2); 0 if there is neither. */

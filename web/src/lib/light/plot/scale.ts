@@ -78,7 +78,7 @@ function numberScale(axis: Axis, log: boolean, bins: readonly ArrayLike<number>[
   if (hasEdges) {
     bin = (k) => (k === 0 ? [0, 0] : [log || k > 1 ? edge(k) : 0, edge(k + 1)]);
     // An axis has at least two octaves, so that a single value is not at both ends.
-    low = log ? edge(Math.max(first - 1, 1)) : 0;
+    low = log ? edge(first) : 0;
     high = edge(Math.min(last + 1 + (last - first < 2 ? 1 : 0), BINS));
   } else if (scale === 'count') {
     bin = (k) => [k, k + 1];
@@ -106,6 +106,8 @@ function numberScale(axis: Axis, log: boolean, bins: readonly ArrayLike<number>[
   for (let k = 0; k < BINS; k++) {
     const [a, b] = bin(k);
     if (k === 0 && hasSlot) to[k] = SLOT;
+    // Zero is part of a linear axis, at its lower end.
+    else if (k === 0 && hasEdges) to[k] = log ? 0 : 1e-6;
     else if (b >= a) [from[k], to[k]] = [height(a), height(b)];
   }
 
@@ -183,8 +185,11 @@ export const spread = (row: number): number => (row * 0.6180339887498949 + 0.5) 
 
 const placed = new WeakMap<Float32Array, { key: string; heights: Float32Array }>();
 
+const NONE = new Float32Array();
+
 /** Returns the heights of a column of values; kept until the scale changes. */
-export function heightsOf(values: Float32Array, scale: AxisScale): Float32Array {
+export function heightsOf(values: Float32Array | undefined, scale: AxisScale): Float32Array {
+  if (!values) return NONE;
   const known = placed.get(values);
   if (known?.key === scale.key) return known.heights;
   const heights = known?.heights.slice() ?? new Float32Array(values.length);
@@ -210,8 +215,8 @@ export function rangeBetween(scale: AxisScale, a: number, b: number): [number, n
   const [lower, upper] = [Math.min(a, b), Math.max(a, b)].map((at) => scale.value(clamp(at)));
   if (scale.isDiscrete) {
     const last = Math.max(scale.high - 1, scale.low);
-    const from = clamp(Math.floor(lower!), scale.low, last);
-    return [from, clamp(Math.ceil(upper!) - 1, from, last)];
+    const from = clamp(Math.floor(lower! + 1e-6), scale.low, last);
+    return [from, clamp(Math.ceil(upper! - 1e-6) - 1, from, last)];
   }
   const from = Number.isNaN(lower) ? scale.low : tidy(scale, lower!);
   const to = Number.isNaN(upper) ? scale.low : tidy(scale, upper!);
@@ -244,11 +249,14 @@ export function step(scale: AxisScale, value: number, by: number): number {
 
 const SUPERSCRIPTS = '⁰¹²³⁴⁵⁶⁷⁸⁹';
 
-/** Formats a value of an axis: `0.25`, `1,200`, `10⁵`, `3.2·10⁻⁶`. */
-export function formatValue(value: number): string {
+/**
+ * Formats a value of an axis: `0.25`, `1200`, `12,000`, `10⁵`, `3.2·10⁻⁶`.
+ * - `largest`: values from here on have a power of ten
+ */
+export function formatValue(value: number, largest = 99_999.5): string {
   if (Number.isNaN(value)) return 'none';
   const size = Math.abs(value);
-  if (size !== 0 && (size >= 99_999.5 || size < 0.00095)) {
+  if (size !== 0 && (size >= largest || size < 0.00095)) {
     const [mantissa, power] = value.toExponential(2).split('e') as [string, string];
     const raised = [...String(Number(power))].map((c) => (c === '-' ? '⁻' : SUPERSCRIPTS[Number(c)])).join('');
     const front = String(Number(mantissa));
@@ -286,7 +294,7 @@ export function ticks(scale: AxisScale, axis: Axis, log: boolean, most: number):
       if (((power % every) + every) % every !== 0) continue;
       for (const part of parts) {
         const value = Number(`${part}e${power}`);
-        if (value >= scale.low * 0.999 && value <= scale.high * 1.001) marks.push({ height: at(value), text: formatValue(value) });
+        if (value >= scale.low * 0.999 && value <= scale.high * 1.001) marks.push({ height: at(value), text: formatValue(value, 9999.5) });
       }
     }
     return marks;

@@ -1,0 +1,264 @@
+/** Lines of a plot without a graphics card: counts.ts counts them, and this module makes colors of the counts. */
+
+import { ROOTS, StripCounts, type StripShape } from './counts';
+import { addDensity, COLUMNS, ROWS } from './density';
+import type { Drawing } from './graphics';
+import { DEEP, DENSEST, DENSITY, identity, REST, shape, type Scene } from './lines';
+import { ratioColor } from './ratio';
+import { heightsOf } from './scale';
+
+/** Milliseconds of work in a frame. */
+const BUDGET = 30;
+
+interface Strip {
+  /** Counts of all and of selected lines, by set. */
+  all: StripCounts[];
+  chosen: StripCounts[];
+  densityKey: string;
+  /** Opacity of the density, and the ratio of both sets, in bytes; row by row from the lowest on. */
+  opacities: Uint8Array;
+  ratios: Uint8Array;
+  painted: string;
+}
+
+/** Values by the code of a count, for the current opacity and colors. */
+interface Tables {
+  key: string;
+  /** Opacity of lines, and part of the deep tone, by four times the root of the count. */
+  cover: Float32Array;
+  deep: Float32Array;
+  /** Color of ratios, 0: only B, 255: only A. */
+  tints: Float32Array;
+}
+
+/** Drawing of the lines on a canvas without WebGL. */
+export class PixelDrawing implements Drawing {
+  private context: CanvasRenderingContext2D;
+  private scene: Scene | null = null;
+  private strips: Strip[] = [];
+  private keys: string[] = [];
+  private frame = 0;
+  /** Strip that is next to be checked. */
+  private next = 0;
+  private began = 0;
+  private tables: Tables = { key: '', cover: new Float32Array(), deep: new Float32Array(), tints: new Float32Array() };
+
+  constructor(
+    private canvas: HTMLCanvasElement,
+    private ondrawn?: (milliseconds: number) => void,
+  ) {
+    const context = canvas.getContext('2d', { willReadFrequently: true });
+    if (!context) throw new Error('cannot draw on a canvas');
+    this.context = context;
+  }
+
+  update(scene: Scene) {
+    // The pixels of fine screens are too many.
+    scene = { ...scene, ratio: Math.min(scene.ratio, 1) };
+    this.scene = scene;
+    this.began ||= performance.now();
+    const { canvas } = this;
+    const [width, height] = [scene.width, scene.height].map((it) => Math.max(1, Math.round(it * scene.ratio)));
+    const count = Math.max(scene.axes.length - 1, 0);
+    const isNew = canvas.width !== width || canvas.height !== height;
+    if (isNew || count !== this.strips.length) {
+      if (isNew) [canvas.width, canvas.height] = [width!, height!];
+      else this.context.clearRect(0, 0, width!, height!);
+      this.strips = Array.from({ length: count }, () => ({
+        all: [],
+        chosen: [],
+        densityKey: '',
+        opacities: new Uint8Array(),
+        ratios: new Uint8Array(),
+        painted: '',
+      }));
+    }
+    const look = `${scene.opacity} ${scene.palette.panel} ${scene.sets.length} ${scene.sets.map((it) => it.rows)}`;
+    if (this.tables.key !== look) this.tables = makeTables(scene, look);
+    const masks = scene.sets.map((it) => identity(it.selected)).join();
+    this.keys = this.strips.map((_, i) => `${this.shapeKey(scene, i)}|${this.densityKey(scene, i)}|${masks}|${look}`);
+    this.frame ||= requestAnimationFrame(this.tick);
+  }
+
+  private column = (scene: Scene, place: number) => Math.round((scene.left + place * scene.spacing) * scene.ratio);
+
+  private shapeKey(scene: Scene, i: number): string {
+    const [a, b] = [scene.axes[i]!, scene.axes[i + 1]!];
+    const data = scene.sets.map((it) => `${it.rows} ${identity(it.values[a.index])} ${identity(it.values[b.index])}`);
+    const columns = this.column(scene, i + 1) - this.column(scene, i);
+    return `${columns} ${this.canvas.height} ${scene.top} ${scene.bottom} ${shape(a)} ${shape(b)} ${data}`;
+  }
+
+  private densityKey(scene: Scene, i: number): string {
+    if (!scene.showDensity) return '';
+    const [a, b] = [scene.axes[i]!, scene.axes[i + 1]!];
+    return scene.sets.map((it) => identity(it.pair(a.index, b.index))).join();
+  }
+
+  private tick = () => {
+    this.frame = 0;
+    const { scene, strips, keys } = this;
+    if (!scene) return;
+    const start = performance.now();
+    let isBusy = false;
+    for (let n = 0; n < strips.length && performance.now() - start < BUDGET; n++) {
+      this.next = (this.next + 1) % strips.length;
+      const i = this.next;
+      if (strips[i]!.painted === `${this.column(scene, i)} ${keys[i]}`) continue;
+      isBusy = true;
+      this.draw(scene, i);
+      strips[i]!.painted = `${this.column(scene, i)} ${keys[i]}`;
+    }
+    const isDone = strips.every((it, i) => it.painted === `${this.column(scene, i)} ${keys[i]}`);
+    if (isBusy || !isDone) this.frame = requestAnimationFrame(this.tick);
+    else {
+      this.ondrawn?.(performance.now() - this.began);
+      this.began = 0;
+    }
+  };
+
+  private draw(scene: Scene, i: number) {
+    const { sets } = scene;
+    const strip = this.strips[i]!;
+    const [a, b] = [scene.axes[i]!, scene.axes[i + 1]!];
+    const from = this.column(scene, i);
+    const place: StripShape = {
+      columns: this.column(scene, i + 1) - from,
+      rows: this.canvas.height,
+      base: this.canvas.height - scene.bottom * scene.ratio,
+      length: (scene.bottom - scene.top) * scene.ratio,
+    };
+    const key = this.shapeKey(scene, i);
+    const hasSelection = sets.some((it) => it.selected);
+    sets.slice(0, 2).forEach((set, number) => {
+      const lines = {
+        left: heightsOf(set.values[a.index], a.scale),
+        right: heightsOf(set.values[b.index], b.scale),
+        leftFlipped: a.flipped,
+        rightFlipped: b.flipped,
+        rows: set.rows,
+      };
+      (strip.all[number] ??= new StripCounts()).update(key, place, lines, null);
+      if (hasSelection) (strip.chosen[number] ??= new StripCounts()).update(key, place, lines, set.selected);
+    });
+    const densityKey = `${key}|${this.densityKey(scene, i)}`;
+    if (strip.densityKey !== densityKey) {
+      strip.densityKey = densityKey;
+      this.spread(scene, i, place);
+    }
+    const image = new ImageData(place.columns, place.rows);
+    this.paint(scene, strip, place, hasSelection, new Uint32Array(image.data.buffer));
+    this.context.putImageData(image, from, 0);
+  }
+
+  /** Enlarges the density between two axes to the pixels of the screen. */
+  private spread(scene: Scene, i: number, { columns, rows, base, length }: StripShape) {
+    const strip = this.strips[i]!;
+    strip.opacities = new Uint8Array(columns * rows);
+    strip.ratios = new Uint8Array(scene.sets.length > 1 ? columns * rows : 0);
+    if (!scene.showDensity) return;
+    const [a, b] = [scene.axes[i]!, scene.axes[i + 1]!];
+    const grids = scene.sets.slice(0, 2).map((set) => {
+      const grid = new Float32Array(COLUMNS * ROWS);
+      const counts = set.pair(a.index, b.index);
+      if (counts) addDensity(counts, { ...a.scale, flipped: a.flipped }, { ...b.scale, flipped: b.flipped }, grid);
+      return grid;
+    });
+    const [first, second] = [grids[0], grids[1]];
+    if (!first) return;
+    const scale = (255 * DENSITY) / Math.log(DENSEST);
+    const [low, high] = [Math.max(Math.round(base), 0), Math.min(Math.round(base + length), rows)];
+    for (let y = low; y < high; y++) {
+      const v = Math.min(Math.max(((y + 0.5 - base) / length) * ROWS - 0.5, 0), ROWS - 1.001);
+      const row = Math.floor(v);
+      for (let x = 0; x < columns; x++) {
+        const u = Math.min(Math.max(((x + 0.5) / columns) * COLUMNS - 0.5, 0), COLUMNS - 1.001);
+        const at = row * COLUMNS + Math.floor(u);
+        const [s, t] = [u % 1, v % 1];
+        const sample = (grid: Float32Array) =>
+          (grid[at]! * (1 - s) + grid[at + 1]! * s) * (1 - t) + (grid[at + COLUMNS]! * (1 - s) + grid[at + COLUMNS + 1]! * s) * t;
+        const one = sample(first);
+        const other = second ? sample(second) : 0;
+        const mean = second ? (one + other) / 2 : one;
+        if (mean <= 0) continue;
+        strip.opacities[y * columns + x] = Math.min(scale * Math.log(1 + 5 * mean), 255 * DENSITY);
+        if (second) strip.ratios[y * columns + x] = 127.5 + (127.5 * (one - other)) / (one + other);
+      }
+    }
+  }
+
+  /** Writes the pixels between two axes, as 32-bit words from the highest row on. */
+  private paint({ palette, sets }: Scene, strip: Strip, { columns, rows }: StripShape, hasSelection: boolean, words: Uint32Array) {
+    const { cover, deep, tints } = this.tables;
+    const { panel, rest } = palette;
+    const two = sets.length > 1;
+    const [scaleA, scaleB] = [1 / (sets[0]?.rows || 1), 1 / (sets[1]?.rows || 1)];
+    const front = hasSelection ? strip.chosen : strip.all;
+    const [frontA, frontB] = [front[0]?.bytes, two ? front[1]?.bytes : undefined];
+    const [allA, allB] = [strip.all[0]?.bytes, two ? strip.all[1]?.bytes : undefined];
+    if (!frontA || !allA) return;
+    const { opacities, ratios } = strip;
+    const root = (a: number, b: number) => Math.round(Math.sqrt(a * a + b * b));
+    for (let y = 0, at = 0; y < rows; y++) {
+      let to = (rows - 1 - y) * columns;
+      for (let x = 0; x < columns; x++, at++, to++) {
+        const dense = opacities[at]!;
+        const a = frontA[at]!;
+        const b = frontB ? frontB[at]! : 0;
+        let background = 0;
+        if (hasSelection) background = allB ? root(allA[at]!, allB[at]!) : allA[at]!;
+        if (dense + a + b + background === 0) continue;
+        let [red, green, blue] = [panel[0], panel[1], panel[2]];
+        if (dense > 0) {
+          const alpha = dense / 255;
+          const tint = two ? 3 * ratios[at]! : -1;
+          red += alpha * ((two ? tints[tint]! : rest[0]) - red);
+          green += alpha * ((two ? tints[tint + 1]! : rest[1]) - green);
+          blue += alpha * ((two ? tints[tint + 2]! : rest[2]) - blue);
+        }
+        if (background > 0) {
+          const alpha = REST * cover[background]!;
+          red += alpha * (rest[0] - red);
+          green += alpha * (rest[1] - green);
+          blue += alpha * (rest[2] - blue);
+        }
+        if (a + b > 0) {
+          const code = frontB ? root(a, b) : a;
+          let tint = 765;
+          if (frontB) {
+            const [shareA, shareB] = [a * a * scaleA, b * b * scaleB];
+            tint = 3 * Math.round(127.5 + (127.5 * (shareA - shareB)) / (shareA + shareB));
+          }
+          const [alpha, part] = [cover[code]!, deep[code]!];
+          red += alpha * (tints[tint]! + part * (palette.deep[0] - tints[tint]!) - red);
+          green += alpha * (tints[tint + 1]! + part * (palette.deep[1] - tints[tint + 1]!) - green);
+          blue += alpha * (tints[tint + 2]! + part * (palette.deep[2] - tints[tint + 2]!) - blue);
+        }
+        words[to] = (255 << 24) | (blue << 16) | (green << 8) | red;
+      }
+    }
+  }
+
+  destroy() {
+    cancelAnimationFrame(this.frame);
+    this.scene = null;
+  }
+}
+
+function makeTables({ opacity, palette, sets }: Scene, key: string): Tables {
+  // Codes of two sets together reach the root of two times 255.
+  const size = 364;
+  const amount = Float32Array.from({ length: size }, (_, code) => opacity * (code / ROOTS) ** 2);
+  const tints = new Float32Array(3 * 256);
+  for (let i = 0; i < 256; i++) {
+    const t = i / 127.5 - 1;
+    const color = sets.length > 1 ? ratioColor(1 + t, 1 - t, palette) : palette.single;
+    tints.set(color, 3 * i);
+  }
+  return {
+    key,
+    cover: amount.map((x) => x / (1 + x)),
+    deep: amount.map((x) => DEEP * Math.min(Math.max(Math.log2(1 + x) / 5 - 0.25, 0), 1)),
+    tints,
+  };
+}

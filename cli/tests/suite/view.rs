@@ -118,7 +118,7 @@ fn a_view_needs_its_token_and_names_faults_of_parameters() {
     dir.run("render fog.mgf -o fog.exr --size 32x32 --spp 8 --stats").exits(0);
     dir.run("render fog.mgf -o other.exr --size 24x24 --spp 8 --stats --seed 2").exits(0);
     let pages = Pages::open(&dir, "fog.paths other.paths");
-    assert_eq!(pages.page, "/view%3Fb%3Df1");
+    assert_eq!(pages.page, "/view%3Fb%3D1");
     let without = send_request(&pages.address, "GET /api/v1/files", &[], "");
     assert_eq!((without.status, without.code().as_str()), (401, "unauthenticated"));
     let login = ["Content-Type: application/x-www-form-urlencoded"];

@@ -66,8 +66,16 @@ pub(crate) struct LightViews {
     store: Store,
     /// Limits the number of threads that decode and evaluate.
     threads: Arc<Semaphore>,
-    /// Latest data by tag, the oldest use first.
-    cache: Arc<Mutex<VecDeque<(String, OpenedCell)>>>,
+    /// Latest data of each target, the oldest use first.
+    cache: Arc<Mutex<VecDeque<CachedLight>>>,
+}
+
+/// Data in the cache.
+#[derive(Clone)]
+struct CachedLight {
+    target: LightTarget,
+    tag: String,
+    cell: OpenedCell,
 }
 
 impl fmt::Debug for LightViews {
@@ -127,7 +135,7 @@ impl LightViews {
         if known == Some(&tag) {
             return Ok(Some(TaggedAnswer { tag, answer: None }));
         }
-        let cell = self.cell(&located.tag);
+        let cell = self.cell(target, &located.tag);
         let opened = cell.get_or_try_init(|| self.open(farm, open, located)).await?.clone();
         self.evict();
         let Some(data) = opened else { return Ok(None) };
@@ -218,26 +226,29 @@ impl LightViews {
         Ok((!parts.is_empty()).then_some(Located { tag, parts }))
     }
 
-    /// Returns the cell of the cache for a tag, and marks it as the latest used.
-    fn cell(&self, tag: &str) -> OpenedCell {
+    /// Returns the cell of the cache for a target, and marks it as the latest used. Data with another tag is out of date.
+    fn cell(&self, target: &LightTarget, tag: &str) -> OpenedCell {
         // A poisoned lock is safe to use: a panic in the few lines under it leaves no partial change.
         let mut cache = self.cache.lock().unwrap_or_else(PoisonError::into_inner);
-        let position = cache.iter().position(|(other, _)| other == tag);
-        let entry = position.and_then(|position| cache.remove(position));
-        let entry = entry.unwrap_or_else(|| (tag.to_owned(), OpenedCell::default()));
-        let cell = entry.1.clone();
-        cache.push_back(entry);
-        cell
+        let position = cache.iter().position(|cached| cached.target == *target);
+        let cached = position.and_then(|position| cache.remove(position)).filter(|cached| cached.tag == tag);
+        let cached = cached.unwrap_or_else(|| CachedLight {
+            target: target.clone(),
+            tag: tag.to_owned(),
+            cell: OpenedCell::default(),
+        });
+        cache.push_back(cached.clone());
+        cached.cell
     }
 
     /// Removes the data that was not used for the longest time, until the rest is within the limits.
     fn evict(&self) {
         let mut cache = self.cache.lock().unwrap_or_else(PoisonError::into_inner);
         let size = |cell: &OpenedCell| cell.get().and_then(Option::as_ref).map_or(0, |data| data.memory_bytes());
-        let mut bytes: usize = cache.iter().map(|(_, cell)| size(cell)).sum();
+        let mut bytes: usize = cache.iter().map(|cached| size(&cached.cell)).sum();
         while bytes > Self::CACHE_BYTES || cache.len() > Self::MAX_CACHED {
-            let Some((_, cell)) = cache.pop_front() else { break };
-            bytes -= size(&cell);
+            let Some(cached) = cache.pop_front() else { break };
+            bytes -= size(&cached.cell);
         }
     }
 

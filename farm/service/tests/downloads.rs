@@ -295,16 +295,19 @@ async fn viewers_may_download_and_workers_and_strangers_may_not() {
     let worker = authority.issue_token(Holder::Worker { name: "w".into() }, 1).expect("a token").token().secret();
     let tokens = Tokens::open(authority.tokens_path()).expect("a list");
     let server = TestServer::start("drive", Some(tokens)).await;
+    let (_, port) = server.address.rsplit_once(':').expect("a port");
+    let cookie = format!("Cookie: femc-{port}={viewer}");
     for path in ["7/frames/3/image.exr", "7/clip", "7/sheet.png"] {
         for (header, status) in [
             ("Accept: */*".to_owned(), 401),
             (format!("Authorization: Bearer {worker}"), 403),
             (format!("Authorization: Bearer {viewer}"), 200),
-            (format!("Cookie: femc={viewer}"), 200),
+            (cookie.clone(), 200),
+            (format!("Cookie: femc={viewer}"), 401),
         ] {
             assert_eq!(server.get(path, &[&header]).await.status, status, "{path}");
         }
-        let foreign = server.get(path, &[&format!("Cookie: femc={viewer}"), "Sec-Fetch-Site: cross-site"]).await;
+        let foreign = server.get(path, &[&cookie, "Sec-Fetch-Site: cross-site"]).await;
         assert_eq!((foreign.status, foreign.code().as_str()), (403, "cross_site"), "{path}");
     }
 }

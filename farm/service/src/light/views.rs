@@ -381,3 +381,6 @@ async fn read_file(path: &Path, limit: u64) -> Result<Bytes, LightViewError> {
     }
     tokio::fs::read(path).await.map(Bytes::from).map_err(failed)
 }
+
+#[cfg(test)]
+mod tests;

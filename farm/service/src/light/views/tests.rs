@@ -1,0 +1,111 @@
+//! Tests of the cache and of the threads that decode.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use tokio::sync::mpsc;
+
+use super::*;
+use crate::access::Limits;
+use crate::light::LightCallKind;
+
+/// Number of times that each source was opened.
+static OPENED: Mutex<BTreeMap<String, u32>> = Mutex::new(BTreeMap::new());
+
+fn times_opened(name: &str) -> u32 {
+    OPENED.lock().unwrap().get(name).copied().unwrap_or(0)
+}
+
+/// Decoded light that repeats its source.
+struct Echo {
+    bytes: Vec<u8>,
+    memory_bytes: usize,
+}
+
+impl LightData for Echo {
+    fn memory_bytes(&self) -> usize {
+        self.memory_bytes
+    }
+
+    fn answer(&self, _call: &LightCall, _is_cancelled: &AtomicBool) -> Result<LightAnswer, LightError> {
+        Ok(LightAnswer::Json(self.bytes.clone()))
+    }
+}
+
+/// Opens a source slowly. The name of a large one begins with `large`.
+fn open(_tag: &str, sources: Vec<LightSource>) -> Result<OpenedLight, String> {
+    let source = &sources[0];
+    *OPENED.lock().unwrap().entry(source.name.clone()).or_default() += 1;
+    std::thread::sleep(Duration::from_millis(50));
+    let memory_bytes = if source.name.starts_with("large") { 300 << 20 } else { 1 };
+    Ok(Some(Arc::new(Echo { bytes: source.parts[0].to_vec(), memory_bytes })))
+}
+
+/// Views of files in a folder, with a farm that never answers.
+struct Fixture {
+    _folder: tempfile::TempDir,
+    paths: Vec<PathBuf>,
+    views: LightViews,
+    farm: Farm<()>,
+}
+
+impl Fixture {
+    fn new(names: &[&str]) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let paths: Vec<PathBuf> = names.iter().map(|name| folder.path().join(name)).collect();
+        paths.iter().for_each(|path| std::fs::write(path, "first").unwrap());
+        let file = |(name, path): (&&str, &PathBuf)| LightFile { name: (*name).to_owned(), path: path.clone() };
+        let files = names.iter().zip(&paths).map(file).collect();
+        let slots = TransferSlots::new(&Limits { transfers: 64, transfers_per_connection: 64, ..Limits::default() });
+        let views = LightViews::new(Some(open), files, Store::in_memory(), slots);
+        Self { _folder: folder, paths, views, farm: Farm::new(mpsc::channel(1).0) }
+    }
+
+    async fn ask(&self, file: usize) -> Vec<u8> {
+        let call = LightCall { kind: LightCallKind::Schema, condition: None, bounds: None };
+        let caller_key = CallerKey { name: None, connection: 1 };
+        let target = LightTarget::File(file);
+        let answered = self.views.answer(&self.farm, &target, call, None, caller_key).await.unwrap().unwrap();
+        match answered.answer.unwrap().0 {
+            LightAnswer::Json(bytes) | LightAnswer::Columns(bytes) => bytes,
+        }
+    }
+}
+
+#[tokio::test]
+async fn questions_at_once_open_the_data_once() {
+    let fixture = Fixture::new(&["once"]);
+    let answers = futures_util::future::join_all((0..20).map(|_| fixture.ask(0))).await;
+    assert!(answers.iter().all(|bytes| bytes == b"first"));
+    assert_eq!(times_opened("once"), 1);
+}
+
+#[tokio::test]
+async fn data_is_opened_to_the_end_without_its_client() {
+    let fixture = Fixture::new(&["left"]);
+    assert!(tokio::time::timeout(Duration::from_millis(10), fixture.ask(0)).await.is_err(), "the client left");
+    assert_eq!(fixture.ask(0).await, b"first");
+    assert_eq!(times_opened("left"), 1);
+}
+
+#[tokio::test]
+async fn a_changed_file_replaces_its_data() {
+    let fixture = Fixture::new(&["changed"]);
+    assert_eq!(fixture.ask(0).await, b"first");
+    std::fs::write(&fixture.paths[0], "second").unwrap();
+    assert_eq!(fixture.ask(0).await, b"second");
+    assert_eq!((times_opened("changed"), fixture.views.cache.lock().unwrap().len()), (2, 1));
+}
+
+#[tokio::test]
+async fn data_beyond_the_limit_is_dropped_the_oldest_use_first() {
+    let fixture = Fixture::new(&["large-a", "large-b", "small"]);
+    for file in [2, 0, 1] {
+        fixture.ask(file).await;
+    }
+    assert_eq!(fixture.views.cache.lock().unwrap().len(), 1, "two large ones exceed the limit");
+    fixture.ask(1).await;
+    assert_eq!(times_opened("large-b"), 1, "the latest stays");
+    fixture.ask(0).await;
+    assert_eq!(times_opened("large-a"), 2);
+}

@@ -89,7 +89,7 @@ impl RunTokens {
 
     fn access_control(&self) -> Result<AccessControl, Failure> {
         let authority = Authority::open(&self.folder.path().join("authority")).map_err(failed)?;
-        let tokens = Tokens::open(&authority.tokens_path()).map_err(failed)?;
+        let tokens = Tokens::open(authority.tokens_path()).map_err(failed)?;
         Ok(AccessControl { identity: None, revoked: None, tokens: Some(tokens) })
     }
 }

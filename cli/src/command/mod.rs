@@ -169,7 +169,7 @@ pub fn run(cli: Cli, printer: Printer) -> Result<Exit, Failure> {
         Command::Stylize(args) => stylize::run(&args, printer),
         Command::Coordinator(args) => coordinator::run(args, printer),
         Command::Worker(args) => worker::run(args, printer),
-        Command::View(args) => view::run(args, printer),
+        Command::View(args) => view::run(&args, printer),
         Command::Submit(args) => submit::run(args, printer),
         Command::Sweep(args) => sweep::run(&args, printer),
         #[cfg(feature = "openjd")]

@@ -56,7 +56,7 @@ struct ViewReport {
 const PROGRESS_INTERVAL: Duration = Duration::from_millis(500);
 
 /// Runs `femc view`.
-pub fn run(args: ViewArgs, printer: Printer) -> Result<Exit, Failure> {
+pub fn run(args: &ViewArgs, printer: Printer) -> Result<Exit, Failure> {
     if site().files.is_empty() {
         return Err(failed(
             "this femc was built without its web pages; `femc paths` queries light statistics without a browser",
@@ -64,8 +64,8 @@ pub fn run(args: ViewArgs, printer: Printer) -> Result<Exit, Failure> {
     }
     let is_statistics = |path: &PathBuf| path.extension().is_some_and(|extension| extension == "paths");
     match &args.inputs[..] {
-        inputs if inputs.iter().all(is_statistics) => view_files(&args, printer),
-        [scene] => view_scene(scene, &args, printer),
+        inputs if inputs.iter().all(is_statistics) => view_files(args, printer),
+        [scene] => view_scene(scene, args, printer),
         _ => Err(usage("give one scene, or one or two statistics files (.paths)")),
     }
 }

@@ -1,5 +1,5 @@
 import { describe, expect, test } from 'vitest';
-import { barsOf, shareIn } from '../../src/lib/light/plot/bars';
+import { barsOf, shareIn, sharesIn } from '../../src/lib/light/plot/bars';
 import { brushOf, has, isEmpty, joined, selectRows, toggled, withBrush } from '../../src/lib/light/plot/brush';
 import type { Axis, AxisView, Brush, ScaleName } from '../../src/lib/light/plot/contract';
 import { addLines, encode, StripCounts } from '../../src/lib/light/plot/counts';
@@ -188,6 +188,18 @@ test('bars are high enough, and have the share of all their bins', () => {
   expect(bars.slice(0, -1).every((it) => it.to - it.from >= 0.02)).toBe(true);
   const total = bars.reduce((sum, bar) => sum + shareIn(bar, bins({ 0: 1, 2: 1, 60: 2 }), 4), 0);
   expect(total).toBeCloseTo(1);
+});
+
+test('shares of the selection are of the recorded records, those of the bins may be of all samples', () => {
+  const scale = axisScale(axis('count'), false, [bins({ 1: 600, 2: 400 })]);
+  const bars = barsOf({ scale }, 0.02);
+  const set = {
+    ...{ values: [], rows: 0, selected: null, pair: () => null, basis: 'all samples' as const },
+    ...{ bins: [bins({ 1: 600, 2: 400 })], total: 1000, selectedBins: [bins({ 1: 30, 2: 10 })], selectedTotal: 100 },
+  };
+  expect(sharesIn(bars, set, 0, 'all')).toEqual([0.6, 0.4]);
+  expect(sharesIn(bars, set, 0, 'selected')).toEqual([0.3, 0.1]);
+  expect(sharesIn(bars, { ...set, selectedBins: null }, 0, 'selected')).toEqual([0, 0]);
 });
 
 describe('density', () => {

@@ -41,13 +41,13 @@ export interface Categories {
 /** Answer of the server with counts: single axes, pairs and the names of categories. */
 export type Histograms = Columns<{ counted: string; categories: Record<string, number[]> }>;
 
-export interface Described {
+export interface SchemaAndHistograms {
   schema: Schema;
   histograms: Histograms;
 }
 
 /** Returns the categories of all name axes, by `table.axis`. */
-export function categoriesOf(sets: readonly Described[]): Map<string, Categories> {
+export function categoriesOf(sets: readonly SchemaAndHistograms[]): Map<string, Categories> {
   const out = new Map<string, Categories>();
   const first = sets[0];
   if (!first) return out;
@@ -103,7 +103,7 @@ function categoryTable(schema: Schema, categories: Categories): Float32Array {
 }
 
 /** Returns the bin shown for each bin of a name axis. */
-export function binTable({ schema, histograms }: Described, key: string, categories: Categories): Uint8Array {
+export function binTable({ schema, histograms }: SchemaAndHistograms, key: string, categories: Categories): Uint8Array {
   const numbers = new Map(categories.names.map((name, i) => [name, i + 1]));
   const others = othersOf(categories);
   const table = new Uint8Array(BINS).fill(others);
@@ -171,7 +171,7 @@ export function plotValues(
 }
 
 /** Returns counts for the plot: the bins of names become categories. */
-export function plotBins(set: Described, of: Histograms, table: TableName, categories: ReadonlyMap<string, Categories>): Float64Array[] {
+export function plotBins(set: SchemaAndHistograms, of: Histograms, table: TableName, categories: ReadonlyMap<string, Categories>): Float64Array[] {
   return set.schema.tables[table].map((axis, index) => {
     const bins = of.f64(`${table}.${index}`);
     const key = `${table}.${axis.name}`;
@@ -184,9 +184,13 @@ export function plotBins(set: Described, of: Histograms, table: TableName, categ
   });
 }
 
+/** Returns the number of records in the bins of an axis. */
+export const countIn = (bins: ArrayLike<number> | undefined): number | undefined =>
+  bins && Array.from(bins).reduce((sum, count) => sum + count, 0);
+
 /** Returns joint counts for the plot. */
 export function plotPair(
-  set: Described,
+  set: SchemaAndHistograms,
   counts: Float32Array,
   table: TableName,
   [a, b]: readonly [number, number],
@@ -244,7 +248,7 @@ const WRAPPERS: PerTable<readonly (Quantifier | null)[]> = {
   lights: ['light', 'lights'],
 };
 
-interface Found {
+interface BrushPosition {
   path: ChipPath;
   chip: BrushChip;
   /** Whether `not` stands before the group around it. */
@@ -252,8 +256,8 @@ interface Found {
 }
 
 /** Returns the brush chips that concern the axes of a table, by field; the first of each field. */
-function brushChips(chips: Chips, table: TableName, fields: ReadonlySet<string>): Map<string, Found> {
-  const out = new Map<string, Found>();
+function brushChips(chips: Chips, table: TableName, fields: ReadonlySet<string>): Map<string, BrushPosition> {
+  const out = new Map<string, BrushPosition>();
   const walk = (all: Chips, at: ChipPath, isWithin: boolean, outside: boolean) =>
     all.chips.forEach((chip, i) => {
       const path = [...at, i];

@@ -9,8 +9,8 @@ import type { TableName } from './plot/contract';
 /** Condition that holds for all paths. */
 export const EVERYTHING = 'depth >= 0';
 /** Time after which a request gives way to a newer one. */
-const PATIENCE_MS = 700;
-const RETRY_MS = 3000;
+const ABORT_TIMEOUT_MS = 700;
+const RETRY_INTERVAL_MS = 3000;
 
 /** Requests of one kind: one at a time, and the newest wins. */
 export class Newest {
@@ -28,7 +28,7 @@ export class Newest {
 
   run(task: (signal: AbortSignal) => Promise<void>) {
     this.next = task;
-    if (this.running && performance.now() - this.began > PATIENCE_MS) this.running.abort();
+    if (this.running && performance.now() - this.began > ABORT_TIMEOUT_MS) this.running.abort();
     this.start();
   }
 
@@ -78,13 +78,13 @@ export interface Wish {
   box: Corners | null;
 }
 
-export interface Selected {
+export interface SelectionAnswer {
   where: string;
   header: SelectionHeader & { tag: string; recorded: number };
   density: Density | null;
 }
 
-/** Selected recorded paths of each pixel that has some. */
+/** SelectionAnswer recorded paths of each pixel that has some. */
 export interface Density {
   pixel: Uint32Array;
   count: Float32Array;
@@ -116,7 +116,7 @@ export class DataSet {
   rows = $state.raw<Rows | null>(null);
   /** 1 for selected rows; null: there is no selection. */
   selected = $state.raw<PerTable<Uint8Array> | null>(null);
-  selection = $state.raw<Selected | null>(null);
+  selection = $state.raw<SelectionAnswer | null>(null);
   selectedHistograms = $state.raw<Histograms | null>(null);
   /** Fault of the condition. */
   refusal = $state.raw<string | null>(null);
@@ -150,7 +150,7 @@ export class DataSet {
       this.retry = setTimeout(() => {
         this.etag = null;
         this.refresh();
-      }, RETRY_MS);
+      }, RETRY_INTERVAL_MS);
     }
   };
   private readonly refuse = (error: unknown) => {

@@ -303,11 +303,11 @@ export function namesOf(schema: Schema, axis: SchemaAxis): string[] {
   return names.length ? names : schema.names;
 }
 
-/** Returns the text of a brush without its inversion; null if it contains nothing. */
+/** Returns the text of a brush without its inversion; null if it contains nothing, or everything. */
 export function brushText(brush: Brush, field: SchemaAxis, axis: Axis, schema: Schema): string | null {
   if (!axis.categories) {
     const isWhole = axis.scale === 'count' || axis.scale === 'film';
-    return brush.ranges.length ? formatRanges(field.field, brush.ranges, isWhole) : null;
+    return formatRanges(field.field, brush.ranges, isWhole) || null;
   }
   const every = axis.scale === 'class' ? (field.words ?? []) : namesOf(schema, field);
   const listed = new Set(axis.categories);

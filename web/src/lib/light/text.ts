@@ -497,8 +497,9 @@ function bound(value: number, step: (v: number) => number): string {
   return String(Number(`${whole}e${-power}`));
 }
 
-/** Formats ranges of a field. `isWhole`: the values are whole numbers. */
+/** Formats ranges of a field; empty if one of them is of all numbers. `isWhole`: the values are whole numbers. */
 export function formatRanges(field: string, ranges: Ranges, isWhole = false): string {
+  if (ranges.some(([low, high]) => low === -Infinity && high === Infinity)) return '';
   return ranges
     .map(([low, high]) => {
       let [a, b] = [low, high];
@@ -511,7 +512,7 @@ export function formatRanges(field: string, ranges: Ranges, isWhole = false): st
       if (from === to) return `${field} == ${from}`;
       if (a > -Infinity) parts.push(`${field} >= ${from}`);
       if (b < Infinity) parts.push(`${field} <= ${to}`);
-      return parts.join(' and ') || `${field} >= 0`;
+      return parts.join(' and ');
     })
     .join(' or ');
 }

@@ -191,4 +191,5 @@ test('the command is quoted for a shell', () => {
     `femc paths 'a b.paths' --where 'first.object == "it'\\''s"'`,
   );
   expect(command(['a.paths'], '')).toBe('femc paths a.paths');
+  expect(command(['a.paths', 'b.paths'], 'depth > 2', true)).toBe("femc paths --union a.paths b.paths --brightest --where 'depth > 2'");
 });

@@ -130,7 +130,17 @@ export interface Rows {
   effectiveSize: number | null;
 }
 
+/** Selected records among the brightest paths. */
+export interface BrightestSelection {
+  where: string;
+  /** 1 for selected rows. */
+  rows: PerTable<Uint8Array>;
+  /** Number of selected paths. */
+  count: number;
+}
+
 type PathsAnswer = Columns<{
+  selected?: number;
   set: number;
   candidates: number;
   d: number | null;
@@ -153,6 +163,25 @@ export function rowsOf(schema: Schema, answer: PathsAnswer): Rows {
     effectiveSize: effective_size ?? null,
   };
 }
+
+/** Returns the selection among the brightest paths; null if the answer has none. */
+export function brightestSelection(answer: PathsAnswer, where: string): BrightestSelection | null {
+  if (!TABLES.every((table) => answer.has(`${table}.selected`))) return null;
+  const rows = perTable((table) => answer.u8(`${table}.selected`));
+  return { where, rows, count: answer.header.selected ?? rows.paths.reduce((sum, is) => sum + is, 0) };
+}
+
+const isEqual = (a: Float32Array | Uint32Array, b: Float32Array | Uint32Array) =>
+  a.length === b.length && a.every((value, i) => Object.is(value, b[i]));
+
+/** Checks whether two answers have the same rows, so that plots of the one need not change for the other. */
+export const haveSameRows = (a: Rows, b: Rows): boolean =>
+  a.tag === b.tag &&
+  a.set === b.set &&
+  isEqual(a.frame, b.frame) &&
+  isEqual(a.sample, b.sample) &&
+  TABLES.every((table) => isEqual(a.numbers[table], b.numbers[table])) &&
+  TABLES.every((table) => a.values[table].every((values, i) => isEqual(values, b.values[table][i]!)));
 
 /** Returns the rows' values for the plot: names become categories. */
 export function plotValues(
@@ -298,10 +327,21 @@ export function brushesOf(chips: Chips, table: TableName, fields: readonly Schem
 
 /** Returns names that an axis may have, by their kind. */
 export function namesOf(schema: Schema, axis: SchemaAxis): string[] {
-  const kinds = /object|occluder/.test(axis.field) ? ['object'] : /material/.test(axis.field) ? ['material'] : ['light', 'lamp'];
+  // Media scatter light like materials and emit it like lights.
+  const kinds = /object|occluder/.test(axis.field)
+    ? ['object']
+    : /material/.test(axis.field)
+      ? ['material', 'medium']
+      : ['light', 'lamp', 'medium'];
   const names = schema.names.filter((_, i) => kinds.includes((schema.kinds[i] ?? '').toLowerCase()));
   return names.length ? names : schema.names;
 }
+
+/** Largest number of names that stand for "others" or "none" in a condition. */
+const MOST_CONDITION_NAMES = 200;
+
+/** Reason why a brush has no condition. */
+export class BrushError extends Error {}
 
 /** Returns the text of a brush without its inversion; null if it contains nothing, or everything. */
 export function brushText(brush: Brush, field: SchemaAxis, axis: Axis, schema: Schema): string | null {
@@ -315,7 +355,12 @@ export function brushText(brush: Brush, field: SchemaAxis, axis: Axis, schema: S
     if (k === 0) return [null];
     const text = axis.categories![k];
     if (axis.scale === 'name' && text === 'others' && k === axis.categories!.length - 1) {
-      return every.filter((name) => !listed.has(name));
+      const others = every.filter((name) => !listed.has(name));
+      if (others.length > MOST_CONDITION_NAMES) {
+        const text = `“others” of ${axis.name} stands for ${others.length} names, and a condition has at most ${MOST_CONDITION_NAMES}`;
+        throw new BrushError(`${text}: select the categories that you do not want, and invert the brush.`);
+      }
+      return others;
     }
     return text === undefined ? [] : [text];
   });

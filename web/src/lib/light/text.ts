@@ -550,9 +550,18 @@ export function brushChip(text: string, negated: boolean): BrushChip {
 export const shellQuote = (text: string): string =>
   /^[\w./:=+,-]+$/.test(text) ? text : `'${text.replaceAll("'", `'\\''`)}'`;
 
-/** Returns the command that lists the selected paths. */
-export const command = (files: readonly string[], where: string): string =>
-  `femc paths ${files.map(shellQuote).join(' ')}${where ? ` --where '${where.replaceAll("'", `'\\''`)}'` : ''}`;
+/**
+ * Returns the command that lists the selected paths.
+ * - `isBrightest`: of the brightest samples, not of the recorded paths
+ */
+export const command = (files: readonly string[], where: string, isBrightest = false): string =>
+  [
+    'femc paths',
+    ...(files.length > 1 ? ['--union'] : []),
+    ...files.map(shellQuote),
+    ...(isBrightest ? ['--brightest'] : []),
+    ...(where ? [`--where '${where.replaceAll("'", `'\\''`)}'`] : []),
+  ].join(' ');
 
 /** Returns a short text for a chip that would be long. */
 export function shortText(chip: Chip): string {

@@ -53,6 +53,8 @@ export interface PlotProps {
   views: readonly AxisView[];
   sets: readonly PlotSet[]; // 1 or 2
   brushes: readonly Brush[];
+  /** Reason why brushes cannot be changed; null if they can. */
+  lock?: string | null;
   /** Opacity of a line, 0 to 1. */
   opacity: number;
   showDensity: boolean;

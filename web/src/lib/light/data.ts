@@ -174,14 +174,14 @@ export function brightestSelection(answer: PathsAnswer, where: string): Brightes
 const isEqual = (a: Float32Array | Uint32Array, b: Float32Array | Uint32Array) =>
   a.length === b.length && a.every((value, i) => Object.is(value, b[i]));
 
-/** Checks whether two answers have the same rows, so that plots of the one need not change for the other. */
+/** Checks whether two answers have the same rows, so that plots need not change. Intersections and lights follow from the paths. */
 export const haveSameRows = (a: Rows, b: Rows): boolean =>
   a.tag === b.tag &&
   a.set === b.set &&
   isEqual(a.frame, b.frame) &&
   isEqual(a.sample, b.sample) &&
   TABLES.every((table) => isEqual(a.numbers[table], b.numbers[table])) &&
-  TABLES.every((table) => a.values[table].every((values, i) => isEqual(values, b.values[table][i]!)));
+  a.values.paths.every((values, i) => isEqual(values, b.values.paths[i]!));
 
 /** Returns the rows' values for the plot: names become categories. */
 export function plotValues(

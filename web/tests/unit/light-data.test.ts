@@ -3,11 +3,15 @@ import { formatSource, parseSource, type Schema } from '../../src/lib/light/api'
 import { decodeColumns, encodeColumns } from '../../src/lib/light/columns';
 import {
   axesOf,
+  BrushError,
+  brushText,
+  countIn,
   brushesOf,
   categoriesOf,
   defaultViews,
   formatViews,
   mismatch,
+  namesOf,
   objectNames,
   parseViews,
   plotBins,
@@ -192,6 +196,29 @@ describe('brushes and the text of the selection', () => {
     expect(brushesOf(toChips(text), 'paths', more.tables.paths, all)[0]!.categories).toEqual([0]);
   });
 
+  test('media belong to the materials and to the lights; too many others are refused', () => {
+    const names = ['ball', 'glass', 'fog', 'lamp'];
+    const more = { ...it, names, kinds: ['object', 'material', 'medium', 'light'] };
+    const axis = (name: string) => ({ name, scale: 'name' as const, field: name });
+    expect(namesOf(more, axis('material'))).toEqual(['glass', 'fog']);
+    expect(namesOf(more, axis('light'))).toEqual(['fog', 'lamp']);
+    expect(namesOf(more, axis('occluder'))).toEqual(['ball']);
+    const many = Array.from({ length: 202 }, (_, i) => `m${i}`);
+    const large = { ...it, names: many, kinds: many.map(() => 'material') };
+    const shown = { ...axes('paths')[4]!, categories: ['none', 'm0', 'others'] };
+    const others = brush(4, { categories: [2] });
+    expect(() => brushText(others, axis('material'), shown, large)).toThrow(BrushError);
+    expect(() => brushText(others, axis('material'), shown, large)).toThrow('201 names');
+    const fewer = { ...shown, categories: ['none', 'm0', 'm1', 'others'] };
+    expect(brushText(brush(4, { categories: [3] }), axis('material'), fewer, large)?.split(' or ').length).toBe(200);
+  });
+
+  test('a range of all numbers is no brush', () => {
+    expect(written('depth >= 3', 'paths', [brush(2, { ranges: [[-Infinity, Infinity]] })])).toBe('');
+    expect(written('', 'paths', [brush(1, { ranges: [[200, Infinity]] })])).toBe('path.radiance.r >= 200');
+    expect(countIn(bins({ 0: 2, 5: 3 }))).toBe(5);
+  });
+
   test('what does not change keeps its text, its place and its quantifier', () => {
     const text = 'depth > 2 and not all(position.y <= 1) or end == escaped';
     expect(written(text, 'paths', read(text, 'paths'))).toBe(text);
@@ -252,6 +279,13 @@ describe('density', () => {
     expect(gray[40]! >>> 24).toBe(255);
     expect(new Set([gray[3]! & 255, gray[40]! & 255, gray[77]! & 255, (gray[40]! >>> 16) & 255]).size).toBe(1);
     expect(gray.filter((word) => (word & 255) > 0).length).toBeGreaterThan(90);
+  });
+
+  test('a gray picture has the mean luminances of the pixels, if the server returns them', () => {
+    const all = { pixel: Uint32Array.of(0, 1), count: Float32Array.of(20, 10), light: Float32Array.of(99, 1) };
+    const [a, b] = grayPicture({ ...all, luminance: Float32Array.of(3, 3) }, [2, 1]);
+    expect(a).toBe(b);
+    expect(grayPicture({ ...all, luminance: null }, [2, 1])).not.toEqual(Uint32Array.of(a!, b!));
   });
 
   test('in colors: nothing is dark, or the picture; the most is the strongest color', () => {

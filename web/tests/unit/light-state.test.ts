@@ -27,6 +27,21 @@ describe('requests', () => {
     expect(done.length).toBeLessThan(6);
   });
 
+  test('a request without a time limit is never aborted', async () => {
+    const requests = new Newest(0, () => {}, Infinity);
+    const done: string[] = [];
+    const ask = (name: string) =>
+      requests.run(async (signal) => {
+        await new Promise((resolve) => setTimeout(resolve, 5000));
+        done.push(name + (signal.aborted ? ' aborted' : ''));
+      });
+    ask('old');
+    await vi.advanceTimersByTimeAsync(2000);
+    ask('new');
+    await vi.advanceTimersByTimeAsync(9000);
+    expect(done).toEqual(['old', 'new']);
+  });
+
   test('an old request gives way, and errors are reported', async () => {
     const errors: unknown[] = [];
     const requests = new Newest(0, (error) => errors.push(error));
@@ -49,13 +64,17 @@ class Server {
   tag = 'a';
   maskTag: string | null = null;
   fault: number | null = null;
+  /** Calls that fail; null: all. */
+  faulty: string | null = null;
+  /** Whether the brightest paths come with their selection. */
+  marks = true;
   readonly calls: string[] = [];
 
   answer = (path: string, init?: RequestInit): Promise<Response> => {
     const url = new URL(path, 'http://farm');
     const call = url.pathname.split('/').at(-1)!;
     this.calls.push(call + url.search);
-    if (this.fault) {
+    if (this.fault && (this.faulty === null || this.faulty === call)) {
       const error = { error: { code: 'x', message: 'where: column 3: what', help: null } };
       return Promise.resolve(new Response(JSON.stringify(error), { status: this.fault }));
     }
@@ -75,6 +94,9 @@ class Server {
         one('paths.depth', 'f32', [1, 2]),
         ...['paths.number', 'paths.frame', 'paths.sample'].map((name) => one(name, 'u32', [0, 1])),
         ...['intersections.number', 'lights.number'].map((name) => one(name, 'u32', [])),
+        ...(this.marks && url.searchParams.get('among') === 'brightest' && url.searchParams.get('where')
+          ? [one('paths.selected', 'u8', [1, 1]), one('intersections.selected', 'u8', []), one('lights.selected', 'u8', [])]
+          : []),
       ],
       selection: ['paths', 'intersections', 'lights'].map((table) => one(`${table}.mask`, 'u8', [2])),
       histograms: [
@@ -156,6 +178,70 @@ describe('a data set', () => {
     expect(data.refusal).toBe('column 3: what');
     expect(data.selection?.where).toBe('depth == 2');
     expect(data.error).toBeNull();
+  });
+
+  test('the brightest paths come with their selection, and are asked again when it changes', async () => {
+    const { server, data } = await begin();
+    data.configure({ count: 500, among: 'brightest', box: null });
+    await vi.advanceTimersByTimeAsync(300);
+    const rows = data.rows;
+    expect(data.brightest).toBeNull();
+    data.select('depth == 2', false);
+    await vi.advanceTimersByTimeAsync(300);
+    // The masks contain only the second path.
+    expect([...data.selected!.paths]).toEqual([1, 1]);
+    expect(data.brightest).toMatchObject({ where: 'depth == 2', count: 2 });
+    expect(data.rows).toBe(rows);
+    expect(server.calls.filter((call) => call.startsWith('paths?')).at(-1)).toContain('where=depth+');
+    data.select('', true);
+    await vi.advanceTimersByTimeAsync(300);
+    expect([data.selected, data.brightest]).toEqual([null, null]);
+    data.select('depth == 2', true);
+    await vi.advanceTimersByTimeAsync(300);
+    expect([...data.selected!.paths]).toEqual([1, 1]);
+    data.configure({ count: 500, among: 'all', box: null });
+    await vi.advanceTimersByTimeAsync(300);
+    expect([...data.selected!.paths]).toEqual([0, 1]);
+  });
+
+  test('without these columns, masks select among the brightest', async () => {
+    const { server, data } = await begin();
+    server.marks = false;
+    data.configure({ count: 500, among: 'brightest', box: null });
+    data.select('depth == 2', true);
+    await vi.advanceTimersByTimeAsync(300);
+    expect([...data.selected!.paths]).toEqual([0, 1]);
+    expect(data.brightest).toBeNull();
+  });
+
+  test('errors do not stick', async () => {
+    const { server, data } = await begin();
+    // A damaged file is not retried, but the next refresh asks again.
+    [server.fault, server.faulty] = [422, 'histograms'];
+    data.select('depth == 2', true);
+    await vi.advanceTimersByTimeAsync(500);
+    expect(data.error).toMatchObject({ status: 422, help: null });
+    data.select('depth == 3', true);
+    expect(data.error).toBeNull();
+    await vi.advanceTimersByTimeAsync(5000);
+    expect(data.error?.status).toBe(422);
+    const before = server.calls.length;
+    await vi.advanceTimersByTimeAsync(8000);
+    expect(server.calls.length).toBe(before);
+    server.fault = null;
+    data.refresh();
+    await vi.advanceTimersByTimeAsync(500);
+    expect(data.error).toBeNull();
+    expect(data.selectedHistograms).not.toBeNull();
+    // Too many requests are retried.
+    server.fault = 429;
+    data.select('depth == 4', true);
+    await vi.advanceTimersByTimeAsync(500);
+    expect(data.error?.status).toBe(429);
+    server.fault = null;
+    await vi.advanceTimersByTimeAsync(8000);
+    expect(data.error).toBeNull();
+    expect(data.selection?.where).toBe('depth == 4');
   });
 
   test('after a fault of the server everything is asked again', async () => {

@@ -160,6 +160,8 @@ describe('brushes', () => {
       expect(Math.abs(from - range[0])).toBeLessThanOrEqual(1.1e-5 * Math.abs(range[0]));
     }
     expect(formatRanges('depth', [[2.2, 5.9]], true)).toBe('depth >= 3 and depth <= 5');
+    expect(formatRanges('depth', [[3, Infinity]], true)).toBe('depth >= 3');
+    expect(formatRanges('depth', [[1, 2], [-Infinity, Infinity]], true)).toBe('');
     expect(formatRanges('depth', [[2.2, 2.4]], true)).toBe('depth == 2');
   });
 
@@ -189,4 +191,5 @@ test('the command is quoted for a shell', () => {
     `femc paths 'a b.paths' --where 'first.object == "it'\\''s"'`,
   );
   expect(command(['a.paths'], '')).toBe('femc paths a.paths');
+  expect(command(['a.paths', 'b.paths'], 'depth > 2', true)).toBe("femc paths --union a.paths b.paths --brightest --where 'depth > 2'");
 });

@@ -1,5 +1,5 @@
 import { describe, expect, test } from 'vitest';
-import { barsOf, shareIn } from '../../src/lib/light/plot/bars';
+import { barsOf, shareIn, sharesIn } from '../../src/lib/light/plot/bars';
 import { brushOf, has, isEmpty, joined, selectRows, toggled, withBrush } from '../../src/lib/light/plot/brush';
 import type { Axis, AxisView, Brush, ScaleName } from '../../src/lib/light/plot/contract';
 import { addLines, encode, StripCounts } from '../../src/lib/light/plot/counts';
@@ -7,7 +7,7 @@ import { addDensity, COLUMNS, ROWS } from '../../src/lib/light/plot/density';
 import { nearestLine } from '../../src/lib/light/plot/nearest';
 import { changed, moved, pairs } from '../../src/lib/light/plot/order';
 import { LIGHT, ratio, ratioColor } from '../../src/lib/light/plot/ratio';
-import { axisScale, binAt, formatValue, heightsOf, rangeBetween, step, ticks } from '../../src/lib/light/plot/scale';
+import { axisScale, binAt, formatValue, heightsOf, ordered, rangeBetween, step, ticks, withEnd, withEndAt, withShift } from '../../src/lib/light/plot/scale';
 
 const RADIANCE = Array.from({ length: 64 }, (_, k) => (k < 2 ? 0 : 2 ** ((k - 22) / 2)));
 const axis = (scale: ScaleName, more: Partial<Axis> = {}): Axis => ({
@@ -62,7 +62,7 @@ describe('scales', () => {
     expect(scale.span([2, 3])).toEqual([0.25, 0.75]);
     expect(rangeBetween(scale, 0.3, 0.7)).toEqual([2, 3]);
     expect(rangeBetween(scale, 0.7, 0.3)).toEqual([2, 3]);
-    expect(rangeBetween(scale, 0, 1)).toEqual([1, 4]);
+    expect(rangeBetween(scale, 0, 1)).toEqual([-Infinity, Infinity]);
     expect(rangeBetween(scale, 0.3, 0.3)).toEqual([2, 2]);
     const log = axisScale(axis('count'), true, [bins({ 0: 1, 62: 1 })]);
     expect(rangeBetween(log, ...log.span([3, 9]))).toEqual([3, 9]);
@@ -75,7 +75,8 @@ describe('scales', () => {
     expect(scale.place(NaN, 0.5)).toBeLessThan(scale.base);
     expect(scale.place(-2, 0.5)).toBeCloseTo(scale.base);
     expect(scale.value(0)).toBeNaN();
-    expect(rangeBetween(scale, 0, 1)).toEqual([-2, 2]);
+    expect(rangeBetween(scale, 0, 1)).toEqual([-Infinity, Infinity]);
+    expect(rangeBetween(scale, 0, 0.5)[0]).toBe(-Infinity);
     expect(axisScale(box, false, [bins({ 8: 1 })]).base).toBe(0);
   });
 
@@ -102,6 +103,56 @@ describe('scales', () => {
     expect(step(scale, 1.41, -1)).toBe(1);
     expect(step(scale, 1, 50)).toBeCloseTo(scale.high, 1);
     expect(step(axisScale(axis('count'), false, [bins({ 0: 1, 5: 1 })]), 4, 5)).toBe(5);
+  });
+
+  test('a range that reaches an end of the axis is open there', () => {
+    const log = axisScale(axis('radiance'), true, [bins({ 20: 1, 39: 1 })]);
+    expect(rangeBetween(log, 0.5, 1)).toEqual([expect.closeTo(16), Infinity]);
+    expect(rangeBetween(log, 0.5, 0)).toEqual([-Infinity, expect.closeTo(16)]);
+    expect(rangeBetween(log, 0, 0)).toEqual([-Infinity, 0.5]);
+    expect(rangeBetween(log, 1, 1)).toEqual([512, Infinity]);
+    const slot = axisScale(axis('radiance'), true, [bins({ 0: 1, 20: 1, 39: 1 })]);
+    expect(rangeBetween(slot, 0, 0.01)).toEqual([0, 0]);
+    expect(rangeBetween(slot, 0, 1)).toEqual([-Infinity, Infinity]);
+    expect(ordered(slot, Infinity, 0)).toEqual([-Infinity, Infinity]);
+    const count = axisScale(axis('count'), false, [bins({ 1: 1, 4: 1 })]);
+    expect(rangeBetween(count, 0.3, 1)).toEqual([2, Infinity]);
+    expect([rangeBetween(count, 0, 0), rangeBetween(count, 1, 1)]).toEqual([[-Infinity, 1], [4, Infinity]]);
+  });
+
+  test('open ranges are dragged by their handles, moved, and changed by keys', () => {
+    const log = axisScale(axis('radiance'), true, [bins({ 20: 1, 39: 1 })]);
+    expect(withEnd(log, [16, 32], 1, 1)).toEqual([16, Infinity]);
+    expect(withEnd(log, [16, 32], 0, 0)).toEqual([-Infinity, 32]);
+    expect(withEnd(log, [16, Infinity], 0, 0)).toEqual([-Infinity, Infinity]);
+    expect(withShift(log, [16, 32], 1)).toEqual([expect.closeTo(256, -1), Infinity]);
+    const count = axisScale(axis('count'), false, [bins({ 1: 1, 8: 1 })]);
+    expect(withEnd(count, [3, Infinity], 0, 0.5)).toEqual([5, Infinity]);
+    expect(withEnd(count, [-Infinity, 3], 1, 0.75)).toEqual([-Infinity, 6]);
+    expect(withEnd(count, [3, 5], 0, 0.95)).toEqual([5, 8]);
+    expect(withShift(count, [7, Infinity], -0.25)).toEqual([5, 6]);
+    expect(withShift(count, [5, 6], 0.25)).toEqual([7, Infinity]);
+    expect(withShift(count, [5, 6], -1)).toEqual([-Infinity, 2]);
+    expect(withEndAt(count, [3, 5], 1, 'high')).toEqual([3, Infinity]);
+    expect(withEndAt(count, [3, 5], 0, 'low')).toEqual([-Infinity, 5]);
+    expect(withEndAt(count, [3, 5], 0, 'high')).toEqual([5, 5]);
+    expect(withEndAt(count, [3, Infinity], 0, 'high')).toEqual([8, Infinity]);
+    const slot = axisScale(axis('radiance'), true, [bins({ 0: 1, 20: 1, 39: 1 })]);
+    expect(withEndAt(slot, [1, 5], 0, 'low')).toEqual([0, 5]);
+    expect(withEndAt(slot, [1, Infinity], 0, 'low')).toEqual([-Infinity, Infinity]);
+    expect([step(count, Infinity, -1), step(count, Infinity, 1), step(count, -Infinity, 1)]).toEqual([7, Infinity, 2]);
+    expect(step(log, Infinity, -1)).toBeCloseTo(362);
+    expect(formatValue(-Infinity)).toBe('−∞');
+  });
+
+  test('values beyond an axis are at its ends', () => {
+    for (const it of [axis('radiance'), axis('count')]) {
+      const scale = axisScale(it, true, [bins({ 20: 1, 39: 1 })]);
+      expect(scale.span([-Infinity, Infinity])).toEqual([0, 1]);
+      expect(scale.span([-5, -1])).toEqual([0, 0]);
+    }
+    const linear = axisScale(axis('world', { extent: [-2, 2] }), false, [bins({ 0: 1, 8: 1 })]);
+    expect(linear.span([-Infinity, Infinity])).toEqual([linear.base, 1]);
   });
 
   test('ticks are round numbers within the axis', () => {
@@ -188,6 +239,18 @@ test('bars are high enough, and have the share of all their bins', () => {
   expect(bars.slice(0, -1).every((it) => it.to - it.from >= 0.02)).toBe(true);
   const total = bars.reduce((sum, bar) => sum + shareIn(bar, bins({ 0: 1, 2: 1, 60: 2 }), 4), 0);
   expect(total).toBeCloseTo(1);
+});
+
+test('shares of the selection are of the recorded records, those of the bins may be of all samples', () => {
+  const scale = axisScale(axis('count'), false, [bins({ 1: 600, 2: 400 })]);
+  const bars = barsOf({ scale }, 0.02);
+  const set = {
+    ...{ values: [], rows: 0, selected: null, pair: () => null, basis: 'all samples' as const },
+    ...{ bins: [bins({ 1: 600, 2: 400 })], total: 1000, selectedBins: [bins({ 1: 30, 2: 10 })], selectedTotal: 100 },
+  };
+  expect(sharesIn(bars, set, 0, 'all')).toEqual([0.6, 0.4]);
+  expect(sharesIn(bars, set, 0, 'selected')).toEqual([0.3, 0.1]);
+  expect(sharesIn(bars, { ...set, selectedBins: null }, 0, 'selected')).toEqual([0, 0]);
 });
 
 describe('density', () => {

@@ -54,6 +54,8 @@ export interface Schema {
 export type Among = 'all' | 'selection' | 'brightest';
 
 export interface PathsHeader {
+  /** Number of selected paths, with `among=brightest` and a condition. */
+  selected?: number;
   set: number;
   candidates: number;
   d: number | null;
@@ -74,6 +76,8 @@ export interface SelectionHeader {
   totals: Record<TableName, number>;
   light_share: number | null;
   samples: number;
+  /** Reason why there is no density. */
+  density_fault?: string | null;
 }
 
 export interface ServedFile {
@@ -155,7 +159,10 @@ export const light = {
     return { schema, etag: answer.headers.get('ETag') };
   },
 
-  /** Returns representative paths with their intersections and lights. */
+  /**
+   * Returns representative paths with their intersections and lights. The brightest paths are not filtered by a condition: the answer has
+   * columns of what the condition selects.
+   */
   paths: (
     source: Source,
     { where, box, count, among }: { where: string; box: Corners | null; count: number; among: Among },
@@ -167,7 +174,7 @@ export const light = {
       {
         count,
         among: among === 'brightest' ? 'brightest' : null,
-        where: among === 'selection' ? where : null,
+        where: among === 'all' ? null : where,
         box: formatBox(box),
       },
       signal,

@@ -41,13 +41,13 @@ export interface Categories {
 /** Answer of the server with counts: single axes, pairs and the names of categories. */
 export type Histograms = Columns<{ counted: string; categories: Record<string, number[]> }>;
 
-export interface Described {
+export interface SchemaAndHistograms {
   schema: Schema;
   histograms: Histograms;
 }
 
 /** Returns the categories of all name axes, by `table.axis`. */
-export function categoriesOf(sets: readonly Described[]): Map<string, Categories> {
+export function categoriesOf(sets: readonly SchemaAndHistograms[]): Map<string, Categories> {
   const out = new Map<string, Categories>();
   const first = sets[0];
   if (!first) return out;
@@ -103,7 +103,7 @@ function categoryTable(schema: Schema, categories: Categories): Float32Array {
 }
 
 /** Returns the bin shown for each bin of a name axis. */
-export function binTable({ schema, histograms }: Described, key: string, categories: Categories): Uint8Array {
+export function binTable({ schema, histograms }: SchemaAndHistograms, key: string, categories: Categories): Uint8Array {
   const numbers = new Map(categories.names.map((name, i) => [name, i + 1]));
   const others = othersOf(categories);
   const table = new Uint8Array(BINS).fill(others);
@@ -130,7 +130,17 @@ export interface Rows {
   effectiveSize: number | null;
 }
 
+/** Selected records among the brightest paths. */
+export interface BrightestSelection {
+  where: string;
+  /** 1 for selected rows. */
+  rows: PerTable<Uint8Array>;
+  /** Number of selected paths. */
+  count: number;
+}
+
 type PathsAnswer = Columns<{
+  selected?: number;
   set: number;
   candidates: number;
   d: number | null;
@@ -154,6 +164,25 @@ export function rowsOf(schema: Schema, answer: PathsAnswer): Rows {
   };
 }
 
+/** Returns the selection among the brightest paths; null if the answer has none. */
+export function brightestSelection(answer: PathsAnswer, where: string): BrightestSelection | null {
+  if (!TABLES.every((table) => answer.has(`${table}.selected`))) return null;
+  const rows = perTable((table) => answer.u8(`${table}.selected`));
+  return { where, rows, count: answer.header.selected ?? rows.paths.reduce((sum, is) => sum + is, 0) };
+}
+
+const isEqual = (a: Float32Array | Uint32Array, b: Float32Array | Uint32Array) =>
+  a.length === b.length && a.every((value, i) => Object.is(value, b[i]));
+
+/** Checks whether two answers have the same rows, so that plots need not change. Intersections and lights follow from the paths. */
+export const haveSameRows = (a: Rows, b: Rows): boolean =>
+  a.tag === b.tag &&
+  a.set === b.set &&
+  isEqual(a.frame, b.frame) &&
+  isEqual(a.sample, b.sample) &&
+  TABLES.every((table) => isEqual(a.numbers[table], b.numbers[table])) &&
+  a.values.paths.every((values, i) => isEqual(values, b.values.paths[i]!));
+
 /** Returns the rows' values for the plot: names become categories. */
 export function plotValues(
   schema: Schema,
@@ -171,7 +200,7 @@ export function plotValues(
 }
 
 /** Returns counts for the plot: the bins of names become categories. */
-export function plotBins(set: Described, of: Histograms, table: TableName, categories: ReadonlyMap<string, Categories>): Float64Array[] {
+export function plotBins(set: SchemaAndHistograms, of: Histograms, table: TableName, categories: ReadonlyMap<string, Categories>): Float64Array[] {
   return set.schema.tables[table].map((axis, index) => {
     const bins = of.f64(`${table}.${index}`);
     const key = `${table}.${axis.name}`;
@@ -184,9 +213,13 @@ export function plotBins(set: Described, of: Histograms, table: TableName, categ
   });
 }
 
+/** Returns the number of records in the bins of an axis. */
+export const countIn = (bins: ArrayLike<number> | undefined): number | undefined =>
+  bins && Array.from(bins).reduce((sum, count) => sum + count, 0);
+
 /** Returns joint counts for the plot. */
 export function plotPair(
-  set: Described,
+  set: SchemaAndHistograms,
   counts: Float32Array,
   table: TableName,
   [a, b]: readonly [number, number],
@@ -244,7 +277,7 @@ const WRAPPERS: PerTable<readonly (Quantifier | null)[]> = {
   lights: ['light', 'lights'],
 };
 
-interface Found {
+interface BrushPosition {
   path: ChipPath;
   chip: BrushChip;
   /** Whether `not` stands before the group around it. */
@@ -252,8 +285,8 @@ interface Found {
 }
 
 /** Returns the brush chips that concern the axes of a table, by field; the first of each field. */
-function brushChips(chips: Chips, table: TableName, fields: ReadonlySet<string>): Map<string, Found> {
-  const out = new Map<string, Found>();
+function brushChips(chips: Chips, table: TableName, fields: ReadonlySet<string>): Map<string, BrushPosition> {
+  const out = new Map<string, BrushPosition>();
   const walk = (all: Chips, at: ChipPath, isWithin: boolean, outside: boolean) =>
     all.chips.forEach((chip, i) => {
       const path = [...at, i];
@@ -294,16 +327,27 @@ export function brushesOf(chips: Chips, table: TableName, fields: readonly Schem
 
 /** Returns names that an axis may have, by their kind. */
 export function namesOf(schema: Schema, axis: SchemaAxis): string[] {
-  const kinds = /object|occluder/.test(axis.field) ? ['object'] : /material/.test(axis.field) ? ['material'] : ['light', 'lamp'];
+  // Media scatter light like materials and emit it like lights.
+  const kinds = /object|occluder/.test(axis.field)
+    ? ['object']
+    : /material/.test(axis.field)
+      ? ['material', 'medium']
+      : ['light', 'lamp', 'medium'];
   const names = schema.names.filter((_, i) => kinds.includes((schema.kinds[i] ?? '').toLowerCase()));
   return names.length ? names : schema.names;
 }
 
-/** Returns the text of a brush without its inversion; null if it contains nothing. */
+/** Largest number of names that stand for "others" or "none" in a condition. */
+const MOST_CONDITION_NAMES = 200;
+
+/** Reason why a brush has no condition. */
+export class BrushError extends Error {}
+
+/** Returns the text of a brush without its inversion; null if it contains nothing, or everything. */
 export function brushText(brush: Brush, field: SchemaAxis, axis: Axis, schema: Schema): string | null {
   if (!axis.categories) {
     const isWhole = axis.scale === 'count' || axis.scale === 'film';
-    return brush.ranges.length ? formatRanges(field.field, brush.ranges, isWhole) : null;
+    return formatRanges(field.field, brush.ranges, isWhole) || null;
   }
   const every = axis.scale === 'class' ? (field.words ?? []) : namesOf(schema, field);
   const listed = new Set(axis.categories);
@@ -311,7 +355,12 @@ export function brushText(brush: Brush, field: SchemaAxis, axis: Axis, schema: S
     if (k === 0) return [null];
     const text = axis.categories![k];
     if (axis.scale === 'name' && text === 'others' && k === axis.categories!.length - 1) {
-      return every.filter((name) => !listed.has(name));
+      const others = every.filter((name) => !listed.has(name));
+      if (others.length > MOST_CONDITION_NAMES) {
+        const text = `“others” of ${axis.name} stands for ${others.length} names, and a condition has at most ${MOST_CONDITION_NAMES}`;
+        throw new BrushError(`${text}: select the categories that you do not want, and invert the brush.`);
+      }
+      return others;
     }
     return text === undefined ? [] : [text];
   });

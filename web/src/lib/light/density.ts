@@ -145,7 +145,8 @@ export function grayPicture(all: Density, film: readonly [number, number]): Uint
   // A Gaussian covers about 4 pi sigma^2 pixels.
   const sigma = byPixel < ENOUGH_PATHS ? Math.min(Math.sqrt(ENOUGH_PATHS / (byPixel * 4 * Math.PI)), 6) : 0;
   const counts = spreadOut(all, 'count', film, sigma);
-  const luminances = spreadOut(all, 'light', film, sigma).map((sum, i) => (counts[i]! > 0 ? sum / counts[i]! : 0));
+  const sums = all.luminance ? { ...all, light: all.luminance.map((y, i) => y * all.count[i]!) } : all;
+  const luminances = spreadOut(sums, 'light', film, sigma).map((sum, i) => (counts[i]! > 0 ? sum / counts[i]! : 0));
   const exposure = autoExposure(luminances);
   const out = new Uint32Array(luminances.length);
   luminances.forEach((y, i) => {

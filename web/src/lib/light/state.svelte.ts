@@ -3,14 +3,24 @@
 import { ApiError, explain } from '../api';
 import { light, TABLES, type Among, type Corners, type Schema, type SelectionHeader, type Source } from './api';
 import type { Columns } from './columns';
-import { perTable, rowsOf, selectedRows, type Histograms, type PerTable, type Rows } from './data';
+import {
+  brightestSelection,
+  haveSameRows,
+  perTable,
+  rowsOf,
+  selectedRows,
+  type BrightestSelection,
+  type Histograms,
+  type PerTable,
+  type Rows,
+} from './data';
 import type { TableName } from './plot/contract';
 
 /** Condition that holds for all paths. */
 export const EVERYTHING = 'depth >= 0';
-/** Time after which a request gives way to a newer one. */
-const PATIENCE_MS = 700;
-const RETRY_MS = 3000;
+/** Time after which a newer request aborts a running one. */
+const ABORT_TIMEOUT_MS = 700;
+const RETRY_INTERVAL_MS = 3000;
 
 /** Requests of one kind: one at a time, and the newest wins. */
 export class Newest {
@@ -24,11 +34,13 @@ export class Newest {
     /** Least time between two starts. */
     private readonly pauseMs: number,
     private readonly onerror: (error: unknown) => void,
+    /** Time after which a newer request aborts the running one. `Infinity`: never. */
+    private readonly abortTimeoutMs = ABORT_TIMEOUT_MS,
   ) {}
 
   run(task: (signal: AbortSignal) => Promise<void>) {
     this.next = task;
-    if (this.running && performance.now() - this.began > PATIENCE_MS) this.running.abort();
+    if (this.running && performance.now() - this.began > this.abortTimeoutMs) this.running.abort();
     this.start();
   }
 
@@ -78,17 +90,19 @@ export interface Wish {
   box: Corners | null;
 }
 
-export interface Selected {
+export interface SelectionAnswer {
   where: string;
   header: SelectionHeader & { tag: string; recorded: number };
   density: Density | null;
 }
 
-/** Selected recorded paths of each pixel that has some. */
+/** SelectionAnswer recorded paths of each pixel that has some. */
 export interface Density {
   pixel: Uint32Array;
   count: Float32Array;
   light: Float32Array;
+  /** Mean luminance of the paths of the pixel, cd/m²; null if the server does not return it. */
+  luminance?: Float32Array | null;
 }
 
 export interface PairCounts {
@@ -99,7 +113,12 @@ export interface PairCounts {
 
 const densityOf = (answer: Columns<SelectionHeader>): Density | null =>
   answer.has('density.pixel')
-    ? { pixel: answer.u32('density.pixel'), count: answer.f32('density.count'), light: answer.f32('density.light') }
+    ? {
+        pixel: answer.u32('density.pixel'),
+        count: answer.f32('density.count'),
+        light: answer.f32('density.light'),
+        luminance: answer.has('density.luminance') ? answer.f32('density.luminance') : null,
+      }
     : null;
 
 /**
@@ -110,18 +129,22 @@ export class DataSet {
   schema = $state.raw<Schema | null>(null);
   /** `none`: no data yet. */
   status = $state.raw<'loading' | 'none' | 'ready'>('loading');
-  error = $state.raw<{ text: string; status: number } | null>(null);
+  error = $state.raw<{ text: string; message: string; help: string | null; status: number } | null>(null);
   histograms = $state.raw<Histograms | null>(null);
   pairs = $state.raw<ReadonlyMap<string, PairCounts>>(new Map());
   rows = $state.raw<Rows | null>(null);
   /** 1 for selected rows; null: there is no selection. */
   selected = $state.raw<PerTable<Uint8Array> | null>(null);
-  selection = $state.raw<Selected | null>(null);
+  /** Last selection among the brightest paths; null if other paths are shown. */
+  brightest = $state.raw<BrightestSelection | null>(null);
+  selection = $state.raw<SelectionAnswer | null>(null);
   selectedHistograms = $state.raw<Histograms | null>(null);
   /** Fault of the condition. */
   refusal = $state.raw<string | null>(null);
   /** Density of all paths, if it is wanted. */
   whole = $state.raw<Density | null>(null);
+  /** Reason why there is no density of all paths. */
+  wholeFault = $state.raw<string | null>(null);
   /** Whether an evaluation of the selection is running or waiting. */
   isBusy = $state(false);
   /** Milliseconds of the last evaluation. */
@@ -138,19 +161,23 @@ export class DataSet {
   private wantsWhole = false;
   private wanted: PerTable<[number, number][]> = perTable(() => []);
   private freshRows: Rows | null = null;
+  private freshBrightest: BrightestSelection | null = null;
   private masks: (PerTable<Uint8Array> & { tag: string; where: string }) | null = null;
   private retry: ReturnType<typeof setTimeout> | undefined;
 
   private readonly fail = (error: unknown) => {
     const status = error instanceof ApiError ? error.status : 0;
-    this.error = { text: explain(error), status };
+    const { message, help } = error instanceof ApiError ? error : { message: explain(error), help: null };
+    this.error = { text: explain(error), message, help, status };
     this.isStale = true;
-    if (status === 0 || status >= 500) {
+    // The next refresh loads everything again.
+    this.etag = null;
+    if (isTransient(status)) {
       clearTimeout(this.retry);
       this.retry = setTimeout(() => {
         this.etag = null;
         this.refresh();
-      }, RETRY_MS);
+      }, RETRY_INTERVAL_MS);
     }
   };
   private readonly refuse = (error: unknown) => {
@@ -158,7 +185,7 @@ export class DataSet {
     if (error instanceof ApiError && error.status === 400) this.refusal = explain(error).replace(/^where: /, '');
     else this.fail(error);
   };
-  private readonly schemas = new Newest(1000, this.fail);
+  private readonly schemas = new Newest(1000, this.fail, Infinity);
   private readonly counts = new Newest(0, this.fail);
   private readonly representatives = new Newest(0, this.fail);
   private readonly selections = new Newest(60, this.refuse);
@@ -207,9 +234,13 @@ export class DataSet {
     this.where = where;
     if (!isSame) {
       this.refusal = null;
+      // Without a schema, the error is the reason why nothing is shown.
+      if (this.schema) this.error = null;
       this.evaluate();
     }
-    if (isFinal && this.wish?.among === 'selection' && this.rowsWhere !== where) this.loadRows();
+    const among = this.wish?.among;
+    const isDue = among === 'selection' ? isFinal : among === 'brightest';
+    if (isDue && this.rowsWhere !== where) this.loadRows();
   }
 
   /** Requests joint counts that are not known yet. */
@@ -271,14 +302,17 @@ export class DataSet {
     const wish = this.wish;
     if (!this.schema || !wish) return;
     this.representatives.run(async (signal) => {
-      const where = this.where;
-      const answer = await light.paths(this.source, { where, ...this.wish! }, signal).catch((error: unknown) => {
+      const [where, wish] = [this.where, this.wish!];
+      const answer = await light.paths(this.source, { where, ...wish }, signal).catch((error: unknown) => {
         // A faulty condition is reported by its evaluation.
-        if (error instanceof ApiError && error.status === 400 && this.wish!.among === 'selection' && where) return null;
+        if (error instanceof ApiError && error.status === 400 && this.wish!.among !== 'all' && where) return null;
         throw error;
       });
       if (!answer) return;
-      this.freshRows = rowsOf(this.schema!, answer);
+      const rows = rowsOf(this.schema!, answer);
+      const known = this.freshRows ?? this.rows;
+      this.freshRows = known && haveSameRows(known, rows) ? known : rows;
+      this.freshBrightest = wish.among === 'brightest' ? brightestSelection(answer, where) : null;
       this.rowsWhere = where;
       this.commit();
     });
@@ -327,15 +361,24 @@ export class DataSet {
     if (!this.schema || !this.wantsWhole) return;
     this.wholes.run(async (signal) => {
       const answer = await light.selection(this.source, EVERYTHING, true, signal);
-      if (answer) this.whole = densityOf(answer);
+      if (!answer) return;
+      this.whole = densityOf(answer);
+      this.wholeFault = answer.header.density_fault ?? null;
     });
   }
 
-  /** Shows new rows and new masks once both belong to the same state of the data. */
+  /**
+   * Shows new rows and new masks once both belong to the same state of the data. The brightest paths come with their selection: most of
+   * them are not among the recorded paths of the masks.
+   */
   private commit() {
     const rows = this.freshRows ?? this.rows;
     if (!rows) return;
-    if (!this.where || !this.masks) {
+    const brightest = this.freshRows ? this.freshBrightest : this.brightest;
+    if (this.where && brightest) {
+      this.rows = rows;
+      this.selected = brightest.rows;
+    } else if (!this.where || !this.masks) {
       this.rows = rows;
       this.selected = null;
     } else if (this.masks.tag === rows.tag) {
@@ -348,6 +391,11 @@ export class DataSet {
       this.refresh();
       return;
     }
+    this.brightest = brightest;
     this.freshRows = null;
+    this.freshBrightest = null;
   }
 }
+
+/** Checks whether a request may succeed later without a change of the data: no answer, a fault of the server, or too many requests. */
+export const isTransient = (status: number): boolean => status === 0 || status === 429 || status >= 500;

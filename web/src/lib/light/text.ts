@@ -497,8 +497,9 @@ function bound(value: number, step: (v: number) => number): string {
   return String(Number(`${whole}e${-power}`));
 }
 
-/** Formats ranges of a field. `isWhole`: the values are whole numbers. */
+/** Formats ranges of a field; empty if one of them is of all numbers. `isWhole`: the values are whole numbers. */
 export function formatRanges(field: string, ranges: Ranges, isWhole = false): string {
+  if (ranges.some(([low, high]) => low === -Infinity && high === Infinity)) return '';
   return ranges
     .map(([low, high]) => {
       let [a, b] = [low, high];
@@ -511,7 +512,7 @@ export function formatRanges(field: string, ranges: Ranges, isWhole = false): st
       if (from === to) return `${field} == ${from}`;
       if (a > -Infinity) parts.push(`${field} >= ${from}`);
       if (b < Infinity) parts.push(`${field} <= ${to}`);
-      return parts.join(' and ') || `${field} >= 0`;
+      return parts.join(' and ');
     })
     .join(' or ');
 }
@@ -549,9 +550,18 @@ export function brushChip(text: string, negated: boolean): BrushChip {
 export const shellQuote = (text: string): string =>
   /^[\w./:=+,-]+$/.test(text) ? text : `'${text.replaceAll("'", `'\\''`)}'`;
 
-/** Returns the command that lists the selected paths. */
-export const command = (files: readonly string[], where: string): string =>
-  `femc paths ${files.map(shellQuote).join(' ')}${where ? ` --where '${where.replaceAll("'", `'\\''`)}'` : ''}`;
+/**
+ * Returns the command that lists the selected paths.
+ * - `isBrightest`: of the brightest samples, not of the recorded paths
+ */
+export const command = (files: readonly string[], where: string, isBrightest = false): string =>
+  [
+    'femc paths',
+    ...(files.length > 1 ? ['--union'] : []),
+    ...files.map(shellQuote),
+    ...(isBrightest ? ['--brightest'] : []),
+    ...(where ? [`--where '${where.replaceAll("'", `'\\''`)}'`] : []),
+  ].join(' ');
 
 /** Returns a short text for a chip that would be long. */
 export function shortText(chip: Chip): string {

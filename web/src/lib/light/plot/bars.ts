@@ -51,6 +51,12 @@ export function shareIn(bar: Bar, counts: ArrayLike<number> | undefined, total: 
   return sum / total;
 }
 
+/** Returns the shares of a set's records in bars: of all records, or of the selected ones among the recorded ones. */
+export const sharesIn = (bars: readonly Bar[], set: PlotSet, index: number, which: 'all' | 'selected'): number[] =>
+  bars.map((bar) =>
+    which === 'all' ? shareIn(bar, set.bins[index], set.total) : shareIn(bar, set.selectedBins?.[index], set.selectedTotal),
+  );
+
 /** Draws the bars of all axes; lengths are in CSS pixels. */
 export function drawBars(context: CanvasRenderingContext2D, scene: Scene): void {
   const { ratio, width, height, axes, sets, palette, top, bottom } = scene;
@@ -71,10 +77,8 @@ export function drawBars(context: CanvasRenderingContext2D, scene: Scene): void 
   axes.forEach((axis, place) => {
     const x = scene.left + place * scene.spacing;
     const bars = barsOf(axis, 3 / length);
-    const shares = (set: PlotSet, bins: PlotSet['selectedBins']) =>
-      bars.map((bar) => shareIn(bar, bins?.[axis.index], set.total));
-    const all = sets.map((it) => shares(it, it.bins));
-    const chosen = hasSelection ? sets.map((it) => shares(it, it.selectedBins)) : null;
+    const all = sets.map((it) => sharesIn(bars, it, axis.index, 'all'));
+    const chosen = hasSelection ? sets.map((it) => sharesIn(bars, it, axis.index, 'selected')) : null;
     // The place of records without a value may have most of them: it does not make the others invisible.
     const isSlot = (i: number) => axis.scale.base > 0 && bars[i]!.bins[0] === 0;
     let greatest = 0;

@@ -31,14 +31,18 @@ export interface PlotSet {
   rows: number;
   /** 1 for rows in the selection; null: there is no selection. */
   selected: Uint8Array | null;
-  /** Counts of all recorded records in the 64 fine bins, by attribute index. */
+  /** Counts of the records in the 64 fine bins, by attribute index. */
   bins: readonly Float64Array[];
   /** Counts of the selected recorded records in the same bins; null: there is no selection. */
   selectedBins: readonly Float64Array[] | null;
   /** Joint counts, 64 x 64, row: bin of attribute `a`, column: bin of attribute `b`; null until they are loaded. */
   pair(a: number, b: number): Float32Array | null;
-  /** Number of recorded records behind `bins`. */
+  /** Number of records behind `bins`. */
   total: number;
+  /** Number of recorded records, which `selectedBins` and `pair` are counts of. */
+  selectedTotal: number;
+  /** Records behind `bins`. */
+  basis: 'all samples' | 'recorded';
 }
 
 /** Props of ParallelPlot.svelte */
@@ -49,6 +53,8 @@ export interface PlotProps {
   views: readonly AxisView[];
   sets: readonly PlotSet[]; // 1 or 2
   brushes: readonly Brush[];
+  /** Reason why brushes cannot be changed; null if they can. */
+  lock?: string | null;
   /** Opacity of a line, 0 to 1. */
   opacity: number;
   showDensity: boolean;

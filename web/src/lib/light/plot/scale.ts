@@ -99,7 +99,8 @@ function numberScale(axis: Axis, log: boolean, bins: readonly ArrayLike<number>[
   const map = !log ? (v: number) => v : isDiscrete ? Math.log1p : Math.log;
   const unmap = !log ? (u: number) => u : isDiscrete ? Math.expm1 : Math.exp;
   const [start, size] = [map(low), map(high) - map(low)];
-  const height = (v: number) => base + (1 - base) * clamp((map(v) - start) / size);
+  // Values beyond the axis, such as open ends, have no logarithm.
+  const height = (v: number) => (v <= low ? base : v >= high ? 1 : base + (1 - base) * clamp((map(v) - start) / size));
   const isNone = (v: number) => !(hasEdges ? v > 0 : v >= -Infinity);
 
   const [from, to] = [new Float32Array(BINS), new Float32Array(BINS)];
@@ -210,17 +211,80 @@ export function binAt(scale: AxisScale, height: number): number {
   return nearest;
 }
 
-/** Returns the range of values of the bins that a part of an axis covers, for discrete axes the cells. */
+/** Distance from an end of an axis within which a range is open. */
+const END = 1e-6;
+
+/** Returns whether zero has a slot below the range of a logarithmic axis. */
+const hasZeroSlot = (scale: AxisScale): boolean => scale.base > 0 && scale.value(0) === 0;
+
+/** Returns the last cell of a discrete axis. */
+const lastCell = (scale: AxisScale): number => Math.max(scale.high - 1, scale.low);
+
+/**
+ * Returns the range of values that a part of an axis covers; on discrete axes, the cells. A part that reaches an end of the axis gives
+ * a range that is open at this end, all of the axis gives all numbers.
+ */
 export function rangeBetween(scale: AxisScale, a: number, b: number): [number, number] {
-  const [lower, upper] = [Math.min(a, b), Math.max(a, b)].map((at) => scale.value(clamp(at)));
+  const [lower, upper] = [clamp(Math.min(a, b)), clamp(Math.max(a, b))];
+  const [isLowOpen, isHighOpen] = [lower <= END, upper >= 1 - END];
+  const [low, high] = [scale.value(lower), scale.value(upper)];
   if (scale.isDiscrete) {
-    const last = Math.max(scale.high - 1, scale.low);
-    const from = clamp(Math.floor(lower! + 1e-6), scale.low, last);
-    return [from, clamp(Math.ceil(upper! - 1e-6) - 1, from, last)];
+    const last = lastCell(scale);
+    const from = clamp(Math.floor(low + 1e-6), scale.low, last);
+    const to = clamp(Math.ceil(high - 1e-6) - 1, from, last);
+    return [isLowOpen ? -Infinity : from, isHighOpen ? Infinity : to];
   }
-  const from = Number.isNaN(lower) ? scale.low : tidy(scale, lower!);
-  const to = Number.isNaN(upper) ? scale.low : tidy(scale, upper!);
-  return [Math.min(from, to), Math.max(from, to)];
+  if (isLowOpen && isHighOpen) return [-Infinity, Infinity];
+  const finite = (v: number) => (Number.isNaN(v) ? scale.low : tidy(scale, v));
+  const from = isLowOpen && !hasZeroSlot(scale) ? -Infinity : finite(low);
+  return [from, isHighOpen ? Infinity : Math.max(from, finite(high))];
+}
+
+/** Returns the value of a handle at a height of a continuous axis: infinite at the ends of the axis. */
+export function endAt(scale: AxisScale, height: number): number {
+  if (height >= 1 - END) return Infinity;
+  if (height <= END && !hasZeroSlot(scale)) return -Infinity;
+  const value = scale.value(height);
+  return Number.isNaN(value) ? scale.low : tidy(scale, value);
+}
+
+/** Returns a range with its ends in order; all numbers if it covers all of the axis. */
+export function ordered(scale: AxisScale, a: number, b: number): [number, number] {
+  const [low, high] = [Math.min(a, b), Math.max(a, b)];
+  return high === Infinity && low === 0 && hasZeroSlot(scale) ? [-Infinity, high] : [low, high];
+}
+
+/** Returns a range with its lower end (0) or upper end (1) dragged to a height. */
+export function withEnd(scale: AxisScale, range: readonly [number, number], end: 0 | 1, to: number): [number, number] {
+  if (!scale.isDiscrete) return ordered(scale, range[1 - end]!, endAt(scale, to));
+  const [low, high] = scale.span(range);
+  const next = rangeBetween(scale, end === 0 ? high - 1e-4 : low + 1e-4, to);
+  // The other end stays open until the dragged one passes it.
+  if (end === 0 ? to < high : to > low) next[1 - end] = range[1 - end]!;
+  return next;
+}
+
+/** Returns a range moved by a height, within the axis. */
+export function withShift(scale: AxisScale, range: readonly [number, number], height: number): [number, number] {
+  const [low, high] = scale.span(range);
+  const by = clamp(height, -low, 1 - high);
+  if (!scale.isDiscrete) return rangeBetween(scale, low + by, high + by);
+  const last = lastCell(scale);
+  const cells = Math.min(range[1], last) - Math.max(range[0], scale.low);
+  const first = clamp(Math.round(scale.value(low + by)), scale.low, last - cells);
+  return [first === scale.low ? -Infinity : first, first + cells === last ? Infinity : first + cells];
+}
+
+/** Returns a range with an end moved to an end of the axis, by the keys Home (lower end) and End. */
+export function withEndAt(scale: AxisScale, range: readonly [number, number], end: 0 | 1, to: 'low' | 'high'): [number, number] {
+  const next: [number, number] = [range[0], range[1]];
+  const isOuter = (to === 'low') === (end === 0);
+  if (isOuter && to === 'high') next[1] = Infinity;
+  else if (isOuter) next[0] = hasZeroSlot(scale) ? 0 : -Infinity;
+  // An end does not pass the other one.
+  else if (Number.isFinite(next[1 - end]!)) next[end] = next[1 - end]!;
+  else next[end] = to === 'low' ? scale.low : scale.isDiscrete ? lastCell(scale) : scale.high;
+  return ordered(scale, ...next);
 }
 
 /** Returns a value with as many digits as a screen can show on the axis. */
@@ -233,11 +297,13 @@ export function tidy(scale: AxisScale, value: number): number {
 
 /** Returns the end of a range moved by a number of bins; on discrete axes, by cells. */
 export function step(scale: AxisScale, value: number, by: number): number {
-  if (scale.isDiscrete) return clamp(value + by, scale.low, Math.max(scale.high - 1, scale.low));
+  // Open ends stay open, or move from the end of the axis.
+  if (by > 0 ? value === Infinity : value === -Infinity) return value;
+  if (scale.isDiscrete) return clamp(clamp(value, scale.low, lastCell(scale)) + by, scale.low, lastCell(scale));
   const bins = Array.from({ length: BINS }, (_, k) => k).filter((k) => scale.to[k]! > scale.from[k]!);
   const edges = [...new Set(bins.flatMap((k) => scale.bin(k).filter((v) => v === v)))].sort((a, b) => a - b);
   const within = edges.filter((v) => v === 0 || (v >= scale.low && v <= scale.high * 1.000001));
-  let to = value;
+  let to = Number.isFinite(value) ? value : (value > 0 ? within.at(-1) : within[0]) ?? value;
   for (let n = 0; n < Math.abs(by); n++) {
     const tolerance = 0.004 * Math.abs(to);
     const next = by > 0 ? within.find((v) => v > to + tolerance) : within.findLast((v) => v < to - tolerance);
@@ -255,6 +321,7 @@ const SUPERSCRIPTS = '⁰¹²³⁴⁵⁶⁷⁸⁹';
  */
 export function formatValue(value: number, largest = 99_999.5): string {
   if (Number.isNaN(value)) return 'none';
+  if (!Number.isFinite(value)) return value > 0 ? '∞' : '−∞';
   const size = Math.abs(value);
   if (size !== 0 && (size >= largest || size < 0.00095)) {
     const [mantissa, power] = value.toExponential(2).split('e') as [string, string];

@@ -12,6 +12,7 @@ import { chromium } from 'playwright-core';
 import { Farm, pause, until } from './farm.mjs';
 import { files } from './files.mjs';
 import { hands } from './hands.mjs';
+import { light } from './light.mjs';
 import { numbers } from './numbers.mjs';
 import { slow } from './slow.mjs';
 import { tabs } from './tabs.mjs';
@@ -49,8 +50,8 @@ const browser = await chromium.launch({
  */
 const faults = [];
 
-async function open(farm, { dark = false, ...more } = {}) {
-  const context = await browser.newContext({
+async function open(farm, { dark = false, by = browser, ...more } = {}) {
+  const context = await by.newContext({
     viewport: { width: 1360, height: 800 },
     colorScheme: dark ? 'dark' : 'light',
     baseURL: farm.url,
@@ -102,9 +103,9 @@ async function chooseStage(kind) {
   await current.locator('.row.body', { hasText: kind }).first().waitFor();
 }
 
-async function accessible(what) {
+async function accessible(what, page = current) {
   // By the debugger's protocol, which the page's content security policy does not concern.
-  const session = await current.context().newCDPSession(current);
+  const session = await page.context().newCDPSession(page);
   await session.send('Runtime.evaluate', { expression: axe.source });
   const { result } = await session.send('Runtime.evaluate', {
     expression: `axe.run(document, { resultTypes: ['violations'] }).then((it) => JSON.stringify(it.violations.map((v) =>
@@ -717,6 +718,8 @@ await step('roles: a token lets in, and each role is refused what is not its own
   }
 });
 await secured.end();
+
+await light({ step, open, claim, equal, accessible, browser, shotsAt, current: (page) => (current = page) });
 await browser.close();
 console.log(failures ? `${failures} steps failed` : 'all steps passed');
 process.exit(failures ? 1 : 0);

@@ -76,7 +76,7 @@ fn view_files(args: &ViewArgs, printer: Printer) -> Result<Exit, Failure> {
     client::runtime()?.block_on(async {
         let mut interrupt = Interrupt::listen()?;
         let (mut farm, _client, tokens) = start(args, 0, None, site).await?;
-        let page = if args.inputs.len() == 2 { "/view?b=f1" } else { "/view" };
+        let page = if args.inputs.len() == 2 { "/view?b=1" } else { "/view" };
         report(args, &farm, &tokens, page, printer)?;
         let outcome = tokio::select! {
             () = interrupt.wait() => Ok(Exit::Done),

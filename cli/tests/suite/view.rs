@@ -118,7 +118,7 @@ fn a_view_needs_its_token_and_names_faults_of_parameters() {
     dir.run("render fog.mgf -o fog.exr --size 32x32 --spp 8 --stats").exits(0);
     dir.run("render fog.mgf -o other.exr --size 24x24 --spp 8 --stats --seed 2").exits(0);
     let pages = Pages::open(&dir, "fog.paths other.paths");
-    assert_eq!(pages.page, "/view%3Fb%3Df1");
+    assert_eq!(pages.page, "/view%3Fb%3D1");
     let without = send_request(&pages.address, "GET /api/v1/files", &[], "");
     assert_eq!((without.status, without.code().as_str()), (401, "unauthenticated"));
     let login = ["Content-Type: application/x-www-form-urlencoded"];
@@ -162,7 +162,7 @@ fn a_view_needs_its_token_and_names_faults_of_parameters() {
 }
 
 #[test]
-fn files_that_cannot_be_shown_are_refused_before_the_browser_opens() {
+fn faulty_files_are_refused_before_the_browser_opens() {
     let dir = TestFolder::new();
     dir.run("render fog.mgf -o fog.exr --size 32x32 --spp 8 --stats").exits(0);
     let whole = std::fs::read(dir.path("fog.paths")).expect("the file");
@@ -181,7 +181,7 @@ fn files_that_cannot_be_shown_are_refused_before_the_browser_opens() {
 }
 
 #[test]
-fn light_of_a_frame_in_progress_grows_until_it_is_the_finished_one() {
+fn light_of_a_frame_in_progress_grows_until_its_end() {
     let dir = TestFolder::new();
     let (_farm, url) = start_coordinator(&dir, 0);
     let address = url.trim_start_matches("http://").to_owned();

@@ -463,7 +463,7 @@ fn full_histograms_are_of_all_samples() {
 }
 
 #[test]
-fn frames_of_different_boxes_have_histograms_of_recorded_samples() {
+fn histograms_of_different_boxes_count_recorded_samples() {
     let full = |frame, upper| Scope { has_full_histograms: true, upper, ..scope(frame) };
     let [three, four] = [full(3, [4.0, 2.0, 1.0]), full(4, [4.0, 2.0, 3.0])];
     let light = open(vec![source("frame 3", &parts(&three)), source("frame 4", &[frame(&four)])]);

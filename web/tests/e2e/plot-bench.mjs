@@ -159,7 +159,7 @@ async function check() {
   await menu(page, 'end').getByRole('checkbox').nth(1).click();
   same((await brushes(page))[0].categories.length, 2, 'two categories');
   await page.keyboard.press('Escape');
-  await page.waitForTimeout(100);
+  await page.waitForTimeout(200);
   same(await page.evaluate(() => document.activeElement.getAttribute('aria-label')), 'end', 'the focus after a menu');
   await page.getByRole('button', { name: 'Clear brushes' }).click();
   same(await brushes(page), [], 'no brushes');
@@ -172,6 +172,13 @@ async function check() {
   await page.keyboard.press('Enter');
   same((await brushes(page))[0]?.ranges, [[1, 100]], 'a range by numbers');
   await shoot(page, 'plot-range');
+  await page.evaluate(() =>
+    plot.brush([
+      { axis: 3, ranges: [[0, 0.1], [10, 1000]], categories: [], inverted: true },
+      { axis: 8, ranges: [[2, 6]], categories: [], inverted: false },
+    ]),
+  );
+  await shoot(page, 'plot-inverted');
   await menu(page, 'radiance.g').getByRole('button', { name: 'Logarithmic' }).click();
   same(await page.evaluate(() => plot.views()[3].log), false, 'a linear axis');
   await page.waitForTimeout(300);

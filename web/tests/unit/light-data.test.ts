@@ -19,7 +19,7 @@ import {
   withBrushes,
   type Histograms,
 } from '../../src/lib/light/data';
-import { densityScale, paintDensity, spreadOut } from '../../src/lib/light/density';
+import { densityScale, grayPicture, paintDensity, spreadOut } from '../../src/lib/light/density';
 import { smooth } from '../../src/lib/picture';
 import { formatChips, toChips } from '../../src/lib/light/text';
 import type { Brush, TableName } from '../../src/lib/light/plot/contract';
@@ -222,8 +222,9 @@ describe('the address', () => {
   test('data sets', () => {
     expect(parseSource('7/1..3,9')).toEqual({ job: 7, frames: [1, 2, 3, 9] });
     expect(formatSource({ job: 7, frames: [1, 2, 3, 9] })).toBe('7/1..3,9');
-    expect(parseSource('f2')).toEqual({ file: 2 });
-    expect([undefined, '', '7', '7/', 'fx', '../x'].map(parseSource)).toEqual([null, null, null, null, null, null]);
+    expect(parseSource('2')).toEqual({ file: 2 });
+    expect(formatSource({ file: 2 })).toBe('2');
+    expect([undefined, '', '7/', 'fx', '../x'].map(parseSource)).toEqual([null, null, null, null, null]);
   });
 });
 
@@ -243,6 +244,14 @@ describe('density', () => {
     expect(densityScale(values, true)).toEqual({ low: 1, high: 100, logarithmic: true });
     expect(densityScale(values, false)).toEqual({ low: 0, high: 100, logarithmic: false });
     expect(densityScale(new Float32Array(4), true)).toBeNull();
+  });
+
+  test('a gray picture of few paths is smooth, and of equal paths is even', () => {
+    const few = { pixel: Uint32Array.of(3, 40, 77), count: Float32Array.of(1, 2, 1), light: Float32Array.of(5, 10, 5) };
+    const gray = grayPicture(few, [10, 10]);
+    expect(gray[40]! >>> 24).toBe(255);
+    expect(new Set([gray[3]! & 255, gray[40]! & 255, gray[77]! & 255, (gray[40]! >>> 16) & 255]).size).toBe(1);
+    expect(gray.filter((word) => (word & 255) > 0).length).toBeGreaterThan(90);
   });
 
   test('in colors: nothing is dark, or the picture; the most is the strongest color', () => {

@@ -7,6 +7,7 @@ import {
   formatRanges,
   formatWords,
   hasCategory,
+  namesIn,
   parse,
   quote,
   rangesOf,
@@ -60,6 +61,11 @@ describe('conditions', () => {
       expect((error as TextError).column).toBe(column);
       expect((error as TextError).message).toContain(words);
     }
+  });
+
+  test('names in a condition', () => {
+    const names = namesIn(parse('any(object == a or not light == "b c") and d then e and end == escaped and depth > 3'));
+    expect(names).toEqual(['a', 'b c', 'd', 'e']);
   });
 
   test('deep nesting is refused', () => {

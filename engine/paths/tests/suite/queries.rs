@@ -191,7 +191,7 @@ fn sequences_boxes_and_lassos_select_as_options_do() {
 }
 
 #[test]
-fn conditions_on_the_first_the_last_and_the_brightest_equal_loops() {
+fn conditions_on_first_last_and_brightest_equal_loops() {
     let all = merge_parts(&scope(900), tasks(&scope(900)));
     let plant = Name::new(NameKind::Object, "plant");
     let last = paths_where(&all, |path| path.intersections.last().is_some_and(|it| it.object == plant));

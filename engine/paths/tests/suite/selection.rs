@@ -472,7 +472,7 @@ fn full_histograms_count_all_samples() {
 }
 
 #[test]
-fn representatives_of_a_selection_are_selected_and_nearest_by_hash() {
+fn representatives_of_a_selection_are_selected() {
     let all = recorded();
     let selected = select(&all, "depth > 1 and pixel.x < 18");
     let [count, ..] = selected.counts();

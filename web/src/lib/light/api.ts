@@ -88,13 +88,13 @@ export const recordsStatistics = (spec: { settings: string }): boolean => /"stat
 /** Version of the attributes that this page knows. */
 export const SCHEMA_VERSION = 1;
 
-/** Formats a data set for the address: `7/1..3` or `f0`. */
+/** Formats a data set for the address: frames of a job as `7/1..3`, a file as `0`. */
 export const formatSource = (source: Source): string =>
-  'file' in source ? `f${source.file}` : `${source.job}/${formatNumbers(source.frames)}`;
+  'file' in source ? String(source.file) : `${source.job}/${formatNumbers(source.frames)}`;
 
 /** Parses a data set from the address; null if there is none. */
 export function parseSource(text: string | undefined): Source | null {
-  const file = /^f(\d{1,6})$/.exec(text ?? '');
+  const file = /^(\d{1,6})$/.exec(text ?? '');
   if (file) return { file: Number(file[1]) };
   const job = /^(\d{1,15})\/(.+)$/.exec(text ?? '');
   const frames = parseNumbers(job?.[2]).slice(0, MOST_FRAMES);

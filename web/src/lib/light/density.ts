@@ -132,9 +132,20 @@ export function paintDensity(
   return out;
 }
 
-/** Returns a gray picture of the luminance of all recorded paths, for data without an image; 32-bit words of a canvas. */
+/** Number of paths around a pixel that its luminance in a gray picture is estimated from. */
+const ENOUGH_PATHS = 6;
+
+/**
+ * Returns a gray picture of the mean luminance of all recorded paths, for data without an image; 32-bit words of a canvas. Few paths
+ * are smoothed.
+ */
 export function grayPicture(all: Density, film: readonly [number, number]): Uint32Array<ArrayBuffer> {
-  const luminances = spreadOut(all, 'light', film, 0);
+  const paths = all.count.reduce((sum, n) => sum + n, 0);
+  const byPixel = paths / Math.max(film[0] * film[1], 1);
+  // A Gaussian covers about 4 pi sigma^2 pixels.
+  const sigma = byPixel < ENOUGH_PATHS ? Math.min(Math.sqrt(ENOUGH_PATHS / (byPixel * 4 * Math.PI)), 6) : 0;
+  const counts = spreadOut(all, 'count', film, sigma);
+  const luminances = spreadOut(all, 'light', film, sigma).map((sum, i) => (counts[i]! > 0 ? sum / counts[i]! : 0));
   const exposure = autoExposure(luminances);
   const out = new Uint32Array(luminances.length);
   luminances.forEach((y, i) => {

@@ -212,6 +212,15 @@ export function quote(text: string): string {
   return isPlain ? text : `"${text}"`;
 }
 
+/** Returns the names of objects, materials and lamps in a condition. */
+export function namesIn(chain: Chain): string[] {
+  return chain.terms.flatMap(({ body }) => {
+    if (body.kind === 'compare') return NAME_FIELDS.has(body.field) ? [body.value] : [];
+    if (body.kind === 'sequence') return body.names;
+    return body.kind === 'group' ? namesIn(body.chain) : [];
+  });
+}
+
 // ---- Chips
 
 /** The selection as chips. */

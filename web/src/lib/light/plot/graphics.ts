@@ -12,7 +12,10 @@ export interface Drawing {
 /** `card`: WebGL2 with a graphics card; `software`: WebGL2 without one; `none`: no WebGL2. */
 export type Graphics = 'card' | 'software' | 'none';
 
-let known: Graphics | undefined;
+let known: Graphics | null = null;
+
+/** Returns the graphics of the browser if they are known already. */
+export const knownGraphics = (): Graphics | null => known;
 
 /** Returns the graphics of the browser. */
 export function graphics(): Graphics {

@@ -8,7 +8,7 @@ import { ratioColor } from './ratio';
 import { heightsOf } from './scale';
 
 /** Milliseconds of work in a frame. */
-const BUDGET = 30;
+const BUDGET = 25;
 
 interface Strip {
   /** Counts of all and of selected lines, by set. */
@@ -27,9 +27,13 @@ interface Tables {
   /** Opacity of lines, and part of the deep tone, by four times the root of the count. */
   cover: Float32Array;
   deep: Float32Array;
+  /** Color of lines of a single set, times their opacity. */
+  front: Float32Array;
   /** Color of ratios, 0: only B, 255: only A. */
   tints: Float32Array;
 }
+
+const NONE = new Float32Array();
 
 /** Drawing of the lines on a canvas without WebGL. */
 export class PixelDrawing implements Drawing {
@@ -41,7 +45,9 @@ export class PixelDrawing implements Drawing {
   /** Strip that is next to be checked. */
   private next = 0;
   private began = 0;
-  private tables: Tables = { key: '', cover: new Float32Array(), deep: new Float32Array(), tints: new Float32Array() };
+  private image: ImageData | null = null;
+  private words = new Uint32Array();
+  private tables: Tables = { key: '', cover: NONE, deep: NONE, front: NONE, tints: NONE };
 
   constructor(
     private canvas: HTMLCanvasElement,
@@ -146,9 +152,13 @@ export class PixelDrawing implements Drawing {
       strip.densityKey = densityKey;
       this.spread(scene, i, place);
     }
-    const image = new ImageData(place.columns, place.rows);
-    this.paint(scene, strip, place, hasSelection, new Uint32Array(image.data.buffer));
-    this.context.putImageData(image, from, 0);
+    // Strips of the same size share their pixels.
+    if (this.image?.width !== place.columns || this.image.height !== place.rows) {
+      this.image = new ImageData(place.columns, place.rows);
+      this.words = new Uint32Array(this.image.data.buffer);
+    }
+    this.paint(scene, strip, place, hasSelection, this.words);
+    this.context.putImageData(this.image, from, 0);
   }
 
   /** Enlarges the density between two axes to the pixels of the screen. */
@@ -168,17 +178,18 @@ export class PixelDrawing implements Drawing {
     if (!first) return;
     const scale = (255 * DENSITY) / Math.log(DENSEST);
     const [low, high] = [Math.max(Math.round(base), 0), Math.min(Math.round(base + length), rows)];
+    // Columns of the grid and their parts, for each pixel of a row.
+    const places = Float32Array.from({ length: columns }, (_, x) =>
+      Math.min(Math.max(((x + 0.5) / columns) * COLUMNS - 0.5, 0), COLUMNS - 1.001),
+    );
     for (let y = low; y < high; y++) {
       const v = Math.min(Math.max(((y + 0.5 - base) / length) * ROWS - 0.5, 0), ROWS - 1.001);
       const row = Math.floor(v);
       for (let x = 0; x < columns; x++) {
-        const u = Math.min(Math.max(((x + 0.5) / columns) * COLUMNS - 0.5, 0), COLUMNS - 1.001);
+        const u = places[x]!;
         const at = row * COLUMNS + Math.floor(u);
-        const [s, t] = [u % 1, v % 1];
-        const sample = (grid: Float32Array) =>
-          (grid[at]! * (1 - s) + grid[at + 1]! * s) * (1 - t) + (grid[at + COLUMNS]! * (1 - s) + grid[at + COLUMNS + 1]! * s) * t;
-        const one = sample(first);
-        const other = second ? sample(second) : 0;
+        const one = sample(first, at, u - Math.floor(u), v - row);
+        const other = second ? sample(second, at, u - Math.floor(u), v - row) : 0;
         const mean = second ? (one + other) / 2 : one;
         if (mean <= 0) continue;
         strip.opacities[y * columns + x] = Math.min(scale * Math.log(1 + 5 * mean), 255 * DENSITY);
@@ -189,8 +200,10 @@ export class PixelDrawing implements Drawing {
 
   /** Writes the pixels between two axes, as 32-bit words from the highest row on. */
   private paint({ palette, sets }: Scene, strip: Strip, { columns, rows }: StripShape, hasSelection: boolean, words: Uint32Array) {
-    const { cover, deep, tints } = this.tables;
-    const { panel, rest } = palette;
+    const { cover, deep, tints, front: fronts } = this.tables;
+    const [panelR, panelG, panelB] = palette.panel;
+    const [restR, restG, restB] = palette.rest;
+    const [deepR, deepG, deepB] = palette.deep;
     const two = sets.length > 1;
     const [scaleA, scaleB] = [1 / (sets[0]?.rows || 1), 1 / (sets[1]?.rows || 1)];
     const front = hasSelection ? strip.chosen : strip.all;
@@ -198,43 +211,55 @@ export class PixelDrawing implements Drawing {
     const [allA, allB] = [strip.all[0]?.bytes, two ? strip.all[1]?.bytes : undefined];
     if (!frontA || !allA) return;
     const { opacities, ratios } = strip;
-    const root = (a: number, b: number) => Math.round(Math.sqrt(a * a + b * b));
     for (let y = 0, at = 0; y < rows; y++) {
       let to = (rows - 1 - y) * columns;
       for (let x = 0; x < columns; x++, at++, to++) {
         const dense = opacities[at]!;
         const a = frontA[at]!;
-        const b = frontB ? frontB[at]! : 0;
-        let background = 0;
-        if (hasSelection) background = allB ? root(allA[at]!, allB[at]!) : allA[at]!;
-        if (dense + a + b + background === 0) continue;
-        let [red, green, blue] = [panel[0], panel[1], panel[2]];
+        const b = frontB !== undefined ? frontB[at]! : 0;
+        let rest = 0;
+        if (hasSelection) {
+          rest = allA[at]!;
+          if (allB !== undefined && allB[at]! > 0) rest = Math.round(Math.sqrt(rest * rest + allB[at]! * allB[at]!));
+        }
+        if ((dense | a | b | rest) === 0) {
+          words[to] = 0;
+          continue;
+        }
+        // Parts of the page's color and of the colors before the front.
+        let red = panelR;
+        let green = panelG;
+        let blue = panelB;
         if (dense > 0) {
           const alpha = dense / 255;
           const tint = two ? 3 * ratios[at]! : -1;
-          red += alpha * ((two ? tints[tint]! : rest[0]) - red);
-          green += alpha * ((two ? tints[tint + 1]! : rest[1]) - green);
-          blue += alpha * ((two ? tints[tint + 2]! : rest[2]) - blue);
+          red += alpha * ((two ? tints[tint]! : restR) - red);
+          green += alpha * ((two ? tints[tint + 1]! : restG) - green);
+          blue += alpha * ((two ? tints[tint + 2]! : restB) - blue);
         }
-        if (background > 0) {
-          const alpha = REST * cover[background]!;
-          red += alpha * (rest[0] - red);
-          green += alpha * (rest[1] - green);
-          blue += alpha * (rest[2] - blue);
+        if (rest > 0) {
+          const alpha = REST * cover[rest]!;
+          red += alpha * (restR - red);
+          green += alpha * (restG - green);
+          blue += alpha * (restB - blue);
         }
-        if (a + b > 0) {
-          const code = frontB ? root(a, b) : a;
-          let tint = 765;
-          if (frontB) {
-            const [shareA, shareB] = [a * a * scaleA, b * b * scaleB];
-            tint = 3 * Math.round(127.5 + (127.5 * (shareA - shareB)) / (shareA + shareB));
-          }
-          const [alpha, part] = [cover[code]!, deep[code]!];
-          red += alpha * (tints[tint]! + part * (palette.deep[0] - tints[tint]!) - red);
-          green += alpha * (tints[tint + 1]! + part * (palette.deep[1] - tints[tint + 1]!) - green);
-          blue += alpha * (tints[tint + 2]! + part * (palette.deep[2] - tints[tint + 2]!) - blue);
+        if (frontB === undefined) {
+          const part = 1 - cover[a]!;
+          red = red * part + fronts[3 * a]!;
+          green = green * part + fronts[3 * a + 1]!;
+          blue = blue * part + fronts[3 * a + 2]!;
+        } else if ((a | b) > 0) {
+          const code = b === 0 ? a : a === 0 ? b : Math.round(Math.sqrt(a * a + b * b));
+          const shareA = a * a * scaleA;
+          const shareB = b * b * scaleB;
+          const tint = 3 * Math.round(127.5 + (127.5 * (shareA - shareB)) / (shareA + shareB));
+          const alpha = cover[code]!;
+          const part = deep[code]!;
+          red += alpha * (tints[tint]! + part * (deepR - tints[tint]!) - red);
+          green += alpha * (tints[tint + 1]! + part * (deepG - tints[tint + 1]!) - green);
+          blue += alpha * (tints[tint + 2]! + part * (deepB - tints[tint + 2]!) - blue);
         }
-        words[to] = (255 << 24) | (blue << 16) | (green << 8) | red;
+        words[to] = 0xff000000 | (blue << 16) | (green << 8) | red;
       }
     }
   }
@@ -243,6 +268,12 @@ export class PixelDrawing implements Drawing {
     cancelAnimationFrame(this.frame);
     this.scene = null;
   }
+}
+
+/** Returns the density between four numbers of a grid. */
+function sample(grid: Float32Array, at: number, s: number, t: number): number {
+  const low = grid[at]! * (1 - s) + grid[at + 1]! * s;
+  return low * (1 - t) + (grid[at + COLUMNS]! * (1 - s) + grid[at + COLUMNS + 1]! * s) * t;
 }
 
 function makeTables({ opacity, palette, sets }: Scene, key: string): Tables {
@@ -255,10 +286,13 @@ function makeTables({ opacity, palette, sets }: Scene, key: string): Tables {
     const color = sets.length > 1 ? ratioColor(1 + t, 1 - t, palette) : palette.single;
     tints.set(color, 3 * i);
   }
-  return {
-    key,
-    cover: amount.map((x) => x / (1 + x)),
-    deep: amount.map((x) => DEEP * Math.min(Math.max(Math.log2(1 + x) / 5 - 0.25, 0), 1)),
-    tints,
-  };
+  const cover = amount.map((x) => x / (1 + x));
+  const deep = amount.map((x) => DEEP * Math.min(Math.max(Math.log2(1 + x) / 5 - 0.25, 0), 1));
+  const front = new Float32Array(3 * size);
+  for (let code = 0; code < size; code++)
+    for (let i = 0; i < 3; i++) {
+      const tone = palette.single[i]!;
+      front[3 * code + i] = cover[code]! * (tone + deep[code]! * (palette.deep[i]! - tone));
+    }
+  return { key, cover, deep, front, tints };
 }

@@ -50,6 +50,16 @@ class Light {
   get where() {
     return this.query('where') ?? '';
   }
+  /** Waits until a change has reached the address, which follows after a while. */
+  async settled() {
+    let [before, same] = [null, 0];
+    await until(async () => {
+      const now = JSON.stringify([this.page.url(), await this.field.inputValue()]);
+      same = now === before ? same + 1 : 0;
+      before = now;
+      return same >= 2;
+    }, 'the address is settled', 10);
+  }
   get field() {
     return this.page.getByLabel('Text of the selection');
   }
@@ -86,6 +96,7 @@ class Light {
 
   /** Checks that the page, the call and the command line select the same number of records; the numbers. */
   async agree(claim, what, { commandToo = true } = {}) {
+    await this.settled();
     const { where } = this;
     claim(where, `${what}: there is a selection`);
     const { counts } = await this.ask('selection', { where });
@@ -135,6 +146,7 @@ class Light {
     await this.page.mouse.down();
     for (const point of rest) await this.page.mouse.move(...point, { steps: 6 });
     await this.page.mouse.up();
+    await pause(150);
   }
   async brush(table, name, from, to) {
     const at = await this.place(table, name);
@@ -146,6 +158,7 @@ class Light {
     const label = this.column(table, name).locator('.label').nth(index);
     const box = await label.boundingBox();
     await this.page.mouse.click(box.x + box.width / 2, box.y + box.height / 2);
+    await pause(150);
     return clean(await label.textContent());
   }
   /** Names of the axes of a plot from left to right. */
@@ -256,6 +269,8 @@ export async function light({ step, open, claim, equal, accessible, current, bro
       const it = targets[where];
       claim(it, 'the page was opened');
       current(it.page);
+      await it.page.goto(home);
+      await it.shown();
       await run(it, it.page);
     });
     const home = where === 'view' ? '/view' : `/jobs/${jobs.gallery}/light`;
@@ -425,6 +440,7 @@ export async function light({ step, open, claim, equal, accessible, current, bro
         const box = await it.title('paths', name).boundingBox();
         return [box.x + box.width / 2, box.y + box.height / 2];
       };
+      await it.place('paths', 'pixel.y');
       await it.drag(await center('throughput.r'), await center('pixel.y'));
       await until(async () => (await it.order('paths'))[1] === 'throughput.r', 'an axis is moved by the mouse', 5);
       equal(await page.getByRole('dialog').count(), 0, 'a drag opens no menu');
@@ -608,8 +624,6 @@ export async function light({ step, open, claim, equal, accessible, current, bro
       await picture.getByRole('button', { name: /^Select the paths of pixel 31, 24$/ }).click();
       await until(() => it.where === 'pixel.x == 31 and pixel.y == 24', `the next pixel: ${it.where}`, 5);
       await it.agree(claim, 'paths of the next pixel');
-      await page.goto(home);
-      await it.shown();
     });
 
     await on('lines: 500, within the selection, the brightest', async (it, page) => {
@@ -637,8 +651,6 @@ export async function light({ step, open, claim, equal, accessible, current, bro
         'the brightest', 10);
       equal(it.query('among'), 'brightest', 'in the address');
       equal(it.query('n'), '500', 'in the address');
-      await page.goto(home);
-      await it.shown();
     });
 
     await on('two sets: A red, B blue', async (it, page) => {
@@ -672,8 +684,6 @@ export async function light({ step, open, claim, equal, accessible, current, bro
         await page.getByText('bins are red where A has the larger share').waitFor();
         await images(page, 'light-compare', { fullPage: true });
       }
-      await page.goto(home);
-      await it.shown();
     });
 
     for (const [size, dark] of [[1360, false], [1360, true], [390, false], [390, true]]) {
@@ -698,7 +708,6 @@ export async function light({ step, open, claim, equal, accessible, current, bro
         } finally {
           await page.setViewportSize({ width: 1360, height: 800 });
           await page.emulateMedia({ colorScheme: 'light' });
-          await page.goto(home);
         }
       });
     }

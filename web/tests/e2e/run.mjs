@@ -3,9 +3,10 @@
  *
  *     node tests/e2e/run.mjs [--shots FOLDER] [WORD]   # only steps with this word in their names
  *
- * FEMC names the program, CHROMIUM the browser; FEMC_KEEP=1 leaves the farm's folder for a look.
+ * FEMC names the program, CHROMIUM the browser; FEMC_KEEP=1 leaves the farm's folder for a look. FEMC_PAGES is a folder of built pages
+ * that take the place of those in the program.
  */
-import { mkdirSync } from 'node:fs';
+import { existsSync, mkdirSync } from 'node:fs';
 import { join } from 'node:path';
 import axe from 'axe-core';
 import { chromium } from 'playwright-core';
@@ -57,6 +58,12 @@ async function open(farm, { dark = false, by = browser, ...more } = {}) {
     baseURL: farm.url,
     ...more,
   });
+  if (process.env.FEMC_PAGES)
+    await context.route((url) => url.origin === new URL(farm.url).origin && !url.pathname.startsWith('/api/'), (route) => {
+      if (route.request().method() !== 'GET') return route.continue();
+      const path = join(process.env.FEMC_PAGES, new URL(route.request().url()).pathname);
+      return route.fulfill({ path: /\.\w+$/.test(path) && existsSync(path) ? path : join(process.env.FEMC_PAGES, 'index.html') });
+    });
   const page = await context.newPage();
   page.on('pageerror', (error) => faults.push(`error of a script: ${error.message}`));
   page.on('console', (message) => {

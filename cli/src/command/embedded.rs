@@ -60,12 +60,12 @@ impl RunTokens {
     /// Validity in days, far beyond the length of a run.
     const DAYS: u32 = 30;
 
-    /// Makes new tokens.
-    pub fn new() -> Result<Self, Failure> {
+    /// Makes new tokens, that of the user with this role.
+    pub fn new(role: Role) -> Result<Self, Failure> {
         let folder = tempfile::Builder::new().prefix("femc-tokens-").tempdir().map_err(failed)?;
         let authority = Authority::init(&folder.path().join("authority"), "view").map_err(failed)?;
         let token = |holder: Holder| authority.issue_token(holder, Self::DAYS).map_err(failed);
-        let user = token(Holder::User { name: login_name(), role: Role::Operator })?;
+        let user = token(Holder::User { name: user_name(), role })?;
         let worker = token(Holder::Worker { name: "worker".into() })?;
         Ok(Self { folder, user, worker })
     }
@@ -73,6 +73,18 @@ impl RunTokens {
     /// Returns the token of the user.
     pub fn user_token(&self) -> String {
         self.user.token().secret()
+    }
+
+    /// Writes a page that leads to a page of the farm, and returns its path. Browsers are started with this path, because other
+    /// users of the machine can read the arguments of a program, but not this file.
+    pub fn entrance(&self, url: &str) -> Result<String, Failure> {
+        let path = self.folder.path().join("open.html");
+        let address = url.replace('&', "&amp;");
+        let page = format!(
+            "<!doctype html>\n<meta charset=\"utf-8\">\n<meta http-equiv=\"refresh\" content=\"0; url={address}\">\n"
+        );
+        std::fs::write(&path, page).map_err(failed)?;
+        Ok(path.display().to_string())
     }
 
     fn access_control(&self) -> Result<AccessControl, Failure> {
@@ -172,6 +184,12 @@ impl EmbeddedFarm {
             tracing::warn!(%error, "the coordinator ended with an error");
         }
     }
+}
+
+/// Returns the name of the user, as far as a holder of a token can have it.
+fn user_name() -> String {
+    let name: String = login_name().chars().filter(|letter| letter.is_ascii_alphanumeric()).collect();
+    if name.is_empty() { "user".into() } else { name }
 }
 
 /// Opens a page in a browser if there is a desktop. The address is valid in any case.

@@ -11,8 +11,9 @@ use crate::exit::{Exit, Failure, failed, usage};
 use crate::output::{Printer, Progress, job as show, json};
 use crate::request::ResolvedRequest;
 use clap::Args;
-use femc_coordinator::{ArtifactStorage, LightFile, LightSource, LogStorage, Site};
+use femc_coordinator::{ArtifactStorage, LightFile, LightSource, LogStorage, MAX_LIGHT_BYTES, Site};
 use femc_model::JobId;
+use femc_trust::Role;
 use serde::Serialize;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -75,7 +76,7 @@ fn view_files(args: &ViewArgs, printer: Printer) -> Result<Exit, Failure> {
     let site = Site { light_files: files, ..site() };
     client::runtime()?.block_on(async {
         let mut interrupt = Interrupt::listen()?;
-        let (mut farm, _client, tokens) = start(args, 0, None, site).await?;
+        let (mut farm, _client, tokens) = start(args, Role::Viewer, 0, None, site).await?;
         let page = if args.inputs.len() == 2 { "/view?b=1" } else { "/view" };
         report(args, &farm, &tokens, page, printer)?;
         let outcome = tokio::select! {
@@ -90,9 +91,17 @@ fn view_files(args: &ViewArgs, printer: Printer) -> Result<Exit, Failure> {
 /// Checks that a file can be shown, before the browser opens.
 fn checked_file(path: &Path) -> Result<LightFile, Failure> {
     let fault = |message: String| failed(format!("{}: {message}", path.display()));
+    let size = std::fs::metadata(path).map_err(|error| fault(error.to_string()))?.len();
+    if size > MAX_LIGHT_BYTES {
+        let limit = MAX_LIGHT_BYTES >> 20;
+        return Err(fault(format!(
+            "the file has {} MiB, at most {limit} can be shown; `femc paths` has no limit",
+            size >> 20
+        )));
+    }
     let bytes = std::fs::read(path).map_err(|error| fault(error.to_string()))?;
-    let name = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned();
-    let source = LightSource { name: path.display().to_string(), parts: vec![bytes.into()], is_growing: false };
+    let name = path.display().to_string();
+    let source = LightSource { name: name.clone(), parts: vec![bytes.into()], is_growing: false };
     match femc_pictures::open_light("check", vec![source]) {
         Ok(Some(_)) => Ok(LightFile { name, path: path.to_owned() }),
         Ok(None) => Err(fault("the file contains no recorded paths; render with --stats".into())),
@@ -112,7 +121,8 @@ fn view_scene(scene: &Path, args: &ViewArgs, printer: Printer) -> Result<Exit, F
     let Some(&first) = spec.frames.first() else { return Err(usage("--frames: there is no frame")) };
     client::runtime()?.block_on(async {
         let mut interrupt = Interrupt::listen()?;
-        let (mut farm, client, tokens) = start(args, resolved.workers, resolved.threads, site()).await?;
+        let (mut farm, client, tokens) =
+            start(args, Role::Operator, resolved.workers, resolved.threads, site()).await?;
         let (job, _) = client.submit(&parcel, unique_key(), spec).await?;
         report(args, &farm, &tokens, &format!("/jobs/{job}/light?frames={first}"), printer)?;
         let outcome = tokio::select! {
@@ -153,11 +163,12 @@ async fn follow(
 /// Starts a farm in memory that only holders of its tokens can use.
 async fn start(
     args: &ViewArgs,
+    role: Role,
     workers: u32,
     threads: Option<u32>,
     site: Site,
 ) -> Result<(EmbeddedFarm, FarmClient, RunTokens), Failure> {
-    let tokens = RunTokens::new()?;
+    let tokens = RunTokens::new(role)?;
     let config = EmbeddedConfig {
         listen: SocketAddr::from(([127, 0, 0, 1], args.port)),
         log: LogStorage::Memory,
@@ -188,7 +199,7 @@ fn report(
         printer.result(&url);
     }
     if !args.no_browser {
-        embedded::open_browser(&url);
+        embedded::open_browser(&tokens.entrance(&url)?);
     }
     Ok(())
 }

@@ -190,13 +190,15 @@ fn an_open_feed_ends_when_its_token_is_taken_back() {
     write!(stream, "GET /api/v1/feed HTTP/1.1\r\nHost: farm\r\nCookie: femc={token}\r\n\r\n").expect("it listens");
     let mut page = EventListener(BufReader::new(stream));
     assert_eq!(page.next().expect("an event").0, "snapshot");
-    let me = send_request(&address, "GET /api/v1/me", &[&format!("Cookie: femc={token}")], "").json();
+    let (_, port) = address.rsplit_once(':').expect("a port");
+    let cookie = format!("Cookie: femc-{port}={token}");
+    let me = send_request(&address, "GET /api/v1/me", &[&cookie], "").json();
     assert_eq!((&me["name"], &me["role"]), (&"eve".into(), &"viewer".into()));
     let begun = Instant::now();
     dir.run("ca revoke eve").exits(0);
     assert!(page.next().is_none());
     assert!(begun.elapsed() < Duration::from_secs(60));
-    assert_eq!(send_request(&address, "GET /api/v1/me", &[&format!("Cookie: femc={token}")], "").status, 401);
+    assert_eq!(send_request(&address, "GET /api/v1/me", &[&cookie], "").status, 401);
     assert_eq!(send_request(&address, "GET /", &[], "").header("location"), "", "the page itself is for everybody");
 }
 

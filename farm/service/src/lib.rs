@@ -28,6 +28,8 @@ pub use farm::Farm;
 pub use feed::Feed;
 pub use http::{Body, ConnectedClient, Http, PageFiles, PermittedResponse, PublicResponse, Site};
 pub use job_control::store_refusal;
-pub use light::{LightAnswer, LightCall, LightCallKind, LightData, LightError, LightFile, LightSource, OpenLight};
+pub use light::{
+    LightAnswer, LightCall, LightCallKind, LightData, LightError, LightFile, LightSource, MAX_LIGHT_BYTES, OpenLight,
+};
 pub use operation::{Operation, Right};
 pub use picture::{DrawPicture, PictureKind, PictureSource};

@@ -97,14 +97,15 @@ pub async fn forged_tokens(target: &mut Target) -> String {
     let get = |head: &str| send_request(target.address(), "GET /api/v1/jobs", &[head], "");
     let real = target.token("eve");
     let forged = format!("femc_{}", "0".repeat(64));
+    let name = format!("femc-{}", target.address().rsplit_once(':').expect("a port").1);
     for head in [
         "X-Nothing: 1".to_owned(),
-        format!("Cookie: femc={forged}"),
-        format!("Cookie: femc={}", &real[..40]),
-        format!("Cookie: femc={real}; femc={forged}"),
+        format!("Cookie: {name}={forged}"),
+        format!("Cookie: {name}={}", &real[..40]),
+        format!("Cookie: {name}={real}; {name}={forged}"),
         format!("Authorization: Bearer {forged}"),
         format!("Authorization: Basic {real}"),
-        "Cookie: femc=viewer".to_owned(),
+        format!("Cookie: {name}=viewer"),
     ] {
         let answer = get(&head);
         assert!(matches!(answer.status, 400 | 401), "{head}: {}", answer.status);

@@ -114,7 +114,7 @@ impl<S: Send + 'static> Http<S> {
         match route {
             Route::Page(path) => self.0.site.files.get(&path),
             Route::Login => self.login(request_head, &self.read_body(body).await?, audit_entry),
-            Route::Logout => self.redirect_with_cookie(None),
+            Route::Logout => self.redirect_with_cookie(request_head, None),
             Route::Me => Ok(self.me(caller.as_deref())),
             Route::Feed(last) => Ok(response::events(self.0.feed.listen(last.as_deref(), caller))),
             Route::Jobs => self.jobs().await,
@@ -171,14 +171,18 @@ impl<S: Send + 'static> Http<S> {
         let token = Query(form).get("token").unwrap_or_default();
         let caller = self.0.gate.caller_of_token(token.trim())?;
         audit_entry.set_caller(&caller);
-        self.redirect_with_cookie(Some(token.trim()))
+        self.redirect_with_cookie(request_head, Some(token.trim()))
     }
 
     /// Redirects to the page, and sets or clears the cookie.
-    fn redirect_with_cookie(&self, token: Option<&str>) -> Result<Response<Body>, HttpError> {
+    fn redirect_with_cookie(
+        &self,
+        request_head: &RequestHead<'_>,
+        token: Option<&str>,
+    ) -> Result<Response<Body>, HttpError> {
         let mut response = response::bytes(StatusCode::SEE_OTHER, "text/plain; charset=utf-8", Bytes::new());
         response.headers_mut().insert(LOCATION, HeaderValue::from_static("/"));
-        if let Some(cookie) = site::cookie(token, self.0.is_encrypted) {
+        if let Some(cookie) = site::cookie(request_head, token, self.0.is_encrypted) {
             response.headers_mut().insert(SET_COOKIE, cookie);
         }
         Ok(response)

@@ -132,15 +132,14 @@ impl<S: Send + 'static> Http<S> {
         call: LightCall,
         caller_key: CallerKey,
     ) -> Result<Response<Body>, HttpError> {
-        let slot = self.0.light_slots.acquire(caller_key).await;
         let known = request_head.headers.get(IF_NONE_MATCH).and_then(|tag| tag.to_str().ok());
         let known = known.map(|tag| tag.trim_start_matches("W/").trim_matches('"'));
-        let answered = self.0.light.answer(&self.0.farm, &target, call, known).await?;
+        let answered = self.0.light.answer(&self.0.farm, &target, call, known, caller_key).await?;
         let Some(TaggedAnswer { tag, answer }) = answered else { return Ok(response::empty(StatusCode::NO_CONTENT)) };
         let mut response = match answer {
             None => response::empty(StatusCode::NOT_MODIFIED),
-            Some(LightAnswer::Json(bytes)) => response::large_bytes("application/json", bytes.into(), slot),
-            Some(LightAnswer::Columns(bytes)) => {
+            Some((LightAnswer::Json(bytes), slot)) => response::large_bytes("application/json", bytes.into(), slot),
+            Some((LightAnswer::Columns(bytes), slot)) => {
                 response::large_bytes("application/vnd.femc.columns", bytes.into(), slot)
             }
         };

@@ -73,8 +73,6 @@ struct Inner<S> {
     transfer_slots: TransferSlots,
     /// Slots for requests that read pixels. A slot is held until all bytes are sent.
     pixel_slots: TransferSlots,
-    /// Slots for questions about recorded light. A slot is held until all bytes are sent.
-    light_slots: TransferSlots,
     pictures: Pictures,
     light: LightViews,
     sorted_tasks: SortedTasksCache,
@@ -120,19 +118,16 @@ impl<S: Send + 'static> Http<S> {
         let few = Limits { transfers: 4, transfers_per_caller: 2, transfers_per_connection: 2, ..*gate.limits() };
         let large = TransferSlots::new(&few);
         let pictures = Pictures::new(site.draw, store.clone());
-        let light = LightViews::new(site.open_light, site.light_files.clone(), store.clone());
+        let light_limits =
+            Limits { transfers: 8, transfers_per_caller: 2, transfers_per_connection: 2, ..*gate.limits() };
+        let light_slots = TransferSlots::new(&light_limits);
+        let light = LightViews::new(site.open_light, site.light_files.clone(), store.clone(), light_slots);
         Self(Arc::new(Inner {
             farm,
             feed,
             store,
             transfer_slots,
             pixel_slots: large,
-            light_slots: TransferSlots::new(&Limits {
-                transfers: 8,
-                transfers_per_caller: 4,
-                transfers_per_connection: 4,
-                ..*gate.limits()
-            }),
             pictures,
             light,
             sorted_tasks: SortedTasksCache::default(),
@@ -227,7 +222,7 @@ impl<S: Send + 'static> Http<S> {
     {
         let gate = &self.0.gate;
         let address = client.address.map(|address| address.ip().to_string());
-        let token = site::token(request_head.headers)?;
+        let token = site::token(request_head)?;
         let shown =
             PresentedCredentials { token, certificate: client.certificate.as_ref(), address: address.as_deref() };
         let granted = gate.check(route.operation(), shown, audit_entry)?;

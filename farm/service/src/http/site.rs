@@ -8,32 +8,40 @@
 
 use std::net::IpAddr;
 
+use ::http::Method;
 use ::http::header::{AUTHORIZATION, CONTENT_TYPE, COOKIE, HOST, HeaderName, HeaderValue, ORIGIN};
-use ::http::{HeaderMap, Method};
 
 use super::RequestHead;
 use super::connected_client::ConnectedClient;
 use super::error::HttpError;
 use super::route::Route;
 
-/// Name of the cookie.
+/// Name of the cookie without a port.
 const COOKIE_NAME: &str = "femc";
 /// Header that only the web page and programs send.
 const OWN_HEADER: HeaderName = HeaderName::from_static("x-femc");
 const FETCH_SITE: HeaderName = HeaderName::from_static("sec-fetch-site");
 const FETCH_MODE: HeaderName = HeaderName::from_static("sec-fetch-mode");
 
+/// Returns the name of the cookie, which contains the port of the address. Browsers send cookies to all ports of a host, so
+/// coordinators on one machine need different names.
+fn cookie_name(host: &str) -> String {
+    let port = host.rsplit_once(':').map(|(_, port)| port).filter(|port| port.parse::<u16>().is_ok());
+    port.map_or_else(|| COOKIE_NAME.to_owned(), |port| format!("{COOKIE_NAME}-{port}"))
+}
+
 /// Returns the token of a request, from the header or else from the cookie.
-pub(super) fn token(headers: &HeaderMap) -> Result<Option<&str>, HttpError> {
+pub(super) fn token<'a>(request_head: &RequestHead<'a>) -> Result<Option<&'a str>, HttpError> {
+    let (headers, cookie_name) = (request_head.headers, cookie_name(&host(request_head)));
     if let Some(header) = headers.get(AUTHORIZATION) {
         // A header that is not a bearer token gives an empty token, which is invalid.
         return Ok(Some(text(header).strip_prefix("Bearer ").unwrap_or_default()));
     }
     let cookies = headers.get_all(COOKIE).into_iter().flat_map(|cookies| text(cookies).split(';'));
-    let mut own = cookies.filter_map(|cookie| cookie.trim().split_once('=')).filter(|(name, _)| *name == COOKIE_NAME);
+    let mut own = cookies.filter_map(|cookie| cookie.trim().split_once('=')).filter(|(name, _)| *name == cookie_name);
     let token = own.next().map(|(_, value)| value);
     if own.next().is_some() {
-        return Err(invalid("Cookie", "the request has two cookies named femc: log out and log in again"));
+        return Err(invalid("Cookie", "the request has two cookies of this coordinator: log out and log in again"));
     }
     Ok(token.filter(|token| !token.is_empty()))
 }
@@ -47,12 +55,13 @@ fn invalid(field: &str, message: &str) -> HttpError {
 }
 
 /// Makes the cookie that holds a token; `None` deletes the cookie.
-pub(super) fn cookie(token: Option<&str>, is_encrypted: bool) -> Option<HeaderValue> {
+pub(super) fn cookie(request_head: &RequestHead<'_>, token: Option<&str>, is_encrypted: bool) -> Option<HeaderValue> {
+    let name = cookie_name(&host(request_head));
     let secure = if is_encrypted { "; Secure" } else { "" };
     let end = if token.is_none() { "; Max-Age=0" } else { "" };
     let token = token.unwrap_or_default();
     let mut value =
-        HeaderValue::try_from(format!("{COOKIE_NAME}={token}; HttpOnly; SameSite=Strict; Path=/{secure}{end}")).ok()?;
+        HeaderValue::try_from(format!("{name}={token}; HttpOnly; SameSite=Strict; Path=/{secure}{end}")).ok()?;
     value.set_sensitive(true);
     Some(value)
 }
@@ -113,7 +122,7 @@ fn is_own(host: &str, client: &ConnectedClient) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use ::http::Uri;
+    use ::http::{HeaderMap, Uri};
 
     use super::*;
 
@@ -137,13 +146,23 @@ mod tests {
 
     #[test]
     fn a_token_is_the_header_s_else_the_cookie_s() {
-        assert_eq!(token(&headers(&[])).unwrap(), None);
-        assert_eq!(token(&headers(&[("cookie", "a=b; femc=x; c=d")])).unwrap(), Some("x"));
-        assert_eq!(token(&headers(&[("cookie", "notfemc=x; femc=")])).unwrap(), None);
-        let both = headers(&[("cookie", "femc=x"), ("authorization", "Bearer y")]);
-        assert_eq!(token(&both).unwrap(), Some("y"));
-        assert_eq!(token(&headers(&[("authorization", "Basic y")])).unwrap(), Some(""), "a wrong one, and not none");
-        assert!(token(&headers(&[("cookie", "femc=x; femc=y")])).is_err());
+        let uri: Uri = "/api/v1/jobs".parse().unwrap();
+        let token_of = |pairs: &[(&'static str, &str)]| {
+            let headers = headers(pairs);
+            let head = RequestHead { method: &Method::GET, uri: &uri, headers: &headers };
+            token(&head).map(|token| token.map(str::to_owned))
+        };
+        let own = ("host", "127.0.0.1:7878");
+        assert_eq!(token_of(&[own]).unwrap(), None);
+        assert_eq!(token_of(&[own, ("cookie", "a=b; femc-7878=x; c=d")]).unwrap().as_deref(), Some("x"));
+        assert_eq!(token_of(&[("host", "farm"), ("cookie", "femc-7878=x; femc=y")]).unwrap().as_deref(), Some("y"));
+        assert_eq!(token_of(&[("host", "[::1]:7878"), ("cookie", "femc-7878=x")]).unwrap().as_deref(), Some("x"));
+        assert_eq!(token_of(&[own, ("cookie", "femc-7879=x; femc=z; femc-7878=")]).unwrap(), None, "of another port");
+        let both = [own, ("cookie", "femc-7878=x"), ("authorization", "Bearer y")];
+        assert_eq!(token_of(&both).unwrap().as_deref(), Some("y"));
+        let basic = token_of(&[own, ("authorization", "Basic y")]).unwrap();
+        assert_eq!(basic.as_deref(), Some(""), "a wrong one, and not none");
+        assert!(token_of(&[own, ("cookie", "femc-7878=x; femc-7878=y")]).is_err());
     }
 
     #[test]

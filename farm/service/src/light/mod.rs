@@ -10,6 +10,9 @@ use std::sync::atomic::AtomicBool;
 
 pub(crate) use views::{LightTarget, LightViewError, LightViews, TaggedAnswer};
 
+/// Size limit of the encoded light statistics of one question, bytes.
+pub const MAX_LIGHT_BYTES: u64 = 256 << 20;
+
 /// Recorded light of one frame, or of one file.
 #[derive(Debug, Clone)]
 pub struct LightSource {

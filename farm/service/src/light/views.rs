@@ -5,14 +5,15 @@ use std::fmt;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::UNIX_EPOCH;
+use std::time::{Duration, Instant, UNIX_EPOCH};
 
 use bytes::Bytes;
 use femc_model::{Artifact, Digest, FrameParts, FrameRecord, JobId, Refusal, Role};
 use femc_store::{Store, StoreError};
 use tokio::sync::{OnceCell, OwnedSemaphorePermit, Semaphore};
 
-use super::{LightAnswer, LightCall, LightData, LightError, LightFile, LightSource, OpenLight};
+use super::{LightAnswer, LightCall, LightData, LightError, LightFile, LightSource, MAX_LIGHT_BYTES, OpenLight};
+use crate::access::{CallerKey, TransferSlot, TransferSlots};
 use crate::call::Call;
 use crate::farm::Farm;
 use crate::job_control::store_refusal;
@@ -30,8 +31,8 @@ pub(crate) enum LightTarget {
 #[derive(Debug)]
 pub(crate) struct TaggedAnswer {
     pub(crate) tag: String,
-    /// `None`: the client has the answer with this tag.
-    pub(crate) answer: Option<LightAnswer>,
+    /// Answer, and the slot to hold until it is sent. `None`: the client has the answer with this tag.
+    pub(crate) answer: Option<(LightAnswer, Arc<TransferSlot>)>,
 }
 
 /// Reason why a question has no answer.
@@ -64,10 +65,21 @@ pub(crate) struct LightViews {
     open: Option<OpenLight>,
     files: Arc<[LightFile]>,
     store: Store,
+    /// Slots for questions. A slot is held until all bytes of the answer are sent.
+    slots: TransferSlots,
     /// Limits the number of threads that decode and evaluate.
     threads: Arc<Semaphore>,
-    /// Latest data by tag, the oldest use first.
-    cache: Arc<Mutex<VecDeque<(String, OpenedCell)>>>,
+    /// Latest data of each target, the oldest use first.
+    cache: Arc<Mutex<VecDeque<CachedLight>>>,
+}
+
+/// Data in the cache.
+#[derive(Clone)]
+struct CachedLight {
+    target: LightTarget,
+    tag: String,
+    created: Instant,
+    cell: OpenedCell,
 }
 
 impl fmt::Debug for LightViews {
@@ -77,12 +89,18 @@ impl fmt::Debug for LightViews {
 }
 
 /// Parts of a target, before they are read.
-struct Located {
+struct TargetParts {
     tag: String,
-    parts: Vec<LocatedPart>,
+    parts: Vec<TargetPart>,
 }
 
-struct LocatedPart {
+impl TargetParts {
+    fn is_growing(&self) -> bool {
+        self.parts.iter().any(|part| part.is_growing)
+    }
+}
+
+struct TargetPart {
     name: String,
     is_growing: bool,
     origin: Origin,
@@ -96,15 +114,22 @@ enum Origin {
 impl LightViews {
     /// Size limit of the cache, bytes.
     const CACHE_BYTES: usize = 512 << 20;
-    /// Size limit of the encoded statistics of one target, bytes.
-    const MAX_TARGET_BYTES: u64 = 256 << 20;
+    /// Shortest interval between two decodings of a frame in progress.
+    const MIN_GROWTH_INTERVAL: Duration = Duration::from_secs(1);
     /// Maximum number of cached targets, including those that have no data.
     const MAX_CACHED: usize = 256;
 
-    pub(crate) fn new(open: Option<OpenLight>, files: Vec<LightFile>, store: Store) -> Self {
+    pub(crate) fn new(open: Option<OpenLight>, files: Vec<LightFile>, store: Store, slots: TransferSlots) -> Self {
         // The rest of the processors is for the coordinator itself.
         let threads = std::thread::available_parallelism().map_or(1, |count| (count.get() / 2).clamp(1, 4));
-        Self { open, files: files.into(), store, threads: Arc::new(Semaphore::new(threads)), cache: Arc::default() }
+        Self {
+            open,
+            files: files.into(),
+            store,
+            slots,
+            threads: Arc::new(Semaphore::new(threads)),
+            cache: Arc::default(),
+        }
     }
 
     /// Returns the files.
@@ -114,22 +139,26 @@ impl LightViews {
 
     /// Answers a question; `None`: no sample is recorded yet.
     /// - `known`: tag of the answer that the client has. If it is current, nothing is computed.
-    pub(crate) async fn answer<S>(
+    pub(crate) async fn answer<S: Send + 'static>(
         &self,
         farm: &Farm<S>,
         target: &LightTarget,
         call: LightCall,
         known: Option<&str>,
+        caller_key: CallerKey,
     ) -> Result<Option<TaggedAnswer>, LightViewError> {
         let open = self.open.ok_or_else(|| unavailable("this program cannot read light statistics".into()))?;
         let Some(located) = self.locate(farm, target).await? else { return Ok(None) };
-        let tag = Digest::compute(format!("{} {call:?}", located.tag).as_bytes()).to_string();
+        let CachedLight { tag: data_tag, cell, .. } = self.cached(target, &located);
+        let tag = Digest::compute(format!("{data_tag} {call:?}").as_bytes()).to_string();
         if known == Some(&tag) {
             return Ok(Some(TaggedAnswer { tag, answer: None }));
         }
-        let cell = self.cell(&located.tag);
-        let opened = cell.get_or_try_init(|| self.open(farm, open, located)).await?.clone();
-        self.evict();
+        let slot = Arc::new(self.slots.acquire(caller_key).await);
+        let opened = match cell.get() {
+            Some(opened) => opened.clone(),
+            None => self.open_in_background(farm, open, TargetParts { tag: data_tag, ..located }, cell, &slot).await?,
+        };
         let Some(data) = opened else { return Ok(None) };
         let permit = self.permit().await;
         let is_cancelled = CancelOnDrop::default();
@@ -140,14 +169,33 @@ impl LightViews {
         };
         let answered = tokio::task::spawn_blocking(work).await.map_err(|error| unavailable(error.to_string()))?;
         match answered {
-            Ok(answer) => Ok(Some(TaggedAnswer { tag, answer: Some(answer) })),
+            Ok(answer) => Ok(Some(TaggedAnswer { tag, answer: Some((answer, slot)) })),
             Err(LightError::Invalid { field, message }) => Err(LightViewError::Invalid { field, message }),
             Err(LightError::Cancelled) => Err(unavailable("the question was cancelled".into())),
         }
     }
 
+    /// Opens a target in a task of its own: it is finished even if the client leaves, so that the next question finds the data.
+    async fn open_in_background<S: Send + 'static>(
+        &self,
+        farm: &Farm<S>,
+        open: OpenLight,
+        parts: TargetParts,
+        cell: OpenedCell,
+        slot: &Arc<TransferSlot>,
+    ) -> Result<OpenedLight, LightViewError> {
+        let (views, farm, slot) = (self.clone(), farm.clone(), slot.clone());
+        let task = tokio::spawn(async move {
+            let _slot = slot;
+            let opened = cell.get_or_try_init(|| views.open(&farm, open, parts)).await.cloned();
+            views.evict();
+            opened
+        });
+        task.await.map_err(|error| unavailable(error.to_string()))?
+    }
+
     /// Finds the parts of a target; `None`: there are none yet.
-    async fn locate<S>(&self, farm: &Farm<S>, target: &LightTarget) -> Result<Option<Located>, LightViewError> {
+    async fn locate<S>(&self, farm: &Farm<S>, target: &LightTarget) -> Result<Option<TargetParts>, LightViewError> {
         match target {
             LightTarget::File(number) => {
                 let file = self.files.get(*number).ok_or(LightViewError::NoFile { number: *number })?;
@@ -155,8 +203,8 @@ impl LightViews {
                     .await
                     .map_err(|error| unreadable(format!("cannot read {}: {error}", file.path.display())))?;
                 let part =
-                    LocatedPart { name: file.name.clone(), is_growing: false, origin: Origin::File(file.path.clone()) };
-                Ok(Some(Located { tag: Digest::compute(version.as_bytes()).to_string(), parts: vec![part] }))
+                    TargetPart { name: file.name.clone(), is_growing: false, origin: Origin::File(file.path.clone()) };
+                Ok(Some(TargetParts { tag: Digest::compute(version.as_bytes()).to_string(), parts: vec![part] }))
             }
             LightTarget::Frames(job, frames) => self.locate_frames(farm, *job, frames).await,
         }
@@ -167,7 +215,7 @@ impl LightViews {
         farm: &Farm<S>,
         job: JobId,
         frames: &[u32],
-    ) -> Result<Option<Located>, LightViewError> {
+    ) -> Result<Option<TargetParts>, LightViewError> {
         let finished: Vec<FrameRecord> = farm.call(|reply| Call::Frames { job, reply }).await?;
         let record = |frame: u32| finished.iter().find(|record| record.frame == frame);
         let unfinished: Vec<FrameParts> = if frames.iter().all(|frame| record(*frame).is_some()) {
@@ -190,7 +238,7 @@ impl LightViews {
                 }
             };
             if !artifacts.is_empty() {
-                parts.push(LocatedPart {
+                parts.push(TargetPart {
                     name: format!("frame {frame}"),
                     is_growing,
                     origin: Origin::Artifacts(artifacts),
@@ -204,40 +252,50 @@ impl LightViews {
             })
         };
         let bytes: u64 = artifacts().map(|artifact| artifact.bytes).sum();
-        if bytes > Self::MAX_TARGET_BYTES {
+        if bytes > MAX_LIGHT_BYTES {
             let message = format!(
                 "the light statistics of these frames have {} MiB, at most {} are possible: choose fewer frames",
                 bytes >> 20,
-                Self::MAX_TARGET_BYTES >> 20
+                MAX_LIGHT_BYTES >> 20
             );
             return Err(LightViewError::Invalid { field: "frames", message });
         }
         let mut identity: Vec<u8> = artifacts().flat_map(|artifact| *artifact.digest.as_bytes()).collect();
         identity.extend(parts.iter().map(|part| u8::from(part.is_growing)));
         let tag = Digest::compute(&identity).to_string();
-        Ok((!parts.is_empty()).then_some(Located { tag, parts }))
+        Ok((!parts.is_empty()).then_some(TargetParts { tag, parts }))
     }
 
-    /// Returns the cell of the cache for a tag, and marks it as the latest used.
-    fn cell(&self, tag: &str) -> OpenedCell {
+    /// Returns the entry of the cache for a target, and marks it as the latest used. Data with another tag is out of date, but data
+    /// of frames in progress is used for [`Self::MIN_GROWTH_INTERVAL`].
+    fn cached(&self, target: &LightTarget, parts: &TargetParts) -> CachedLight {
         // A poisoned lock is safe to use: a panic in the few lines under it leaves no partial change.
         let mut cache = self.cache.lock().unwrap_or_else(PoisonError::into_inner);
-        let position = cache.iter().position(|(other, _)| other == tag);
-        let entry = position.and_then(|position| cache.remove(position));
-        let entry = entry.unwrap_or_else(|| (tag.to_owned(), OpenedCell::default()));
-        let cell = entry.1.clone();
-        cache.push_back(entry);
-        cell
+        let position = cache.iter().position(|cached| cached.target == *target);
+        let is_current = |cached: &CachedLight| {
+            let is_recent = cached.cell.get().is_none() || cached.created.elapsed() < Self::MIN_GROWTH_INTERVAL;
+            cached.tag == parts.tag || (parts.is_growing() && is_recent)
+        };
+        let cached = position.and_then(|position| cache.remove(position)).filter(is_current);
+        let cached = cached.unwrap_or_else(|| CachedLight {
+            target: target.clone(),
+            tag: parts.tag.clone(),
+            created: Instant::now(),
+            cell: OpenedCell::default(),
+        });
+        cache.push_back(cached.clone());
+        cached
     }
 
-    /// Removes the data that was not used for the longest time, until the rest is within the limits.
+    /// Removes the data that was not used for the longest time, until the rest is within the limits. The latest data stays.
     fn evict(&self) {
         let mut cache = self.cache.lock().unwrap_or_else(PoisonError::into_inner);
-        let size = |cell: &OpenedCell| cell.get().and_then(Option::as_ref).map_or(0, |data| data.memory_bytes());
-        let mut bytes: usize = cache.iter().map(|(_, cell)| size(cell)).sum();
-        while bytes > Self::CACHE_BYTES || cache.len() > Self::MAX_CACHED {
-            let Some((_, cell)) = cache.pop_front() else { break };
-            bytes -= size(&cell);
+        let size =
+            |cached: &CachedLight| cached.cell.get().and_then(Option::as_ref).map_or(0, |data| data.memory_bytes());
+        let mut sizes: VecDeque<usize> = cache.iter().map(size).collect();
+        while cache.len() > 1 && (sizes.iter().sum::<usize>() > Self::CACHE_BYTES || cache.len() > Self::MAX_CACHED) {
+            cache.pop_front();
+            sizes.pop_front();
         }
     }
 
@@ -247,13 +305,18 @@ impl LightViews {
     }
 
     /// Reads and decodes the parts of a target.
-    async fn open<S>(&self, farm: &Farm<S>, open: OpenLight, located: Located) -> Result<OpenedLight, LightViewError> {
+    async fn open<S>(
+        &self,
+        farm: &Farm<S>,
+        open: OpenLight,
+        located: TargetParts,
+    ) -> Result<OpenedLight, LightViewError> {
         // Parts are read within the limit on threads, so that few of them are in memory at a time.
         let permit = self.permit().await;
         let mut sources = Vec::with_capacity(located.parts.len());
-        for LocatedPart { name, is_growing, origin } in located.parts {
+        for TargetPart { name, is_growing, origin } in located.parts {
             let parts = match origin {
-                Origin::File(path) => vec![read_file(&path, Self::MAX_TARGET_BYTES).await?],
+                Origin::File(path) => vec![read_file(&path, MAX_LIGHT_BYTES).await?],
                 Origin::Artifacts(artifacts) => {
                     let mut parts = Vec::with_capacity(artifacts.len());
                     for artifact in artifacts {
@@ -313,12 +376,8 @@ async fn read_file(path: &Path, limit: u64) -> Result<Bytes, LightViewError> {
     let failed = |error: std::io::Error| unreadable(format!("cannot read {}: {error}", path.display()));
     let bytes = tokio::fs::metadata(path).await.map_err(failed)?.len();
     if bytes > limit {
-        return Err(unreadable(format!(
-            "{} has {} MiB, at most {} are possible",
-            path.display(),
-            bytes >> 20,
-            limit >> 20
-        )));
+        let message = format!("{} has {} MiB, at most {} are possible", path.display(), bytes >> 20, limit >> 20);
+        return Err(LightViewError::Invalid { field: "file", message });
     }
     tokio::fs::read(path).await.map(Bytes::from).map_err(failed)
 }

@@ -206,7 +206,10 @@ export async function light({ step, open, claim, equal, accessible, current, bro
   /** The pages over files and over the farm. */
   const targets = {};
 
-  await step('light: the files and the jobs that the steps look at', async () => {
+  let begun;
+  /** The files and the jobs that the steps look at. */
+  const begin = () => (begun ??= prepare());
+  async function prepare() {
     const render = (scene, spp, out) =>
       farm.femc('render', join(root, 'scenes', `${scene}.mgf`), '-o', out, '--size', '64x48', '--spp', String(spp), '--stats');
     render('gallery', 64, 'gallery.exr');
@@ -224,7 +227,7 @@ export async function light({ step, open, claim, equal, accessible, current, bro
       files[`farm-${name}`] = join(`fetched-${name}`, fetched);
     }
     server = await view(farm, files.gallery, files.pendant);
-  });
+  }
   const gone = async () => {
     for (const { page } of Object.values(targets)) await page.context().close().catch(() => {});
     if (server) await farm.kill(server.child);
@@ -232,46 +235,59 @@ export async function light({ step, open, claim, equal, accessible, current, bro
     await browser.close();
   };
 
+  const openings = {
+    async view() {
+      const page = await shown({ url: server.url });
+      await page.goto(server.address);
+      const it = new Light(page, { api: '/api/v1/files/0/light', folder: farm.folder, file: files.gallery });
+      await it.shown();
+      return it;
+    },
+    async farm() {
+      const page = await shown(farm);
+      await page.goto(`/jobs/${jobs.gallery}/light`);
+      const api = `/api/v1/jobs/${jobs.gallery}/light`;
+      const it = new Light(page, { api, frames: '1', folder: farm.folder, file: files['farm-gallery'] });
+      await it.shown();
+      return it;
+    },
+  };
+  const target = async (where) => {
+    await begin();
+    return (targets[where] ??= await openings[where]());
+  };
+
   await step('light: the address of femc view opens the page, and the token leaves it', async () => {
-    const page = await shown({ url: server.url });
-    await page.goto(server.address);
-    const it = (targets.view = new Light(page, { api: '/api/v1/files/0/light', folder: farm.folder, file: files.gallery }));
-    await it.shown();
+    const { page } = await target('view');
     equal(new URL(page.url()).pathname, '/view', 'page');
     const compared = clean(await page.getByText('bins are red where A has the larger share').innerText());
     claim(compared.startsWith('A is gallery.paths, B is pendant.paths'), `both files: ${compared}`);
     claim(!page.url().includes('token') && !page.url().includes('femc_'), `no token in ${page.url()}`);
     await page.goBack().catch(() => {});
     claim(!page.url().includes('femc_'), `no token in the history: ${page.url()}`);
-    await page.goto('/view');
-    await it.shown();
   });
   await step('light: the tab of a job', async () => {
-    const page = await shown(farm);
+    const it = await target('farm');
+    const { page } = it;
     await page.goto(`/jobs/${jobs.gallery}`);
     await page.getByRole('link', { name: 'Light' }).or(page.getByRole('tab', { name: 'Light' })).first().click();
-    targets.farm = new Light(page, {
-      api: `/api/v1/jobs/${jobs.gallery}/light`, frames: '1', folder: farm.folder, file: files['farm-gallery'],
-    });
-    await targets.farm.shown();
+    await it.shown();
     equal(new URL(page.url()).pathname, `/jobs/${jobs.gallery}/light`, 'page');
     await page.keyboard.press('1');
     await until(() => !page.url().includes('/light'), 'another view by a key', 5);
     await page.keyboard.press('8');
-    await targets.farm.shown();
+    await it.shown();
   });
 
   for (const where of ['view', 'farm']) {
+    const home = () => (where === 'view' ? '/view' : `/jobs/${jobs.gallery}/light`);
     const on = (name, run) => step(`light: ${where}: ${name}`, async () => {
-      const it = targets[where];
-      claim(it, 'the page was opened');
+      const it = await target(where);
       current(it.page);
-      await it.page.goto(home);
+      await it.page.goto(home());
       await it.shown();
       await run(it, it.page);
     });
-    const home = where === 'view' ? '/view' : `/jobs/${jobs.gallery}/light`;
-
     await on('totals are those of the schema', async (it, page) => {
       const schema = await it.ask('schema');
       const rows = await it.ask('paths', { count: 5000 });
@@ -476,7 +492,7 @@ export async function light({ step, open, claim, equal, accessible, current, bro
       await it.plot('paths').getByRole('button', { name: 'Hidden axes (1)' }).click();
       await page.getByRole('button', { name: 'Show throughput.b' }).click();
       await until(async () => (await it.order('paths')).length === 20, 'the axis is shown again', 5);
-      await page.goto(home);
+      await page.goto(home());
       await it.shown();
       equal(`${await it.order('paths')}`, `${usual}`, 'the usual order');
     });
@@ -678,7 +694,7 @@ export async function light({ step, open, claim, equal, accessible, current, bro
       await page.reload();
       await page.getByText('bins are red where A has the larger share').waitFor();
       if (images && where === 'view') {
-        await page.goto(`${home}?b=${it.query('b')}&where=${encodeURIComponent('depth >= 2 and depth <= 4')}`);
+        await page.goto(`${home()}?b=${it.query('b')}&where=${encodeURIComponent('depth >= 2 and depth <= 4')}`);
         await page.getByText('bins are red where A has the larger share').waitFor();
         await images(page, 'light-compare', { fullPage: true });
       }
@@ -689,7 +705,7 @@ export async function light({ step, open, claim, equal, accessible, current, bro
         await page.setViewportSize({ width: size, height: 800 });
         await page.emulateMedia({ colorScheme: dark ? 'dark' : 'light' });
         try {
-          await page.goto(`${home}?where=${encodeURIComponent('depth >= 3 and any(object == room) and pixel.x >= 10 and pixel.x <= 50')}`);
+          await page.goto(`${home()}?where=${encodeURIComponent('depth >= 3 and any(object == room) and pixel.x >= 10 and pixel.x <= 50')}`);
           await it.shown();
           await it.agree(claim, 'a selection', { commandToo: false });
           await page.getByText('Table of paths').click();
@@ -711,6 +727,7 @@ export async function light({ step, open, claim, equal, accessible, current, bro
     }
 
     await step(`light: ${where}: fingers on a small screen`, async () => {
+      await target(where);
       const of = where === 'view' ? { url: server.url } : farm;
       const page = await shown(of, { viewport: { width: 390, height: 780 }, hasTouch: true, isMobile: true });
       try {
@@ -718,7 +735,7 @@ export async function light({ step, open, claim, equal, accessible, current, bro
           await page.goto(server.address);
           await page.locator('[data-totals]').waitFor();
         }
-        await page.goto(home);
+        await page.goto(home());
         const it = new Light(page, { ...targets[where], page });
         await it.shown();
         const touch = await page.context().newCDPSession(page);
@@ -756,11 +773,11 @@ export async function light({ step, open, claim, equal, accessible, current, bro
         claim((await it.plot('paths').locator('.scroll').evaluate((s) => s.scrollLeft)) > 40, 'a finger scrolls the axes');
         if (images && where === 'view') {
           const now = it.where;
-          await page.goto(`${home}?where=${encodeURIComponent(`any(object == knot) and ${now}`)}`);
+          await page.goto(`${home()}?where=${encodeURIComponent(`any(object == knot) and ${now}`)}`);
           await it.shown();
           await it.agree(claim, 'the small screen');
           await images(page, 'light-small', { fullPage: false });
-          await page.goto(`${home}?where=${encodeURIComponent(now)}`);
+          await page.goto(`${home()}?where=${encodeURIComponent(now)}`);
           await it.shown();
         }
         await it.clear();
@@ -781,6 +798,7 @@ export async function light({ step, open, claim, equal, accessible, current, bro
     });
 
     await step(`light: ${where}: a browser without WebGL2 has the line and the table`, async () => {
+      await target(where);
       for (const kind of ['stub', 'flags']) {
         const of = where === 'view' ? { url: server.url } : farm;
         const page = current(await open(of, { by: kind === 'stub' ? browser : plain }));
@@ -798,7 +816,7 @@ export async function light({ step, open, claim, equal, accessible, current, bro
             await page.goto(server.address);
             await page.locator('[data-totals]').waitFor();
           }
-          await page.goto(`${home}?where=depth+%3E%3D+5`);
+          await page.goto(`${home()}?where=depth+%3E%3D+5`);
           const it = new Light(page, { ...targets[where], page });
           await it.shown();
           const has = await page.evaluate(() => document.createElement('canvas').getContext('webgl2') !== null);
@@ -822,7 +840,7 @@ export async function light({ step, open, claim, equal, accessible, current, bro
 
   if (images)
     await step('light: pictures for the manual', async () => {
-      const it = targets.view;
+      const it = await target('view');
       const { page } = it;
       current(page);
       await page.setViewportSize({ width: 1360, height: 1240 });
@@ -839,6 +857,7 @@ export async function light({ step, open, claim, equal, accessible, current, bro
     });
 
   await step('light: no light, damaged light, another version', async () => {
+    await begin();
     let page = await shown(farm);
     await page.goto(`/jobs/${jobs.plain}/light`);
     await page.getByText('submit it with --stats').waitFor();
@@ -908,6 +927,7 @@ export async function light({ step, open, claim, equal, accessible, current, bro
   });
 
   await step('light: the tab while the frame is rendered, and a worker killed meanwhile', async () => {
+    await begin();
     const page = await shown(farm);
     const options = ['--size', '160x120', '--spp', process.env.LIGHT_SPP ?? '256', '--stats'];
     const job = farm.submit('gallery.mgf', ...options);

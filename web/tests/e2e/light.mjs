@@ -460,7 +460,7 @@ export async function light({ step, open, claim, equal, accessible, current, bro
       await it.title('paths', 'throughput.r').focus();
       await page.keyboard.press('Alt+ArrowRight');
       await until(async () => (await it.order('paths'))[2] === 'throughput.r', 'an axis is moved by a key', 5);
-      await pause(100);
+      await until(() => it.title('paths', 'throughput.r').evaluate((t) => t === document.activeElement), 'it keeps the focus', 5);
       await page.keyboard.press('Alt+ArrowRight');
       await until(async () => (await it.order('paths'))[3] === 'throughput.r', 'and by a second one: the focus stays', 5);
       await it.title('paths', 'radiance.r').click();
@@ -696,7 +696,9 @@ export async function light({ step, open, claim, equal, accessible, current, bro
       if (images && where === 'view') {
         await page.goto(`${home()}?b=${it.query('b')}&where=${encodeURIComponent('depth >= 2 and depth <= 4')}`);
         await page.getByText('bins are red where A has the larger share').waitFor();
-        await images(page, 'light-compare', { fullPage: true });
+        await page.setViewportSize({ width: 1360, height: 1360 });
+        await images(page, 'light-compare');
+        await page.setViewportSize({ width: 1360, height: 800 });
       }
     });
 
@@ -776,7 +778,9 @@ export async function light({ step, open, claim, equal, accessible, current, bro
           await page.goto(`${home()}?where=${encodeURIComponent(`any(object == knot) and ${now}`)}`);
           await it.shown();
           await it.agree(claim, 'the small screen');
-          await images(page, 'light-small', { fullPage: false });
+          await it.plot('paths').evaluate((p) => p.scrollIntoView({ block: 'center' }));
+          await page.mouse.wheel(0, -120);
+          await images(page, 'light-small');
           await page.goto(`${home()}?where=${encodeURIComponent(now)}`);
           await it.shown();
         }
@@ -843,13 +847,13 @@ export async function light({ step, open, claim, equal, accessible, current, bro
       const it = await target('view');
       const { page } = it;
       current(page);
-      await page.setViewportSize({ width: 1360, height: 1240 });
-      await page.goto(`/view?where=${encodeURIComponent('any(object == knot and bounce == 0) and path.radiance.g >= 4')}`);
+      await page.setViewportSize({ width: 1360, height: 1300 });
+      await page.goto(`/view?where=${encodeURIComponent('any(material == chrome) and path.radiance.g >= 2')}`);
       await it.shown();
       await it.agree(claim, 'a selection');
       await images(page, 'light-paths');
-      await page.setViewportSize({ width: 1360, height: 620 });
-      await page.goto(`/view?density=hot&smooth=1.5&where=${encodeURIComponent('light(occluder == statue)')}`);
+      await page.setViewportSize({ width: 1360, height: 560 });
+      await page.goto(`/view?density=hot&smooth=1&where=${encodeURIComponent('any(material == chrome)')}`);
       await it.shown();
       await it.agree(claim, 'a selection');
       await images(page, 'light-density');
@@ -955,6 +959,7 @@ export async function light({ step, open, claim, equal, accessible, current, bro
       if (seen.at(-1)?.recorded !== recorded) seen.push({ recorded, samples: /([\d.]+ ?[kM]?) samples/.exec(now)?.[1], d: /D ([\d.e-]+)/.exec(now)?.[1], selected: counts?.paths });
       if (images && seen.length > 2 && !shot && /so far/.test(now) && counts) {
         shot = true;
+        await page.evaluate(() => scrollTo(0, 0));
         await images(page, 'light-growing');
       }
       if (!killed && seen.length > 2) {

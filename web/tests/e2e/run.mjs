@@ -3,15 +3,17 @@
  *
  *     node tests/e2e/run.mjs [--shots FOLDER] [WORD]   # only steps with this word in their names
  *
- * FEMC names the program, CHROMIUM the browser; FEMC_KEEP=1 leaves the farm's folder for a look.
+ * FEMC names the program, CHROMIUM the browser; FEMC_KEEP=1 leaves the farm's folder for a look. FEMC_PAGES is a folder of built pages
+ * that take the place of those in the program.
  */
-import { mkdirSync } from 'node:fs';
+import { existsSync, mkdirSync } from 'node:fs';
 import { join } from 'node:path';
 import axe from 'axe-core';
 import { chromium } from 'playwright-core';
 import { Farm, pause, until } from './farm.mjs';
 import { files } from './files.mjs';
 import { hands } from './hands.mjs';
+import { light } from './light.mjs';
 import { numbers } from './numbers.mjs';
 import { slow } from './slow.mjs';
 import { tabs } from './tabs.mjs';
@@ -49,13 +51,19 @@ const browser = await chromium.launch({
  */
 const faults = [];
 
-async function open(farm, { dark = false, ...more } = {}) {
-  const context = await browser.newContext({
+async function open(farm, { dark = false, by = browser, ...more } = {}) {
+  const context = await by.newContext({
     viewport: { width: 1360, height: 800 },
     colorScheme: dark ? 'dark' : 'light',
     baseURL: farm.url,
     ...more,
   });
+  if (process.env.FEMC_PAGES)
+    await context.route((url) => url.origin === new URL(farm.url).origin && !url.pathname.startsWith('/api/'), (route) => {
+      if (route.request().method() !== 'GET') return route.continue();
+      const path = join(process.env.FEMC_PAGES, new URL(route.request().url()).pathname);
+      return route.fulfill({ path: /\.\w+$/.test(path) && existsSync(path) ? path : join(process.env.FEMC_PAGES, 'index.html') });
+    });
   const page = await context.newPage();
   page.on('pageerror', (error) => faults.push(`error of a script: ${error.message}`));
   page.on('console', (message) => {
@@ -71,7 +79,8 @@ async function open(farm, { dark = false, ...more } = {}) {
 }
 
 async function step(name, run) {
-  if (!name.includes(only) && !name.startsWith('begin')) return;
+  // The steps of light have a farm of their own.
+  if (!name.includes(only) && (!name.startsWith('begin') || only.startsWith('light'))) return;
   const began = Date.now();
   try {
     await run();
@@ -102,9 +111,9 @@ async function chooseStage(kind) {
   await current.locator('.row.body', { hasText: kind }).first().waitFor();
 }
 
-async function accessible(what) {
+async function accessible(what, page = current) {
   // By the debugger's protocol, which the page's content security policy does not concern.
-  const session = await current.context().newCDPSession(current);
+  const session = await page.context().newCDPSession(page);
   await session.send('Runtime.evaluate', { expression: axe.source });
   const { result } = await session.send('Runtime.evaluate', {
     expression: `axe.run(document, { resultTypes: ['violations'] }).then((it) => JSON.stringify(it.violations.map((v) =>
@@ -717,6 +726,8 @@ await step('roles: a token lets in, and each role is refused what is not its own
   }
 });
 await secured.end();
+
+await light({ step, open, claim, equal, accessible, browser, shotsAt, current: (page) => (current = page) });
 await browser.close();
 console.log(failures ? `${failures} steps failed` : 'all steps passed');
 process.exit(failures ? 1 : 0);

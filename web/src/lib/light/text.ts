@@ -570,5 +570,5 @@ export function shortText(chip: Chip): string {
     return chip.text;
   }
   if (chip.kind === 'brush' && chip.text.length > 90) return `${chip.field}: ${chip.chain.terms.length} conditions`;
-  return chip.kind === 'brush' ? chip.text : formatChips(chip.inner);
+  return chip.kind === 'brush' ? chip.text : `${chip.word ?? ''}(${formatChips(chip.inner)})`;
 }

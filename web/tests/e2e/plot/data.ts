@@ -121,6 +121,8 @@ export function makeSet(rows: number, seed: number, shift = 0): MadeSet {
     count,
     selectedBins: null,
     total: rows,
+    selectedTotal: rows,
+    basis: 'recorded',
     pair(a, b) {
       const key = `${a} ${b}`;
       let counts = pairs.get(key);

@@ -200,7 +200,7 @@ enum Density {
     Omitted,
 }
 
-/// Answer in the making.
+/// Evaluation of one call.
 struct Answer<'a> {
     light: &'a RecordedLight,
     query: Option<&'a Query>,
@@ -241,10 +241,15 @@ impl<'a> Answer<'a> {
             columns.add_u8(&format!("{}.mask", table.name()), selected.mask(table).as_bytes());
         }
         if density == Density::ByPixel {
-            let pixels = paths.density(&selected.paths).map_err(|error| invalid("density", error.to_string()))?;
-            columns.add_u32("density.pixel", pixels.iter().map(|it| it.pixel));
-            columns.add_f32("density.count", pixels.iter().map(|it| it.count as f32));
-            columns.add_f32("density.light", pixels.iter().map(|it| it.luminance as f32));
+            match paths.density(&selected.paths) {
+                Ok(pixels) => {
+                    columns.add_u32("density.pixel", pixels.iter().map(|it| it.pixel));
+                    columns.add_f32("density.count", pixels.iter().map(|it| it.count as f32));
+                    columns.add_f32("density.light", pixels.iter().map(|it| it.contribution as f32));
+                    columns.add_f32("density.luminance", pixels.iter().map(|it| it.mean_luminance as f32));
+                }
+                Err(error) => columns.set("density_fault", json!(error.to_string())),
+            }
         }
         Ok(LightAnswer::Columns(columns.finish()))
     }

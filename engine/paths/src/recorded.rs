@@ -13,9 +13,9 @@ use crate::FrameStatistics;
 use crate::histogram::{Counts, Histograms, Table};
 use crate::octree::{Root, Voxel};
 use crate::record::{LightPath, Names, PathKey};
-use crate::represent::{Distance, PathBins, Target, choose_representative};
+use crate::represent::{Distance, PathBins, Target, choose_representative_within};
 use crate::schema::path_bins;
-use crate::selection::{BitMask, Cancelled, SelectedRecords, check_cancelled};
+use crate::selection::{BitMask, CancelCheck, Cancelled, SelectedRecords, check_cancelled};
 use crate::statistics::{LightStatistics, Scope};
 use bins::RecordBins;
 use std::collections::HashMap;
@@ -66,6 +66,8 @@ pub struct RecordedPaths {
     bins: RecordBins,
     /// Histograms of single attributes over all samples, by table, if all frames have them.
     full: Option<[Vec<Counts>; 3]>,
+    /// Approximate size in memory, bytes.
+    memory_bytes: usize,
 }
 
 /// Paths that represent others.
@@ -124,7 +126,7 @@ impl RecordedPaths {
         let scopes = infos.iter().flat_map(|it| it.paths.clone().map(|_| &it.scope));
         let path_bins: Vec<PathBins> = scopes.zip(&paths).map(|(scope, path)| path_bins(scope, path)).collect();
         let bins = RecordBins::new(&infos, &paths, &path_bins, |axis, name| categories[axis].bin(names.number(name)));
-        Self {
+        let mut all = Self {
             frames: infos,
             share,
             paths,
@@ -137,7 +139,10 @@ impl RecordedPaths {
             path_bins,
             bins,
             full,
-        }
+            memory_bytes: 0,
+        };
+        all.memory_bytes = all.count_memory();
+        all
     }
 
     /// Returns the frames in order of seed and number.
@@ -234,7 +239,10 @@ impl RecordedPaths {
         selected: Option<&BitMask>,
         bounds: Option<Bounds>,
         count: usize,
-    ) -> RepresentativePaths {
+        is_cancelled: &AtomicBool,
+    ) -> Result<RepresentativePaths, Cancelled> {
+        let mut check = CancelCheck::new(is_cancelled);
+        check.look()?;
         let all = self.path_bins_within(bounds);
         let is_selected = |number: &u32| selected.is_none_or(|mask| mask.contains(*number));
         let numbers = || (0..self.paths.len() as u32).filter(is_selected);
@@ -243,13 +251,13 @@ impl RecordedPaths {
         let represented = candidates.len();
         let candidates = &candidates[..represented.min(count.saturating_mul(CANDIDATES_PER_PATH))];
         let bins: Vec<PathBins> = candidates.iter().map(|number| all[*number as usize]).collect();
-        let found = choose_representative(&bins, &target, count);
+        let found = choose_representative_within(&bins, &target, count, &mut check)?;
         let chosen = found.chosen.iter().map(|place| candidates[*place as usize]);
         let mut ordered: Vec<(u32, f64)> = chosen.zip(found.weights).collect();
         ordered.sort_unstable_by_key(|(number, _)| *number);
         let (numbers, weights) = ordered.into_iter().unzip();
         let (distance, effective_size) = (found.distance, found.effective_size);
-        RepresentativePaths { numbers, weights, represented, distance, effective_size }
+        Ok(RepresentativePaths { numbers, weights, represented, distance, effective_size })
     }
 
     /// Returns the voxels of the finest level of a cube that have selected intersections, with their codes, ascending.
@@ -285,6 +293,10 @@ impl RecordedPaths {
 
     /// Returns the approximate size in memory, bytes.
     pub fn memory_bytes(&self) -> usize {
+        self.memory_bytes
+    }
+
+    fn count_memory(&self) -> usize {
         let records = self.paths.iter().chain(self.brightest.iter().map(|(_, path)| path));
         let own = |path: &LightPath| {
             size_of::<LightPath>()

@@ -10,7 +10,9 @@
 //! candidates give equal sets.
 
 use crate::schema::{COARSE_BINS, PATH_ATTRIBUTES};
+use crate::selection::{CancelCheck, Cancelled};
 use femc_math::hash::mix64;
+use std::sync::atomic::AtomicBool;
 
 /// Number of attributes of a path.
 const AXES: usize = PATH_ATTRIBUTES.len();
@@ -24,6 +26,8 @@ const UNIT: i64 = 256;
 const TOURNAMENT_SIZE: usize = 6;
 /// Number of attempted exchanges for each path of the set.
 const EXCHANGES_PER_PATH: usize = 10;
+/// Work of one attempted exchange, in units of [`CancelCheck`].
+const EXCHANGE_WORK: usize = 2 * TOURNAMENT_SIZE;
 
 /// Fine bins of a path, by [`path_bins`](crate::schema::path_bins).
 pub type PathBins = [u8; AXES];
@@ -206,12 +210,24 @@ impl Draws {
 /// Chooses `size` of the candidates as close to the target as exchanges get. Returns all candidates if there are no more than
 /// `size`.
 pub fn choose_representative(candidates: &[PathBins], target: &Target, size: usize) -> Representative {
+    let running = AtomicBool::new(false);
+    let found = choose_representative_within(candidates, target, size, &mut CancelCheck::new(&running));
+    found.expect("nobody sets the flag")
+}
+
+/// Like [`choose_representative`], with a cancel flag.
+pub fn choose_representative_within(
+    candidates: &[PathBins],
+    target: &Target,
+    size: usize,
+    check: &mut CancelCheck<'_>,
+) -> Result<Representative, Cancelled> {
     let size = size.min(candidates.len());
     let coarse: Vec<CoarseBins> = candidates.iter().map(coarse_bins).collect();
     let mut places: Vec<u32> = (0..candidates.len() as u32).collect();
     let (members, others) = places.split_at_mut(size);
     if !others.is_empty() {
-        exchange(&coarse, members, others, target);
+        exchange(&coarse, members, others, target, check)?;
     }
     members.sort_unstable();
     let chosen = members.to_vec();
@@ -220,10 +236,16 @@ pub fn choose_representative(candidates: &[PathBins], target: &Target, size: usi
     let weights = rake(&bins, target);
     let (sum, squares) = weights.iter().fold((0.0, 0.0), |(sum, squares), w| (sum + w, squares + w * w));
     let effective = if squares > 0.0 { sum * sum / squares } else { 0.0 };
-    Representative { chosen, distance, weights, effective_size: effective }
+    Ok(Representative { chosen, distance, weights, effective_size: effective })
 }
 
-fn exchange(coarse: &[CoarseBins], members: &mut [u32], others: &mut [u32], target: &Target) {
+fn exchange(
+    coarse: &[CoarseBins],
+    members: &mut [u32],
+    others: &mut [u32],
+    target: &Target,
+    check: &mut CancelCheck<'_>,
+) -> Result<(), Cancelled> {
     let mut residuals = Residuals::new(target, members.len());
     let coarse = |place: u32| &coarse[place as usize];
     members.iter().for_each(|place| residuals.add(coarse(*place), 1));
@@ -233,6 +255,7 @@ fn exchange(coarse: &[CoarseBins], members: &mut [u32], others: &mut [u32], targ
         drawn.map(|at| (total_change(table, coarse(among[at])), at)).min().unwrap_or_default()
     };
     for _ in 0..EXCHANGES_PER_PATH * members.len() {
+        check.add(EXCHANGE_WORK)?;
         let (lost, removed) = best(members, &residuals.if_removed);
         let (won, added) = best(others, &residuals.if_added);
         let (out, new) = (coarse(members[removed]), coarse(others[added]));
@@ -242,6 +265,7 @@ fn exchange(coarse: &[CoarseBins], members: &mut [u32], others: &mut [u32], targ
             std::mem::swap(&mut members[removed], &mut others[added]);
         }
     }
+    Ok(())
 }
 
 /// Number of rounds of raking.

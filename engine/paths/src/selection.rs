@@ -37,6 +37,37 @@ pub(crate) fn check_cancelled(number: u32, is_cancelled: &AtomicBool) -> Result<
     if number.is_multiple_of(CANCEL_PERIOD) && is_cancelled.load(Ordering::Relaxed) { Err(Cancelled) } else { Ok(()) }
 }
 
+/// Amount of work between two looks at the cancel flag, in evaluations of terms: less than a millisecond.
+const CANCEL_WORK: usize = 1 << 16;
+
+/// Watch over the cancel flag. It reads the flag at first and then after a fixed amount of work.
+#[derive(Debug)]
+pub struct CancelCheck<'a> {
+    is_cancelled: &'a AtomicBool,
+    /// Work since the last look at the flag.
+    work: usize,
+}
+
+impl<'a> CancelCheck<'a> {
+    /// Creates a watch over a flag.
+    pub fn new(is_cancelled: &'a AtomicBool) -> Self {
+        Self { is_cancelled, work: CANCEL_WORK }
+    }
+
+    /// Adds work. Returns an error if it is time to look at the flag, and the flag is set.
+    #[inline]
+    pub fn add(&mut self, work: usize) -> Result<(), Cancelled> {
+        self.work = self.work.saturating_add(work);
+        if self.work >= CANCEL_WORK { self.look() } else { Ok(()) }
+    }
+
+    /// Returns an error if the flag is set.
+    pub fn look(&mut self) -> Result<(), Cancelled> {
+        self.work = 0;
+        if self.is_cancelled.load(Ordering::Relaxed) { Err(Cancelled) } else { Ok(()) }
+    }
+}
+
 /// A set of record numbers: bit `number & 7` of byte `number >> 3`.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct BitMask {
@@ -115,8 +146,10 @@ pub struct PixelDensity {
     pub pixel: u32,
     /// Number of selected recorded paths of all frames.
     pub count: u32,
-    /// Part of the pixel's value that these paths are, cd/m2, as a mean over the frames.
-    pub luminance: f64,
+    /// Contribution of these paths to the pixel's value, cd/m2, as a mean over the frames.
+    pub contribution: f64,
+    /// Mean luminance of these paths, cd/m2.
+    pub mean_luminance: f64,
 }
 
 impl RecordedPaths {
@@ -125,11 +158,14 @@ impl RecordedPaths {
         let [paths, intersections, lights] = self.totals().map(BitMask::new);
         let mut all = SelectedRecords { paths, intersections, lights };
         let mut own = Selection::default();
+        let mut check = CancelCheck::new(is_cancelled);
         for frame in self.frames() {
+            check.look()?;
             let matcher = query.compile(&frame.scope, &frame.names);
             for number in frame.paths.clone() {
-                check_cancelled(number, is_cancelled)?;
-                if matcher.select_into(&self.paths()[number as usize], &mut own) {
+                let path = &self.paths()[number as usize];
+                check.add(matcher.work(path))?;
+                if matcher.select_into(path, &mut own) {
                     all.paths.insert(number);
                     let (intersection, light) = (self.intersections_of(number).start, self.lights_of(number).start);
                     own.intersections.iter().for_each(|index| all.intersections.insert(intersection + index));
@@ -160,9 +196,8 @@ impl RecordedPaths {
 
     /// Returns the pixels that have selected paths, ascending.
     ///
-    /// The luminance is the part of the pixel's value that the selected recorded paths are, without the samples that are not
-    /// recorded: luminance times part of the pixel. Several frames of one film give counts summed over the frames, and the mean
-    /// luminance.
+    /// Contributions are those of the selected recorded paths, without the samples that are not recorded: luminance times part of
+    /// the pixel. Several frames of one film give counts summed over the frames, and contributions as a mean over them.
     pub fn density(&self, paths: &BitMask) -> Result<Vec<PixelDensity>, FilmMismatch> {
         if let [first, others @ ..] = self.frames()
             && let Some(other) = others.iter().find(|other| other.scope.film != first.scope.film)
@@ -177,15 +212,20 @@ impl RecordedPaths {
             paths.numbers().map(|number| (self.paths()[number as usize].key.pixel, number)).collect();
         all.sort_unstable();
         let frames = self.frames().len().max(1) as f64;
-        let pixel = |own: &[(u32, u32)]| PixelDensity {
-            pixel: own[0].0,
-            count: own.len() as u32,
-            luminance: own.iter().map(|(_, number)| self.light(*number)).sum::<f64>() / frames,
+        let pixel = |own: &[(u32, u32)]| {
+            let sum = |value: &dyn Fn(u32) -> f64| own.iter().map(|(_, number)| value(*number)).sum::<f64>();
+            let luminance = |number: u32| f64::from(self.paths()[number as usize].luminance());
+            PixelDensity {
+                pixel: own[0].0,
+                count: own.len() as u32,
+                contribution: sum(&|number| self.light(number)) / frames,
+                mean_luminance: sum(&luminance) / own.len() as f64,
+            }
         };
         Ok(all.chunk_by(|a, b| a.0 == b.0).map(pixel).collect())
     }
 
-    /// Returns the part of its pixel's value that a path is, cd/m2.
+    /// Returns the contribution of a path to its pixel's value, cd/m2.
     fn light(&self, number: u32) -> f64 {
         let (path, weight) = (&self.paths()[number as usize], self.image_weights()[number as usize]);
         f64::from(path.luminance()) * weight as f64 / (1u64 << IMAGE_BITS) as f64

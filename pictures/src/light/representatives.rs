@@ -1,15 +1,15 @@
 //! Paths with their intersections and lights, as columns.
 
-use super::columns::NO_RECORD;
+use super::columns::{Columns, NO_RECORD};
 use super::{Answer, cancelled};
 use femc_paths::histogram::Table;
+use femc_paths::query::Selection;
 use femc_paths::record::luminance;
 use femc_paths::schema::{INTERSECTION_ATTRIBUTES, LIGHT_ATTRIBUTES, PATH_ATTRIBUTES};
-use femc_paths::selection::Cancelled;
+use femc_paths::selection::CancelCheck;
 use femc_paths::{Intersection, LightPath, LightRecord, Name};
 use femc_service::{LightAnswer, LightError};
 use serde_json::{Value, json};
-use std::sync::atomic::Ordering;
 
 /// Path of an answer.
 struct Row<'a> {
@@ -26,7 +26,8 @@ impl<'a> Answer<'a> {
     pub fn representatives(&self, count: usize) -> Result<LightAnswer, LightError> {
         let paths = self.paths();
         let selected = self.selected()?;
-        let found = paths.choose_representatives(selected.as_ref().map(|it| &it.paths), self.bounds, count);
+        let mask = selected.as_ref().map(|it| &it.paths);
+        let found = paths.choose_representatives(mask, self.bounds, count, self.is_cancelled).map_err(cancelled)?;
         let row = |(&number, &weight): (&u32, &f64)| Row {
             path: &paths.paths()[number as usize],
             frame: paths.frame_of(number),
@@ -40,40 +41,70 @@ impl<'a> Answer<'a> {
             ("dj", json!(found.distance.joint)),
             ("effective_size", json!(found.effective_size)),
         ];
-        self.rows(&rows, header)
+        Ok(LightAnswer::Columns(self.rows(&rows, header).finish()))
     }
 
-    /// Returns the brightest of all selected samples.
+    /// Returns the brightest of all samples, with marks at what is selected of them.
     pub fn brightest(&self, count: usize) -> Result<LightAnswer, LightError> {
         let paths = self.paths();
-        let matchers: Option<Vec<_>> = self
-            .query
-            .map(|query| paths.frames().iter().map(|frame| query.compile(&frame.scope, &frame.names)).collect());
-        let is_selected = |(frame, path): &&(u32, LightPath)| {
-            matchers.as_ref().is_none_or(|matchers| matchers[*frame as usize].is_match(path))
-        };
-        let selected: Vec<&'a (u32, LightPath)> = paths.brightest().iter().filter(is_selected).collect();
-        if self.is_cancelled.load(Ordering::Relaxed) {
-            return Err(cancelled(Cancelled));
-        }
-        let candidates = selected.len();
-        let shown = &selected[..candidates.min(count)];
+        let shown = &paths.brightest()[..paths.brightest().len().min(count)];
+        let marks = self.mark_selected(shown)?;
         let numbers = paths.numbers_of(shown.iter().map(|(frame, path)| (*frame, path.key)));
-        let row = |(sample, number): (&&'a (u32, LightPath), Option<u32>)| {
-            let (frame, path) = *sample;
-            Row { path, frame: *frame as usize, number, weight: 1.0 }
+        let row = |((frame, path), number): (&'a (u32, LightPath), Option<u32>)| Row {
+            path,
+            frame: *frame as usize,
+            number,
+            weight: 1.0,
         };
         let rows: Vec<Row<'_>> = shown.iter().zip(numbers).map(row).collect();
         let header = [
-            ("candidates", json!(candidates)),
+            ("candidates", json!(paths.brightest().len())),
             ("d", Value::Null),
             ("dj", Value::Null),
             ("effective_size", json!(rows.len())),
         ];
-        self.rows(&rows, header)
+        let mut columns = self.rows(&rows, header);
+        columns.set("selected", json!(marks[0].iter().filter(|mark| **mark == 1).count()));
+        for (table, marks) in Table::ALL.into_iter().zip(&marks) {
+            columns.add_u8(&column_name(table, "selected"), marks);
+        }
+        Ok(LightAnswer::Columns(columns.finish()))
     }
 
-    fn rows(&self, rows: &[Row<'_>], header: [(&str, Value); 4]) -> Result<LightAnswer, LightError> {
+    /// Returns a mark for each path, intersection and light of some samples: 1 if it is selected, else 0.
+    fn mark_selected(&self, samples: &[(u32, LightPath)]) -> Result<[Vec<u8>; 3], LightError> {
+        // First intersection and first light of each sample, and of one past the last.
+        let mut firsts = vec![[0, 0]];
+        for (at, (_, path)) in samples.iter().enumerate() {
+            let [intersections, lights] = firsts[at];
+            firsts.push([intersections + path.intersections.len(), lights + path.lights.len()]);
+        }
+        let [intersections, lights] = firsts[samples.len()];
+        let lengths = [samples.len(), intersections, lights];
+        let Some(query) = self.query else { return Ok(lengths.map(|length| vec![1; length])) };
+        let mut marks = lengths.map(|length| vec![0; length]);
+        let (mut check, mut own) = (CancelCheck::new(self.is_cancelled), Selection::default());
+        for (index, frame) in (0u32..).zip(self.paths().frames()) {
+            let mut of_frame = (0..).zip(samples).filter(|(_, (frame, _))| *frame == index).peekable();
+            if of_frame.peek().is_none() {
+                continue;
+            }
+            check.look().map_err(cancelled)?;
+            let matcher = query.compile(&frame.scope, &frame.names);
+            for (at, (_, path)) in of_frame {
+                check.add(matcher.work(path)).map_err(cancelled)?;
+                if matcher.select_into(path, &mut own) {
+                    let [intersection, light]: [usize; 2] = firsts[at];
+                    marks[0][at] = 1;
+                    own.intersections.iter().for_each(|it| marks[1][intersection + *it as usize] = 1);
+                    own.lights.iter().for_each(|it| marks[2][light + *it as usize] = 1);
+                }
+            }
+        }
+        Ok(marks)
+    }
+
+    fn rows(&self, rows: &[Row<'_>], header: [(&str, Value); 4]) -> Columns {
         let paths = self.paths();
         let mut columns = self.columns();
         columns.set("set", json!(rows.len()));
@@ -122,7 +153,7 @@ impl<'a> Answer<'a> {
         columns.add_u32("lights.path", light_owners);
         columns.add_u32("lights.intersection", light_parents);
         columns.add_u32("lights.number", light_numbers);
-        Ok(LightAnswer::Columns(columns.finish()))
+        columns
     }
 
     fn name_value(&self, name: Name) -> f32 {

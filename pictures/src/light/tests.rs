@@ -292,6 +292,9 @@ fn masks_have_the_bits_of_the_selected_records() {
     let density: f64 = found.column("density.light").iter().sum();
     let expected = light_sum / f64::from(SAMPLES) / 2.0;
     assert!((density - expected).abs() < 1e-5 * expected, "{density}, expected {expected}");
+    let luminances = found.column("density.luminance").iter().zip(found.column("density.count"));
+    let sum: f64 = luminances.map(|(mean, count)| mean * count).sum();
+    assert!((sum - light_sum).abs() < 1e-5 * light_sum, "{sum}, expected {light_sum}");
     let sparse = ask_columns(&light, LightCallKind::Selection { with_density: false }, Some("object == plant"));
     assert!(!sparse.columns.contains_key("density.pixel"));
 }
@@ -391,10 +394,49 @@ fn the_brightest_come_first() {
     for (owner, number) in owners.iter().zip(every.numbers("intersections.number")) {
         assert_eq!(number.is_some(), numbers[owner.unwrap()].is_some());
     }
-    let deep = ask_columns(&light, brightest(100), Some("depth == 4"));
-    let depths = deep.column("paths.depth");
-    let expected = every.column("paths.depth").iter().filter(|depth| **depth == 4.0).count();
-    assert!(depths.iter().all(|depth| *depth == 4.0) && depths.len() == expected && expected > 0);
+    assert!(
+        ["paths", "intersections", "lights"]
+            .iter()
+            .all(|it| every.column(&format!("{it}.selected")).iter().all(|mark| *mark == 1.0))
+    );
+    let rows = numbers.len();
+    assert_eq!((&every.header["selected"], &every.header["set"]), (&json!(rows), &json!(rows)));
+    // A condition marks rows and omits none.
+    let plants = ask_columns(&light, brightest(100), Some("depth > 2 and object == plant"));
+    assert!(plants.column("paths.sample") == every.column("paths.sample") && plants.header["set"] == json!(rows));
+    assert_eq!(plants.header["candidates"], every.header["candidates"]);
+    let plant = schema(&light)["names"].as_array().unwrap().iter().position(|name| name == "plant").unwrap() + 1;
+    let (mut marks, mut expected) = (vec![0.0; rows], Vec::new());
+    for (owner, object) in plants.numbers("intersections.path").iter().zip(plants.column("intersections.object")) {
+        let is_selected = *object == plant as f64 && plants.column("paths.depth")[owner.unwrap()] > 2.0;
+        expected.push(f64::from(u8::from(is_selected)));
+        marks[owner.unwrap()] += f64::from(u8::from(is_selected));
+    }
+    marks.iter_mut().for_each(|mark: &mut f64| *mark = mark.min(1.0));
+    assert_eq!((plants.column("paths.selected"), plants.column("intersections.selected")), (&marks[..], &expected[..]));
+    let count = marks.iter().sum::<f64>();
+    assert!(count > 1.0 && count < rows as f64 && plants.header["selected"] == json!(count as u32));
+    let of_plants = plants.numbers("lights.intersection").into_iter().map(|at| at.map_or(0.0, |at| expected[at]));
+    assert!(of_plants.eq(plants.column("lights.selected").iter().copied()));
+    let selected = ask_columns(&light, SELECTION, Some("depth > 2 and object == plant"));
+    for (number, mark) in plants.numbers("paths.number").iter().zip(&marks) {
+        assert!(number.is_none_or(|number| selected.mask("paths").contains(&number) == (*mark == 1.0)));
+    }
+    assert!(!ask_columns(&light, all_paths(60), Some("depth > 2")).columns.contains_key("paths.selected"));
+}
+
+#[test]
+fn selections_from_different_films_have_no_density() {
+    let wide = Scope { film: [16, 8], ..scope(4) };
+    let light = open(vec![source("frame 3", &parts(&scope(3))), source("frame 4", &[frame(&wide)])]);
+    let found = ask_columns(&light, SELECTION, Some("depth > 1"));
+    let fault = "frame 3 has a film of 12 x 8 pixels, but frame 4 has 16 x 8; choose frames with one film";
+    assert_eq!(found.header["density_fault"], fault);
+    assert!(!found.columns.keys().any(|name| name.starts_with("density.")));
+    assert_eq!(found.header["counts"]["paths"], json!(found.mask("paths").len()));
+    assert!(!found.mask("paths").is_empty());
+    let own = ask_columns(&open_frames(), SELECTION, Some("depth > 1"));
+    assert!(own.header.get("density_fault").is_none() && own.columns.contains_key("density.pixel"));
 }
 
 #[test]
@@ -524,6 +566,9 @@ fn invalid_parameters_are_named() {
         let call = LightCall { kind, condition: Some("depth > 1".into()), bounds: None };
         assert_eq!(light.answer(&call, &cancelled), Err(LightError::Cancelled));
     }
+    assert_eq!(light.answer(&self::call(all_paths(50), None), &cancelled), Err(LightError::Cancelled));
+    let brightest = self::call(LightCallKind::Paths { count: 50, brightest: true }, Some("depth > 1"));
+    assert_eq!(light.answer(&brightest, &cancelled), Err(LightError::Cancelled));
 }
 
 #[test]

@@ -1,18 +1,23 @@
 //! Evaluation of queries. A query is compiled once for the names of a frame: texts become sets of names, so that a path needs no
-//! comparison of texts. Terms that hold for a whole path are evaluated at most once for each path ([`PathFacts`]).
+//! comparison of texts. Terms that hold for a whole path are evaluated at most once for each path ([`PathFacts`]). So the work for a
+//! path is about the number of terms times the number of its intersections and lights, however the terms are nested.
 
 use super::{CompareOp, Condition, EqualityOp, NumberField, Quantity, Query, WordField, is_text_within};
 use crate::record::{
     InteractionKind, Intersection, LightPath, LightRecord, LightTechnique, Name, Names, PathEnd, luminance,
 };
 use crate::statistics::Scope;
-use std::cell::Cell;
+use std::cell::{Cell, OnceCell};
 
 /// A query, compiled for the paths of a frame.
 #[derive(Clone, Debug)]
 pub struct Matcher<'a> {
     scope: &'a Scope,
-    condition: Option<Compiled>,
+    condition: Option<ResolvedCondition>,
+    /// Number of terms that hold for a whole path.
+    facts: u32,
+    /// Number of terms.
+    terms: usize,
     /// Whether the condition means the same for an intersection alone as for an intersection among those of its path.
     is_alike_alone: bool,
 }
@@ -29,22 +34,29 @@ pub struct Selection {
 impl Query {
     /// Compiles the query for frames of this scope with these names.
     pub fn compile<'a>(&self, scope: &'a Scope, names: &Names) -> Matcher<'a> {
-        let compile = |condition| Compiled::new(&condition, names).with_facts(&mut (0..u64::BITS));
-        let condition = self.to_condition().map(compile);
+        let mut facts = 0;
+        let mut compile = |condition| ResolvedCondition::new(&condition, names).with_facts(&mut facts);
+        let condition = self.to_condition().map(&mut compile);
+        let terms = condition.as_ref().map_or(1, ResolvedCondition::count_terms);
         let is_alike_alone = condition.as_ref().is_none_or(|condition| !condition.has_quantities());
-        Matcher { scope, condition, is_alike_alone }
+        Matcher { scope, condition, facts, terms, is_alike_alone }
     }
 }
 
 impl Matcher<'_> {
+    /// Returns the work of the selection from a path, as a number of evaluations of terms.
+    pub fn work(&self, path: &LightPath) -> usize {
+        self.terms * (1 + path.intersections.len() + path.lights.len())
+    }
+
     /// Checks whether a path is selected.
     pub fn is_match(&self, path: &LightPath) -> bool {
-        self.is_match_with(path, &PathFacts::default())
+        self.is_match_with(path, &PathFacts::new(self.facts))
     }
 
     fn is_match_with(&self, path: &LightPath, facts: &PathFacts) -> bool {
         let Some(condition) = &self.condition else { return true };
-        if let Compiled::OfPath(_, condition) = condition {
+        if let ResolvedCondition::OfPath(_, condition) = condition {
             return condition.holds(&self.context(path, facts, None));
         }
         contexts(path).any(|index| condition.holds(&self.context(path, facts, index)))
@@ -61,14 +73,14 @@ impl Matcher<'_> {
     pub fn select_into(&self, path: &LightPath, selection: &mut Selection) -> bool {
         selection.intersections.clear();
         selection.lights.clear();
-        let facts = PathFacts::default();
+        let facts = PathFacts::new(self.facts);
         let count = path.intersections.len() as u32;
         let must_match_first =
-            !self.is_alike_alone || count == 0 || matches!(self.condition, Some(Compiled::OfPath(..)));
+            !self.is_alike_alone || count == 0 || matches!(self.condition, Some(ResolvedCondition::OfPath(..)));
         if must_match_first && !self.is_match_with(path, &facts) {
             return false;
         }
-        let Some(condition) = self.condition.as_ref().filter(|it| !matches!(it, Compiled::OfPath(..))) else {
+        let Some(condition) = self.condition.as_ref().filter(|it| !matches!(it, ResolvedCondition::OfPath(..))) else {
             selection.intersections.extend(0..count);
             selection.lights.extend(0..path.lights.len() as u32);
             return true;
@@ -90,20 +102,41 @@ impl Matcher<'_> {
     }
 }
 
-/// Results of the terms that hold for a whole path, as far as they are known: one bit each.
+/// Facts of a path, as far as they are known: results of the terms that hold for a whole path, and an order of its lights.
 #[derive(Debug, Default)]
 struct PathFacts {
+    /// Bits of the first [`PathFacts::MAX_BITS`] terms.
     known: Cell<u64>,
     holding: Cell<u64>,
+    /// Results of the later terms.
+    others: Vec<Cell<Option<bool>>>,
+    /// Indices of the lights in order of their vertices.
+    lights: OnceCell<Vec<u32>>,
 }
 
-/// Number of a term among those that hold for a whole path; `None`: there are more than [`PathFacts`] has bits.
-type FactNumber = Option<u32>;
+/// Number of a term among those that hold for a whole path.
+type FactNumber = u32;
+
+/// Number of a term before [`ResolvedCondition::with_facts`].
+const UNNUMBERED: FactNumber = FactNumber::MAX;
 
 impl PathFacts {
+    const MAX_BITS: u32 = u64::BITS;
+
+    /// Creates facts for a number of terms.
+    fn new(terms: u32) -> Self {
+        // Few conditions have so many terms, so most paths need no memory.
+        Self { others: vec![Cell::new(None); terms.saturating_sub(Self::MAX_BITS) as usize], ..Self::default() }
+    }
+
     /// Returns the result of a term, evaluated at most once.
     fn get(&self, number: FactNumber, evaluate: impl FnOnce() -> bool) -> bool {
-        let Some(number) = number else { return evaluate() };
+        if let Some(other) = number.checked_sub(Self::MAX_BITS) {
+            let known = &self.others[other as usize];
+            let holds = known.get().unwrap_or_else(evaluate);
+            known.set(Some(holds));
+            return holds;
+        }
         let bit = 1 << number;
         if self.known.get() & bit == 0 {
             let holds = evaluate();
@@ -111,6 +144,27 @@ impl PathFacts {
             self.holding.set(if holds { self.holding.get() | bit } else { self.holding.get() });
         }
         self.holding.get() & bit != 0
+    }
+
+    /// Returns the lights at a vertex of the path.
+    fn lights_at<'a>(&'a self, path: &'a LightPath, vertex: u32) -> impl Iterator<Item = &'a LightRecord> + use<'a> {
+        const MAX_SCANNED: usize = 16;
+        let lights = &path.lights[..];
+        let (indices, scanned): (&[u32], _) = if lights.len() <= MAX_SCANNED {
+            (&[], lights)
+        } else {
+            let vertex_of = |index: &u32| lights[*index as usize].vertex;
+            let ordered = self.lights.get_or_init(|| {
+                let mut all: Vec<u32> = (0..lights.len() as u32).collect();
+                all.sort_by_key(vertex_of);
+                all
+            });
+            let begin = ordered.partition_point(|index| vertex_of(index) < vertex);
+            let count = ordered[begin..].partition_point(|index| vertex_of(index) == vertex);
+            (&ordered[begin..begin + count], &[])
+        };
+        let scanned = scanned.iter().filter(move |light| light.vertex == vertex);
+        indices.iter().map(|index| &lights[*index as usize]).chain(scanned)
     }
 }
 
@@ -139,7 +193,7 @@ impl NameSet {
 
 /// A condition whose texts are resolved.
 #[derive(Clone, Debug)]
-enum Compiled {
+enum ResolvedCondition {
     And(Box<Self>, Box<Self>),
     Or(Box<Self>, Box<Self>),
     Not(Box<Self>),
@@ -158,7 +212,7 @@ enum Compiled {
     OfPath(FactNumber, Box<Self>),
 }
 
-impl Compiled {
+impl ResolvedCondition {
     fn new(condition: &Condition, names: &Names) -> Self {
         let inner = |condition: &Condition| Box::new(Self::new(condition, names));
         match condition {
@@ -185,8 +239,10 @@ impl Compiled {
                 }
                 WordField::End => Self::End(PathEnd::ALL.iter().find(|it| it.word() == value).copied()),
             },
-            Condition::Intersections(quantity, condition) => Self::Intersections(*quantity, None, inner(condition)),
-            Condition::Lights(quantity, condition) => Self::Lights(*quantity, None, inner(condition)),
+            Condition::Intersections(quantity, condition) => {
+                Self::Intersections(*quantity, UNNUMBERED, inner(condition))
+            }
+            Condition::Lights(quantity, condition) => Self::Lights(*quantity, UNNUMBERED, inner(condition)),
             Condition::Sequence(objects) => {
                 Self::Sequence(objects.iter().map(|object| NameSet::new(names, object)).collect())
             }
@@ -238,12 +294,31 @@ impl Compiled {
         }
     }
 
-    /// Gives a number to each term that holds for a whole path.
-    fn with_facts(self, next: &mut impl Iterator<Item = u32>) -> Self {
-        if self.is_of_path() {
-            return Self::OfPath(next.next(), Box::new(self));
+    /// Counts the terms. Each name of a sequence and each point of a lasso is a term.
+    fn count_terms(&self) -> usize {
+        match self {
+            Self::And(a, b) | Self::Or(a, b) => 1 + a.count_terms() + b.count_terms(),
+            Self::Not(condition)
+            | Self::Intersections(_, _, condition)
+            | Self::Lights(_, _, condition)
+            | Self::OfPath(_, condition) => 1 + condition.count_terms(),
+            Self::Sequence(objects) => objects.len(),
+            Self::InLasso(points) => points.len(),
+            _ => 1,
         }
-        let mut inner = |condition: Box<Self>| Box::new(condition.with_facts(next));
+    }
+
+    /// Gives a number to each term that holds for a whole path.
+    /// - `count`: number of such terms so far.
+    fn with_facts(self, count: &mut u32) -> Self {
+        let next = |count: &mut u32| {
+            *count += 1;
+            *count - 1
+        };
+        if self.is_of_path() {
+            return Self::OfPath(next(count), Box::new(self));
+        }
+        let mut inner = |condition: Box<Self>| Box::new(condition.with_facts(count));
         match self {
             Self::And(a, b) => {
                 let [a, b] = path_first([inner(a), inner(b)]);
@@ -256,11 +331,11 @@ impl Compiled {
             Self::Not(condition) => Self::Not(inner(condition)),
             Self::Intersections(quantity, _, condition) => {
                 let condition = inner(condition);
-                Self::Intersections(quantity, next.next(), condition)
+                Self::Intersections(quantity, next(count), condition)
             }
             Self::Lights(quantity, _, condition) => {
                 let condition = inner(condition);
-                Self::Lights(quantity, next.next(), condition)
+                Self::Lights(quantity, next(count), condition)
             }
             term => term,
         }
@@ -289,16 +364,16 @@ impl Compiled {
                 quantity.holds(contexts(path).map(|index| condition.holds(&Context { index, light: None, ..*context })))
             }),
             Self::Lights(_, _, condition) if context.is_alone && context.light.is_some() => condition.holds(context),
-            Self::Lights(quantity, fact, condition) => {
+            Self::Lights(quantity, _, condition) if context.is_alone => {
                 // An intersection alone has the lights sampled there.
-                let fact = fact.filter(|_| !context.is_alone);
-                context.facts.get(fact, || {
-                    let lights = path.lights.iter().map(|light| (light, path.parent(light)));
-                    let own = lights.filter(|(_, parent)| !context.is_alone || *parent == context.index);
-                    let holds = |(light, index)| condition.holds(&Context { index, light: Some(light), ..*context });
-                    quantity.holds(own.map(holds))
-                })
+                let own = context.lights();
+                quantity.holds(own.map(|light| condition.holds(&Context { light: Some(light), ..*context })))
             }
+            Self::Lights(quantity, fact, condition) => context.facts.get(*fact, || {
+                let lights = path.lights.iter().map(|light| (light, path.parent(light)));
+                let holds = |(light, index)| condition.holds(&Context { index, light: Some(light), ..*context });
+                quantity.holds(lights.map(holds))
+            }),
             Self::Sequence(objects) => {
                 let mut later = path.intersections.iter();
                 objects.iter().all(|set| later.any(|it| set.contains(it.object)))
@@ -313,8 +388,8 @@ impl Compiled {
 }
 
 /// Puts a condition on the path first, since it is evaluated only once.
-fn path_first([a, b]: [Box<Compiled>; 2]) -> [Box<Compiled>; 2] {
-    if matches!(*b, Compiled::OfPath(..)) { [b, a] } else { [a, b] }
+fn path_first([a, b]: [Box<ResolvedCondition>; 2]) -> [Box<ResolvedCondition>; 2] {
+    if matches!(*b, ResolvedCondition::OfPath(..)) { [b, a] } else { [a, b] }
 }
 
 /// Checks whether a point lies within a closed line, by the even-odd rule.
@@ -366,11 +441,9 @@ impl<'a> Context<'a> {
 
     /// Returns the light in question, or else all lights sampled at the intersection.
     fn lights(&self) -> impl Iterator<Item = &'a LightRecord> + use<'a> {
-        let (one, index) = (self.light, self.index);
-        let vertex = index.map_or(0, |index| index + 1);
-        let others: &'a [LightRecord] = if one.is_some() { &[] } else { &self.path.lights };
-        let all = others.iter().filter(move |light| light.vertex == vertex);
-        one.into_iter().chain(all)
+        let all =
+            self.light.is_none().then(|| self.facts.lights_at(self.path, self.index.map_or(0, |index| index + 1)));
+        self.light.into_iter().chain(all.into_iter().flatten())
     }
 
     fn pixel(&self) -> [u32; 2] {

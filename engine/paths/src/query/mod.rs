@@ -38,7 +38,7 @@
 //! | `in lasso(X,Y,X,Y,X,Y ...)` | the center of the path's pixel lies within the closed line, pixels (even-odd rule) |
 //!
 //! Within `light` and `lights`, names of lights refer to that one light, and names of intersections to the intersection where it was
-//! sampled.
+//! sampled. A condition has at most 64 terms `any`, `all`, `light` and `lights`.
 //!
 //! A query selects paths, intersections and lights ([`Selection`]). A path is selected if the condition holds at some intersection.
 //! An intersection or a light of a selected path is selected if the condition holds for it alone: there, `any(C)` and `all(C)` mean
@@ -52,7 +52,7 @@ pub use matcher::{Matcher, Selection};
 #[cfg(doc)]
 use crate::record::{InteractionKind, LightTechnique, PathEnd};
 use crate::record::{Name, Names};
-use parse::{MAX_DEPTH, MAX_TOKENS};
+use parse::{MAX_DEPTH, MAX_QUANTIFIERS, MAX_TOKENS};
 use std::fmt;
 
 /// A query for paths.
@@ -225,6 +225,9 @@ pub enum QueryError {
     /// The condition is too long.
     #[error("more than {MAX_TOKENS} words and signs")]
     TooLong,
+    /// Too many quantifiers.
+    #[error("more than {MAX_QUANTIFIERS} conditions any(..), all(..), light(..), lights(..)")]
+    TooManyQuantifiers,
 }
 
 /// Names in conditions, for error messages.

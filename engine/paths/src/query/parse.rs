@@ -7,6 +7,8 @@ use crate::record::{InteractionKind, LightTechnique, PathEnd};
 pub(super) const MAX_DEPTH: usize = 64;
 /// Maximum number of words and signs of a condition.
 pub(super) const MAX_TOKENS: usize = 2048;
+/// Maximum number of quantifiers of a condition.
+pub(super) const MAX_QUANTIFIERS: usize = 64;
 
 enum Field {
     Number(NumberField),
@@ -74,7 +76,7 @@ fn known_words(word: WordField) -> Vec<&'static str> {
 impl Condition {
     /// Parses a condition.
     pub fn parse(text: &str) -> Result<Self, QueryError> {
-        let mut parser = Parser { tokens: tokenize(text)?, at: 0, depth: 0 };
+        let mut parser = Parser { tokens: tokenize(text)?, at: 0, depth: 0, quantifiers: 0 };
         let condition = parser.disjunction()?;
         match parser.tokens.get(parser.at) {
             None => Ok(condition),
@@ -122,6 +124,8 @@ struct Parser {
     tokens: Vec<Token>,
     at: usize,
     depth: usize,
+    /// Number of quantifiers so far.
+    quantifiers: usize,
 }
 
 impl Parser {
@@ -179,6 +183,10 @@ impl Parser {
         } else if self.is_next("(", 1)
             && let Some(bind) = self.accept_quantifier()
         {
+            self.quantifiers += 1;
+            if self.quantifiers > MAX_QUANTIFIERS {
+                return Err(QueryError::TooManyQuantifiers);
+            }
             bind(Box::new(self.in_parentheses()?))
         } else if self.accept("in") {
             self.region()?

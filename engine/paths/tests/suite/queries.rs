@@ -101,6 +101,13 @@ fn what_is_no_condition_says_where_and_what_is_expected() {
     assert!(error("end == mirror").starts_with("column 8: end cannot be \"mirror\"; it is one of escaped, absorbed"));
     assert_eq!(Condition::parse(&"(".repeat(1000)), Err(QueryError::TooDeep));
     assert_eq!(Condition::parse(&"depth == 1 and ".repeat(1000)), Err(QueryError::TooLong));
+    let quantifiers = ["any", "all", "light", "lights"];
+    let terms = |count| {
+        let terms: Vec<String> = (0..count).map(|at| format!("{}(bounce == {at})", quantifiers[at % 4])).collect();
+        terms.join(" or ")
+    };
+    assert!(Condition::parse(&terms(64)).is_ok());
+    assert_eq!(error(&terms(65)), "more than 64 conditions any(..), all(..), light(..), lights(..)");
     for text in ["", "and", "\"", "é == 2", "object == é", "not", "object ==", "object == )", "depth == 1e999"] {
         let _ = Condition::parse(text).map_err(|error| error.to_string());
     }
@@ -230,4 +237,24 @@ fn a_condition_is_read_from_its_own_text() {
     assert!(error("in lasso(1,2,3,4)").contains("three or more points"));
     assert_eq!(error("any(bounce == 2"), "column 16: found \"\", expected `)`");
     assert_eq!(error("plant then"), "column 11: found \"\", expected a word");
+}
+
+#[test]
+fn nested_terms_are_evaluated_once_for_each_path() {
+    let all = merge_parts(&scope(900), tasks(&scope(900)));
+    let mut path = all.paths.values().find(|path| path.depth == 3).unwrap().clone();
+    path.intersections = path.intersections.repeat(85);
+    path.lights = path.lights.repeat(50);
+    // 70 terms that hold for the whole path come first. Without stored results, the rest needs 255^8 evaluations.
+    let first: Vec<String> = (0..70).map(|at| format!("(sample != {} or bounce < 0)", 1000 + at)).collect();
+    let nested = "all(lights(".repeat(4);
+    let text = format!("{} and {nested}bounce >= 0{}", first.join(" and "), "))".repeat(4));
+    let matcher_of = |text: &str| parse_query(text).compile(&all.scope, &all.names);
+    let matcher = matcher_of(&text);
+    let found = matcher.select(&path);
+    assert_eq!(found.is_some(), path.lights.iter().all(|light| light.vertex > 0));
+    assert!(matcher_of(&text.replace("bounce >= 0", "depth == 3 or bounce >= 0")).select(&path).is_some());
+    let units = 1 + path.intersections.len() + path.lights.len();
+    assert!((211 * units..500 * units).contains(&matcher.work(&path)));
+    assert_eq!(matcher_of("bounce == 1").work(&path), units);
 }

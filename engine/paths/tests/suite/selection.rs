@@ -6,13 +6,14 @@ use femc_paths::octree::Root;
 use femc_paths::query::{Condition, Query};
 use femc_paths::record::luminance;
 use femc_paths::recorded::{CountedSamples, HistogramRequest, OTHERS_BIN, PairKey, Weighting};
+use femc_paths::represent::{Target, choose_representative_within};
 use femc_paths::schema::{ATTRIBUTE_COUNTS, FINE_BINS, intersection_bins, light_bins, path_bins};
-use femc_paths::selection::{BitMask, Cancelled, SelectedRecords};
+use femc_paths::selection::{BitMask, CancelCheck, Cancelled, SelectedRecords};
 use femc_paths::{
     FrameStatistics, InteractionKind, Intersection, LightPath, LightRecord, LightStatistics, LightTechnique, Name,
     NameKind, PathEnd, PathKey, RecordedPaths, Scope,
 };
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 static RUNNING: AtomicBool = AtomicBool::new(false);
@@ -159,6 +160,23 @@ fn masks_equal_those_of_loops() {
 }
 
 #[test]
+fn lights_in_any_order_belong_to_their_vertices() {
+    let mut statistics = frame(3, 3000);
+    for path in statistics.paths.values_mut() {
+        path.lights = path.lights.repeat(5);
+        path.lights.reverse();
+    }
+    let all = RecordedPaths::new(FrameStatistics::from_statistics([statistics]).unwrap());
+    for (text, holds) in PLAIN.iter().filter(|(text, _)| ["occ", "lig", "fou"].contains(&&text[..3])) {
+        assert!(select(&all, text) == select_by_loops(&all, holds), "{text}");
+    }
+    // An intersection alone has the lights sampled there.
+    let found = select(&all, "light(light.radiance.g > 1)");
+    let expected = select_by_loops(&all, |it| it.some_light(|light| light.radiance[1] > 1.0));
+    assert!(expected.counts()[1] > 10 && found.intersections == expected.intersections);
+}
+
+#[test]
 fn quantities_select_paths_as_a_whole() {
     let all = recorded();
     // Conditions on a path, and the paths that they select.
@@ -263,10 +281,13 @@ fn densities_add_up_and_are_parts_of_pixels() {
     }
     for it in &pixels {
         let own = std::mem::take(&mut expected[it.pixel as usize]);
-        assert!((it.luminance - own).abs() <= 1e-6 * own, "{it:?}, expected {own}");
+        assert!((it.contribution - own).abs() <= 1e-6 * own, "{it:?}, expected {own}");
+        let of_pixel = all.paths().iter().filter(|path| path.depth > 1 && path.key.pixel == it.pixel);
+        let mean = of_pixel.map(|path| f64::from(path.luminance())).sum::<f64>() / f64::from(it.count);
+        assert!((it.mean_luminance - mean).abs() <= 1e-6 * mean, "{it:?}, expected {mean}");
     }
     assert!(expected.iter().all(|rest| *rest == 0.0), "pixels are missing");
-    let light = |paths: &BitMask| all.density(paths).unwrap().iter().map(|it| it.luminance).sum::<f64>();
+    let light = |paths: &BitMask| all.density(paths).unwrap().iter().map(|it| it.contribution).sum::<f64>();
     let everything = all.select(&Query::default(), &RUNNING).unwrap();
     let share = light(&selected.paths) / light(&everything.paths);
     assert!((all.light_share(&selected.paths).unwrap() - share).abs() < 1e-12);
@@ -476,7 +497,7 @@ fn representatives_of_a_selection_are_selected() {
     let all = recorded();
     let selected = select(&all, "depth > 1 and pixel.x < 18");
     let [count, ..] = selected.counts();
-    let found = all.choose_representatives(Some(&selected.paths), None, 40);
+    let found = all.choose_representatives(Some(&selected.paths), None, 40, &RUNNING).unwrap();
     assert_eq!((found.numbers.len(), found.weights.len(), found.represented), (40, 40, count as usize));
     assert!(found.numbers.is_sorted_by(|a, b| a < b));
     assert!(found.numbers.iter().all(|number| selected.paths.contains(*number)));
@@ -488,10 +509,10 @@ fn representatives_of_a_selection_are_selected() {
     assert!(hashes.len() > 320);
     assert!(found.numbers.iter().all(|number| hash(*number) <= hashes[319]));
     let few = select(&all, "depth == 5 and pixel.x < 4");
-    let found = all.choose_representatives(Some(&few.paths), None, 500);
+    let found = all.choose_representatives(Some(&few.paths), None, 500, &RUNNING).unwrap();
     assert!(!found.numbers.is_empty() && found.numbers.iter().copied().eq(few.paths.numbers()));
     assert!(found.distance.single < 1e-12);
-    let nothing = all.choose_representatives(Some(&select(&all, "depth < 0").paths), None, 500);
+    let nothing = all.choose_representatives(Some(&select(&all, "depth < 0").paths), None, 500, &RUNNING).unwrap();
     assert_eq!((nothing.numbers.len(), nothing.represented), (0, 0));
 }
 
@@ -539,7 +560,10 @@ fn records_do_not_depend_on_order_and_division() {
         bounds: None,
     };
     assert_eq!(one.histograms(&request, &RUNNING), other.histograms(&request, &RUNNING));
-    assert_eq!(one.choose_representatives(None, None, 50), other.choose_representatives(None, None, 50));
+    assert_eq!(
+        one.choose_representatives(None, None, 50, &RUNNING).unwrap(),
+        other.choose_representatives(None, None, 50, &RUNNING).unwrap()
+    );
 }
 
 #[test]
@@ -550,6 +574,29 @@ fn a_cancelled_question_ends_without_an_answer() {
     let request = HistogramRequest { selected: None, pairs: &[], weighting: Weighting::Samples, bounds: None };
     assert_eq!(all.histograms(&request, &cancelled), Err(Cancelled));
     assert!(all.voxels(Root::around([0.0; 3], [1.0; 3], 2), None, None, &cancelled).is_err());
+    assert_eq!(all.choose_representatives(None, None, 50, &cancelled), Err(Cancelled));
+}
+
+#[test]
+fn the_cancel_flag_is_read_after_a_fixed_amount_of_work() {
+    let is_cancelled = AtomicBool::new(false);
+    let looks_after = |work: usize| {
+        is_cancelled.store(false, Ordering::Relaxed);
+        let mut check = CancelCheck::new(&is_cancelled);
+        check.add(work).unwrap();
+        is_cancelled.store(true, Ordering::Relaxed);
+        (1..).find(|_| check.add(work).is_err()).unwrap()
+    };
+    assert_eq!([1, 1 << 10, 1 << 20].map(looks_after), [1 << 16, 1 << 6, 1]);
+    let all = recorded();
+    let candidates: Vec<_> = all.paths().iter().map(|path| path_bins(&scope(1), path)).collect();
+    let target = Target::from_paths(&candidates);
+    let mut check = CancelCheck::new(&is_cancelled);
+    is_cancelled.store(false, Ordering::Relaxed);
+    check.look().unwrap();
+    is_cancelled.store(true, Ordering::Relaxed);
+    let found = choose_representative_within(&candidates, &target, 1000, &mut check);
+    assert_eq!(found, Err(Cancelled), "exchanges are work");
 }
 
 /// Prints times for 80,000 paths with about 5 intersections and 5 lights each. Run it with
@@ -606,9 +653,11 @@ fn times_of_questions() {
         let request = HistogramRequest { selected, pairs: &pairs, weighting: Weighting::Samples, bounds };
         time(name, &|| format!("{:?}", all.histograms(&request, &RUNNING).unwrap().counted));
     }
-    time("5000 representatives", &|| format!("{:?}", all.choose_representatives(None, None, 5000).distance));
+    time("5000 representatives", &|| {
+        format!("{:?}", all.choose_representatives(None, None, 5000, &RUNNING).unwrap().distance)
+    });
     time("5000 representatives of a selection", &|| {
-        format!("{:?}", all.choose_representatives(Some(&selected.paths), None, 5000).distance)
+        format!("{:?}", all.choose_representatives(Some(&selected.paths), None, 5000, &RUNNING).unwrap().distance)
     });
     let [lower, upper] = all.bounds();
     time("voxels of level 6", &|| {

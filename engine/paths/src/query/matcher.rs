@@ -91,6 +91,10 @@ impl Matcher<'_> {
         if !must_match_first && selection.intersections.is_empty() {
             return false;
         }
+        if self.is_alike_alone {
+            selection.lights.extend(0..path.lights.len() as u32);
+            return true;
+        }
         let is_selected = |light: &LightRecord| holds(Context { light: Some(light), ..alone(path.parent(light)) });
         let lights = (0..).zip(&path.lights).filter(|(_, light)| is_selected(light));
         selection.lights.extend(lights.map(|(index, _)| index));

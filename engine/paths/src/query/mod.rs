@@ -41,8 +41,10 @@
 //! sampled. A condition has at most 64 terms `any`, `all`, `light` and `lights`.
 //!
 //! A query selects paths, intersections and lights ([`Selection`]). A path is selected if the condition holds at some intersection.
-//! An intersection or a light of a selected path is selected if the condition holds for it alone: there, `any(C)` and `all(C)` mean
-//! C at this intersection, `light(C)` and `lights(C)` mean C for this light.
+//! An intersection of a selected path is selected if the condition holds for it alone: there, `any(C)` and `all(C)` mean C at this
+//! intersection, `light(C)` and `lights(C)` mean C for the lights sampled there. A condition without these four terms selects all
+//! lights of its paths. Any other condition selects the lights for which it holds alone: there, `light(C)` and `lights(C)` mean C
+//! for this light.
 
 mod matcher;
 mod parse;

@@ -70,7 +70,7 @@ impl Item<'_> {
     }
 }
 
-/// Evaluates a condition on intersections and lights by loops.
+/// Evaluates a condition without quantifiers by loops. It selects all lights of its paths.
 fn select_by_loops(all: &RecordedPaths, holds: impl Fn(&Item<'_>) -> bool) -> SelectedRecords {
     let [paths, intersections, lights] = all.totals().map(BitMask::new);
     let mut found = SelectedRecords { paths, intersections, lights };
@@ -90,9 +90,8 @@ fn select_by_loops(all: &RecordedPaths, holds: impl Fn(&Item<'_>) -> bool) -> Se
             }
             intersection += 1;
         }
-        for own in &path.lights {
-            let at = if own.vertex == 0 { None } else { path.intersections.get(own.vertex as usize - 1) };
-            if is_selected && holds(&Item { path, at, light: Some(own) }) {
+        for _ in &path.lights {
+            if is_selected {
                 found.lights.insert(light);
             }
             light += 1;

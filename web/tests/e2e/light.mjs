@@ -197,7 +197,8 @@ export async function light({ step, open, claim, equal, accessible, current, bro
   const farm = await Farm.start();
   const shown = async (of, options = {}) => current(await open(of, { by: browser, ...options }));
   const images = shotsAt && (async (page, name, options = {}) => {
-    await pause(900);
+    // Lines are drawn bit by bit.
+    await pause(name === 'light-growing' ? 900 : 5000);
     await page.screenshot({ path: join(shotsAt, `${name}.png`), ...options });
   });
   const jobs = {};
@@ -959,7 +960,11 @@ export async function light({ step, open, claim, equal, accessible, current, bro
       if (seen.at(-1)?.recorded !== recorded) seen.push({ recorded, samples: /([\d.]+ ?[kM]?) samples/.exec(now)?.[1], d: /D ([\d.e-]+)/.exec(now)?.[1], selected: counts?.paths });
       if (images && seen.length > 2 && !shot && /so far/.test(now) && counts) {
         shot = true;
-        await page.evaluate(() => scrollTo(0, 0));
+        await page.setViewportSize({ width: 1360, height: 1100 });
+        await page.mouse.move(700, 4);
+        await page.locator('[data-totals]').evaluate((at) => {
+          for (let it = at; it; it = it.parentElement) it.scrollTop = 0;
+        });
         await images(page, 'light-growing');
       }
       if (!killed && seen.length > 2) {

@@ -697,7 +697,7 @@ export async function light({ step, open, claim, equal, accessible, current, bro
       if (images && where === 'view') {
         await page.goto(`${home()}?b=${it.query('b')}&where=${encodeURIComponent('depth >= 2 and depth <= 4')}`);
         await page.getByText('bins are red where A has the larger share').waitFor();
-        await page.setViewportSize({ width: 1360, height: 1360 });
+        await page.setViewportSize({ width: 1360, height: 960 });
         await images(page, 'light-compare');
         await page.setViewportSize({ width: 1360, height: 800 });
       }
@@ -848,7 +848,7 @@ export async function light({ step, open, claim, equal, accessible, current, bro
       const it = await target('view');
       const { page } = it;
       current(page);
-      await page.setViewportSize({ width: 1360, height: 1300 });
+      await page.setViewportSize({ width: 1360, height: 925 });
       await page.goto(`/view?where=${encodeURIComponent('any(material == chrome) and path.radiance.g >= 2')}`);
       await it.shown();
       await it.agree(claim, 'a selection');

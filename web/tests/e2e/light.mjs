@@ -500,7 +500,7 @@ export async function light({ step, open, claim, equal, accessible, current, bro
 
     await on('terms: removed, negated, joined; the text edited, refused, copied as a command', async (it, page) => {
       await it.type('depth >= 3 and any(object == knot) or end == roulette and pixel.x < 20');
-      equal(await it.chips().count(), 4, 'terms');
+      await until(async () => (await it.chips().count()) === 4, 'four terms', 5);
       await it.agree(claim, 'a text');
       await it.chip('any(object == knot)').getByRole('button', { name: 'not', exact: true }).first().click();
       await until(() => it.where.includes('not any(object == knot)'), `negated: ${it.where}`, 5);
@@ -509,7 +509,7 @@ export async function light({ step, open, claim, equal, accessible, current, bro
       await until(() => it.where.includes('not all(object == knot)'), `all intersections: ${it.where}`, 5);
       await it.agree(claim, 'all intersections');
       await page.locator('[aria-label=Selection]').getByRole('button', { name: 'or', exact: true }).click();
-      equal(it.where, 'depth >= 3 and not all(object == knot) and end == roulette and pixel.x < 20', 'joined by and');
+      await until(() => it.where === 'depth >= 3 and not all(object == knot) and end == roulette and pixel.x < 20', `joined by and: ${it.where}`, 5);
       await it.agree(claim, 'joined otherwise');
       await it.chip('end == roulette').first().getByRole('button', { name: 'Remove end == roulette' }).click();
       await until(() => it.where === 'depth >= 3 and not all(object == knot) and pixel.x < 20', `a term is removed: ${it.where}`, 5);

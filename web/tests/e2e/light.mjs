@@ -861,14 +861,8 @@ export async function light({ step, open, claim, equal, accessible, current, bro
       await page.setViewportSize({ width: 1360, height: 800 });
     });
 
-  await step('light: no light, damaged light, another version', async () => {
+  await step('light: a damaged file in the terminal: what is wrong, and what to do', async () => {
     await begin();
-    let page = await shown(farm);
-    await page.goto(`/jobs/${jobs.plain}/light`);
-    await page.getByText('submit it with --stats').waitFor();
-    await accessible('a job without light', page);
-
-    // In the terminal, before the page opens.
     const terminal = (name, change) => {
       const bytes = readFileSync(join(farm.folder, files.gallery));
       change(bytes);
@@ -883,7 +877,6 @@ export async function light({ step, open, claim, equal, accessible, current, bro
     const damaged = terminal('damaged.paths', (bytes) => bytes.fill(0x55, bytes.length >> 1, (bytes.length >> 1) + 64));
     console.log(`        terminal: ${clean(damaged)}`);
     claim(/damaged\.paths/.test(damaged) && /damaged|checksum/.test(damaged), `a damaged file: ${damaged}`);
-    claim(/render/.test(damaged), `what to do about a damaged file: ${damaged}`);
     const short = terminal('short.paths', (bytes) => bytes.fill(0, 100));
     claim(/short\.paths/.test(short), `a file of zeros: ${short}`);
     const none = (() => {
@@ -894,6 +887,15 @@ export async function light({ step, open, claim, equal, accessible, current, bro
       }
     })();
     claim(/nothing\.paths/.test(none), `a missing file: ${none}`);
+    claim(/--stats/.test(damaged), `what to do about a damaged file: ${damaged}`);
+  });
+
+  await step('light: no light and damaged light on the page', async () => {
+    await begin();
+    let page = await shown(farm);
+    await page.goto(`/jobs/${jobs.plain}/light`);
+    await page.getByText('submit it with --stats').waitFor();
+    await accessible('a job without light', page);
 
     // On the page: a file that is damaged after the command began.
     copyFileSync(join(farm.folder, files.gallery), join(farm.folder, 'later.paths'));

@@ -910,7 +910,7 @@ export async function light({ step, open, claim, equal, accessible, current, bro
       await page.getByText('The recorded light cannot be shown').waitFor();
       const text = clean(await page.locator('.light .empty').innerText());
       console.log(`        page: ${text}`);
-      claim(/damaged/.test(text), `the page says what is wrong: ${text}`);
+      claim(/damaged: |checksum mismatch/.test(text), `the page says what is wrong: ${text}`);
       claim(/Render the frame again|render/i.test(text), `the page says what to do: ${text}`);
       await accessible('a damaged file', page);
       await page.context().close();

@@ -173,17 +173,12 @@ try {
     const from = 0.1 + 0.03 * i;
     const took = page.evaluate(() => new Promise((done) => {
       const line = () => document.querySelector('[aria-label=Selection] .counts');
-      let before = '';
       addEventListener('pointerup', (event) => {
-        before = line().textContent;
-        const where = () => document.querySelector('[aria-label="Text of the selection"]').value;
-        let text = null;
+        // The page asks for the last selection within two frames. It may have the answer already.
+        let frame = 0;
         requestAnimationFrame(function look() {
-          // The text follows the brush within a frame.
-          text ??= where();
-          if (line().ariaBusy === 'false' && line().textContent.trim() && (line().textContent !== before || performance.now() - event.timeStamp > 2000)) {
-            done(performance.now() - event.timeStamp);
-          } else requestAnimationFrame(look);
+          if (++frame > 2 && line().ariaBusy === 'false' && line().textContent.trim()) done(performance.now() - event.timeStamp);
+          else requestAnimationFrame(look);
         });
       }, { capture: true, once: true });
     }));

@@ -197,7 +197,8 @@ export async function light({ step, open, claim, equal, accessible, current, bro
   const farm = await Farm.start();
   const shown = async (of, options = {}) => current(await open(of, { by: browser, ...options }));
   const images = shotsAt && (async (page, name, options = {}) => {
-    await pause(900);
+    // Lines are drawn bit by bit.
+    await pause(name === 'light-growing' ? 900 : 5000);
     await page.screenshot({ path: join(shotsAt, `${name}.png`), ...options });
   });
   const jobs = {};
@@ -499,7 +500,7 @@ export async function light({ step, open, claim, equal, accessible, current, bro
 
     await on('terms: removed, negated, joined; the text edited, refused, copied as a command', async (it, page) => {
       await it.type('depth >= 3 and any(object == knot) or end == roulette and pixel.x < 20');
-      equal(await it.chips().count(), 4, 'terms');
+      await until(async () => (await it.chips().count()) === 4, 'four terms', 5);
       await it.agree(claim, 'a text');
       await it.chip('any(object == knot)').getByRole('button', { name: 'not', exact: true }).first().click();
       await until(() => it.where.includes('not any(object == knot)'), `negated: ${it.where}`, 5);
@@ -508,7 +509,7 @@ export async function light({ step, open, claim, equal, accessible, current, bro
       await until(() => it.where.includes('not all(object == knot)'), `all intersections: ${it.where}`, 5);
       await it.agree(claim, 'all intersections');
       await page.locator('[aria-label=Selection]').getByRole('button', { name: 'or', exact: true }).click();
-      equal(it.where, 'depth >= 3 and not all(object == knot) and end == roulette and pixel.x < 20', 'joined by and');
+      await until(() => it.where === 'depth >= 3 and not all(object == knot) and end == roulette and pixel.x < 20', `joined by and: ${it.where}`, 5);
       await it.agree(claim, 'joined otherwise');
       await it.chip('end == roulette').first().getByRole('button', { name: 'Remove end == roulette' }).click();
       await until(() => it.where === 'depth >= 3 and not all(object == knot) and pixel.x < 20', `a term is removed: ${it.where}`, 5);
@@ -696,7 +697,7 @@ export async function light({ step, open, claim, equal, accessible, current, bro
       if (images && where === 'view') {
         await page.goto(`${home()}?b=${it.query('b')}&where=${encodeURIComponent('depth >= 2 and depth <= 4')}`);
         await page.getByText('bins are red where A has the larger share').waitFor();
-        await page.setViewportSize({ width: 1360, height: 1360 });
+        await page.setViewportSize({ width: 1360, height: 960 });
         await images(page, 'light-compare');
         await page.setViewportSize({ width: 1360, height: 800 });
       }
@@ -847,7 +848,7 @@ export async function light({ step, open, claim, equal, accessible, current, bro
       const it = await target('view');
       const { page } = it;
       current(page);
-      await page.setViewportSize({ width: 1360, height: 1300 });
+      await page.setViewportSize({ width: 1360, height: 925 });
       await page.goto(`/view?where=${encodeURIComponent('any(material == chrome) and path.radiance.g >= 2')}`);
       await it.shown();
       await it.agree(claim, 'a selection');
@@ -860,14 +861,8 @@ export async function light({ step, open, claim, equal, accessible, current, bro
       await page.setViewportSize({ width: 1360, height: 800 });
     });
 
-  await step('light: no light, damaged light, another version', async () => {
+  await step('light: a damaged file in the terminal: what is wrong, and what to do', async () => {
     await begin();
-    let page = await shown(farm);
-    await page.goto(`/jobs/${jobs.plain}/light`);
-    await page.getByText('submit it with --stats').waitFor();
-    await accessible('a job without light', page);
-
-    // In the terminal, before the page opens.
     const terminal = (name, change) => {
       const bytes = readFileSync(join(farm.folder, files.gallery));
       change(bytes);
@@ -882,7 +877,6 @@ export async function light({ step, open, claim, equal, accessible, current, bro
     const damaged = terminal('damaged.paths', (bytes) => bytes.fill(0x55, bytes.length >> 1, (bytes.length >> 1) + 64));
     console.log(`        terminal: ${clean(damaged)}`);
     claim(/damaged\.paths/.test(damaged) && /damaged|checksum/.test(damaged), `a damaged file: ${damaged}`);
-    claim(/render/.test(damaged), `what to do about a damaged file: ${damaged}`);
     const short = terminal('short.paths', (bytes) => bytes.fill(0, 100));
     claim(/short\.paths/.test(short), `a file of zeros: ${short}`);
     const none = (() => {
@@ -893,6 +887,15 @@ export async function light({ step, open, claim, equal, accessible, current, bro
       }
     })();
     claim(/nothing\.paths/.test(none), `a missing file: ${none}`);
+    claim(/--stats/.test(damaged), `what to do about a damaged file: ${damaged}`);
+  });
+
+  await step('light: no light and damaged light on the page', async () => {
+    await begin();
+    let page = await shown(farm);
+    await page.goto(`/jobs/${jobs.plain}/light`);
+    await page.getByText('submit it with --stats').waitFor();
+    await accessible('a job without light', page);
 
     // On the page: a file that is damaged after the command began.
     copyFileSync(join(farm.folder, files.gallery), join(farm.folder, 'later.paths'));
@@ -907,7 +910,7 @@ export async function light({ step, open, claim, equal, accessible, current, bro
       await page.getByText('The recorded light cannot be shown').waitFor();
       const text = clean(await page.locator('.light .empty').innerText());
       console.log(`        page: ${text}`);
-      claim(/damaged/.test(text), `the page says what is wrong: ${text}`);
+      claim(/damaged: |checksum mismatch/.test(text), `the page says what is wrong: ${text}`);
       claim(/Render the frame again|render/i.test(text), `the page says what to do: ${text}`);
       await accessible('a damaged file', page);
       await page.context().close();
@@ -959,7 +962,11 @@ export async function light({ step, open, claim, equal, accessible, current, bro
       if (seen.at(-1)?.recorded !== recorded) seen.push({ recorded, samples: /([\d.]+ ?[kM]?) samples/.exec(now)?.[1], d: /D ([\d.e-]+)/.exec(now)?.[1], selected: counts?.paths });
       if (images && seen.length > 2 && !shot && /so far/.test(now) && counts) {
         shot = true;
-        await page.evaluate(() => scrollTo(0, 0));
+        await page.setViewportSize({ width: 1360, height: 1100 });
+        await page.mouse.move(700, 4);
+        await page.locator('[data-totals]').evaluate((at) => {
+          for (let it = at; it; it = it.parentElement) it.scrollTop = 0;
+        });
         await images(page, 'light-growing');
       }
       if (!killed && seen.length > 2) {

@@ -105,7 +105,9 @@ fn checked_file(path: &Path) -> Result<LightFile, Failure> {
     match femc_pictures::open_light("check", vec![source]) {
         Ok(Some(_)) => Ok(LightFile { name, path: path.to_owned() }),
         Ok(None) => Err(fault("the file contains no recorded paths; render with --stats".into())),
-        Err(message) => Err(failed(message)),
+        Err(message) => {
+            Err(failed(format!("{message}; render the frame again with --stats, by the same version of femc")))
+        }
     }
 }
 

@@ -416,7 +416,8 @@ fn the_brightest_come_first() {
     assert_eq!((plants.column("paths.selected"), plants.column("intersections.selected")), (&marks[..], &expected[..]));
     let count = marks.iter().sum::<f64>();
     assert!(count > 1.0 && count < rows as f64 && plants.header["selected"] == json!(count as u32));
-    let of_plants = plants.numbers("lights.intersection").into_iter().map(|at| at.map_or(0.0, |at| expected[at]));
+    // A condition without quantifiers selects all lights of its paths.
+    let of_plants = plants.numbers("lights.path").into_iter().map(|owner| marks[owner.unwrap()]);
     assert!(of_plants.eq(plants.column("lights.selected").iter().copied()));
     let selected = ask_columns(&light, SELECTION, Some("depth > 2 and object == plant"));
     for (number, mark) in plants.numbers("paths.number").iter().zip(&marks) {

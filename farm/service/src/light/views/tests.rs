@@ -34,7 +34,7 @@ impl LightData for Echo {
 
 /// Opens a source slowly. The name of a large one begins with `large`.
 fn open(_tag: &str, sources: Vec<LightSource>) -> Result<OpenedLight, String> {
-    let source = &sources[0];
+    let source = sources.into_iter().next().ok_or("no source")?;
     *OPENED.lock().unwrap().entry(source.name.clone()).or_default() += 1;
     std::thread::sleep(Duration::from_millis(50));
     let memory_bytes = if source.name.starts_with("large") { 300 << 20 } else { 1 };

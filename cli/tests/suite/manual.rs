@@ -170,6 +170,7 @@ pages! {
     first_pass: "first-pass.md",
     two_passes: "two-passes.md",
     layers: "layers.md",
+    light: "light.md",
     paths: "paths.md",
     formats: "formats.md",
     scenes: "scenes.md",

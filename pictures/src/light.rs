@@ -118,7 +118,7 @@ impl FrameCollector {
         let mut frames = std::mem::take(&mut self.frames);
         self.pending = 0;
         if self.has_several_boxes {
-            // Histograms of all samples cannot be converted to another box, but those of recorded samples can.
+            // The counts of all samples cannot be converted to another box. Recorded samples can be counted again.
             for frame in &mut frames {
                 frame.scope.has_full_histograms = false;
                 frame.portions.values_mut().for_each(|counters| counters.bins = Vec::new());

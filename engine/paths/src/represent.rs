@@ -212,7 +212,7 @@ impl Draws {
 pub fn choose_representative(candidates: &[PathBins], target: &Target, size: usize) -> Representative {
     let running = AtomicBool::new(false);
     let found = choose_representative_within(candidates, target, size, &mut CancelCheck::new(&running));
-    found.expect("nobody sets the flag")
+    found.expect("the flag is never set")
 }
 
 /// Like [`choose_representative`], with a cancel flag.

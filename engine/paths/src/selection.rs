@@ -196,8 +196,8 @@ impl RecordedPaths {
 
     /// Returns the pixels that have selected paths, ascending.
     ///
-    /// Contributions are those of the selected recorded paths, without the samples that are not recorded: luminance times part of
-    /// the pixel. Several frames of one film give counts summed over the frames, and contributions as a mean over them.
+    /// The contribution of a path is its luminance times the part of the pixel that its sample is. Samples that are not recorded do
+    /// not contribute. For several frames of one film, counts are summed over the frames, and contributions are averaged.
     pub fn density(&self, paths: &BitMask) -> Result<Vec<PixelDensity>, FilmMismatch> {
         if let [first, others @ ..] = self.frames()
             && let Some(other) = others.iter().find(|other| other.scope.film != first.scope.film)

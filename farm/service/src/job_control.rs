@@ -2,12 +2,22 @@
 
 use std::collections::BTreeSet;
 
+use bytes::Bytes;
 use femc_model::{Control, Digest, JobId, JobState, Refusal};
 use femc_store::{Integrity, Store, StoreError};
 
 use crate::access::Caller;
 use crate::call::Call;
 use crate::farm::Farm;
+
+/// Meaning of an output that is not in the store.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum MissingOutput {
+    /// The output is lost: its frame is finished.
+    Lost,
+    /// Later outputs may have replaced it: its frame is in progress.
+    Replaced,
+}
 
 impl<S> Farm<S> {
     /// Controls a job. Submitters may control their own jobs; other jobs need an operator. Before a retry of a finished job, its
@@ -53,6 +63,26 @@ impl<S> Farm<S> {
             }
         }
         Ok(())
+    }
+
+    /// Reads an output of a frame. A lost output is reported, so that its task makes it again.
+    /// The result is `None` if the output was replaced.
+    pub(crate) async fn read_output(
+        &self,
+        store: &Store,
+        digest: Digest,
+        if_missing: MissingOutput,
+    ) -> Result<Option<Bytes>, Refusal> {
+        match store.get(&digest).await {
+            Ok(bytes) => Ok(Some(bytes)),
+            Err(StoreError::Missing { .. }) if if_missing == MissingOutput::Replaced => Ok(None),
+            Err(error) => {
+                if matches!(error, StoreError::Missing { .. } | StoreError::Mismatch { .. }) {
+                    self.report_lost(digest).await;
+                }
+                Err(store_refusal(&error))
+            }
+        }
     }
 
     /// Reports that an artifact is missing or damaged. Its task recreates it.

@@ -6,12 +6,12 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use bytes::Bytes;
 use femc_model::{Digest, FrameParts, FrameRecord, JobId, Output, Refusal, Role};
-use femc_store::{Store, StoreError};
+use femc_store::Store;
 use tokio::sync::Semaphore;
 
 use crate::call::Call;
 use crate::farm::Farm;
-use crate::job_control::store_refusal;
+use crate::job_control::MissingOutput;
 
 /// Source of a picture.
 #[derive(Debug, Clone)]
@@ -114,19 +114,11 @@ impl Pictures {
         }
         // The semaphore is never closed.
         let _turn = self.draw_permits.acquire().await;
+        let if_missing = if parts.is_some() { MissingOutput::Replaced } else { MissingOutput::Lost };
         let mut artifacts = Vec::with_capacity(outputs.len());
         for Output { role, artifact } in outputs {
-            match self.store.get(&artifact.digest).await {
-                Ok(bytes) => artifacts.push((role, bytes)),
-                // The frame has progressed meanwhile, and the part was replaced.
-                Err(StoreError::Missing { .. }) if parts.is_some() => {}
-                Err(error) => {
-                    if matches!(error, StoreError::Missing { .. } | StoreError::Mismatch { .. }) {
-                        farm.report_lost(artifact.digest).await;
-                    }
-                    return Err(store_refusal(&error));
-                }
-            }
+            let bytes = farm.read_output(&self.store, artifact.digest, if_missing).await?;
+            artifacts.extend(bytes.map(|bytes| (role, bytes)));
         }
         let source = match (parts, artifacts.pop()) {
             (Some(parts), Some(last)) => PictureSource::Parts(parts, artifacts.into_iter().chain([last]).collect()),

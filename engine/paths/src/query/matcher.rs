@@ -18,7 +18,8 @@ pub struct Matcher<'a> {
     facts: u32,
     /// Number of terms.
     terms: usize,
-    /// Whether the condition means the same for an intersection alone as for an intersection among those of its path.
+    /// Whether the condition contains none of the terms `any`, `all`, `light` and `lights`. Such a condition has the same value for
+    /// an intersection alone and for the intersection within its path.
     is_alike_alone: bool,
 }
 

@@ -98,7 +98,7 @@ pub enum Condition {
 pub enum Quantity {
     /// At least one.
     Any,
-    /// All, of which there may be none.
+    /// Every one. The condition also holds if there are no things.
     All,
 }
 

@@ -9,7 +9,7 @@ pub const MAX_CATEGORIES: usize = FINE_BINS - 2;
 /// Bin of all names that are not categories.
 pub const OTHERS_BIN: u8 = FINE_BINS as u8 - 1;
 
-/// Names of frames, numbered from 1 in order of kind and text. Number 0 is no name.
+/// Names in the records of frames, numbered from 1 in order of kind and text. Number 0 stands for a missing name.
 #[derive(Clone, Debug, Default)]
 pub struct NameTable {
     entries: Vec<NameEntry>,

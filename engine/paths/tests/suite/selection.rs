@@ -299,7 +299,7 @@ fn frames_of_different_films_have_no_common_density() {
     let wide = merge_parts(&wide, tiles(&wide).map(|tile| task(&wide, tile, 0..2)));
     let all = RecordedPaths::new(FrameStatistics::from_statistics([frame(3, 3000), wide]).unwrap());
     let selected = select(&all, "pixel.x >= 36");
-    assert!(selected.counts()[0] > 0, "pixels are those of each frame's film");
+    assert!(selected.counts()[0] > 0, "pixel numbers refer to the film of each frame");
     let error = all.density(&selected.paths).unwrap_err().to_string();
     assert_eq!(error, "frame 3 has a film of 36 x 20 pixels, but frame 5 has 40 x 20; choose frames with one film");
 }

@@ -4,7 +4,7 @@ use std::pin::Pin;
 use std::sync::Arc;
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use ::http::header::{CACHE_CONTROL, ETAG, IF_NONE_MATCH, LOCATION, SET_COOKIE};
+use ::http::header::{LOCATION, SET_COOKIE};
 use ::http::{HeaderValue, Response, StatusCode};
 use bytes::Bytes;
 use femc_model::{
@@ -355,8 +355,7 @@ impl<S: Send + 'static> Http<S> {
             PictureKind::Thumbnail { .. } => self.0.transfer_slots.acquire(caller_key).await,
             PictureKind::Pixels | PictureKind::Maps => self.0.pixel_slots.acquire(caller_key).await,
         };
-        let known = request_head.headers.get(IF_NONE_MATCH).and_then(|tag| tag.to_str().ok());
-        let known = known.map(|tag| tag.trim_start_matches("W/").trim_matches('"'));
+        let known = request_head.known_tag();
         let Some(drawn) = self.0.pictures.get(&self.0.farm, job, frame, kind, known).await? else {
             return Ok(response::empty(StatusCode::NO_CONTENT));
         };
@@ -367,12 +366,7 @@ impl<S: Send + 'static> Http<S> {
                 response::large_bytes("application/vnd.femc.pixels", drawn.bytes, slot)
             }
         };
-        let headers = response.headers_mut();
-        // A hexadecimal digest is always a valid header value.
-        if let Ok(tag) = HeaderValue::try_from(format!("\"{}\"", drawn.tag)) {
-            headers.insert(ETAG, tag);
-        }
-        headers.insert(CACHE_CONTROL, HeaderValue::from_static("private, no-cache"));
+        response::tag(&mut response, &drawn.tag);
         Ok(response)
     }
 

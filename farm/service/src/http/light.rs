@@ -1,7 +1,6 @@
 //! Questions about recorded light: their parameters, and the answers.
 
-use ::http::header::{CACHE_CONTROL, ETAG, IF_NONE_MATCH};
-use ::http::{HeaderValue, Response, StatusCode};
+use ::http::{Response, StatusCode};
 use serde::Serialize;
 
 use super::error::HttpError;
@@ -132,8 +131,7 @@ impl<S: Send + 'static> Http<S> {
         call: LightCall,
         caller_key: CallerKey,
     ) -> Result<Response<Body>, HttpError> {
-        let known = request_head.headers.get(IF_NONE_MATCH).and_then(|tag| tag.to_str().ok());
-        let known = known.map(|tag| tag.trim_start_matches("W/").trim_matches('"'));
+        let known = request_head.known_tag();
         let answered = self.0.light.answer(&self.0.farm, &target, call, known, caller_key).await?;
         let Some(TaggedAnswer { tag, answer }) = answered else { return Ok(response::empty(StatusCode::NO_CONTENT)) };
         let mut response = match answer {
@@ -143,12 +141,7 @@ impl<S: Send + 'static> Http<S> {
                 response::large_bytes("application/vnd.femc.columns", bytes.into(), slot)
             }
         };
-        let headers = response.headers_mut();
-        // A hexadecimal digest is always a valid header value.
-        if let Ok(tag) = HeaderValue::try_from(format!("\"{tag}\"")) {
-            headers.insert(ETAG, tag);
-        }
-        headers.insert(CACHE_CONTROL, HeaderValue::from_static("private, no-cache"));
+        response::tag(&mut response, &tag);
         Ok(response)
     }
 

@@ -20,7 +20,7 @@ mod site;
 use std::pin::{Pin, pin};
 use std::sync::Arc;
 
-use ::http::header::EXPECT;
+use ::http::header::{EXPECT, IF_NONE_MATCH};
 use ::http::{HeaderMap, Method, Request, Response, Uri};
 use bytes::Bytes;
 use femc_store::Store;
@@ -88,7 +88,13 @@ struct RequestHead<'a> {
     headers: &'a HeaderMap,
 }
 
-impl RequestHead<'_> {
+impl<'a> RequestHead<'a> {
+    /// Returns the tag of the answer that the client has.
+    fn known_tag(&self) -> Option<&'a str> {
+        let tag = self.headers.get(IF_NONE_MATCH)?.to_str().ok()?;
+        Some(tag.trim_start_matches("W/").trim_matches('"'))
+    }
+
     /// Refuses headers that exceed the limit. Sizes are computed as in HTTP/2 (RFC 9113, 6.5.2): each header counts 32 bytes in
     /// addition to its name and value. Over HTTP/2, the transport refuses such headers before a request arrives here.
     fn check_header_size(&self, limit: u32) -> Result<(), HttpError> {

@@ -4,8 +4,8 @@ use std::convert::Infallible;
 use std::io;
 
 use ::http::header::{
-    CACHE_CONTROL, CONTENT_LENGTH, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HeaderName, HeaderValue, REFERRER_POLICY,
-    X_CONTENT_TYPE_OPTIONS, X_FRAME_OPTIONS,
+    CACHE_CONTROL, CONTENT_LENGTH, CONTENT_SECURITY_POLICY, CONTENT_TYPE, ETAG, HeaderName, HeaderValue,
+    REFERRER_POLICY, X_CONTENT_TYPE_OPTIONS, X_FRAME_OPTIONS,
 };
 use ::http::{Response, StatusCode};
 use bytes::Bytes;
@@ -80,6 +80,16 @@ pub(super) fn stream(
     *response.status_mut() = status;
     response.headers_mut().insert(CONTENT_LENGTH, length.into());
     response
+}
+
+/// Adds the tag of a private answer that the client must check before it uses its copy.
+pub(super) fn tag(response: &mut Response<Body>, tag: &str) {
+    let headers = response.headers_mut();
+    // A hexadecimal digest is always a valid header value.
+    if let Ok(tag) = HeaderValue::try_from(format!("\"{tag}\"")) {
+        headers.insert(ETAG, tag);
+    }
+    headers.insert(CACHE_CONTROL, HeaderValue::from_static("private, no-cache"));
 }
 
 fn full(bytes: Bytes) -> Body {

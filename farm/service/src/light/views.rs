@@ -9,14 +9,14 @@ use std::time::{Duration, Instant, UNIX_EPOCH};
 
 use bytes::Bytes;
 use femc_model::{Artifact, Digest, FrameParts, FrameRecord, JobId, Refusal, Role};
-use femc_store::{Store, StoreError};
+use femc_store::Store;
 use tokio::sync::{OnceCell, OwnedSemaphorePermit, Semaphore};
 
 use super::{LightAnswer, LightCall, LightData, LightError, LightFile, LightSource, MAX_LIGHT_BYTES, OpenLight};
 use crate::access::{CallerKey, TransferSlot, TransferSlots};
 use crate::call::Call;
 use crate::farm::Farm;
-use crate::job_control::store_refusal;
+use crate::job_control::MissingOutput;
 
 /// Light that a question is about.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -318,19 +318,10 @@ impl LightViews {
             let parts = match origin {
                 Origin::File(path) => vec![read_file(&path, MAX_LIGHT_BYTES).await?],
                 Origin::Artifacts(artifacts) => {
+                    let if_missing = if is_growing { MissingOutput::Replaced } else { MissingOutput::Lost };
                     let mut parts = Vec::with_capacity(artifacts.len());
                     for artifact in artifacts {
-                        match self.store.get(&artifact.digest).await {
-                            Ok(bytes) => parts.push(bytes),
-                            // The frame has progressed meanwhile, and the part was replaced.
-                            Err(StoreError::Missing { .. }) if is_growing => {}
-                            Err(error) => {
-                                if matches!(error, StoreError::Missing { .. } | StoreError::Mismatch { .. }) {
-                                    farm.report_lost(artifact.digest).await;
-                                }
-                                return Err(store_refusal(&error).into());
-                            }
-                        }
+                        parts.extend(farm.read_output(&self.store, artifact.digest, if_missing).await?);
                     }
                     parts
                 }

@@ -8,7 +8,7 @@ const theme = new URLSearchParams(location.search).get('theme');
 if (theme) document.documentElement.dataset.theme = theme;
 const query = new URLSearchParams(location.search);
 const data = prepare(Number(query.get('rows') ?? 10_000), Number(query.get('sets') ?? 1));
-// The times of the plot are without those of the data.
+// The data are prepared before the clock of the plot starts.
 setTimeout(() => {
   performance.mark('mount');
   mount(Host, { target: document.getElementById('app')!, props: { data } });

@@ -4,6 +4,7 @@
 
 mod columns;
 mod representatives;
+mod rows;
 mod schema;
 #[cfg(test)]
 mod tests;
@@ -15,18 +16,13 @@ use femc_paths::query::{Condition, Query};
 use femc_paths::recorded::{Bounds, CountedSamples, HistogramRequest, PairKey, Weighting};
 use femc_paths::selection::{Cancelled, SelectedRecords};
 use femc_paths::{FrameStatistics, LightStatistics, MergeError, RecordedPaths};
-use femc_service::{LightAnswer, LightCall, LightCallKind, LightData, LightError, LightSource};
+use femc_service::{
+    Corners, EarlierRows, LightAnswer, LightCall, LightCallKind, LightData, LightError, LightSource, VoxelLevel,
+};
 use serde_json::{Value, json};
 use std::fmt::Display;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
-
-/// Maximum number of paths in an answer.
-const MAX_PATHS: u32 = 20_000;
-/// Maximum number of joint histograms in an answer.
-const MAX_PAIRS: usize = 256;
-/// Maximum level of the voxels in an answer.
-const MAX_LEVEL: u32 = 7;
 
 /// Decodes recorded light and unites its frames. `None`: no path is recorded yet.
 /// - `tag`: identifies the sources; all answers contain it.
@@ -144,19 +140,21 @@ impl LightData for RecordedLight {
         size_of::<Self>() + self.paths.memory_bytes()
     }
 
-    fn answer(&self, call: &LightCall, is_cancelled: &AtomicBool) -> Result<LightAnswer, LightError> {
+    fn answer(
+        &self,
+        call: &LightCall,
+        earlier: Option<&EarlierRows>,
+        is_cancelled: &AtomicBool,
+    ) -> Result<LightAnswer, LightError> {
         let query = parse_query(call)?;
-        let bounds = check_bounds(call)?;
-        let answer = Answer { light: self, query: query.as_ref(), bounds, is_cancelled };
+        let bounds = call.bounds.map(Corners::get);
+        let answer = Answer { light: self, query: query.as_ref(), bounds, earlier, is_cancelled };
         match &call.kind {
             LightCallKind::Schema => Ok(LightAnswer::Json(schema::encode_schema(self))),
-            LightCallKind::Paths { count, .. } if !(1..=MAX_PATHS).contains(count) => {
-                Err(invalid("count", format!("give a number from 1 to {MAX_PATHS}")))
-            }
-            LightCallKind::Paths { count, brightest: true } => answer.brightest(*count as usize),
-            LightCallKind::Paths { count, brightest: false } => answer.representatives(*count as usize),
+            LightCallKind::Paths { count, brightest: true } => answer.brightest(*count),
+            LightCallKind::Paths { count, brightest: false } => answer.representatives(*count),
             LightCallKind::Histograms { pairs, by_image } => {
-                answer.histograms(pairs, if *by_image { Weighting::Image } else { Weighting::Samples })
+                answer.histograms(pairs.as_slice(), if *by_image { Weighting::Image } else { Weighting::Samples })
             }
             LightCallKind::Voxels { level, bounce } => answer.voxels(*level, *bounce),
             LightCallKind::Selection { with_density: true } => answer.selection(Density::ByPixel),
@@ -180,19 +178,6 @@ fn parse_query(call: &LightCall) -> Result<Option<Query>, LightError> {
     Ok(Some(Query { condition: Some(condition), ..Query::default() }))
 }
 
-/// Checks the box of a call.
-fn check_bounds(call: &LightCall) -> Result<Option<Bounds>, LightError> {
-    let is_valid = |[lower, upper]: &Bounds| {
-        (0..3).all(|axis| lower[axis].is_finite() && upper[axis].is_finite() && lower[axis] <= upper[axis])
-    };
-    match call.bounds {
-        Some(bounds) if !is_valid(&bounds) => {
-            Err(invalid("box", "give six finite numbers, the lower corner before the upper"))
-        }
-        bounds => Ok(bounds),
-    }
-}
-
 /// Part of a selection's answer about pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Density {
@@ -205,6 +190,8 @@ struct Answer<'a> {
     light: &'a RecordedLight,
     query: Option<&'a Query>,
     bounds: Option<Bounds>,
+    /// Rows that the client has.
+    earlier: Option<&'a EarlierRows>,
     is_cancelled: &'a AtomicBool,
 }
 
@@ -255,9 +242,6 @@ impl<'a> Answer<'a> {
     }
 
     fn histograms(&self, pairs: &[[usize; 3]], weighting: Weighting) -> Result<LightAnswer, LightError> {
-        if pairs.len() > MAX_PAIRS {
-            return Err(invalid("pairs", format!("give at most {MAX_PAIRS} pairs")));
-        }
         let pairs: Vec<PairKey> = pairs.iter().map(|pair| parse_pair(*pair)).collect::<Result<_, _>>()?;
         let selected = self.selected()?;
         let request = HistogramRequest { selected: selected.as_ref(), pairs: &pairs, weighting, bounds: self.bounds };
@@ -285,10 +269,8 @@ impl<'a> Answer<'a> {
         Ok(LightAnswer::Columns(columns.finish()))
     }
 
-    fn voxels(&self, level: u32, bounce: Option<u32>) -> Result<LightAnswer, LightError> {
-        if level > MAX_LEVEL {
-            return Err(invalid("level", format!("give a number from 0 to {MAX_LEVEL}")));
-        }
+    fn voxels(&self, level: VoxelLevel, bounce: Option<u32>) -> Result<LightAnswer, LightError> {
+        let level = level.get();
         let [lower, upper] = self.bounds.unwrap_or_else(|| self.paths().bounds());
         let root = Root::around(lower, upper, level as u8);
         let selected = self.selected()?;

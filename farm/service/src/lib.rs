@@ -29,7 +29,8 @@ pub use feed::Feed;
 pub use http::{Body, ConnectedClient, Http, PageFiles, PermittedResponse, PublicResponse, Site};
 pub use job_control::store_refusal;
 pub use light::{
-    LightAnswer, LightCall, LightCallKind, LightData, LightError, LightFile, LightSource, MAX_LIGHT_BYTES, OpenLight,
+    AxisPairs, Corners, EarlierRows, LightAnswer, LightCall, LightCallKind, LightData, LightError, LightFile,
+    LightSource, MAX_LIGHT_BYTES, OpenLight, PathCount, RowIdentity, VoxelLevel,
 };
 pub use operation::{Operation, Right};
 pub use picture::{DrawPicture, PictureKind, PictureSource};

@@ -1,12 +1,17 @@
 //! Tests of the answers about recorded light, on few paths that are a function of their keys.
 
+mod growth;
+
 use super::open_light;
 use femc_paths::schema::ATTRIBUTE_COUNTS;
 use femc_paths::{
     FrameStatistics, InteractionKind, Intersection, LightPath, LightRecord, LightStatistics, LightTechnique, Name,
     NameKind, PathEnd, PathKey, PortionKey, SampleCounters, Scope,
 };
-use femc_service::{LightAnswer, LightCall, LightCallKind, LightData, LightError, LightSource};
+use femc_service::{
+    AxisPairs, EarlierRows, LightAnswer, LightCall, LightCallKind, LightData, LightError, LightSource, PathCount,
+    VoxelLevel,
+};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -123,8 +128,8 @@ fn call(kind: LightCallKind, condition: Option<&str>) -> LightCall {
 }
 
 fn ask(light: &Arc<dyn LightData>, kind: LightCallKind, condition: Option<&str>) -> Result<Vec<u8>, LightError> {
-    match light.answer(&call(kind, condition), &AtomicBool::new(false))? {
-        LightAnswer::Json(bytes) | LightAnswer::Columns(bytes) => Ok(bytes),
+    match light.answer(&call(kind, condition), None, &AtomicBool::new(false))? {
+        LightAnswer::Json(bytes) | LightAnswer::Columns(bytes) | LightAnswer::Rows { columns: bytes, .. } => Ok(bytes),
     }
 }
 
@@ -207,7 +212,19 @@ fn recorded() -> Vec<LightPath> {
 const SELECTION: LightCallKind = LightCallKind::Selection { with_density: true };
 
 fn all_paths(count: u32) -> LightCallKind {
-    LightCallKind::Paths { count, brightest: false }
+    LightCallKind::Paths { count: PathCount::new(count).unwrap(), brightest: false }
+}
+
+fn brightest(count: u32) -> LightCallKind {
+    LightCallKind::Paths { count: PathCount::new(count).unwrap(), brightest: true }
+}
+
+fn histograms(pairs: &[[usize; 3]], by_image: bool) -> LightCallKind {
+    LightCallKind::Histograms { pairs: AxisPairs::new(pairs.to_vec()).unwrap(), by_image }
+}
+
+fn voxels(level: u32, bounce: Option<u32>) -> LightCallKind {
+    LightCallKind::Voxels { level: VoxelLevel::new(level).unwrap(), bounce }
 }
 
 #[test]
@@ -366,7 +383,6 @@ fn representatives_are_rows_of_records() {
 #[test]
 fn the_brightest_come_first() {
     let light = open_frames();
-    let brightest = |count| LightCallKind::Paths { count, brightest: true };
     let found = ask_columns(&light, brightest(6), None);
     let luminances = |found: &Decoded| -> Vec<f64> {
         let channels = ["r", "g", "b"].map(|channel| found.column(&format!("paths.radiance.{channel}")));
@@ -443,7 +459,7 @@ fn selections_from_different_films_have_no_density() {
 #[test]
 fn histograms_add_up_and_have_categories() {
     let light = open_frames();
-    let kind = |by_image| LightCallKind::Histograms { pairs: vec![[0, 8, 3], [1, 7, 0], [2, 4, 4]], by_image };
+    let kind = |by_image| histograms(&[[0, 8, 3], [1, 7, 0], [2, 4, 4]], by_image);
     let found = ask_columns(&light, kind(false), None);
     assert_eq!(found.header["counted"], "recorded");
     let totals = &schema(&light)["counts"];
@@ -498,10 +514,10 @@ fn full_histograms_are_of_all_samples() {
     let scope = Scope { has_full_histograms: true, ..scope(3) };
     let light = open(vec![source("frame 3", &parts(&scope))]);
     assert_eq!(schema(&light)["full_histograms"], json!(true));
-    let found = ask_columns(&light, LightCallKind::Histograms { pairs: vec![], by_image: false }, None);
+    let found = ask_columns(&light, histograms(&[], false), None);
     assert_eq!(found.header["counted"], "all samples");
     assert_eq!(found.column("paths.8").iter().sum::<f64>(), f64::from(96 * SAMPLES));
-    let by_image = ask_columns(&light, LightCallKind::Histograms { pairs: vec![], by_image: true }, None);
+    let by_image = ask_columns(&light, histograms(&[], true), None);
     assert!((by_image.column("paths.8").iter().sum::<f64>() - 96.0).abs() < 1e-6);
 }
 
@@ -511,7 +527,7 @@ fn histograms_of_different_boxes_count_recorded_samples() {
     let [three, four] = [full(3, [4.0, 2.0, 1.0]), full(4, [4.0, 2.0, 3.0])];
     let light = open(vec![source("frame 3", &parts(&three)), source("frame 4", &[frame(&four)])]);
     assert_eq!(schema(&light)["box"], json!([[0.0, 0.0, 0.0], [4.0, 2.0, 3.0]]));
-    let found = ask_columns(&light, LightCallKind::Histograms { pairs: vec![], by_image: false }, None);
+    let found = ask_columns(&light, histograms(&[], false), None);
     assert_eq!(found.header["counted"], "recorded");
     // Positions have z = 0.5: a sixth of 63 bins.
     let with_hits = recorded().iter().filter(|path| !path.intersections.is_empty()).count();
@@ -522,7 +538,7 @@ fn histograms_of_different_boxes_count_recorded_samples() {
 fn voxels_have_all_intersections() {
     let light = open_frames();
     let all = recorded();
-    let found = ask_columns(&light, LightCallKind::Voxels { level: 3, bounce: Some(1) }, None);
+    let found = ask_columns(&light, voxels(3, Some(1)), None);
     assert_eq!(
         (&found.header["cube"], &found.header["level"]),
         (&json!([[0.0, 0.0, 0.0], [4.0, 4.0, 4.0]]), &json!(3))
@@ -552,24 +568,16 @@ fn invalid_parameters_are_named() {
     };
     assert_eq!(fault(SELECTION, None), "where: give a condition");
     assert_eq!(fault(SELECTION, Some("bounce >")), "where: column 9: found \"\", expected a number");
-    assert_eq!(fault(all_paths(0), None), "count: give a number from 1 to 20000");
-    assert_eq!(fault(LightCallKind::Voxels { level: 8, bounce: None }, None), "level: give a number from 0 to 7");
-    let pairs = |pairs| LightCallKind::Histograms { pairs, by_image: false };
-    assert_eq!(fault(pairs(vec![[2, 6, 0]]), None), "pairs: lights:6-0: its attributes are 0 to 5");
-    assert!(fault(pairs(vec![[3, 0, 0]]), None).starts_with("pairs: "));
-    assert!(fault(pairs(vec![[0, 0, 1]; 257]), None).starts_with("pairs: give at most 256"));
-    let mut call = call(all_paths(50), None);
-    call.bounds = Some([[0.0; 3], [1.0, f64::NAN, 1.0]]);
-    let error = light.answer(&call, &AtomicBool::new(false)).unwrap_err();
-    assert!(matches!(error, LightError::Invalid { field: "box", .. }), "{error:?}");
+    assert_eq!(fault(histograms(&[[2, 6, 0]], false), None), "pairs: lights:6-0: its attributes are 0 to 5");
+    assert!(fault(histograms(&[[3, 0, 0]], false), None).starts_with("pairs: "));
     let cancelled = AtomicBool::new(true);
-    for kind in [SELECTION, LightCallKind::Voxels { level: 2, bounce: None }, pairs(vec![])] {
+    for kind in [SELECTION, voxels(2, None), histograms(&[], false)] {
         let call = LightCall { kind, condition: Some("depth > 1".into()), bounds: None };
-        assert_eq!(light.answer(&call, &cancelled), Err(LightError::Cancelled));
+        assert_eq!(light.answer(&call, None, &cancelled), Err(LightError::Cancelled));
     }
-    assert_eq!(light.answer(&self::call(all_paths(50), None), &cancelled), Err(LightError::Cancelled));
-    let brightest = self::call(LightCallKind::Paths { count: 50, brightest: true }, Some("depth > 1"));
-    assert_eq!(light.answer(&brightest, &cancelled), Err(LightError::Cancelled));
+    assert_eq!(light.answer(&call(all_paths(50), None), None, &cancelled), Err(LightError::Cancelled));
+    let brightest = call(brightest(50), Some("depth > 1"));
+    assert_eq!(light.answer(&brightest, None, &cancelled), Err(LightError::Cancelled));
 }
 
 #[test]
@@ -585,10 +593,10 @@ fn answers_do_not_depend_on_order_and_division() {
     for (kind, condition) in [
         (LightCallKind::Schema, None),
         (all_paths(40), Some("depth > 1")),
-        (LightCallKind::Paths { count: 40, brightest: true }, None),
+        (brightest(40), None),
         (SELECTION, Some("object == plant")),
-        (LightCallKind::Histograms { pairs: vec![[0, 1, 2]], by_image: true }, None),
-        (LightCallKind::Voxels { level: 4, bounce: None }, None),
+        (histograms(&[[0, 1, 2]], true), None),
+        (voxels(4, None), None),
     ] {
         let answers: Vec<Vec<u8>> = same.iter().map(|light| ask(light, kind.clone(), condition).unwrap()).collect();
         assert!(answers[0] == answers[1] && answers[0] == answers[2], "{kind:?}");

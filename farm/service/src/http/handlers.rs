@@ -124,7 +124,7 @@ impl<S: Send + 'static> Http<S> {
             Route::Attempts(job, from, task) => self.attempts(job, from, task).await,
             Route::Logs(job, since, task) => self.logs(job, since, task, caller_key).await,
             Route::Picture(job, frame, wanted) => self.picture(request_head, job, frame, wanted, caller_key).await,
-            Route::Light(target, call) => self.light(request_head, target, call, caller_key).await,
+            Route::Light(question) => self.light(request_head, question, caller_key).await,
             Route::LightFiles => Ok(self.light_files()),
             Route::Download(job, file) => self.download(request_head, job, file, caller_key).await,
             Route::Workers => self.workers().await,

@@ -8,16 +8,13 @@ use super::response::{self, Body};
 use super::route::{Query, invalid, number};
 use super::{Http, RequestHead};
 use crate::access::CallerKey;
-use crate::light::{LightAnswer, LightCall, LightCallKind, LightTarget, LightViewError, TaggedAnswer};
+use crate::light::{
+    AxisPairs, Corners, LightAnswer, LightCall, LightCallKind, LightQuestion, LightTarget, LightViewError, PathCount,
+    TaggedAnswer, VoxelLevel,
+};
 
 /// Maximum number of frames in one question.
 const MAX_FRAMES: usize = 64;
-/// Maximum number of joint histograms in one answer.
-const MAX_PAIRS: usize = 256;
-/// Numbers of paths in a representative set.
-const PATH_COUNTS: std::ops::RangeInclusive<u32> = 1..=20_000;
-const DEFAULT_PATHS: u32 = 5000;
-const MAX_LEVEL: u32 = 7;
 
 #[derive(Serialize)]
 struct Files<'a> {
@@ -53,16 +50,27 @@ pub(super) fn frames(query: Query<'_>) -> Result<Vec<u32>, HttpError> {
     Ok(frames)
 }
 
+/// Parses a question.
+pub(super) fn parse_question(
+    target: LightTarget,
+    call: &str,
+    query: Query<'_>,
+    path: &str,
+) -> Result<LightQuestion, HttpError> {
+    let call = parse_call(call, query, path)?;
+    let since = query.get("since").filter(|_| matches!(call.kind, LightCallKind::Paths { .. }));
+    Ok(LightQuestion { target, call, since })
+}
+
 /// Parses the parameters of a call.
-pub(super) fn parse_call(call: &str, query: Query<'_>, path: &str) -> Result<LightCall, HttpError> {
+fn parse_call(call: &str, query: Query<'_>, path: &str) -> Result<LightCall, HttpError> {
     let condition = query.get("where").filter(|text| !text.trim().is_empty());
     let kind = match call {
         "schema" => LightCallKind::Schema,
         "paths" => {
-            let count = query.number("count")?.unwrap_or(DEFAULT_PATHS);
-            if !PATH_COUNTS.contains(&count) {
-                return Err(invalid("count", &format!("expected a number from 1 to {}", PATH_COUNTS.end())));
-            }
+            let fault = || invalid("count", &format!("expected a number from 1 to {}", PathCount::MAX));
+            let count = query.number("count")?.map(|count| PathCount::new(count).ok_or_else(fault));
+            let count = count.transpose()?.unwrap_or_default();
             let brightest = match query.get("among").as_deref() {
                 None | Some("all") => false,
                 Some("brightest") => true,
@@ -79,10 +87,9 @@ pub(super) fn parse_call(call: &str, query: Query<'_>, path: &str) -> Result<Lig
             LightCallKind::Histograms { pairs: pairs(query)?, by_image }
         }
         "voxels" => {
-            let level = query.number("level")?.unwrap_or(5);
-            if level > MAX_LEVEL {
-                return Err(invalid("level", &format!("expected a number from 0 to {MAX_LEVEL}")));
-            }
+            let fault = || invalid("level", &format!("expected a number from 0 to {}", VoxelLevel::MAX));
+            let level = query.number("level")?.map(|level| VoxelLevel::new(level).ok_or_else(fault));
+            let level = level.transpose()?.unwrap_or_default();
             LightCallKind::Voxels { level, bounce: query.number("bounce")? }
         }
         "selection" => LightCallKind::Selection { with_density: query.get("density").as_deref() == Some("1") },
@@ -92,22 +99,20 @@ pub(super) fn parse_call(call: &str, query: Query<'_>, path: &str) -> Result<Lig
 }
 
 /// Parses the corners of a box.
-fn bounds(query: Query<'_>) -> Result<Option<[[f64; 3]; 2]>, HttpError> {
+fn bounds(query: Query<'_>) -> Result<Option<Corners>, HttpError> {
     let Some(text) = query.get("box") else { return Ok(None) };
     let numbers: Option<Vec<f64>> = text.split(',').map(|part| part.trim().parse().ok()).collect();
-    match numbers.as_deref() {
-        Some(&[a, b, c, d, e, f])
-            if [a, b, c, d, e, f].iter().all(|it| it.is_finite()) && a <= d && b <= e && c <= f =>
-        {
-            Ok(Some([[a, b, c], [d, e, f]]))
-        }
-        _ => Err(invalid("box", "expected six numbers: the lower corner and then the upper corner, m")),
-    }
+    let corners = match numbers.as_deref() {
+        Some(&[a, b, c, d, e, f]) => Corners::new([[a, b, c], [d, e, f]]),
+        _ => None,
+    };
+    let fault = || invalid("box", "expected six numbers: the lower corner and then the upper corner, m");
+    corners.map(Some).ok_or_else(fault)
 }
 
 /// Parses pairs of attributes, such as `paths:0-3,lights:1-2`.
-fn pairs(query: Query<'_>) -> Result<Vec<[usize; 3]>, HttpError> {
-    let Some(text) = query.get("pairs") else { return Ok(Vec::new()) };
+fn pairs(query: Query<'_>) -> Result<AxisPairs, HttpError> {
+    let Some(text) = query.get("pairs") else { return Ok(AxisPairs::default()) };
     let mut pairs = Vec::new();
     for part in text.split(',') {
         let fault = || invalid("pairs", &format!("`{part}`: expected a table and two attributes, such as paths:0-3"));
@@ -115,11 +120,8 @@ fn pairs(query: Query<'_>) -> Result<Vec<[usize; 3]>, HttpError> {
         let table = ["paths", "intersections", "lights"].iter().position(|name| *name == table).ok_or_else(fault)?;
         let (a, b) = axes.split_once('-').ok_or_else(fault)?;
         pairs.push([table, number("pairs", a)?, number("pairs", b)?]);
-        if pairs.len() > MAX_PAIRS {
-            return Err(invalid("pairs", &format!("at most {MAX_PAIRS} pairs are possible")));
-        }
     }
-    Ok(pairs)
+    AxisPairs::new(pairs).ok_or_else(|| invalid("pairs", &format!("at most {} pairs are possible", AxisPairs::MAX)))
 }
 
 impl<S: Send + 'static> Http<S> {
@@ -127,18 +129,17 @@ impl<S: Send + 'static> Http<S> {
     pub(super) async fn light(
         &self,
         request_head: &RequestHead<'_>,
-        target: LightTarget,
-        call: LightCall,
+        question: LightQuestion,
         caller_key: CallerKey,
     ) -> Result<Response<Body>, HttpError> {
         let known = request_head.known_tag();
-        let answered = self.0.light.answer(&self.0.farm, &target, call, known, caller_key).await?;
+        let answered = self.0.light.answer(&self.0.farm, question, known, caller_key).await?;
         let Some(TaggedAnswer { tag, answer }) = answered else { return Ok(response::empty(StatusCode::NO_CONTENT)) };
         let mut response = match answer {
             None => response::empty(StatusCode::NOT_MODIFIED),
             Some((LightAnswer::Json(bytes), slot)) => response::large_bytes("application/json", bytes.into(), slot),
-            Some((LightAnswer::Columns(bytes), slot)) => {
-                response::large_bytes("application/vnd.femc.columns", bytes.into(), slot)
+            Some((LightAnswer::Columns(columns) | LightAnswer::Rows { columns, .. }, slot)) => {
+                response::large_bytes("application/vnd.femc.columns", columns.into(), slot)
             }
         };
         response::tag(&mut response, &tag);

@@ -9,7 +9,7 @@ use super::error::HttpError;
 use super::light;
 use super::order::TaskOrder;
 use crate::file::{FrameFile, ResultFile};
-use crate::light::{LightCall, LightTarget};
+use crate::light::{LightQuestion, LightTarget};
 use crate::operation::Operation;
 use crate::picture::PictureKind;
 
@@ -34,7 +34,7 @@ pub(super) enum Route {
     /// A frame as a picture.
     Picture(JobId, u32, PictureKind),
     /// A question about recorded light.
-    Light(LightTarget, LightCall),
+    Light(LightQuestion),
     /// The files with light statistics beside the farm.
     LightFiles,
     /// A result of a job as a file.
@@ -120,12 +120,12 @@ impl Route {
             }
             ["jobs", job, "light", call] => {
                 let target = LightTarget::Frames(number("job", job)?, light::frames(query)?);
-                (Self::Light(target, light::parse_call(call, query, path)?), Method::GET)
+                (Self::Light(light::parse_question(target, call, query, path)?), Method::GET)
             }
             ["files"] => (Self::LightFiles, Method::GET),
             ["files", file, "light", call] => {
                 let target = LightTarget::File(number("file", file)?);
-                (Self::Light(target, light::parse_call(call, query, path)?), Method::GET)
+                (Self::Light(light::parse_question(target, call, query, path)?), Method::GET)
             }
             ["workers"] => (Self::Workers, Method::GET),
             ["usage"] => (Self::Usage, Method::GET),
@@ -182,7 +182,7 @@ impl Route {
             Self::Attempts(..) => Operation::Attempts,
             Self::Logs(..) => Operation::Logs,
             Self::Picture(..) => Operation::Picture,
-            Self::Light(..) | Self::LightFiles => Operation::Light,
+            Self::Light(_) | Self::LightFiles => Operation::Light,
             Self::Download(..) => Operation::Download,
             Self::Control => Operation::Control,
             Self::Workers => Operation::ListWorkers,

@@ -1,10 +1,12 @@
 //! Decoded light of frames and files, in a cache of bounded size, and the threads that answer questions about it.
 
+mod known_rows;
+
 use std::collections::VecDeque;
 use std::fmt;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant, UNIX_EPOCH};
 
 use bytes::Bytes;
@@ -12,11 +14,14 @@ use femc_model::{Artifact, Digest, FrameParts, FrameRecord, JobId, Refusal, Role
 use femc_store::Store;
 use tokio::sync::{OnceCell, OwnedSemaphorePermit, Semaphore};
 
-use super::{LightAnswer, LightCall, LightData, LightError, LightFile, LightSource, MAX_LIGHT_BYTES, OpenLight};
+use super::{
+    EarlierRows, LightAnswer, LightCall, LightData, LightError, LightFile, LightSource, MAX_LIGHT_BYTES, OpenLight,
+};
 use crate::access::{CallerKey, TransferSlot, TransferSlots};
 use crate::call::Call;
 use crate::farm::Farm;
 use crate::job_control::MissingOutput;
+use known_rows::KnownRows;
 
 /// Light that a question is about.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -25,6 +30,17 @@ pub(crate) enum LightTarget {
     Frames(JobId, Vec<u32>),
     /// File by its number.
     File(usize),
+}
+
+/// A question of a client.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct LightQuestion {
+    /// Light that it is about.
+    pub(crate) target: LightTarget,
+    /// The question.
+    pub(crate) call: LightCall,
+    /// Tag of an earlier answer whose rows the client has.
+    pub(crate) since: Option<String>,
 }
 
 /// An answer, and a tag that identifies its question and its data.
@@ -71,6 +87,8 @@ pub(crate) struct LightViews {
     threads: Arc<Semaphore>,
     /// Latest data of each target, the oldest use first.
     cache: Arc<Mutex<VecDeque<CachedLight>>>,
+    /// Rows of answers about growing data.
+    known_rows: Arc<Mutex<KnownRows>>,
 }
 
 /// Data in the cache.
@@ -129,6 +147,7 @@ impl LightViews {
             slots,
             threads: Arc::new(Semaphore::new(threads)),
             cache: Arc::default(),
+            known_rows: Arc::default(),
         }
     }
 
@@ -142,14 +161,14 @@ impl LightViews {
     pub(crate) async fn answer<S: Send + 'static>(
         &self,
         farm: &Farm<S>,
-        target: &LightTarget,
-        call: LightCall,
+        question: LightQuestion,
         known: Option<&str>,
         caller_key: CallerKey,
     ) -> Result<Option<TaggedAnswer>, LightViewError> {
+        let LightQuestion { target, call, since } = question;
         let open = self.open.ok_or_else(|| unavailable("this program cannot read light statistics".into()))?;
-        let Some(located) = self.locate(farm, target).await? else { return Ok(None) };
-        let CachedLight { tag: data_tag, cell, .. } = self.cached(target, &located);
+        let Some(located) = self.locate(farm, &target).await? else { return Ok(None) };
+        let CachedLight { tag: data_tag, cell, .. } = self.cached(&target, &located);
         let tag = Digest::compute(format!("{data_tag} {call:?}").as_bytes()).to_string();
         if known == Some(&tag) {
             return Ok(Some(TaggedAnswer { tag, answer: None }));
@@ -160,16 +179,22 @@ impl LightViews {
             None => self.open_in_background(farm, open, TargetParts { tag: data_tag, ..located }, cell, &slot).await?,
         };
         let Some(data) = opened else { return Ok(None) };
+        let earlier = since.and_then(|since| self.known_rows().find(&target, &since));
         let permit = self.permit().await;
         let is_cancelled = CancelOnDrop::default();
         let flag = is_cancelled.0.clone();
         let work = move || {
             let _permit = permit;
-            data.answer(&call, &flag)
+            data.answer(&call, earlier.as_ref(), &flag)
         };
         let answered = tokio::task::spawn_blocking(work).await.map_err(|error| unavailable(error.to_string()))?;
         match answered {
-            Ok(answer) => Ok(Some(TaggedAnswer { tag, answer: Some((answer, slot)) })),
+            Ok(answer) => {
+                if let LightAnswer::Rows { identities, .. } = &answer {
+                    self.known_rows().add(target, EarlierRows { tag: tag.clone(), identities: identities.clone() });
+                }
+                Ok(Some(TaggedAnswer { tag, answer: Some((answer, slot)) }))
+            }
             Err(LightError::Invalid { field, message }) => Err(LightViewError::Invalid { field, message }),
             Err(LightError::Cancelled) => Err(unavailable("the question was cancelled".into())),
         }
@@ -297,6 +322,11 @@ impl LightViews {
             cache.pop_front();
             sizes.pop_front();
         }
+    }
+
+    fn known_rows(&self) -> MutexGuard<'_, KnownRows> {
+        // A poisoned lock is safe to use: a panic in the few lines under it leaves no partial change.
+        self.known_rows.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     async fn permit(&self) -> Option<OwnedSemaphorePermit> {

@@ -3,15 +3,15 @@
 import { ApiError, failure } from '../api';
 import { formatNumbers, parseNumbers } from '../route';
 import { decodeColumns, type Columns } from './columns';
+import { GrowingAnswers, withKeptRows, type GrowingHeader } from './delta';
 import type { ScaleName, TableName } from './plot/contract';
 
+export { NONE } from './columns';
 export const TABLES: readonly TableName[] = ['paths', 'intersections', 'lights'];
 /** Largest number of frames that the coordinator unites. */
 export const MOST_FRAMES = 64;
 /** Number of fine bins of an axis. */
 export const BINS = 64;
-/** Row or number of a record that does not exist. */
-export const NONE = 0xffffffff;
 
 /** A data set: the recorded light of frames of a job, or of a file. */
 export type Source = { job: number; frames: readonly number[] } | { file: number };
@@ -53,7 +53,7 @@ export interface Schema {
 
 export type Among = 'all' | 'selection' | 'brightest';
 
-export interface PathsHeader {
+export interface PathsHeader extends GrowingHeader {
   /** Number of selected paths, with `among=brightest` and a condition. */
   selected?: number;
   set: number;
@@ -131,6 +131,9 @@ async function columns<H>(source: Source, call: string, values: Values, signal?:
   return answer.status === 204 ? null : decodeColumns<H>(await answer.arrayBuffer());
 }
 
+/** Latest rows of growing data. */
+const growing = new GrowingAnswers<PathsHeader>();
+
 export const formatBox = (box: Corners | null): string | null => box && box.flat().join(',');
 
 export interface SchemaAnswer {
@@ -161,24 +164,36 @@ export const light = {
 
   /**
    * Returns representative paths with their intersections and lights. The brightest paths are not filtered by a condition: the answer has
-   * columns of what the condition selects.
+   * columns of what the condition selects. While data grow, only the new rows are requested.
    */
-  paths: (
+  async paths(
     source: Source,
     { where, box, count, among }: { where: string; box: Corners | null; count: number; among: Among },
     signal?: AbortSignal,
-  ) =>
-    columns<PathsHeader>(
-      source,
-      'paths',
-      {
-        count,
-        among: among === 'brightest' ? 'brightest' : null,
-        where: among === 'all' ? null : where,
-        box: formatBox(box),
-      },
-      signal,
-    ),
+  ): Promise<Columns<PathsHeader> | null> {
+    const earlier = growing.get(formatSource(source));
+    const path = address(source, 'paths', {
+      count,
+      among: among === 'brightest' ? 'brightest' : null,
+      where: among === 'all' ? null : where,
+      box: formatBox(box),
+      since: earlier?.tag,
+    });
+    // The browser's cache cannot unite answers. It keeps those about finished data.
+    const init: RequestInit = earlier
+      ? { cache: 'no-store', headers: { 'If-None-Match': `"${earlier.tag}"` } }
+      : { cache: 'no-cache' };
+    const answer = await ask(path, { ...init, signal: signal ?? null });
+    if (answer.status === 204) return null;
+    if (answer.status === 304 && earlier) return earlier.columns;
+    const tag = answer.headers.get('ETag')?.replace(/^W\/|"/g, '');
+    const received = decodeColumns<PathsHeader>(await answer.arrayBuffer());
+    // If the rows do not fit together, the next answer is a full one.
+    growing.set(formatSource(source), null);
+    const columns = withKeptRows(earlier, received);
+    if (columns.header.growing && tag) growing.set(formatSource(source), { tag, columns });
+    return columns;
+  },
 
   /** Returns the counts of all axes, and the joint counts of pairs of axes (`paths:0-3`). */
   histograms: (

@@ -3,6 +3,8 @@
 /** `FLCV`, read as a little-endian number. */
 export const MAGIC = 0x56434c46;
 const VERSION = 1;
+/** Row or number of a record that does not exist. */
+export const NONE = 0xffffffff;
 
 const BYTES = { u8: 1, u32: 4, f32: 4, f64: 8 } as const;
 export type ColumnType = keyof typeof BYTES;
@@ -16,7 +18,7 @@ interface Column {
   offset: number;
 }
 
-interface Arrays {
+export interface Arrays {
   u8: Uint8Array;
   u32: Uint32Array;
   f32: Float32Array;
@@ -30,6 +32,18 @@ export class Columns<H = Record<string, unknown>> {
     private readonly arrays: ReadonlyMap<string, Arrays[ColumnType]>,
   ) {}
 
+  /** Returns the names of all columns, in their order. */
+  names(): string[] {
+    return [...this.arrays.keys()];
+  }
+
+  /** Returns a column of any type. */
+  any(name: string): Arrays[ColumnType] {
+    const array = this.arrays.get(name);
+    if (!array) throw new Error(`the light data have no column ${name}`);
+    return array;
+  }
+
   /** Checks whether the column exists. */
   has(name: string): boolean {
     return this.arrays.has(name);
@@ -41,8 +55,7 @@ export class Columns<H = Record<string, unknown>> {
   f64 = (name: string): Float64Array => this.get(name, Float64Array);
 
   private get<T extends Arrays[ColumnType]>(name: string, type: abstract new (...args: never[]) => T): T {
-    const array = this.arrays.get(name);
-    if (!array) throw new Error(`the light data have no column ${name}`);
+    const array = this.any(name);
     if (!(array instanceof type)) throw new Error(`the column ${name} of the light data has another type of numbers`);
     return array;
   }

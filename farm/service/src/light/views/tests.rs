@@ -27,8 +27,16 @@ impl LightData for Echo {
         self.memory_bytes
     }
 
-    fn answer(&self, _call: &LightCall, _is_cancelled: &AtomicBool) -> Result<LightAnswer, LightError> {
-        Ok(LightAnswer::Json(self.bytes.clone()))
+    fn answer(
+        &self,
+        _call: &LightCall,
+        earlier: Option<&EarlierRows>,
+        _is_cancelled: &AtomicBool,
+    ) -> Result<LightAnswer, LightError> {
+        // A row for each byte; the answer to a client that has rows is the tag of those.
+        let identities = self.bytes.iter().map(|byte| [*byte; 16]).collect();
+        let columns = earlier.map_or_else(|| self.bytes.clone(), |earlier| earlier.tag.clone().into_bytes());
+        Ok(LightAnswer::Rows { columns, identities })
     }
 }
 
@@ -62,12 +70,19 @@ impl Fixture {
     }
 
     async fn ask(&self, file: usize) -> Vec<u8> {
+        self.ask_since(file, None).await.1
+    }
+
+    /// Returns the tag and the bytes of an answer.
+    async fn ask_since(&self, file: usize, since: Option<&str>) -> (String, Vec<u8>) {
         let call = LightCall { kind: LightCallKind::Schema, condition: None, bounds: None };
         let caller_key = CallerKey { name: None, connection: 1 };
-        let target = LightTarget::File(file);
-        let answered = self.views.answer(&self.farm, &target, call, None, caller_key).await.unwrap().unwrap();
+        let question = LightQuestion { target: LightTarget::File(file), call, since: since.map(str::to_owned) };
+        let answered = self.views.answer(&self.farm, question, None, caller_key).await.unwrap().unwrap();
         match answered.answer.unwrap().0 {
-            LightAnswer::Json(bytes) | LightAnswer::Columns(bytes) => bytes,
+            LightAnswer::Json(bytes) | LightAnswer::Columns(bytes) | LightAnswer::Rows { columns: bytes, .. } => {
+                (answered.tag, bytes)
+            }
         }
     }
 }
@@ -108,4 +123,18 @@ async fn data_beyond_the_limit_is_dropped_the_oldest_use_first() {
     assert_eq!(times_opened("large-b"), 1, "the latest stays");
     fixture.ask(0).await;
     assert_eq!(times_opened("large-a"), 2);
+}
+
+#[tokio::test]
+async fn answers_refer_to_known_rows_of_their_target() {
+    let fixture = Fixture::new(&["growing", "other"]);
+    let (first, bytes) = fixture.ask_since(0, Some("unknown")).await;
+    assert_eq!(bytes, b"first", "an unknown tag changes nothing");
+    std::fs::write(&fixture.paths[0], "second").unwrap();
+    let (second, bytes) = fixture.ask_since(0, Some(&first)).await;
+    assert_eq!(bytes, first.as_bytes());
+    assert_ne!(first, second);
+    assert_eq!(fixture.ask_since(1, Some(&first)).await.1, b"first", "rows of another target");
+    *fixture.views.known_rows() = KnownRows::default();
+    assert_eq!(fixture.ask_since(0, Some(&first)).await, (second, b"second".to_vec()), "after a restart");
 }

@@ -6,7 +6,8 @@ use crate::output::{Printer, human, json};
 use clap::{Args, ValueEnum};
 use femc_pipeline::paths::octree::Root;
 use femc_pipeline::paths::query::{Condition, Query, is_known_name, is_within};
-use femc_pipeline::paths::represent::{PathBins, Target, choose_representative, rarest_paths};
+use femc_pipeline::paths::recorded::RepresentativePaths;
+use femc_pipeline::paths::represent::{PathBins, rarest_paths};
 use femc_pipeline::paths::schema::path_bins;
 use femc_pipeline::paths::{LightPath, LightStatistics, NameKind};
 use femc_reports::attempts::{Column, RowsAsJson, csv, text_table, write_parquet};
@@ -310,30 +311,19 @@ fn bins(set: &FrameSet) -> Vec<PathBins> {
 /// Returns the numbers of representative paths, ascending, and their weights. With these weights, the histogram of every attribute
 /// is right.
 fn representatives(set: &FrameSet, few: usize, printer: Printer) -> Vec<(u32, Option<f64>)> {
-    let bins = bins(set);
-    let candidates = candidates(set, few.saturating_mul(8));
-    let own: Vec<PathBins> = candidates.iter().map(|number| bins[*number as usize]).collect();
-    let found = choose_representative(&own, &Target::from_paths(&bins), few);
+    let mut by_hash: Vec<_> = set.frames.iter().flat_map(|all| all.paths.keys()).zip(0u32..).collect();
+    by_hash.sort_unstable();
+    let by_hash: Vec<u32> = by_hash.into_iter().map(|(_, number)| number).collect();
+    let found = RepresentativePaths::choose(&bins(set), &by_hash, few);
     printer.note(format!(
         "{} paths represent {}: D = {:.4}, DJ = {:.3}; their weights make them equivalent to {:.0} paths of equal weight",
-        found.chosen.len(),
-        bins.len(),
+        found.numbers.len(),
+        found.represented,
         found.distance.single,
         found.distance.joint,
         found.effective_size
     ));
-    let numbers = found.chosen.into_iter().map(|place| candidates[place as usize]);
-    let mut chosen: Vec<_> = numbers.zip(found.weights.into_iter().map(Some)).collect();
-    chosen.sort_unstable_by_key(|(number, _)| *number);
-    chosen
-}
-
-/// Returns the numbers of the paths with the smallest hashes, in the order of the hashes.
-fn candidates(set: &FrameSet, most: usize) -> Vec<u32> {
-    let hashes = set.frames.iter().flat_map(|all| all.paths.keys());
-    let mut all: Vec<_> = hashes.copied().zip(0u32..).collect();
-    all.sort_unstable();
-    all.into_iter().take(most).map(|(_, number)| number).collect()
+    found.numbers.into_iter().zip(found.weights.into_iter().map(Some)).collect()
 }
 
 struct TableWriter<'a> {

@@ -85,6 +85,38 @@ pub struct RepresentativePaths {
     pub effective_size: f64,
 }
 
+impl RepresentativePaths {
+    /// Chooses paths whose histograms are near the histograms of all given paths. Returns all of these if there are no more than
+    /// `count`. The candidates are the paths with the smallest hashes.
+    /// - `bins`: bins of paths, by number;
+    /// - `by_hash`: numbers of the paths to represent, in order of their hashes.
+    pub fn choose(bins: &[PathBins], by_hash: &[u32], count: usize) -> Self {
+        let running = AtomicBool::new(false);
+        let found = Self::choose_within(bins, by_hash, count, &mut CancelCheck::new(&running));
+        found.expect("the flag is never set")
+    }
+
+    /// Like [`Self::choose`], with a cancel flag.
+    fn choose_within(
+        bins: &[PathBins],
+        by_hash: &[u32],
+        count: usize,
+        check: &mut CancelCheck<'_>,
+    ) -> Result<Self, Cancelled> {
+        let bins_of = |number: &u32| &bins[*number as usize];
+        let target = Target::from_paths(by_hash.iter().map(bins_of));
+        let candidates = &by_hash[..by_hash.len().min(count.saturating_mul(CANDIDATES_PER_PATH))];
+        let own: Vec<PathBins> = candidates.iter().map(|number| *bins_of(number)).collect();
+        let found = choose_representative_within(&own, &target, count, check)?;
+        let chosen = found.chosen.iter().map(|place| candidates[*place as usize]);
+        let mut ordered: Vec<(u32, f64)> = chosen.zip(found.weights).collect();
+        ordered.sort_unstable_by_key(|(number, _)| *number);
+        let (numbers, weights) = ordered.into_iter().unzip();
+        let (distance, effective_size) = (found.distance, found.effective_size);
+        Ok(Self { numbers, weights, represented: by_hash.len(), distance, effective_size })
+    }
+}
+
 impl RecordedPaths {
     /// Collects the recorded paths of united frames.
     pub fn new(frames: FrameStatistics) -> Self {
@@ -231,8 +263,7 @@ impl RecordedPaths {
         wanted.iter().map(|it| found[it]).collect()
     }
 
-    /// Chooses paths whose histograms are near the histograms of the selected paths. Returns all of these if there are no more than
-    /// `count`. The candidates are the paths with the smallest hashes.
+    /// Chooses [`RepresentativePaths`] of the selected paths.
     /// - `selected`: the paths to represent; `None`: all.
     pub fn choose_representatives(
         &self,
@@ -243,21 +274,10 @@ impl RecordedPaths {
     ) -> Result<RepresentativePaths, Cancelled> {
         let mut check = CancelCheck::new(is_cancelled);
         check.look()?;
-        let all = self.path_bins_within(bounds);
+        let bins = self.path_bins_within(bounds);
         let is_selected = |number: &u32| selected.is_none_or(|mask| mask.contains(*number));
-        let numbers = || (0..self.paths.len() as u32).filter(is_selected);
-        let target = Target::from_paths(numbers().map(|number| &all[number as usize]));
-        let candidates: Vec<u32> = self.by_hash.iter().copied().filter(is_selected).collect();
-        let represented = candidates.len();
-        let candidates = &candidates[..represented.min(count.saturating_mul(CANDIDATES_PER_PATH))];
-        let bins: Vec<PathBins> = candidates.iter().map(|number| all[*number as usize]).collect();
-        let found = choose_representative_within(&bins, &target, count, &mut check)?;
-        let chosen = found.chosen.iter().map(|place| candidates[*place as usize]);
-        let mut ordered: Vec<(u32, f64)> = chosen.zip(found.weights).collect();
-        ordered.sort_unstable_by_key(|(number, _)| *number);
-        let (numbers, weights) = ordered.into_iter().unzip();
-        let (distance, effective_size) = (found.distance, found.effective_size);
-        Ok(RepresentativePaths { numbers, weights, represented, distance, effective_size })
+        let by_hash: Vec<u32> = self.by_hash.iter().copied().filter(is_selected).collect();
+        RepresentativePaths::choose_within(&bins, &by_hash, count, &mut check)
     }
 
     /// Returns the voxels of the finest level of a cube that have selected intersections, with their codes, ascending.

@@ -58,6 +58,7 @@ enum Query {
     Status(JobId, Reply<JobStatus>),
     Watch(JobId, Reply<watch::Receiver<JobStatus>>),
     Parts(JobId, Reply<Vec<femc_model::FrameParts>>),
+    Producer(JobId, Digest, Reply<Option<femc_model::TaskKey>>),
     Frames(JobId, Reply<Vec<femc_model::FrameRecord>>),
     Logs(JobId, Tick, Reply<Vec<femc_model::LogRecord>>),
     Shape(JobId, Reply<JobShape>),
@@ -359,6 +360,7 @@ impl<Q: Queue> Actor<Q> {
             Call::Status { job, reply } => self.queries.push(Query::Status(job, reply)),
             Call::Watch { job, reply } => self.queries.push(Query::Watch(job, reply)),
             Call::Parts { job, reply } => self.queries.push(Query::Parts(job, reply)),
+            Call::Producer { job, digest, reply } => self.queries.push(Query::Producer(job, digest, reply)),
             Call::Frames { job, reply } => self.queries.push(Query::Frames(job, reply)),
             Call::Drain { worker, drain, reply } => {
                 let workers = self.scheduler.select_workers(&worker);
@@ -493,6 +495,7 @@ impl<Q: Queue> Actor<Q> {
                 }
                 Query::Watch(job, reply) => drop(reply.send(self.watch(job))),
                 Query::Parts(job, reply) => drop(reply.send(self.scheduler.partial_frames(job))),
+                Query::Producer(job, digest, reply) => drop(reply.send(self.scheduler.producer(job, &digest))),
                 Query::Frames(job, reply) => drop(reply.send(self.scheduler.frames(job))),
                 Query::Logs(job, since, reply) => drop(reply.send(self.scheduler.logs(job, since))),
                 Query::Shape(job, reply) => drop(reply.send(self.shape(job))),

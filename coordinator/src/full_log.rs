@@ -149,6 +149,7 @@ impl<Q: Queue> Actor<Q> {
             Call::Status { reply, .. } => refuse(reply, no()),
             Call::Watch { reply, .. } => refuse(reply, no()),
             Call::Parts { reply, .. } => refuse(reply, no()),
+            Call::Producer { reply, .. } => refuse(reply, no()),
             Call::Frames { reply, .. } => refuse(reply, no()),
             Call::Drain { reply, .. } => refuse(reply, no()),
             Call::Logs { reply, .. } => refuse(reply, no()),

@@ -27,7 +27,9 @@ pub use actor::ROSTER_SUBJECT;
 pub use announce::{KeyError, NotifyConfig, NotifyKey, PrefixError, UrlPrefix};
 pub use clock::TimeSource;
 pub use config::{ArtifactStorage, Config, CoordinatorError, Exposure, LogStorage};
-pub use femc_proto::{AccessControl, LightFile, LightSource, Limits, MAX_LIGHT_BYTES, PageFiles, Site};
+pub use femc_proto::{
+    AccessControl, LightFault, LightFile, LightSource, Limits, LoginTokens, MAX_LIGHT_BYTES, PageFiles, Site,
+};
 pub use femc_queue::{Database, LossPolicy, Postgres, QueueError};
 pub use leadership::Leadership;
 pub use metrics::Metrics;

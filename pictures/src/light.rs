@@ -17,7 +17,8 @@ use femc_paths::recorded::{Bounds, CountedSamples, HistogramRequest, PairKey, We
 use femc_paths::selection::{Cancelled, SelectedRecords};
 use femc_paths::{FrameStatistics, LightStatistics, MergeError, RecordedPaths};
 use femc_service::{
-    Corners, EarlierRows, LightAnswer, LightCall, LightCallKind, LightData, LightError, LightSource, VoxelLevel,
+    Corners, EarlierRows, LightAnswer, LightCall, LightCallKind, LightData, LightError, LightFault, LightSource,
+    VoxelLevel,
 };
 use serde_json::{Value, json};
 use std::fmt::Display;
@@ -26,46 +27,43 @@ use std::sync::atomic::AtomicBool;
 
 /// Decodes recorded light and unites its frames. `None`: no path is recorded yet.
 /// - `tag`: identifies the sources; all answers contain it.
-/// - errors: the fault of a source.
-pub fn open_light(tag: &str, sources: Vec<LightSource>) -> Result<Option<Arc<dyn LightData>>, String> {
+pub fn open_light(tag: &str, sources: Vec<LightSource>) -> Result<Option<Arc<dyn LightData>>, LightFault> {
     let is_growing = sources.iter().any(|source| source.is_growing);
     let names: Vec<String> = sources.iter().map(|source| source.name.clone()).collect();
     let mut frames = FrameCollector::default();
     let mut has_parts = false;
     for source in sources {
-        let fault = |fault: String| format!("{}: {fault}", source.name);
-        let decoded = decode_source(&source).map_err(fault)?;
+        let own = || vec![source.name.clone()];
+        let decoded = decode_source(&source).map_err(|(part, message)| LightFault { sources: own(), part, message })?;
         has_parts |= !decoded.is_empty();
-        frames.add(decoded).map_err(|error| fault(error.to_string()))?;
+        let fault = |error: MergeError| LightFault { sources: own(), part: None, message: error.to_string() };
+        frames.add(decoded).map_err(fault)?;
     }
-    let united = frames.finish().map_err(|error| format!("{}: {error}", names.join(", ")))?;
-    let paths = RecordedPaths::new(united);
+    let fault = |message: String| LightFault { sources: names.clone(), part: None, message };
+    let paths = RecordedPaths::new(frames.finish().map_err(|error| fault(error.to_string()))?);
     if !paths.paths().is_empty() {
         return Ok(Some(Arc::new(RecordedLight { tag: tag.to_owned(), is_growing, paths })));
     }
     if !has_parts || is_growing {
         return Ok(None);
     }
-    Err(format!("{}: no recorded paths; render the frame again with --stats", names.join(", ")))
+    Err(fault("no recorded paths; render the frame again with --stats".into()))
 }
 
-/// Decodes the parts of a source: united frames, or parts of one frame.
-fn decode_source(source: &LightSource) -> Result<Vec<LightStatistics>, String> {
+/// Decodes the parts of a source: united frames, or parts of one frame. An error has the index of the part, if there are several.
+fn decode_source(source: &LightSource) -> Result<Vec<LightStatistics>, (Option<usize>, String)> {
     let mut frames = Vec::new();
     let mut unfinished: Option<LightStatistics> = None;
     for (at, bytes) in source.parts.iter().enumerate() {
-        let place = |fault: &dyn Display| match source.parts.len() {
-            1 => fault.to_string(),
-            count => format!("part {} of {count}: {fault}", at + 1),
-        };
+        let fault = |fault: &dyn Display| ((source.parts.len() > 1).then_some(at), fault.to_string());
         if FrameStatistics::has_magic(bytes) {
-            let united = FrameStatistics::decode(bytes).map_err(|error| place(&error))?;
+            let united = FrameStatistics::decode(bytes).map_err(|error| fault(&error))?;
             frames.extend(united.into_frames().into_iter().map(without_maps));
             continue;
         }
-        let part = without_maps(LightStatistics::decode(bytes).map_err(|error| place(&error))?);
+        let part = without_maps(LightStatistics::decode(bytes).map_err(|error| fault(&error))?);
         match &mut unfinished {
-            Some(all) => all.merge_untrimmed(part).map_err(|error| place(&error))?,
+            Some(all) => all.merge_untrimmed(part).map_err(|error| fault(&error))?,
             None => unfinished = Some(part),
         }
     }

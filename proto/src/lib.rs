@@ -26,8 +26,8 @@ pub use convert::ConvertError;
 pub use error::{BackupError, CallError, IdentityError, ServeError, UnreachableCause};
 pub use femc_service::view::error_target;
 pub use femc_service::{
-    AttemptPage, Backup, ChangeScope, Changes, JobList, JobShape, LightFile, LightSource, Limits, MAX_LIGHT_BYTES,
-    PageFiles, References, Reply, Site,
+    AttemptPage, Backup, ChangeScope, Changes, JobList, JobShape, LightFault, LightFile, LightSource, Limits,
+    LoginTokens, MAX_LIGHT_BYTES, PageFiles, References, Reply, Site,
 };
 pub use net::{ByteStream, DialFuture, Dialer, Io};
 pub use probe::{ProbeResult, probe_address};

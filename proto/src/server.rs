@@ -20,7 +20,7 @@ use std::io;
 use std::sync::Arc;
 
 use femc_model::{FromWorker, Refusal, Registration, ToWorker};
-use femc_service::{AuditEntry, Caller, Farm, Gate, Http, Limits, Reply, Site, TransferSlots};
+use femc_service::{AuditEntry, Caller, Farm, Gate, Http, Limits, LoginTokens, Reply, Site, TransferSlots};
 use femc_store::Store;
 use femc_trust::{Audit, Identity, RevocationList, Tokens};
 use tokio::sync::mpsc;
@@ -129,6 +129,8 @@ pub struct AccessControl {
     pub revoked: Option<RevocationList>,
     /// Tokens of clients without an identity.
     pub tokens: Option<Tokens>,
+    /// Tokens in addresses of pages: each signs in one browser. `None`: browsers sign in with tokens of the list.
+    pub logins: Option<LoginTokens>,
 }
 
 impl Server {
@@ -234,7 +236,8 @@ impl Server {
         let is_encrypted = self.access_control.as_ref().is_some_and(|access| access.identity.is_some());
         let lists =
             self.access_control.as_ref().map(|AccessControl { revoked, tokens, .. }| (revoked.clone(), tokens.clone()));
-        let gate = Gate::new(lists, limits, self.audit.clone());
+        let logins = self.access_control.as_ref().and_then(|access| access.logins.clone());
+        let gate = Gate::new(lists, limits, self.audit.clone()).with_logins(logins);
         let (store, slots) = (self.store.clone(), self.transfer_slots.clone());
         let http = Http::new(self.farm.clone(), store, slots, gate.clone(), self.site.clone(), is_encrypted);
         let router = builder

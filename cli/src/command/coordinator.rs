@@ -267,7 +267,7 @@ fn access_control(
         ))
     })?;
     let is_open = identity.is_none() && tokens.is_none();
-    Ok((!is_open).then_some(AccessControl { identity, revoked, tokens }))
+    Ok((!is_open).then_some(AccessControl { identity, revoked, tokens, logins: None }))
 }
 
 /// Reads an identity file. Fails if the identity is not a coordinator's.

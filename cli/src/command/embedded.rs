@@ -5,7 +5,7 @@ use super::client::{self, FarmClient, login_name};
 use super::site::site;
 use crate::exit::{Failure, failed};
 use crate::output::Printer;
-use femc_coordinator::{AccessControl, ArtifactStorage, Config, Coordinator, Handle, LogStorage, Site};
+use femc_coordinator::{AccessControl, ArtifactStorage, Config, Coordinator, Handle, LogStorage, LoginTokens, Site};
 use femc_proto::Dialer;
 use femc_trust::{Authority, Holder, Role, TokenFile, Tokens};
 use femc_worker::{Cache, PieceCache, Worker, WorkerError};
@@ -49,11 +49,13 @@ impl EmbeddedConfig<'_> {
     }
 }
 
-/// Tokens of one run: for its user and its workers. They are valid while this object lives and the farm runs.
+/// Tokens of one run: for its user, for the browsers of its user, and for its workers. They are valid while this object lives and the
+/// farm runs.
 pub struct RunTokens {
     folder: TempDir,
     user: TokenFile,
     worker: TokenFile,
+    logins: LoginTokens,
 }
 
 impl RunTokens {
@@ -67,10 +69,16 @@ impl RunTokens {
         let token = |holder: Holder| authority.issue_token(holder, Self::DAYS).map_err(failed);
         let user = token(Holder::User { name: user_name(), role })?;
         let worker = token(Holder::Worker { name: "worker".into() })?;
-        Ok(Self { folder, user, worker })
+        let logins = LoginTokens::new(user.token().secret()).map_err(failed)?;
+        Ok(Self { folder, user, worker, logins })
     }
 
-    /// Returns the token of the user.
+    /// Returns the tokens for addresses of pages. A browser exchanges such a token for the token of the user, once.
+    pub fn logins(&self) -> &LoginTokens {
+        &self.logins
+    }
+
+    /// Returns the token of the user, for programs.
     pub fn user_token(&self) -> String {
         self.user.token().secret()
     }
@@ -90,7 +98,7 @@ impl RunTokens {
     fn access_control(&self) -> Result<AccessControl, Failure> {
         let authority = Authority::open(&self.folder.path().join("authority")).map_err(failed)?;
         let tokens = Tokens::open(authority.tokens_path()).map_err(failed)?;
-        Ok(AccessControl { identity: None, revoked: None, tokens: Some(tokens) })
+        Ok(AccessControl { identity: None, revoked: None, tokens: Some(tokens), logins: Some(self.logins.clone()) })
     }
 }
 

@@ -11,9 +11,9 @@ use crate::exit::{Exit, Failure, failed, usage};
 use crate::output::{Printer, Progress, job as show, json};
 use crate::request::ResolvedRequest;
 use clap::Args;
-use femc_coordinator::{ArtifactStorage, LightFile, LightSource, LogStorage, MAX_LIGHT_BYTES, Site};
+use femc_coordinator::{ArtifactStorage, LightFault, LightFile, LightSource, LogStorage, MAX_LIGHT_BYTES, Site};
 use femc_model::JobId;
-use femc_trust::Role;
+use femc_trust::{Role, Token};
 use serde::Serialize;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -21,7 +21,7 @@ use std::time::Duration;
 
 /// Show recorded light paths in a browser: statistics files, or a scene while it is rendered
 ///
-/// The server accepts connections of this machine only. Its address contains a token that is valid until the command ends.
+/// The server accepts connections of this machine only. Its address signs in one browser, once; then the command prints another address.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     femc render scenes/gallery.mgf -o gallery.exr --stats && femc view gallery.paths\n  \
@@ -37,7 +37,7 @@ pub struct ViewArgs {
     /// Port of this machine [default: any free port]
     #[arg(long, value_name = "PORT", default_value_t = 0, hide_default_value = true)]
     port: u16,
-    /// Only print the address, and do not open a browser
+    /// Only print the address, and do not open a browser. With --json, the document has a token for programs, too
     #[arg(long)]
     no_browser: bool,
     #[command(flatten)]
@@ -49,7 +49,10 @@ pub struct ViewArgs {
 /// Address of the pages.
 #[derive(Serialize)]
 struct ViewReport {
+    /// Address that signs in one browser.
     url: String,
+    /// Token for programs, valid until the command ends.
+    token: String,
 }
 
 /// Interval between two requests for the progress of a scene.
@@ -78,9 +81,10 @@ fn view_files(args: &ViewArgs, printer: Printer) -> Result<Exit, Failure> {
         let mut interrupt = Interrupt::listen()?;
         let (mut farm, _client, tokens) = start(args, Role::Viewer, 0, None, site).await?;
         let page = if args.inputs.len() == 2 { "/view?b=1" } else { "/view" };
-        report(args, &farm, &tokens, page, printer)?;
+        let addresses = Addresses { args, farm: farm.url(), tokens: &tokens, page: page.to_owned(), printer };
         let outcome = tokio::select! {
             () = interrupt.wait() => Ok(Exit::Done),
+            fault = addresses.print() => Err(fault),
             broken = farm.wait_for_failure() => return Err(broken),
         };
         farm.stop().await;
@@ -105,8 +109,8 @@ fn checked_file(path: &Path) -> Result<LightFile, Failure> {
     match femc_pictures::open_light("check", vec![source]) {
         Ok(Some(_)) => Ok(LightFile { name, path: path.to_owned() }),
         Ok(None) => Err(fault("the file contains no recorded paths; render with --stats".into())),
-        Err(message) => {
-            Err(failed(format!("{message}; render the frame again with --stats, by the same version of femc")))
+        Err(LightFault { message, .. }) => {
+            Err(fault(format!("{message}; render the frame again with --stats, by the same version of femc")))
         }
     }
 }
@@ -126,9 +130,11 @@ fn view_scene(scene: &Path, args: &ViewArgs, printer: Printer) -> Result<Exit, F
         let (mut farm, client, tokens) =
             start(args, Role::Operator, resolved.workers, resolved.threads, site()).await?;
         let (job, _) = client.submit(&parcel, unique_key(), spec).await?;
-        report(args, &farm, &tokens, &format!("/jobs/{job}/light?frames={first}"), printer)?;
+        let page = format!("/jobs/{job}/light?frames={first}");
+        let addresses = Addresses { args, farm: farm.url(), tokens: &tokens, page, printer };
         let outcome = tokio::select! {
             () = interrupt.wait() => Ok(Exit::Done),
+            fault = addresses.print() => Err(fault),
             stopped = follow(&client, job, &resolved, printer) => stopped,
             broken = farm.wait_for_failure() => return Err(broken),
         };
@@ -184,26 +190,56 @@ async fn start(
     Ok((farm, client, tokens))
 }
 
-/// Prints the address of a page, and opens it in a browser.
-fn report(
-    args: &ViewArgs,
-    farm: &EmbeddedFarm,
-    tokens: &RunTokens,
-    page: &str,
+/// Addresses that lead browsers to a page.
+struct Addresses<'a> {
+    args: &'a ViewArgs,
+    /// Address of the farm.
+    farm: String,
+    tokens: &'a RunTokens,
+    page: String,
     printer: Printer,
-) -> Result<(), Failure> {
-    // The fragment of an address is not sent to servers and does not appear in their logs.
-    let query: String = url_encoded(page);
-    let url = format!("{}/login#token={}&from={query}", farm.url(), tokens.user_token());
-    if args.format.json {
-        json::print(printer, &ViewReport { url: url.clone() })?;
-    } else {
-        printer.result(&url);
+}
+
+impl Addresses<'_> {
+    /// Prints an address and opens it in a browser. Prints another address whenever one was used. Returns only after an error.
+    async fn print(&self) -> Failure {
+        let mut current = self.tokens.logins().subscribe();
+        let first = self.address(&current.borrow_and_update());
+        if let Err(fault) = self.print_address(first.clone()).and_then(|()| self.open(&first)) {
+            return fault;
+        }
+        // The sender lives as long as the tokens.
+        while current.changed().await.is_ok() {
+            let next = self.address(&current.borrow_and_update());
+            if !self.args.format.json {
+                self.printer.note("a browser has signed in; this address signs in another one:");
+            }
+            if let Err(fault) = self.print_address(next) {
+                return fault;
+            }
+        }
+        failed("no browser can sign in any more; run the command again")
     }
-    if !args.no_browser {
-        embedded::open_browser(&tokens.entrance(&url)?);
+
+    fn address(&self, token: &Token) -> String {
+        // The fragment of an address is not sent to servers and does not appear in their logs.
+        format!("{}/login#token={}&from={}", self.farm, token.secret(), url_encoded(&self.page))
     }
-    Ok(())
+
+    fn print_address(&self, url: String) -> Result<(), Failure> {
+        if self.args.format.json {
+            return json::print_line(self.printer, &ViewReport { url, token: self.tokens.user_token() });
+        }
+        self.printer.result(&url);
+        Ok(())
+    }
+
+    fn open(&self, url: &str) -> Result<(), Failure> {
+        if !self.args.no_browser {
+            embedded::open_browser(&self.tokens.entrance(url)?);
+        }
+        Ok(())
+    }
 }
 
 /// Encodes text for a value in the query or the fragment of a URL.

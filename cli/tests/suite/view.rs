@@ -19,23 +19,50 @@ struct Pages {
 
 impl Pages {
     fn open(dir: &TestFolder, line: &str) -> Self {
-        let mut process = dir.start(&format!("view {line} --no-browser"));
-        let url = process.first_line();
-        let (address, fragment) = url.split_once("/login#").unwrap_or_else(|| panic!("no address: {url}"));
-        let value = |name: &str| {
-            let pairs = fragment.split('&').filter_map(|pair| pair.split_once('='));
-            pairs.clone().find(|(key, _)| *key == name).map_or_else(String::new, |(_, value)| value.to_owned())
-        };
+        let mut process = dir.start(&format!("view {line} --no-browser --json"));
+        let document: serde_json::Value = serde_json::from_str(&process.first_line()).expect("JSON");
+        let url = SignInUrl::parse(document["url"].as_str().expect("a URL"));
+        let token = document["token"].as_str().expect("a token");
         Self {
-            address: address.trim_start_matches("http://").to_owned(),
-            authorization: format!("Authorization: Bearer {}", value("token")),
-            page: value("from"),
+            address: url.address,
+            authorization: format!("Authorization: Bearer {token}"),
+            page: url.page,
             _process: process,
         }
     }
 
     fn get(&self, path: &str) -> Answer {
         send_request(&self.address, &format!("GET /api/v1/{path}"), &[&self.authorization], "")
+    }
+}
+
+/// URL that `femc view` prints.
+struct SignInUrl {
+    address: String,
+    token: String,
+    page: String,
+}
+
+impl SignInUrl {
+    fn parse(url: &str) -> Self {
+        let (address, fragment) = url.split_once("/login#").unwrap_or_else(|| panic!("no address: {url}"));
+        let value = |name: &str| {
+            let pairs = fragment.split('&').filter_map(|pair| pair.split_once('='));
+            pairs.clone().find(|(key, _)| *key == name).map_or_else(String::new, |(_, value)| value.to_owned())
+        };
+        let address = address.trim_start_matches("http://").to_owned();
+        Self { address, token: value("token"), page: value("from") }
+    }
+
+    /// Signs in, as a browser does.
+    fn sign_in(&self) -> Answer {
+        let form = ["Content-Type: application/x-www-form-urlencoded"];
+        send_request(&self.address, "POST /login", &form, &format!("token={}", self.token))
+    }
+
+    /// Requests the list of files with a header, and returns the status.
+    fn files(&self, header: &str) -> u16 {
+        send_request(&self.address, "GET /api/v1/files", &[header], "").status
     }
 }
 
@@ -56,13 +83,19 @@ fn header(answer: &Answer) -> serde_json::Value {
 
 /// Returns a column of bytes.
 fn bytes<'a>(answer: &'a Answer, name: &str) -> &'a [u8] {
+    column_bytes(answer, name, "u8")
+}
+
+/// Returns the bytes of a column.
+fn column_bytes<'a>(answer: &'a Answer, name: &str, kind: &str) -> &'a [u8] {
     let header = header(answer);
     let length = u32::from_le_bytes(answer.body[8..12].try_into().expect("four bytes")) as usize;
     let columns = header["columns"].as_array().expect("columns");
     let column = columns.iter().find(|column| column["name"] == name).expect("the column");
     let number = |key: &str| column[key].as_u64().expect("a number") as usize;
-    assert_eq!(column["type"], "u8");
-    &answer.body[12 + length + number("offset")..][..number("length")]
+    assert_eq!(column["type"], kind);
+    let size = if kind == "u8" { 1 } else { 4 };
+    &answer.body[12 + length + number("offset")..][..size * number("length")]
 }
 
 fn write_gallery(dir: &TestFolder) {
@@ -113,6 +146,23 @@ fn counts_of_pages_are_those_of_the_command_line_and_of_polars() {
 }
 
 #[test]
+fn representative_paths_of_pages_are_those_of_the_command_line() {
+    let dir = TestFolder::new();
+    write_gallery(&dir);
+    let answer = Pages::open(&dir, "gallery.paths").get("files/0/light/paths?count=400");
+    let ran = dir.run("paths gallery.paths --few 400 --json").exits(0);
+    let rows: Vec<serde_json::Value> = serde_json::from_str(&ran.stdout()).expect("JSON");
+    let numbers: Vec<u32> = rows.iter().map(|row| row["path"].as_u64().expect("a number") as u32).collect();
+    assert_eq!(
+        column_bytes(&answer, "paths.number", "u32"),
+        numbers.iter().flat_map(|it| it.to_le_bytes()).collect::<Vec<u8>>()
+    );
+    let header = header(&answer);
+    let distance = format!("D = {:.4}, DJ = {:.3};", header["d"].as_f64().unwrap(), header["dj"].as_f64().unwrap());
+    assert!(ran.stderr().contains(&distance), "{distance} {}", ran.stderr());
+}
+
+#[test]
 fn a_view_needs_its_token_and_names_faults_of_parameters() {
     let dir = TestFolder::new();
     dir.run("render fog.mgf -o fog.exr --size 32x32 --spp 8 --stats").exits(0);
@@ -121,10 +171,6 @@ fn a_view_needs_its_token_and_names_faults_of_parameters() {
     assert_eq!(pages.page, "/view%3Fb%3D1");
     let without = send_request(&pages.address, "GET /api/v1/files", &[], "");
     assert_eq!((without.status, without.code().as_str()), (401, "unauthenticated"));
-    let login = ["Content-Type: application/x-www-form-urlencoded"];
-    let token = pages.authorization.trim_start_matches("Authorization: Bearer ");
-    let signed_in = send_request(&pages.address, "POST /login", &login, &format!("token={token}"));
-    assert!(signed_in.header("set-cookie").contains("HttpOnly"), "{:?}", signed_in.head);
     let files = pages.get("files").json();
     assert_eq!((&files["files"][0]["name"], &files["files"][1]["name"]), (&"fog.paths".into(), &"other.paths".into()));
     let schema = pages.get("files/1/light/schema");
@@ -162,6 +208,66 @@ fn a_view_needs_its_token_and_names_faults_of_parameters() {
 }
 
 #[test]
+fn each_address_signs_in_one_browser() {
+    let dir = TestFolder::new();
+    dir.run("render fog.mgf -o fog.exr --size 32x32 --spp 8 --stats").exits(0);
+    let mut process = dir.start("view fog.paths --no-browser");
+    let mut lines = process.lines();
+    let first = SignInUrl::parse(&lines.next().expect("an address"));
+    assert_eq!(first.page, "/view");
+    assert_eq!(first.files(&format!("Authorization: Bearer {}", first.token)), 401, "it is no token for programs");
+    let cookie = |answer: &Answer| {
+        assert_eq!(answer.status, 303, "{:?}", answer.head);
+        let cookie = answer.header("set-cookie");
+        assert!(cookie.contains("HttpOnly"), "{cookie}");
+        format!("Cookie: {}", cookie.split(';').next().expect("a value"))
+    };
+    let signed_in = cookie(&first.sign_in());
+    assert!(!signed_in.contains(&first.token), "{signed_in}");
+    assert_eq!(first.files(&signed_in), 200);
+    let again = first.sign_in();
+    assert_eq!((again.status, again.code().as_str()), (410, "used"));
+    let help = again.json()["error"]["help"].as_str().expect("help").to_owned();
+    assert!(help.contains("latest address in the terminal"), "{help}");
+    // The form of a browser without scripts gets a page.
+    let head = ["Content-Type: application/x-www-form-urlencoded", "Accept: text/html"];
+    let page = send_request(&first.address, "POST /login", &head, &format!("token={}", first.token));
+    let text = String::from_utf8_lossy(&page.body).into_owned();
+    assert!(page.status == 410 && text.contains("latest address in the terminal"), "{text}");
+    let second = SignInUrl::parse(&lines.next().expect("another address"));
+    assert_ne!(second.token, first.token);
+    assert_eq!(second.files(&cookie(&second.sign_in())), 200);
+    assert_eq!(second.files(&signed_in), 200, "the first browser stays signed in");
+    assert_eq!(second.sign_in().status, 410);
+    let third = SignInUrl::parse(&lines.next().expect("a third address"));
+    assert_eq!(third.sign_in().status, 303);
+    let notes = process.kill_for_stderr();
+    assert_eq!(notes.matches("a browser has signed in").count(), 3, "{notes}");
+}
+
+#[test]
+fn programs_have_a_token_of_their_own() {
+    let dir = TestFolder::new();
+    dir.run("render fog.mgf -o fog.exr --size 32x32 --spp 8 --stats").exits(0);
+    let mut process = dir.start("view fog.paths --no-browser --json");
+    let mut documents = process.lines().map(|line| serde_json::from_str::<serde_json::Value>(&line).expect("JSON"));
+    let [mut first, token] = {
+        let document = documents.next().expect("a document");
+        [&document["url"], &document["token"]].map(|it| it.as_str().expect("a text").to_owned())
+    };
+    let bearer = format!("Authorization: Bearer {token}");
+    for _ in 0..2 {
+        let url = SignInUrl::parse(&first);
+        assert_ne!(url.token, token);
+        assert_eq!(url.files(&bearer), 200, "the token is valid as often as needed");
+        assert_eq!(url.sign_in().status, 303);
+        let next = documents.next().expect("a document for the next browser");
+        assert_eq!(next["token"], *token);
+        first = next["url"].as_str().expect("a URL").to_owned();
+    }
+}
+
+#[test]
 fn faulty_files_are_refused_before_the_browser_opens() {
     let dir = TestFolder::new();
     dir.run("render fog.mgf -o fog.exr --size 32x32 --spp 8 --stats").exits(0);
@@ -191,8 +297,15 @@ fn light_of_a_frame_in_progress_grows_until_its_end() {
     assert_eq!(get("schema?frames=3").status, 204, "nothing is rendered yet");
     assert_eq!(get("schema").status, 400, "the frames are missing");
     let mut worker = dir.start(&format!("worker --join {url} --threads 1"));
-    let (mut growing, mut last) = (0, 0);
+    let (mut growing, mut last, mut differences) = (0, 0, 0);
+    let mut tag = String::new();
     worker.wait_until("the frame is done", || {
+        let paths = get(&format!("paths?frames=3&since={tag}"));
+        if paths.status == 200 {
+            let header = header(&paths);
+            differences += u32::from(header["since"] == *tag && !tag.is_empty());
+            tag = paths.header("etag").trim_matches('"').to_owned();
+        }
         let answer = get("schema?frames=3");
         if answer.status == 200 {
             let schema = answer.json();
@@ -204,6 +317,10 @@ fn light_of_a_frame_in_progress_grows_until_its_end() {
         status(&dir, &url, &job)["state"] == "done"
     });
     assert!(growing > 0, "the growing frame was never shown");
+    assert!(differences > 0, "all answers about the growing frame were full");
+    // The last difference is that from the growing frame to the finished one.
+    let finished = header(&get("paths?frames=3"));
+    assert_eq!((&finished["growing"], finished.get("since")), (&false.into(), None));
     let schema = get("schema?frames=3").json();
     assert_eq!((schema["growing"].clone(), schema["samples"].clone()), (false.into(), (160 * 96 * 24).into()));
     dir.run(&format!("fetch {job} -o out --server {url}")).exits(0);
@@ -216,6 +333,36 @@ fn light_of_a_frame_in_progress_grows_until_its_end() {
     worker.wait_until("the plain job is done", || status(&dir, &url, &plain)["state"] == "done");
     let none = send_request(&address, &format!("GET /api/v1/jobs/{plain}/light/schema?frames=3"), &[], "");
     assert_eq!((none.status, none.code().as_str()), (404, "not_found"), "{}", none.json());
+}
+
+#[test]
+fn damaged_statistics_of_a_job_are_named_and_made_again() {
+    let dir = TestFolder::new();
+    let (_farm, url) = start_coordinator(&dir, 0);
+    let address = url.trim_start_matches("http://").to_owned();
+    let ran = dir.run(&format!("submit fog.mgf --frames 3..4 --size 16x16 --spp 8 --stats --server {url}")).exits(0);
+    let job = ran.stdout().trim().to_owned();
+    let mut worker = dir.start(&format!("worker --join {url} --threads 1"));
+    worker.wait_until("the job is done", || status(&dir, &url, &job)["state"] == "done");
+    let get = |call: &str| send_request(&address, &format!("GET /api/v1/jobs/{job}/{call}"), &[], "");
+    let frames = get("frames").json();
+    let outputs = frames["frames"][1]["outputs"].as_array().expect("outputs").clone();
+    let statistics = outputs.iter().find(|output| output["role"] == "statistics").expect("statistics");
+    let digest = statistics["digest"].as_str().expect("a digest");
+    let digest_of_file = digest.parse().expect("a digest");
+    let file = dir.path("artifacts").join(femc_store::artifact_path(&digest_of_file).to_string());
+    let bytes = std::fs::read(&file).expect("the artifact");
+    std::fs::write(&file, &bytes[..bytes.len() / 2]).expect("it is cut");
+    let answer = get("light/schema?frames=3..4");
+    assert_eq!((answer.status, answer.code().as_str()), (404, "lost"));
+    let expected = format!(
+        "frame 4 of job {job}: its light statistics are damaged or missing in the farm's store (artifact {digest})"
+    );
+    assert_eq!(answer.json()["error"]["message"], expected);
+    worker.wait_until("the frame is rendered again", || {
+        let schema = get("light/schema?frames=3..4");
+        schema.status == 200 && schema.json()["growing"] == false
+    });
 }
 
 /// Light of all rounds so far is shown, and not only that of the latest round.

@@ -102,6 +102,17 @@ impl Scheduler {
         Ok(job.unfinished.iter().map(parts).filter(|parts| !parts.outputs.is_empty()).collect())
     }
 
+    /// Returns the task of a job's frame in progress that made an artifact.
+    pub fn producer(&self, id: JobId, digest: &Digest) -> Result<Option<TaskKey>, Refusal> {
+        let job = self.job(id)?;
+        let task = |(&frame, progress): (&u32, &Progress)| {
+            let ((round, number), index) = *progress.producers(&[*digest]).first()?;
+            let kind = job.graph_view(frame).template(number)?.kind;
+            Some(TaskKey { job: id, stage: Stage { frame, round, number, kind }, index })
+        };
+        Ok(job.unfinished.iter().find_map(task))
+    }
+
     /// Returns the connected workers, in order of joining.
     pub fn workers(&self, now: Tick) -> Vec<WorkerStatus> {
         let status = |(&worker, known): (_, &crate::lease_table::Worker)| WorkerStatus {

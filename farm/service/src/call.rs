@@ -5,7 +5,7 @@ use std::fs::File;
 
 use femc_model::{
     AttemptRecord, ChunkSize, Control, Digest, Drain, FrameParts, FrameRecord, FrameStatus, JobId, JobSpec, JobStatus,
-    LogRecord, OwnerUsage, Refusal, TaskFilter, TaskPage, Tick, WorkerId, WorkerList, WorkerSelector,
+    LogRecord, OwnerUsage, Refusal, TaskFilter, TaskKey, TaskPage, Tick, WorkerId, WorkerList, WorkerSelector,
 };
 use tokio::sync::{oneshot, watch};
 
@@ -221,6 +221,15 @@ pub enum Call<S> {
         digest: Digest,
         /// Sent when all consequences of the loss are durable.
         reply: Reply<()>,
+    },
+    /// Find the task of a frame in progress that made an artifact.
+    Producer {
+        /// The job.
+        job: JobId,
+        /// Digest of the artifact.
+        digest: Digest,
+        /// The task. `None`: no frame in progress has such an output now.
+        reply: Reply<Option<TaskKey>>,
     },
     /// A worker has connected.
     Session(Box<S>),

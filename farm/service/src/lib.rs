@@ -20,8 +20,8 @@ pub mod times;
 pub mod view;
 
 pub use access::{
-    AccessGrant, AuditEntry, Caller, CallerKey, Credential, Gate, Limits, Outcome, PresentedCredentials, TransferSlot,
-    TransferSlots,
+    AccessGrant, AuditEntry, Caller, CallerKey, Credential, Gate, Limits, LoginTokens, Outcome, PresentedCredentials,
+    TransferSlot, TransferSlots,
 };
 pub use call::{AttemptPage, Backup, Call, ChangeScope, Changes, JobList, JobShape, References, Reply};
 pub use farm::Farm;
@@ -29,8 +29,8 @@ pub use feed::Feed;
 pub use http::{Body, ConnectedClient, Http, PageFiles, PermittedResponse, PublicResponse, Site};
 pub use job_control::store_refusal;
 pub use light::{
-    AxisPairs, Corners, EarlierRows, LightAnswer, LightCall, LightCallKind, LightData, LightError, LightFile,
-    LightSource, MAX_LIGHT_BYTES, OpenLight, PathCount, RowIdentity, VoxelLevel,
+    AxisPairs, Corners, EarlierRows, LightAnswer, LightCall, LightCallKind, LightData, LightError, LightFault,
+    LightFile, LightSource, MAX_LIGHT_BYTES, OpenLight, PathCount, RowIdentity, VoxelLevel,
 };
 pub use operation::{Operation, Right};
 pub use picture::{DrawPicture, PictureKind, PictureSource};

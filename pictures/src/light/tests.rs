@@ -608,14 +608,14 @@ fn answers_do_not_depend_on_order_and_division() {
 #[test]
 fn damaged_and_missing_data_are_told_apart() {
     let good = source("frame 3", &parts(&scope(3)));
-    let fault = |sources: Vec<LightSource>| open_light("", sources).err().expect("a fault");
+    let fault = |sources: Vec<LightSource>| open_light("", sources).err().expect("a fault").to_string();
     let mut damaged = good.clone();
     let mut bytes = damaged.parts[2].to_vec();
     bytes[90] ^= 4;
     damaged.parts[2] = bytes.into();
-    assert_eq!(fault(vec![good.clone(), damaged]), "frame 3: part 3 of 4: invalid light statistics: checksum mismatch");
+    assert_eq!(fault(vec![good.clone(), damaged]), "frame 3: part 3: invalid light statistics: checksum mismatch");
     let other = source("frame 3", &[frame(&scope(3)), frame(&scope(4))]);
-    assert_eq!(fault(vec![other]), "frame 3: part 2 of 2: the statistics belong to different frames or settings");
+    assert_eq!(fault(vec![other]), "frame 3: part 2: the statistics belong to different frames or settings");
     let picture = LightSource { name: "a.exr".into(), parts: vec![vec![7; 100].into()], is_growing: false };
     assert!(fault(vec![picture]).starts_with("a.exr: invalid light statistics: wrong magic number"));
     let empty = source("a.paths", &[LightStatistics::new(scope(3), 0.5)]);

@@ -21,16 +21,23 @@ function header(bytes) {
   return JSON.parse(bytes.toString('utf8', 12, 12 + bytes.readUInt32LE(8)));
 }
 
-/** `femc view` and the address that it prints. */
+/** `femc view` and the latest address that it prints. Each address signs in one browser context. */
 export async function view(farm, ...inputs) {
   const name = `view-${Math.random().toString(36).slice(2, 8)}`;
   const child = farm.launch(name, ['view', ...inputs, '--no-browser']);
   const log = join(farm.folder, `${name}.log`);
+  const latest = () => (existsSync(log) && readFileSync(log, 'utf8').match(/^http:\S+$/gm)?.at(-1)) || null;
   const address = await until(() => {
     if (child.exitCode !== null) throw new Error(`femc view ended: ${existsSync(log) ? readFileSync(log, 'utf8') : ''}`);
-    return existsSync(log) && /^http:\S+$/m.exec(readFileSync(log, 'utf8'))?.[0];
+    return latest();
   }, 'femc view prints an address');
-  return { child, address, url: new URL(address).origin };
+  return {
+    child,
+    get address() {
+      return latest();
+    },
+    url: new URL(address).origin,
+  };
 }
 
 /** A page with recorded light, and where its numbers can be checked. */

@@ -298,11 +298,14 @@ impl TestProcess {
 
     /// Returns the first line on stdout.
     pub fn first_line(&mut self) -> String {
+        self.lines().next().unwrap_or_default()
+    }
+
+    /// Returns the lines on stdout. Each of them is waited for.
+    pub fn lines(&mut self) -> impl Iterator<Item = String> + use<> {
         use std::io::{BufRead, BufReader};
         let stdout = self.child().stdout.take().expect("stdout is a pipe");
-        let mut line = String::new();
-        BufReader::new(stdout).read_line(&mut line).expect("a line");
-        line.trim().to_owned()
+        BufReader::new(stdout).lines().map(|line| line.expect("a line").trim().to_owned())
     }
 }
 

@@ -86,6 +86,10 @@ fn the_next_round_gathers_with_the_sums_of_the_round_before() {
     farm.complete(1, &reduce, Done);
     let parts = farm.scheduler.partial_frames(id).unwrap();
     assert_eq!(roles(&parts[0]), [Role::Sums, Role::Sums, Role::Tile, Role::Pixels], "a preview counts nothing twice");
+    let producer = |digest| farm.scheduler.producer(id, digest).unwrap();
+    assert_eq!(producer(&parts[0].outputs[3].artifact.digest), Some(reduce.task));
+    assert_eq!(producer(&parts[0].outputs[2].artifact.digest).map(|task| task.stage.kind), Some(Render));
+    assert_eq!(producer(&Digest::compute(b"nothing")), None);
     let merge = complete_until_kind(&mut farm, Image);
     assert_eq!(merge.task.stage.round, 1);
     farm.complete(1, &merge, Done);

@@ -3,6 +3,7 @@
 mod audit_entry;
 mod caller;
 mod limits;
+mod login_tokens;
 mod rate;
 mod transfer_slots;
 
@@ -19,6 +20,7 @@ pub use audit_entry::{AuditEntry, Outcome};
 use caller::CredentialLists;
 pub use caller::{Caller, Credential};
 pub use limits::Limits;
+pub use login_tokens::LoginTokens;
 use rate::RateLimiter;
 pub use transfer_slots::{TransferSlot, TransferSlots};
 
@@ -58,6 +60,8 @@ pub struct AccessGrant {
 pub struct Gate {
     /// `None`: the farm does not authenticate, and everyone who can reach the address may do everything.
     lists: Option<CredentialLists>,
+    /// Tokens in addresses of pages.
+    logins: Option<LoginTokens>,
     rates: RateLimiter,
     audit: Option<Audit>,
     limits: Limits,
@@ -67,7 +71,13 @@ impl Gate {
     /// Makes a gate. With `lists` (revoked identities, and tokens) the farm authenticates callers.
     pub fn new(lists: Option<(Option<RevocationList>, Option<Tokens>)>, limits: Limits, audit: Option<Audit>) -> Self {
         let lists = lists.map(|(revoked, tokens)| CredentialLists { revoked, tokens });
-        Self { lists, rates: RateLimiter::new(&limits), audit, limits }
+        Self { lists, logins: None, rates: RateLimiter::new(&limits), audit, limits }
+    }
+
+    /// Accepts tokens in addresses of pages, each of them once.
+    #[must_use]
+    pub fn with_logins(self, logins: Option<LoginTokens>) -> Self {
+        Self { logins, ..self }
     }
 
     /// Returns whether the farm authenticates callers.
@@ -120,6 +130,11 @@ impl Gate {
         }
         let wait = self.limit_rate(Some(&name))?;
         Ok(AccessGrant { caller: Some(Arc::new(caller)), name: Some(name), wait })
+    }
+
+    /// Returns the tokens in addresses of pages.
+    pub(crate) fn logins(&self) -> Option<&LoginTokens> {
+        self.logins.as_ref()
     }
 
     /// Returns the caller that this token would authenticate.

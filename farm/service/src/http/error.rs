@@ -2,7 +2,7 @@
 
 use ::http::header::{ACCEPT, ALLOW, CONTENT_RANGE, HeaderValue, RETRY_AFTER};
 use ::http::{Response, StatusCode};
-use femc_model::{JobId, Refusal};
+use femc_model::{Digest, JobId, Refusal};
 use serde_json::json;
 
 use super::RequestHead;
@@ -54,6 +54,9 @@ pub(super) enum HttpError {
         /// Host of the request.
         host: String,
     },
+    /// The token of the address does not sign in a browser any more.
+    #[error("this address is not valid any more: it signs in one browser, once, while its `femc view` runs")]
+    UsedAddress,
     /// The job does not make this result, or the result is not finished.
     #[error("job {job} has no {file}, or the result is not finished")]
     NoResult {
@@ -69,6 +72,18 @@ pub(super) enum HttpError {
         job: JobId,
         /// Description of the result.
         file: String,
+    },
+    /// The light statistics of a frame are damaged or missing in the store.
+    #[error(
+        "frame {frame} of job {job}: its light statistics are damaged or missing in the farm's store (artifact {digest})"
+    )]
+    LightLost {
+        /// The job.
+        job: JobId,
+        /// The frame.
+        frame: u32,
+        /// Digest of the statistics.
+        digest: Digest,
     },
     /// Light statistics cannot be read.
     #[error("{message}")]
@@ -121,13 +136,16 @@ impl HttpError {
                 Refusal::Forbidden { .. } => StatusCode::FORBIDDEN,
                 Refusal::Unauthenticated { .. } => StatusCode::UNAUTHORIZED,
             },
-            Self::UnknownPath { .. } | Self::NoWebPage | Self::NoResult { .. } | Self::ResultLost { .. } => {
-                StatusCode::NOT_FOUND
-            }
+            Self::UnknownPath { .. }
+            | Self::NoWebPage
+            | Self::NoResult { .. }
+            | Self::ResultLost { .. }
+            | Self::LightLost { .. } => StatusCode::NOT_FOUND,
             Self::UnreadableLight { .. } => StatusCode::UNPROCESSABLE_ENTITY,
             Self::Range { .. } => StatusCode::RANGE_NOT_SATISFIABLE,
             Self::Method { .. } => StatusCode::METHOD_NOT_ALLOWED,
             Self::Invalid { .. } => StatusCode::BAD_REQUEST,
+            Self::UsedAddress => StatusCode::GONE,
             Self::CrossSite { .. } | Self::ForeignHost { .. } => StatusCode::FORBIDDEN,
             Self::TooLarge { .. } => StatusCode::PAYLOAD_TOO_LARGE,
             Self::HeadersTooLarge { .. } => StatusCode::REQUEST_HEADER_FIELDS_TOO_LARGE,
@@ -140,11 +158,12 @@ impl HttpError {
         match self {
             Self::Refused(refusal) => code(refusal),
             Self::UnknownPath { .. } | Self::NoWebPage | Self::NoResult { .. } => "not_found",
-            Self::ResultLost { .. } => "lost",
+            Self::ResultLost { .. } | Self::LightLost { .. } => "lost",
             Self::UnreadableLight { .. } => "unreadable",
             Self::Range { .. } => "range",
             Self::Method { .. } => "method_not_allowed",
             Self::Invalid { .. } => "invalid",
+            Self::UsedAddress => "used",
             Self::CrossSite { .. } => "cross_site",
             Self::ForeignHost { .. } => "foreign_host",
             Self::TooLarge { .. } => "too_large",
@@ -184,10 +203,11 @@ impl HttpError {
             Self::ForeignHost { .. } => {
                 "use its address, such as http://127.0.0.1:PORT; host names need a coordinator with --identity or --token-file"
             }
+            Self::UsedAddress => "open the latest address in the terminal of `femc view`, or run the command again",
             Self::NoResult { .. } => {
                 "GET /api/v1/jobs/JOB/frames lists the `outputs` of finished frames; frame 0 has the outputs of the whole job"
             }
-            Self::ResultLost { .. } => {
+            Self::ResultLost { .. } | Self::LightLost { .. } => {
                 "the farm makes the result again (if the job failed or was cancelled: after a retry); \
                  request it when it is finished"
             }
@@ -207,6 +227,7 @@ impl HttpError {
             Self::Refused(Refusal::Forbidden { .. } | Refusal::Unauthenticated { .. } | Refusal::TooLarge { .. })
             | Self::CrossSite { .. }
             | Self::ForeignHost { .. }
+            | Self::UsedAddress
             | Self::TooLarge { .. }
             | Self::HeadersTooLarge { .. } => Outcome::Refused,
             Self::Refused(_)
@@ -216,6 +237,7 @@ impl HttpError {
             | Self::Invalid { .. }
             | Self::NoResult { .. }
             | Self::ResultLost { .. }
+            | Self::LightLost { .. }
             | Self::UnreadableLight { .. }
             | Self::Range { .. }
             | Self::UnreadableBody { .. } => Outcome::Failed,

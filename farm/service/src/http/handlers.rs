@@ -155,7 +155,7 @@ impl<S: Send + 'static> Http<S> {
         }
     }
 
-    /// Takes a token from a form, and sets a cookie with it.
+    /// Takes a token from a form, and sets a cookie with it. The token of an address is exchanged for the token of the session.
     fn login(
         &self,
         request_head: &RequestHead<'_>,
@@ -169,9 +169,14 @@ impl<S: Send + 'static> Http<S> {
         }
         let form = std::str::from_utf8(form).unwrap_or_default();
         let token = Query(form).get("token").unwrap_or_default();
-        let caller = self.0.gate.caller_of_token(token.trim())?;
+        let logins = self.0.gate.logins();
+        let token = logins.and_then(|logins| logins.exchange(token.trim())).unwrap_or(token.trim());
+        let caller = self.0.gate.caller_of_token(token).map_err(|refusal| match logins {
+            Some(_) => HttpError::UsedAddress,
+            None => refusal.into(),
+        })?;
         audit_entry.set_caller(&caller);
-        self.redirect_with_cookie(request_head, Some(token.trim()))
+        self.redirect_with_cookie(request_head, Some(token))
     }
 
     /// Redirects to the page, and sets or clears the cookie.

@@ -161,6 +161,7 @@ impl From<LightViewError> for HttpError {
         match error {
             LightViewError::Invalid { field, message } => Self::Invalid { field: field.into(), message },
             LightViewError::Refused(refusal) => Self::Refused(refusal),
+            LightViewError::Lost { job, frame, digest } => Self::LightLost { job, frame, digest },
             LightViewError::Unreadable { message } => Self::UnreadableLight { message },
             LightViewError::NoStatistics { job, frame } => {
                 Self::NoResult { job, file: format!("light statistics of frame {frame}") }

@@ -5,6 +5,7 @@ mod call;
 mod views;
 
 use bytes::Bytes;
+use std::fmt;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -21,7 +22,7 @@ pub const MAX_LIGHT_BYTES: u64 = 256 << 20;
 /// Recorded light of one frame, or of one file.
 #[derive(Debug, Clone)]
 pub struct LightSource {
-    /// Name for messages, such as `frame 3`.
+    /// Name of the source, such as `frame 3`.
     pub name: String,
     /// Light statistics, or the parts of an unfinished frame.
     pub parts: Vec<Bytes>,
@@ -29,10 +30,29 @@ pub struct LightSource {
     pub is_growing: bool,
 }
 
-/// Function that decodes recorded light and unites its frames. It may take seconds. Its error describes the fault of the source.
-/// `None`: no sample is recorded yet.
+/// Function that decodes recorded light and unites its frames. It may take seconds. `None`: no sample is recorded yet.
 /// - `tag`: identifies the sources; all answers contain it.
-pub type OpenLight = fn(tag: &str, sources: Vec<LightSource>) -> Result<Option<Arc<dyn LightData>>, String>;
+pub type OpenLight = fn(tag: &str, sources: Vec<LightSource>) -> Result<Option<Arc<dyn LightData>>, LightFault>;
+
+/// Fault of recorded light.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct LightFault {
+    /// Names of the faulty sources.
+    pub sources: Vec<String>,
+    /// Index of the faulty part, if the source has several.
+    pub part: Option<usize>,
+    /// Description of the fault.
+    pub message: String,
+}
+
+/// Writes the sources, the part and the fault.
+impl fmt::Display for LightFault {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: ", self.sources.join(", "))?;
+        self.part.map_or(Ok(()), |part| write!(f, "part {}: ", part + 1))?;
+        f.write_str(&self.message)
+    }
+}
 
 /// Decoded recorded light.
 pub trait LightData: Send + Sync {

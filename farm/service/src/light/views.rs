@@ -60,6 +60,8 @@ pub(crate) enum LightViewError {
     Refused(Refusal),
     /// The light statistics cannot be read.
     Unreadable { message: String },
+    /// The light statistics of a finished frame are damaged or missing in the store.
+    Lost { job: JobId, frame: u32, digest: Digest },
     /// The frame is finished and has no light statistics.
     NoStatistics { job: JobId, frame: u32 },
     /// The file does not exist.
@@ -125,7 +127,7 @@ struct TargetPart {
 }
 
 enum Origin {
-    Artifacts(Vec<Artifact>),
+    Frame { job: JobId, frame: u32, artifacts: Vec<Artifact> },
     File(std::path::PathBuf),
 }
 
@@ -263,16 +265,13 @@ impl LightViews {
                 }
             };
             if !artifacts.is_empty() {
-                parts.push(TargetPart {
-                    name: format!("frame {frame}"),
-                    is_growing,
-                    origin: Origin::Artifacts(artifacts),
-                });
+                let origin = Origin::Frame { job, frame, artifacts };
+                parts.push(TargetPart { name: format!("frame {frame}"), is_growing, origin });
             }
         }
         let artifacts = || {
             parts.iter().flat_map(|part| match &part.origin {
-                Origin::Artifacts(artifacts) => &artifacts[..],
+                Origin::Frame { artifacts, .. } => &artifacts[..],
                 Origin::File(_) => &[],
             })
         };
@@ -344,26 +343,70 @@ impl LightViews {
         // Parts are read within the limit on threads, so that few of them are in memory at a time.
         let permit = self.permit().await;
         let mut sources = Vec::with_capacity(located.parts.len());
+        // Job and digests of the parts of each source.
+        let mut origins: Vec<(JobId, Vec<Digest>)> = Vec::new();
         for TargetPart { name, is_growing, origin } in located.parts {
             let parts = match origin {
                 Origin::File(path) => vec![read_file(&path, MAX_LIGHT_BYTES).await?],
-                Origin::Artifacts(artifacts) => {
+                Origin::Frame { job, frame, artifacts } => {
                     let if_missing = if is_growing { MissingOutput::Replaced } else { MissingOutput::Lost };
-                    let mut parts = Vec::with_capacity(artifacts.len());
-                    for artifact in artifacts {
-                        parts.extend(farm.read_output(&self.store, artifact.digest, if_missing).await?);
+                    let (mut parts, mut digests) = (Vec::with_capacity(artifacts.len()), Vec::new());
+                    for Artifact { digest, .. } in artifacts {
+                        let read = farm.read_output(&self.store, digest, if_missing).await;
+                        if let Some(bytes) = read.map_err(|refusal| unreadable_artifact(job, frame, refusal))? {
+                            parts.push(bytes);
+                            digests.push(digest);
+                        }
                     }
+                    origins.push((job, digests));
                     parts
                 }
             };
             sources.push(LightSource { name, parts, is_growing });
         }
+        let names: Vec<String> = sources.iter().map(|source| source.name.clone()).collect();
         let work = move || {
             let _permit = permit;
             open(&located.tag, sources)
         };
-        let opened = tokio::task::spawn_blocking(work).await.map_err(|error| error.to_string());
-        opened.and_then(|opened| opened).map_err(unreadable)
+        let opened = tokio::task::spawn_blocking(work).await.map_err(|error| unreadable(error.to_string()))?;
+        match opened {
+            Ok(opened) => Ok(opened),
+            Err(fault) => {
+                let origin = names.iter().zip(&origins).find(|(name, _)| fault.sources == [name.as_str()]);
+                let message = match origin {
+                    Some((name, (job, digests))) => {
+                        let place = describe_part(farm, *job, digests, fault.part).await;
+                        format!("{name}{place}: {}", fault.message)
+                    }
+                    None => fault.to_string(),
+                };
+                Err(unreadable(message))
+            }
+        }
+    }
+}
+
+/// Converts the refusal of a frame's statistics.
+fn unreadable_artifact(job: JobId, frame: u32, refusal: Refusal) -> LightViewError {
+    match refusal {
+        Refusal::NoSuchArtifact { digest } | Refusal::DigestMismatch { digest } => {
+            LightViewError::Lost { job, frame, digest }
+        }
+        Refusal::Unavailable { message } => unavailable(format!("light statistics of frame {frame}: {message}")),
+        other => LightViewError::Refused(other),
+    }
+}
+
+/// Describes a part of a frame: the task that made it and its digest, such as `, task 7/3.0/render.0/2 (artifact ab12..)`. A finished
+/// frame has one part.
+async fn describe_part<S>(farm: &Farm<S>, job: JobId, digests: &[Digest], part: Option<usize>) -> String {
+    let Some(&digest) = digests.get(part.unwrap_or(0)) else { return String::new() };
+    let task = farm.call(|reply| Call::Producer { job, digest, reply }).await;
+    match (task, part) {
+        (Ok(Some(task)), _) => format!(", task {task} (artifact {digest})"),
+        (_, Some(part)) => format!(", part {} of {} (artifact {digest})", part + 1, digests.len()),
+        (_, None) => format!(" (artifact {digest})"),
     }
 }
 

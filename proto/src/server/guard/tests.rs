@@ -65,7 +65,7 @@ impl TestServer {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap();
         let (calls, _) = mpsc::channel(1);
-        let entrance = AccessControl { identity: Some(identity), revoked, tokens };
+        let entrance = AccessControl { identity: Some(identity), revoked, tokens, logins: None };
         let server = Server::new(calls, Store::in_memory()).with_access_control(Some(entrance)).with_limits(limits);
         tokio::spawn(server.serve(TcpIncoming::from(listener), std::future::pending()));
         Self { folder, authority, address }
@@ -351,7 +351,7 @@ async fn a_worker_s_certificate_does_not_make_a_coordinator() {
     let url = format!("https://{}", listener.local_addr().unwrap());
     let (calls, _) = mpsc::channel(1);
     let identity = issue(&farm.authority, "worker", 1);
-    let entrance = AccessControl { identity: Some(identity), revoked: None, tokens: None };
+    let entrance = AccessControl { identity: Some(identity), revoked: None, tokens: None, logins: None };
     let server = Server::new(calls, Store::in_memory()).with_access_control(Some(entrance));
     tokio::spawn(server.serve(TcpIncoming::from(listener), std::future::pending()));
     let admin = Dialer::tcp().with_identity(issue(&farm.authority, "admin", 1));

@@ -3,11 +3,12 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
+use femc_model::{Grid, Output, Stage, StageKind, TaskKey};
 use tokio::sync::mpsc;
 
 use super::*;
 use crate::access::Limits;
-use crate::light::LightCallKind;
+use crate::light::{LightCallKind, LightFault};
 
 /// Number of times that each source was opened.
 static OPENED: Mutex<BTreeMap<String, u32>> = Mutex::new(BTreeMap::new());
@@ -41,8 +42,11 @@ impl LightData for Echo {
 }
 
 /// Opens a source slowly. The name of a large one begins with `large`.
-fn open(_tag: &str, sources: Vec<LightSource>) -> Result<OpenedLight, String> {
-    let source = sources.into_iter().next().ok_or("no source")?;
+fn open(_tag: &str, sources: Vec<LightSource>) -> Result<OpenedLight, LightFault> {
+    let source = sources.into_iter().next().expect("a source");
+    if let Some(part) = source.parts.iter().position(|part| part.as_ref() == b"bad") {
+        return Err(LightFault { sources: vec![source.name], part: Some(part), message: "no light".into() });
+    }
     *OPENED.lock().unwrap().entry(source.name.clone()).or_default() += 1;
     std::thread::sleep(Duration::from_millis(50));
     let memory_bytes = if source.name.starts_with("large") { 300 << 20 } else { 1 };
@@ -137,4 +141,74 @@ async fn answers_refer_to_known_rows_of_their_target() {
     assert_eq!(fixture.ask_since(1, Some(&first)).await.1, b"first", "rows of another target");
     *fixture.views.known_rows() = KnownRows::default();
     assert_eq!(fixture.ask_since(0, Some(&first)).await, (second, b"second".to_vec()), "after a restart");
+}
+
+/// Answers the calls of a farm with one job: frame 3 is in progress, and frame 4 is finished.
+fn serve_farm(outputs: Vec<Output>, statistics: Artifact, known: Digest) -> Farm<()> {
+    let (calls, mut inbox) = mpsc::channel::<Call<()>>(8);
+    tokio::spawn(async move {
+        while let Some(call) = inbox.recv().await {
+            match call {
+                Call::Frames { reply, .. } => {
+                    let output = Output { role: Role::Statistics, artifact: statistics };
+                    let record = FrameRecord {
+                        frame: 4,
+                        outputs: vec![output],
+                        spp: 1,
+                        relative_error: None,
+                        blocks: None,
+                        bad_samples: 0,
+                        busy_seconds: 1.0,
+                        seconds: 1.0,
+                        rounds: None,
+                        times: None,
+                    };
+                    drop(reply.send(Ok(vec![record])));
+                }
+                Call::Parts { reply, .. } => {
+                    let grid = Grid { film: [8, 8], tile: 8 };
+                    drop(reply.send(Ok(vec![FrameParts { frame: 3, grid, outputs: outputs.clone() }])));
+                }
+                Call::Producer { job, digest, reply } => {
+                    let stage = Stage { frame: 3, round: 0, number: 1, kind: StageKind::Render };
+                    let task = TaskKey { job, stage, index: 12 };
+                    drop(reply.send(Ok((digest == known).then_some(task))));
+                }
+                Call::ArtifactLost { reply, .. } => drop(reply.send(Ok(()))),
+                other => panic!("unexpected call {other:?}"),
+            }
+        }
+    });
+    Farm::new(calls)
+}
+
+#[tokio::test]
+async fn damaged_statistics_are_named_by_frame_and_task() {
+    let store = Store::in_memory();
+    let good = store.put(Bytes::from_static(b"good")).await.unwrap();
+    let bad = store.put(Bytes::from_static(b"bad")).await.unwrap();
+    let slots = TransferSlots::new(&Limits { transfers: 4, transfers_per_connection: 4, ..Limits::default() });
+    let views = LightViews::new(Some(open), Vec::new(), store.clone(), slots);
+    let lost = Artifact { digest: Digest::compute(b"lost"), bytes: 4 };
+    let outputs = [good, bad].map(|artifact| Output { role: Role::Paths, artifact });
+    let ask = async |known: Digest, frame: u32| {
+        let farm = serve_farm(outputs.to_vec(), lost, known);
+        let call = LightCall { kind: LightCallKind::Schema, condition: None, bounds: None };
+        let question = LightQuestion { target: LightTarget::Frames(JobId(7), vec![frame]), call, since: None };
+        views.answer(&farm, question, None, CallerKey { name: None, connection: 1 }).await.unwrap_err()
+    };
+    let message = |error: LightViewError| match error {
+        LightViewError::Unreadable { message } => message,
+        other => panic!("{other:?}"),
+    };
+    let digest = bad.digest;
+    let task = format!("frame 3, task 7/3.0/render.1/12 (artifact {digest}): no light");
+    assert_eq!(message(ask(digest, 3).await), task);
+    let part = format!("frame 3, part 2 of 2 (artifact {digest}): no light");
+    assert_eq!(message(ask(good.digest, 3).await), part, "the task is not known any more");
+    let error = ask(digest, 4).await;
+    assert!(
+        matches!(error, LightViewError::Lost { job: JobId(7), frame: 4, digest } if digest == lost.digest),
+        "{error:?}"
+    );
 }

@@ -1,6 +1,7 @@
 /** Converts a frame's planes to displayable images. */
 
 import { autoExposure, diverging, lookup, luminance, srgbByte, toneGain, viridis } from './color';
+import { percent, quantity, value } from './format';
 import { halves } from './half';
 import type { Pixels } from './pixels';
 import { place, spread, valueAt, type Scale } from './scale';
@@ -8,7 +9,10 @@ import { place, spread, valueAt, type Scale } from './scale';
 /** Maps from light statistics, by pixel. */
 export const MAPS = ['deviation', 'depth', 'throughput'] as const;
 export type Mapped = (typeof MAPS)[number];
-export type Show = 'picture' | 'luminance' | 'pixel-error' | 'error' | 'samples' | Mapped | 'difference';
+export const SHOWS = ['picture', 'luminance', 'pixel-error', 'error', 'samples', ...MAPS, 'difference'] as const;
+export type Show = (typeof SHOWS)[number];
+/** Maps of one frame. */
+export type Measured = Exclude<Show, 'picture' | 'difference'>;
 
 export const isMapped = (show: Show): show is Mapped => (MAPS as readonly string[]).includes(show);
 
@@ -23,6 +27,10 @@ export const MEASURES: Record<Exclude<Show, 'picture'>, { title: string; unit: s
   throughput: { title: 'Throughput', unit: 'throughput at the end of a path', channel: 'throughput' },
   difference: { title: 'Difference', unit: 'cd/m², other frame minus this one', channel: 'Y' },
 };
+
+/** Formats values of a picture or map. */
+export const formatOf = (show: Show): ((v: number) => string) =>
+  show === 'error' || show === 'pixel-error' ? percent : show === 'samples' ? quantity : value;
 
 /** Color for a missing value. */
 export const NO_VALUE = 0xff808080;
@@ -40,11 +48,11 @@ export function luminances(pixels: Pixels): Float32Array {
 /** Returns the automatic exposure of the picture, 1/(cd/m2). */
 export const suitableExposure = (pixels: Pixels): number => autoExposure(luminances(pixels));
 
-/** Applies the farm's tone curve to the picture; returns 32-bit words of a canvas. */
+/** Applies the farm's tone curve to the picture, gray if only luminances are known; returns 32-bit words of a canvas. */
 export function develop(pixels: Pixels, exposure: number): Uint32Array<ArrayBuffer> {
   const out = new Uint32Array(pixels.width * pixels.height);
   const table = halves();
-  const [red, green, blue] = ['R', 'G', 'B'].map((name) => pixels.planes.get(name));
+  const [red, green, blue] = ['R', 'G', 'B'].map((name) => pixels.planes.get(name) ?? pixels.planes.get('Y'));
   if (!red || !green || !blue) return out.fill(NO_VALUE);
   for (let i = 0; i < out.length; i++) {
     const r = Math.max(table[red[i]!]! * exposure, 0);
@@ -64,49 +72,63 @@ export function difference(a: Pixels, b: Pixels): Float32Array | null {
 }
 
 /**
- * Smooths values with a Gaussian. Values that are not finite are left out of the means and stay unchanged.
+ * Smooths values with a Gaussian. Values that are not finite are left out of the means and stay unchanged. Zeros cost little: most pixels
+ * of a density have no path.
  * - `sigma`: pixels; 0 changes nothing.
  */
 export function smooth(values: Float32Array, width: number, height: number, sigma: number): Float32Array {
   if (!(sigma > 0)) return values;
   const reach = Math.ceil(3 * sigma);
-  const kernel = Float64Array.from({ length: 2 * reach + 1 }, (_, i) =>
-    Math.exp(-((i - reach) ** 2) / (2 * sigma * sigma)),
-  );
-  const sums = new Float32Array(values.length);
-  const weights = new Float32Array(values.length);
+  const kernel = Float64Array.from({ length: 2 * reach + 1 }, (_, i) => Math.exp(-((i - reach) ** 2) / (2 * sigma * sigma)));
+  const isNumber = (v: number) => v - v === 0;
+  if (values.every(isNumber)) {
+    const [across, down] = [width, height].map((size) => kernelSums(size, kernel, reach)) as [Float64Array, Float64Array];
+    const out = convolve(values, width, height, kernel);
+    for (let y = 0, i = 0; y < height; y++) for (let x = 0; x < width; x++, i++) out[i]! /= across[x]! * down[y]!;
+    return out;
+  }
+  const sums = convolve(values.map((v) => (isNumber(v) ? v : 0)), width, height, kernel);
+  const weights = convolve(values.map((v) => Number(isNumber(v))), width, height, kernel);
+  return values.map((v, i) => (isNumber(v) ? sums[i]! / weights[i]! : v));
+}
+
+/** Returns the sums of neighbors, weighted by the kernel along the rows and along the columns. */
+function convolve(values: Float32Array, width: number, height: number, kernel: Float64Array): Float32Array {
+  const reach = (kernel.length - 1) / 2;
+  const rows = new Float32Array(values.length);
+  const isUsed = new Uint8Array(height);
+  const sums = new Float64Array(width);
+  for (let y = 0, i = 0; y < height; y++) {
+    sums.fill(0);
+    for (let x = 0; x < width; x++, i++) {
+      const v = values[i]!;
+      if (v === 0) continue;
+      isUsed[y] = 1;
+      const last = Math.min(width - 1, x + reach);
+      for (let to = Math.max(0, x - reach); to <= last; to++) sums[to]! += v * kernel[to - x + reach]!;
+    }
+    if (isUsed[y]) rows.set(sums, y * width);
+  }
   const out = new Float32Array(values.length);
   for (let y = 0; y < height; y++) {
-    for (let x = 0; x < width; x++) {
-      let [sum, weight] = [0, 0];
-      for (let k = Math.max(-reach, -x); k <= Math.min(reach, width - 1 - x); k++) {
-        const v = values[y * width + x + k]!;
-        if (v - v !== 0) continue;
-        const w = kernel[k + reach]!;
-        sum += w * v;
-        weight += w;
-      }
-      sums[y * width + x] = sum;
-      weights[y * width + x] = weight;
+    sums.fill(0);
+    for (let from = Math.max(0, y - reach); from <= Math.min(height - 1, y + reach); from++) {
+      if (!isUsed[from]) continue;
+      const weight = kernel[from - y + reach]!;
+      for (let x = 0, at = from * width; x < width; x++, at++) sums[x]! += weight * rows[at]!;
     }
-  }
-  for (let y = 0; y < height; y++) {
-    for (let x = 0; x < width; x++) {
-      const i = y * width + x;
-      if (values[i]! - values[i]! !== 0) {
-        out[i] = values[i]!;
-        continue;
-      }
-      let [sum, weight] = [0, 0];
-      for (let k = Math.max(-reach, -y); k <= Math.min(reach, height - 1 - y); k++) {
-        const w = kernel[k + reach]!;
-        sum += w * sums[i + k * width]!;
-        weight += w * weights[i + k * width]!;
-      }
-      out[i] = sum / weight;
-    }
+    out.set(sums, y * width);
   }
   return out;
+}
+
+/** Returns the sum of the part of the kernel that lies within the picture, for each place of a row or column. */
+function kernelSums(size: number, kernel: Float64Array, reach: number): Float64Array {
+  return Float64Array.from({ length: size }, (_, at) => {
+    let sum = 0;
+    for (let k = Math.max(-reach, -at); k <= Math.min(reach, size - 1 - at); k++) sum += kernel[k + reach]!;
+    return sum;
+  });
 }
 
 /** Returns a scale for the values, cut off by half a percent at each end; null if there is no value. */

@@ -3,8 +3,9 @@ import { readFileSync } from 'node:fs';
 import { join } from 'node:path';
 import { afterEach, expect, test, vi } from 'vitest';
 import { light } from '../../src/lib/light/api';
-import { decodeColumns, encodeColumns, NONE, type Columns, type ColumnType } from '../../src/lib/light/columns';
+import { decodeColumns, NONE, type Columns, type ColumnType } from '../../src/lib/light/columns';
 import { GrowingAnswers, withKeptRows, type GrowingHeader } from '../../src/lib/light/delta';
+import { encodeColumns } from './columns';
 
 /** Answers that a test of `femc-pictures` writes. */
 const fixture = (name: string) => {

@@ -27,10 +27,12 @@ pub fn draw_frame(source: PictureSource, wanted: PictureKind) -> Result<Vec<u8>,
 fn try_draw(source: PictureSource, wanted: PictureKind) -> Result<Vec<u8>, FilmError> {
     match (source, wanted) {
         (PictureSource::Statistics(bytes), PictureKind::Maps) => planes::encode_statistics(&bytes),
+        (PictureSource::Statistics(bytes), PictureKind::FileMaps) => planes::encode_file(&bytes),
         (PictureSource::Statistics(_), _) => Err(FilmError::Corrupt("light statistics are not a picture")),
-        (PictureSource::Image(_) | PictureSource::Preview(_) | PictureSource::Parts(..), PictureKind::Maps) => {
-            Err(FilmError::Corrupt("only light statistics have maps"))
-        }
+        (
+            PictureSource::Image(_) | PictureSource::Preview(_) | PictureSource::Parts(..),
+            PictureKind::Maps | PictureKind::FileMaps,
+        ) => Err(FilmError::Corrupt("only light statistics have maps")),
         (PictureSource::Preview(png), PictureKind::Thumbnail { height }) => thumbnail::from_picture(&png, height),
         (PictureSource::Preview(_), PictureKind::Pixels) => {
             Err(FilmError::Corrupt("a preview contains no radiance values"))
@@ -47,7 +49,7 @@ fn try_draw(source: PictureSource, wanted: PictureKind) -> Result<Vec<u8>, FilmE
             let image = partial.image()?;
             match wanted {
                 PictureKind::Thumbnail { height } => thumbnail::from_image(&image.color, height),
-                PictureKind::Pixels | PictureKind::Maps => Ok(planes::encode_frame(&image)),
+                PictureKind::Pixels | PictureKind::Maps | PictureKind::FileMaps => Ok(planes::encode_frame(&image)),
             }
         }
     }

@@ -24,11 +24,13 @@
 //! - throughput: mean throughput at the end of a path.
 //! - deviation: standard deviation of the luminance of a sample in cd/m2.
 //!
+//! A statistics file has these channels and, from its own sums, Y, standard_error, freedom and samples.
+//!
 //! Values beyond the range of half floats become the greatest half float.
 
 use femc_film::{FilmError, FrameImage, Image, PixelChannels, PixelError, exr, pixel_errors};
-use femc_paths::LightStatistics;
 use femc_paths::pixels::{Pixel, PixelMaps};
+use femc_paths::{FrameStatistics, LightStatistics};
 use half::f16;
 use std::io::Cursor;
 
@@ -38,6 +40,7 @@ const VERSION: u32 = 1;
 const UNKNOWN: f32 = -1.0;
 const PIXEL_CHANNELS: [&str; 8] = ["R", "G", "B", "Y", "error", "standard_error", "freedom", "samples"];
 const MAP_CHANNELS: [&str; 3] = ["depth", "throughput", "deviation"];
+const FILE_CHANNELS: [&str; 7] = ["Y", "standard_error", "freedom", "samples", "depth", "throughput", "deviation"];
 
 /// Encodes a finished frame.
 pub fn encode_exr(bytes: &[u8]) -> Result<Vec<u8>, FilmError> {
@@ -61,32 +64,66 @@ fn encode(image: &Image, errors: &[f32], variance: &[f32], samples: &[f32]) -> V
     let luminance: Vec<f32> = (0..image.pixels.len()).map(|at| image.luminance(at)).collect();
     let width = image.width as usize;
     let own = pixel_errors(PixelChannels { width, luminance: &luminance, variance, samples });
-    let of = |value: fn(PixelError) -> f32| own.iter().map(move |error| error.map_or(UNKNOWN, value));
     let mut bytes = start_header([image.width, image.height], &PIXEL_CHANNELS);
     for channel in 0..3 {
         push_plane(&mut bytes, image.pixels.iter().map(|pixel| pixel[channel]));
     }
     push_plane(&mut bytes, luminance.iter().copied());
     push_plane(&mut bytes, errors.iter().copied());
-    push_plane(&mut bytes, of(|error| error.standard_error as f32));
-    push_plane(&mut bytes, of(|error| f32::from(error.freedom)));
+    push_plane(&mut bytes, known(&own, |error| error.standard_error as f32));
+    push_plane(&mut bytes, known(&own, |error| f32::from(error.freedom)));
     push_plane(&mut bytes, samples.iter().copied());
     bytes
 }
 
+const DAMAGED: FilmError = FilmError::Corrupt("the light statistics are damaged");
+
 /// Encodes the light statistics of a frame.
 pub fn encode_statistics(bytes: &[u8]) -> Result<Vec<u8>, FilmError> {
-    let statistics =
-        LightStatistics::decode(bytes).map_err(|_| FilmError::Corrupt("the light statistics are damaged"))?;
+    let statistics = LightStatistics::decode(bytes).map_err(|_| DAMAGED)?;
     let maps = PixelMaps::from_statistics(&statistics);
     let pixels: Vec<Pixel> = maps.pixels().collect();
     let mut bytes = start_header(maps.film, &MAP_CHANNELS);
+    push_maps(&mut bytes, &pixels);
+    Ok(bytes)
+}
+
+/// Encodes the pixels of a statistics file. The first of several frames is encoded.
+pub fn encode_file(bytes: &[u8]) -> Result<Vec<u8>, FilmError> {
+    let statistics = if FrameStatistics::has_magic(bytes) {
+        let frames = FrameStatistics::decode(bytes).map_err(|_| DAMAGED)?;
+        frames.into_frames().into_iter().next().ok_or(FilmError::Corrupt("the file has no frames"))?
+    } else {
+        LightStatistics::decode(bytes).map_err(|_| DAMAGED)?
+    };
+    let maps = PixelMaps::from_statistics(&statistics);
+    let pixels: Vec<Pixel> = maps.pixels().collect();
+    let plane = |value: fn(&Pixel) -> f64| -> Vec<f32> { pixels.iter().map(|pixel| value(pixel) as f32).collect() };
+    let (luminance, samples) = (plane(|pixel| pixel.luminance), plane(|pixel| pixel.samples as f64));
+    let variance = plane(|pixel| if pixel.samples > 0 { pixel.variance / pixel.samples as f64 } else { 0.0 });
+    let width = maps.film[0] as usize;
+    let errors = pixel_errors(PixelChannels { width, luminance: &luminance, variance: &variance, samples: &samples });
+    let mut bytes = start_header(maps.film, &FILE_CHANNELS);
+    push_plane(&mut bytes, luminance.iter().copied());
+    push_plane(&mut bytes, known(&errors, |error| error.standard_error as f32));
+    push_plane(&mut bytes, known(&errors, |error| f32::from(error.freedom)));
+    push_plane(&mut bytes, samples.iter().copied());
+    push_maps(&mut bytes, &pixels);
+    Ok(bytes)
+}
+
+/// Appends the planes of [`MAP_CHANNELS`].
+fn push_maps(bytes: &mut Vec<u8>, pixels: &[Pixel]) {
     let of: [fn(&Pixel) -> f64; 3] = [|it| it.depth, |it| it.throughput, |it| it.variance.sqrt()];
     for of in of {
         let value = |pixel: &Pixel| if pixel.samples > 0 { of(pixel) as f32 } else { UNKNOWN };
-        push_plane(&mut bytes, pixels.iter().map(value));
+        push_plane(bytes, pixels.iter().map(value));
     }
-    Ok(bytes)
+}
+
+/// Returns a value of each error, or [`UNKNOWN`].
+fn known(errors: &[Option<PixelError>], value: fn(PixelError) -> f32) -> impl Iterator<Item = f32> + '_ {
+    errors.iter().map(move |error| error.map_or(UNKNOWN, value))
 }
 
 /// Returns the header, with capacity for all planes after it.

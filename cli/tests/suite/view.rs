@@ -5,7 +5,7 @@ use femc_require::Prerequisite;
 use std::path::Path;
 use std::process::Command;
 
-use crate::common::http::{Answer, send_request};
+use crate::common::http::{Answer, half_float, send_request};
 use crate::common::{TestFolder, TestProcess, start_coordinator, status};
 
 /// Pages of a running `femc view`.
@@ -159,6 +159,60 @@ fn a_view_needs_its_token_and_names_faults_of_parameters() {
     std::fs::write(dir.path("fog.paths"), damaged).expect("it is written");
     let answer = pages.get("files/0/light/schema");
     assert_eq!((answer.status, answer.code().as_str()), (422, "unreadable"), "{}", answer.json());
+}
+
+#[test]
+fn maps_of_a_file_equal_its_pixels() {
+    let dir = TestFolder::new();
+    dir.run("render fog.mgf -o fog.exr --size 32x24 --spp 8 --stats").exits(0);
+    dir.run("render fog.mgf -o later.exr --size 32x24 --spp 8 --stats --seed 2").exits(0);
+    dir.run("paths fog.paths later.paths --union --out both.paths").exits(0);
+    let pages = Pages::open(&dir, "fog.paths both.paths");
+    let maps = pages.get("files/0/maps");
+    assert_eq!((maps.status, maps.header("content-type")), (200, "application/vnd.femc.pixels"));
+    let names = ["Y", "standard_error", "freedom", "samples", "depth", "throughput", "deviation"];
+    let head = 20 + names.iter().map(|name| 4 + name.len()).sum::<usize>();
+    assert_eq!(maps.body.len(), head + names.len() * 2 * 32 * 24);
+    let value = |name: &str, at: usize| {
+        let plane = names.iter().position(|known| *known == name).expect("a channel");
+        let half = &maps.body[head + 2 * (plane * 32 * 24 + at)..][..2];
+        f64::from(half_float([half[0], half[1]]))
+    };
+    let pixels = dir.run("paths fog.paths --table pixels --json").exits(0).json();
+    let pixels = pixels.as_array().expect("pixels");
+    assert_eq!(pixels.len(), 32 * 24);
+    let mut lit = 0;
+    for pixel in pixels {
+        let number = |name: &str| pixel[name].as_f64().expect("a number");
+        let at = (number("pixel_y") * 32.0 + number("pixel_x")) as usize;
+        for (channel, due) in [
+            ("Y", number("luminance")),
+            ("samples", number("samples")),
+            ("depth", number("depth")),
+            ("throughput", number("throughput")),
+            ("deviation", number("variance").sqrt()),
+        ] {
+            let sent = value(channel, at);
+            assert!((sent - due).abs() <= 1e-3 * due.abs() + 1e-4, "{channel} of {pixel}: {sent}");
+        }
+        let (error, freedom) = (value("standard_error", at), value("freedom", at));
+        lit += usize::from(error > 0.0);
+        assert!(
+            if number("luminance") > 0.0 { error >= 0.0 && freedom >= 1.0 } else { error == -1.0 },
+            "{pixel}: {error}"
+        );
+    }
+    assert!(lit > 32 * 12, "{lit} pixels have a standard error");
+    let union = pages.get("files/1/maps");
+    assert!(union.body == maps.body, "the maps of a union are those of its first frame");
+    let tag = format!("If-None-Match: {}", maps.header("etag"));
+    assert_eq!(send_request(&pages.address, "GET /api/v1/files/0/maps", &[&pages.authorization, &tag], "").status, 304);
+    assert_ne!(maps.header("etag"), union.header("etag"));
+    assert_eq!(send_request(&pages.address, "GET /api/v1/files/0/maps", &[], "").status, 401);
+    assert_eq!(pages.get("files/2/maps").status, 404);
+    std::fs::write(dir.path("fog.paths"), b"hello").expect("it is written");
+    let damaged = pages.get("files/0/maps");
+    assert_eq!((damaged.status, damaged.code().as_str()), (422, "unreadable"), "{}", damaged.json());
 }
 
 #[test]

@@ -5,7 +5,7 @@ use std::io::{BufRead as _, BufReader, Write as _};
 use std::net::TcpStream;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use crate::common::http::{Answer, CHANGE, send_request};
+use crate::common::http::{Answer, CHANGE, half_float, send_request};
 use crate::common::{STEP_TIMEOUT, TestFolder, start_coordinator, submit};
 
 fn get(address: &str, path: &str) -> Answer {
@@ -319,16 +319,4 @@ fn maps_of_a_frame_equal_its_light_statistics_per_pixel() {
 
 fn names_in(dir: &TestFolder, folder: &str) -> Vec<String> {
     crate::common::file_names(&dir.path(folder))
-}
-
-/// Parses a half float that is finite and not subnormal, or 0.
-fn half_float(bytes: [u8; 2]) -> f32 {
-    let bits = u16::from_le_bytes(bytes);
-    let (sign, exponent, mantissa) = (bits >> 15, i32::from(bits >> 10 & 31), f32::from(bits & 1023));
-    let size = if exponent == 0 {
-        mantissa / 1024.0 * 2f32.powi(-14)
-    } else {
-        (1.0 + mantissa / 1024.0) * 2f32.powi(exponent - 15)
-    };
-    if sign == 1 { -size } else { size }
 }

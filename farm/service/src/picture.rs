@@ -12,6 +12,7 @@ use tokio::sync::Semaphore;
 use crate::call::Call;
 use crate::farm::Farm;
 use crate::job_control::MissingOutput;
+use crate::light::{LightViewError, LightViews};
 
 /// Source of a picture.
 #[derive(Debug, Clone)]
@@ -38,6 +39,9 @@ pub enum PictureKind {
     Pixels,
     /// Planes of half floats with the light statistics of each pixel.
     Maps,
+    /// Planes of half floats with all that a statistics file knows about each pixel. They stand for the image, which it does not
+    /// contain.
+    FileMaps,
 }
 
 /// Function that draws pictures. It may take seconds. Its error describes the fault of the source.
@@ -87,8 +91,7 @@ impl Pictures {
         kind: PictureKind,
         known: Option<&str>,
     ) -> Result<Option<Picture>, Refusal> {
-        let draw =
-            self.draw.ok_or_else(|| Refusal::Unavailable { message: "this program cannot draw pictures".into() })?;
+        let draw = self.draw()?;
         let finished = farm.call(|reply| Call::Frames { job, reply }).await?;
         let of_frame = finished.into_iter().find(|record| record.frame == frame);
         let (tag, outputs, parts) = match &of_frame {
@@ -97,7 +100,7 @@ impl Pictures {
                 (tag(&[output], kind), vec![output], None)
             }
             // Statistics exist only for whole frames.
-            None if kind == PictureKind::Maps => return Ok(None),
+            None if matches!(kind, PictureKind::Maps | PictureKind::FileMaps) => return Ok(None),
             None => {
                 let parts = farm.call(|reply| Call::Parts { job, reply }).await?;
                 let Some(parts) = parts.into_iter().find(|parts| parts.frame == frame) else { return Ok(None) };
@@ -127,14 +130,40 @@ impl Pictures {
             (None, Some((_, exr))) => PictureSource::Image(exr),
             (_, None) => return Ok(None),
         };
-        let drawn = tokio::task::spawn_blocking(move || draw(source, kind)).await;
-        let drawn = drawn.map_err(|error| error.to_string()).and_then(|drawn| drawn);
-        let bytes = drawn.map_err(|message| Refusal::Unavailable { message: format!("frame {frame}: {message}") })?;
-        let drawn = Picture { tag, bytes: bytes.into() };
+        let bytes = draw_in_background(draw, source, kind)
+            .await
+            .map_err(|message| Refusal::Unavailable { message: format!("frame {frame}: {message}") })?;
+        let drawn = Picture { tag, bytes };
         if matches!(kind, PictureKind::Thumbnail { .. }) {
             self.cache_thumbnail(drawn.clone());
         }
         Ok(Some(drawn))
+    }
+
+    /// Returns the maps of a statistics file that is served beside the farm.
+    /// - `known`: tag of the maps that the client has. If it is current, nothing is drawn and the bytes are empty.
+    pub(crate) async fn file_maps(
+        &self,
+        views: &LightViews,
+        number: usize,
+        known: Option<&str>,
+    ) -> Result<Picture, LightViewError> {
+        let draw = self.draw()?;
+        let kind = PictureKind::FileMaps;
+        let tag = Digest::compute(format!("{} {kind:?}", views.file_tag(number).await?).as_bytes()).to_string();
+        if known == Some(&tag) {
+            return Ok(Picture { tag, bytes: Bytes::new() });
+        }
+        // The semaphore is never closed.
+        let _turn = self.draw_permits.acquire().await;
+        let source = PictureSource::Statistics(views.read_file(number).await?);
+        let drawn = draw_in_background(draw, source, kind).await;
+        let bytes = drawn.map_err(|message| LightViewError::Unreadable { message })?;
+        Ok(Picture { tag, bytes })
+    }
+
+    fn draw(&self) -> Result<DrawPicture, Refusal> {
+        self.draw.ok_or_else(|| Refusal::Unavailable { message: "this program cannot draw pictures".into() })
     }
 
     fn cached_thumbnail(&self, tag: &str) -> Option<Picture> {
@@ -152,13 +181,19 @@ impl Pictures {
     }
 }
 
+/// Draws on a thread for long work. The error describes the fault of the source.
+async fn draw_in_background(draw: DrawPicture, source: PictureSource, kind: PictureKind) -> Result<Bytes, String> {
+    let drawn = tokio::task::spawn_blocking(move || draw(source, kind)).await;
+    drawn.map_err(|error| error.to_string()).and_then(|drawn| drawn).map(Bytes::from)
+}
+
 /// Returns the output of a finished frame to draw from. Thumbnails use the PNG, if there is one.
 fn best(record: &FrameRecord, kind: PictureKind) -> Option<Output> {
     let of_role = |role: Role| record.outputs.iter().find(|output| output.role == role).copied();
     match kind {
         PictureKind::Thumbnail { .. } => of_role(Role::Preview).or_else(|| of_role(Role::Image)),
         PictureKind::Pixels => of_role(Role::Image),
-        PictureKind::Maps => of_role(Role::Statistics),
+        PictureKind::Maps | PictureKind::FileMaps => of_role(Role::Statistics),
     }
 }
 

@@ -81,6 +81,9 @@ export interface TaskFilter {
   sort?: string | null;
 }
 
+/** A frame of a job and what is wanted of it, or a statistics file. */
+export type PixelSource = { job: number; frame: number; what: 'pixels' | 'maps' } | { file: number };
+
 /** The pixels, or null until there are some. `etag` changes when they change. */
 export interface PixelAnswer {
   pixels: Pixels | null;
@@ -118,15 +121,10 @@ export const api = {
   thumbnail: (job: number, frame: number, version: string, height = 90) =>
     `${BASE}/jobs/${job}/frames/${frame}/thumbnail.png${query({ height, v: version })}`,
 
-  /** Returns the pixels of a frame, or its light statistics for each pixel; `undefined` if `etag` still matches. */
-  async pixels(
-    job: number,
-    frame: number,
-    etag: string | null,
-    signal?: AbortSignal,
-    what: 'pixels' | 'maps' = 'pixels',
-  ): Promise<PixelAnswer | undefined> {
-    const answer = await fetch(`${BASE}/jobs/${job}/frames/${frame}/${what}`, {
+  /** Returns the pixels of a frame or file, or its light statistics for each pixel; `undefined` if `etag` still matches. */
+  async pixels(source: PixelSource, etag: string | null, signal?: AbortSignal): Promise<PixelAnswer | undefined> {
+    const path = 'file' in source ? `files/${source.file}/maps` : `jobs/${source.job}/frames/${source.frame}/${source.what}`;
+    const answer = await fetch(`${BASE}/${path}`, {
       signal: signal ?? null,
       cache: 'no-store',
       headers: etag ? { 'If-None-Match': etag } : {},

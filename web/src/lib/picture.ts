@@ -1,6 +1,7 @@
 /** Converts a frame's planes to displayable images. */
 
 import { autoExposure, diverging, lookup, luminance, srgbByte, toneGain, viridis } from './color';
+import { percent, quantity, value } from './format';
 import { halves } from './half';
 import type { Pixels } from './pixels';
 import { place, spread, valueAt, type Scale } from './scale';
@@ -8,7 +9,10 @@ import { place, spread, valueAt, type Scale } from './scale';
 /** Maps from light statistics, by pixel. */
 export const MAPS = ['deviation', 'depth', 'throughput'] as const;
 export type Mapped = (typeof MAPS)[number];
-export type Show = 'picture' | 'luminance' | 'pixel-error' | 'error' | 'samples' | Mapped | 'difference';
+export const SHOWS = ['picture', 'luminance', 'pixel-error', 'error', 'samples', ...MAPS, 'difference'] as const;
+export type Show = (typeof SHOWS)[number];
+/** Maps of one frame. */
+export type Measured = Exclude<Show, 'picture' | 'difference'>;
 
 export const isMapped = (show: Show): show is Mapped => (MAPS as readonly string[]).includes(show);
 
@@ -23,6 +27,10 @@ export const MEASURES: Record<Exclude<Show, 'picture'>, { title: string; unit: s
   throughput: { title: 'Throughput', unit: 'throughput at the end of a path', channel: 'throughput' },
   difference: { title: 'Difference', unit: 'cd/m², other frame minus this one', channel: 'Y' },
 };
+
+/** Formats values of a picture or map. */
+export const formatOf = (show: Show): ((v: number) => string) =>
+  show === 'error' || show === 'pixel-error' ? percent : show === 'samples' ? quantity : value;
 
 /** Color for a missing value. */
 export const NO_VALUE = 0xff808080;
@@ -40,11 +48,11 @@ export function luminances(pixels: Pixels): Float32Array {
 /** Returns the automatic exposure of the picture, 1/(cd/m2). */
 export const suitableExposure = (pixels: Pixels): number => autoExposure(luminances(pixels));
 
-/** Applies the farm's tone curve to the picture; returns 32-bit words of a canvas. */
+/** Applies the farm's tone curve to the picture, gray if only luminances are known; returns 32-bit words of a canvas. */
 export function develop(pixels: Pixels, exposure: number): Uint32Array<ArrayBuffer> {
   const out = new Uint32Array(pixels.width * pixels.height);
   const table = halves();
-  const [red, green, blue] = ['R', 'G', 'B'].map((name) => pixels.planes.get(name));
+  const [red, green, blue] = ['R', 'G', 'B'].map((name) => pixels.planes.get(name) ?? pixels.planes.get('Y'));
   if (!red || !green || !blue) return out.fill(NO_VALUE);
   for (let i = 0; i < out.length; i++) {
     const r = Math.max(table[red[i]!]! * exposure, 0);

@@ -601,7 +601,8 @@ export async function light({ step, open, claim, equal, accessible, current, bro
         seen.set(name, await it.canvas('.host canvas'));
       };
       await look('over');
-      await picture.getByRole('button', { name: 'Density', exact: true }).click();
+      const form = (name) => picture.getByRole('group', { name: 'Density', exact: true }).getByRole('button', { name, exact: true });
+      await form('Alone').click();
       await look('hot');
       equal(it.query('density'), 'hot', 'density in the address');
       await picture.getByLabel('Smoothing').fill('2');
@@ -611,11 +612,11 @@ export async function light({ step, open, claim, equal, accessible, current, bro
       await look('light');
       await picture.getByLabel('log').uncheck();
       await look('linear');
-      await picture.getByRole('button', { name: 'Picture', exact: true }).click();
+      await form('Off').click();
       await look('none');
       const all = [...seen.values()];
       equal(new Set(all).size, all.length, `different pictures (${[...seen.keys()]})`);
-      await picture.getByRole('button', { name: 'Density', exact: true }).click();
+      await form('Alone').click();
       await picture.locator('.legend').waitFor();
       const [px, py] = at(30.5, 24.5);
       await page.mouse.move(px, py);
@@ -624,9 +625,8 @@ export async function light({ step, open, claim, equal, accessible, current, bro
       await host.focus();
       await page.keyboard.press('Escape');
       await until(() => !it.where, 'Escape removes the line', 5);
-      // A pixel with a recorded path. Its paths are selected by one click. The bar above the picture may have changed its height.
-      const placed = await page.locator('.host .film').boundingBox();
-      await page.mouse.click(placed.x + (30.5 / 64) * placed.width, placed.y + (24.5 / 48) * placed.height);
+      // A pixel with a recorded path. Its paths are selected by one click. The picture has not moved meanwhile.
+      await page.mouse.click(px, py);
       const pixel = picture.getByRole('button', { name: /^Select the paths of pixel \d+, \d+$/ });
       await pixel.waitFor();
       const [x, y] = (await pixel.textContent()).match(/\d+/g);
@@ -639,6 +639,88 @@ export async function light({ step, open, claim, equal, accessible, current, bro
       await picture.getByRole('button', { name: /^Select the paths of pixel 31, 24$/ }).click();
       await until(() => it.where === 'pixel.x == 31 and pixel.y == 24', `the next pixel: ${it.where}`, 5);
       await it.agree(claim, 'paths of the next pixel');
+    });
+
+    await on('picture: heat maps have the values of the statistics, and the picture keeps its place', async (it, page) => {
+      const picture = page.locator('[aria-label=Picture]');
+      const choice = picture.getByLabel('Show', { exact: true });
+      await picture.evaluate((p) => p.scrollIntoView({ block: 'center' }));
+      await pause(300);
+      /** Place of the picture in its panel: the page may scroll. */
+      const place = () => picture.evaluate((panel) => {
+        const [at, ...boxes] = [panel, panel.querySelector('.host'), panel.querySelector('.film')].map((it) => it.getBoundingClientRect());
+        return boxes.map((box) => [box.x - at.x, box.y - at.y, box.width, box.height].map(Math.round)).join('; ');
+      });
+      const [at, film] = [await place(), await page.locator('.host .film').boundingBox()];
+      const point = [film.x + (30.5 / 64) * film.width, film.y + (24.5 / 48) * film.height];
+      const pixels = JSON.parse(execFileSync(program(), ['paths', it.file, '--table', 'pixels', '--json'], {
+        cwd: it.folder, encoding: 'utf8', maxBuffer: 1 << 28, stdio: ['ignore', 'pipe', 'ignore'],
+      }));
+      const own = pixels.find((pixel) => pixel.pixel_x === 30 && pixel.pixel_y === 24);
+      const due = { luminance: own.luminance, samples: own.samples, depth: own.depth, throughput: own.throughput, deviation: Math.sqrt(own.variance) };
+      const seen = new Map([['picture', await it.canvas('.host canvas')]]);
+      for (const map of ['luminance', 'pixel-error', 'error', 'samples', 'deviation', 'depth', 'throughput']) {
+        if (where === 'view' && map === 'error') {
+          const option = choice.locator('option[value=error]');
+          equal(await option.isDisabled(), true, 'a map that the file lacks cannot be chosen');
+          equal(clean(await option.textContent()), 'Block error (not in the file)', 'and says why');
+          continue;
+        }
+        await choice.selectOption(map);
+        await until(() => it.query('show') === map, `${map} is in the address`, 5);
+        await picture.locator('.legend').waitFor();
+        await pause(250);
+        seen.set(map, await it.canvas('.host canvas'));
+        await page.mouse.move(point[0] + 1, point[1]);
+        await page.mouse.move(...point);
+        const tip = clean(await page.locator('.host .tip').innerText());
+        claim(tip.startsWith('30, 24: '), `${map}: the pixel under the pointer: ${tip}`);
+        if (map in due) {
+          const value = number(tip.slice(8));
+          claim(Math.abs(value - due[map]) <= 2e-3 * due[map] + 1e-3, `${map}: ${tip}, not ${due[map]}`);
+        }
+        equal(await place(), at, `${map}: the place of the picture`);
+      }
+      const all = [...seen.values()];
+      equal(new Set(all).size, all.length, `different maps (${[...seen.keys()]})`);
+      // By the keyboard: the last map, smoothed, with the density of a selection over it.
+      await it.type('any(object == knot)');
+      await it.agree(claim, 'a selection');
+      equal(await picture.getByRole('button', { name: 'Off', exact: true }).getAttribute('aria-pressed'), 'true', 'a map has no density at first');
+      const plain = await it.canvas('.host canvas');
+      const over = picture.getByRole('button', { name: 'Over', exact: true });
+      await over.focus();
+      await page.keyboard.press('Enter');
+      await until(() => it.query('density') === 'over', 'the density over a map, in the address', 5);
+      await until(async () => (await picture.locator('.legend').count()) === 2, 'a legend of each', 5);
+      claim((await it.canvas('.host canvas')) !== plain, 'the density lies over the map');
+      const opacity = picture.getByLabel('Opacity');
+      await opacity.focus();
+      const before = await it.canvas('.host canvas');
+      for (let i = 0; i < 6; i++) await page.keyboard.press('ArrowLeft');
+      await until(() => it.query('cover') === '50', 'the opacity is in the address', 5);
+      await until(async () => (await it.canvas('.host canvas')) !== before, 'the opacity changes the picture', 5);
+      await picture.getByLabel('Smoothing').focus();
+      await page.keyboard.press('ArrowRight');
+      await until(() => it.query('smooth') === '0.5', 'smoothing by a key', 5);
+      for (const name of ['Alone', 'Off', 'Over']) {
+        await picture.getByRole('button', { name, exact: true }).click();
+        equal(await place(), at, `${name}: the place of the picture`);
+      }
+      await choice.selectOption('picture');
+      await picture.getByLabel('Exposure').focus();
+      await page.keyboard.press('ArrowRight');
+      await until(() => it.query('ev') === '0.25', 'exposure by a key', 5);
+      equal(await place(), at, 'the place of the picture');
+      // The address shows the same again.
+      await choice.selectOption('depth');
+      await it.settled();
+      await pause(300);
+      const last = await it.canvas('.host canvas');
+      await page.reload();
+      await it.shown();
+      await it.agree(claim, 'after a reload');
+      await until(async () => (await it.canvas('.host canvas')) === last, 'a reload shows the same map and density', 10);
     });
 
     await on('lines: 500, within the selection, the brightest', async (it, page) => {
@@ -692,7 +774,56 @@ export async function light({ step, open, claim, equal, accessible, current, bro
         return seen;
       });
       claim(colors.red > 200 && colors.blue > 200, `red and blue bins: ${JSON.stringify(colors)}`);
+      // The picture of A or of B, and the density of both or of each.
+      const picture = page.locator('[aria-label=Picture]');
+      await picture.evaluate((p) => p.scrollIntoView({ block: 'center' }));
+      await picture.getByLabel('Smoothing').fill('2');
+      const tints = async () => {
+        await it.settled();
+        await pause(300);
+        return page.locator('.host canvas').first().evaluate((canvas) => {
+          const { data } = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height);
+          const sum = { red: 0, blue: 0 };
+          for (let i = 0; i < data.length; i += 4) {
+            sum.red += data[i] / (data.length / 4);
+            sum.blue += data[i + 2] / (data.length / 4);
+          }
+          return sum;
+        });
+      };
+      const whose = picture.getByLabel('Density of the sets');
+      const both = await tints();
+      await whose.selectOption('a');
+      const ofA = await tints();
+      equal(it.query('whose'), 'a', 'the density of A in the address');
+      claim(ofA.red > ofA.blue + 60, `the density of A is red: ${JSON.stringify(ofA)}`);
+      await whose.selectOption('b');
+      const ofB = await tints();
+      claim(ofB.blue > ofB.red + 60, `the density of B is blue: ${JSON.stringify(ofB)}`);
+      claim(both.red > ofB.red + 20 && both.blue > ofA.blue + 20, `both densities: ${JSON.stringify({ both, ofA, ofB })}`);
+      await picture.getByRole('button', { name: 'Alone', exact: true }).click();
+      await picture.getByText(/^B: selected recorded paths/).waitFor();
+      await whose.selectOption('');
+      await picture.getByText(/^A red, B blue: selected recorded paths/).waitFor();
+      await picture.getByRole('button', { name: 'Off', exact: true }).click();
+      await tints();
+      const pictureOfA = await it.canvas('.host canvas');
+      const own = picture.getByRole('group', { name: 'Picture of' });
+      await own.getByRole('button', { name: 'A', exact: true }).focus();
+      await page.keyboard.press('Tab');
+      await page.keyboard.press('Space');
+      await until(() => it.query('set') === 'b', 'B by the keyboard, in the address', 5);
+      equal(await own.getByRole('button', { name: 'B', exact: true }).getAttribute('aria-pressed'), 'true', 'B is pressed');
+      await until(async () => (await it.canvas('.host canvas')) !== pictureOfA, 'another picture', 10);
+      await tints();
+      const pictureOfB = await it.canvas('.host canvas');
+      await picture.getByLabel('Show', { exact: true }).selectOption('difference');
+      await picture.getByText('cd/m², A minus B').waitFor();
+      claim(![pictureOfA, pictureOfB].includes(await it.canvas('.host canvas')), 'the difference is another picture');
+      await picture.getByLabel('Show', { exact: true }).selectOption('picture');
       await page.reload();
+      await page.getByText('bins are red where A has the larger share').waitFor();
+      await until(async () => (await it.canvas('.host canvas')) === pictureOfB, 'a reload shows the picture of B', 10);
       await page.getByText('bins are red where A has the larger share').waitFor();
       if (images && where === 'view') {
         await page.goto(`${home()}?b=${it.query('b')}&where=${encodeURIComponent('depth >= 2 and depth <= 4')}`);
@@ -722,6 +853,13 @@ export async function light({ step, open, claim, equal, accessible, current, bro
           await pause(200);
           await accessible('the menu of an axis', page);
           await page.keyboard.press('Escape');
+          const other = where === 'view' ? '1' : `${jobs.pendant}/1`;
+          for (const form of ['show=depth&density=over', 'show=difference&set=b', 'density=hot&whose=b']) {
+            await page.goto(`${home()}?b=${other}&where=${encodeURIComponent('depth >= 3')}&${form}&pixel=30,24`);
+            await it.shown();
+            await page.locator('[aria-label=Picture] .legend').first().waitFor();
+            await accessible(`the picture with ${form}`, page);
+          }
         } finally {
           await page.setViewportSize({ width: 1360, height: 800 });
           await page.emulateMedia({ colorScheme: 'light' });
@@ -786,6 +924,26 @@ export async function light({ step, open, claim, equal, accessible, current, bro
           await it.shown();
         }
         await it.clear();
+        // Maps, and A or B.
+        await page.goto(`${home()}?b=${where === 'view' ? '1' : `${jobs.pendant}/1`}`);
+        await it.shown();
+        const picture = page.locator('[aria-label=Picture]');
+        const isB = picture.getByRole('group', { name: 'Picture of' }).getByRole('button', { name: 'B', exact: true });
+        await isB.tap();
+        await until(() => it.query('set') === 'b', 'the picture of B by a tap', 5);
+        await picture.getByLabel('Show', { exact: true }).selectOption('depth');
+        await until(() => it.query('show') === 'depth', 'a map', 5);
+        await picture.getByRole('button', { name: 'Alone', exact: true }).tap();
+        await until(() => it.query('density') === 'hot', 'the density alone by a tap', 5);
+        const slider = picture.getByLabel('Smoothing');
+        await slider.evaluate((s) => s.scrollIntoView({ block: 'center' }));
+        const track = await slider.boundingBox();
+        await page.touchscreen.tap(track.x + 0.75 * track.width, track.y + track.height / 2);
+        await until(() => number(it.query('smooth') ?? '0') > 3, `smoothing by a tap: ${it.query('smooth')}`, 5);
+        for (const target of await picture.locator('button:not(.zoom button), select').all())
+          claim((await target.boundingBox()).height >= 34, `controls have 34 pixels for fingers: ${await target.innerText()}`);
+        await page.goto(home());
+        await it.shown();
         // A line, after the button.
         await page.locator('.host').evaluate((h) => h.scrollIntoView({ block: 'center' }));
         await pause(200);
@@ -844,6 +1002,32 @@ export async function light({ step, open, claim, equal, accessible, current, bro
       }
     });
   }
+
+  await step('light: two films of different sizes', async () => {
+    await begin();
+    farm.femc('render', join(root, 'scenes', 'gallery.mgf'), '-o', 'narrow.exr', '--size', '40x48', '--spp', '8', '--stats');
+    const other = await view(farm, files.gallery, 'narrow.paths');
+    try {
+      const page = await shown({ url: other.url });
+      await page.goto(other.address);
+      const it = new Light(page, { api: '/api/v1/files/0/light', folder: farm.folder, file: files.gallery });
+      await it.shown();
+      await it.type('depth >= 3');
+      const picture = page.locator('[aria-label=Picture]');
+      const said = 'The films differ: A has 64 × 48 pixels, B 40 × 48. The density of B is not shown over A: choose the picture of B.';
+      await picture.getByText(said).waitFor();
+      await picture.getByText(/^A: selected recorded paths/).waitFor();
+      equal(await picture.locator('option[value=difference]').isDisabled(), true, 'there is no difference');
+      await picture.getByRole('group', { name: 'Picture of' }).getByRole('button', { name: 'B', exact: true }).click();
+      await picture.getByText('The density of A is not shown over B: choose the picture of A.').waitFor();
+      await picture.getByText(/^B: selected recorded paths/).waitFor();
+      equal(await page.locator('.host canvas').first().evaluate((c) => `${c.width} x ${c.height}`), '40 x 48', 'the film of B');
+      await accessible('two films', page);
+      await page.context().close();
+    } finally {
+      await farm.kill(other.child);
+    }
+  });
 
   if (images)
     await step('light: pictures for the manual', async () => {

@@ -54,3 +54,14 @@ test('a change that was not delivered is not said to be repeated', async () => {
   const error = await api.control([1], 'pause').catch((it: unknown) => it);
   expect(explain(error)).toContain('does not send it again');
 });
+
+test('pixels come from a frame or from a file, and an unchanged tag gets none', async () => {
+  const asked: string[] = [];
+  vi.stubGlobal('fetch', async (path: string, init: { headers: Record<string, string> }) => {
+    asked.push(`${path} ${init.headers['If-None-Match'] ?? ''}`.trim());
+    return new Response(null, { status: init.headers['If-None-Match'] ? 304 : 204 });
+  });
+  expect(await api.pixels({ job: 7, frame: 3, what: 'maps' }, null)).toEqual({ pixels: null, etag: null });
+  expect(await api.pixels({ file: 1 }, '"x"')).toBeUndefined();
+  expect(asked).toEqual(['/api/v1/jobs/7/frames/3/maps', '/api/v1/files/1/maps "x"']);
+});

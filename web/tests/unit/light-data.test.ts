@@ -23,7 +23,7 @@ import {
   withBrushes,
   type Histograms,
 } from '../../src/lib/light/data';
-import { densityScale, grayPicture, paintDensity, spreadOut } from '../../src/lib/light/density';
+import { densityScale, spreadOut } from '../../src/lib/light/density';
 import { smooth } from '../../src/lib/picture';
 import { formatChips, toChips } from '../../src/lib/light/text';
 import type { Brush, TableName } from '../../src/lib/light/plot/contract';
@@ -272,35 +272,5 @@ describe('density', () => {
     expect(densityScale(values, true)).toEqual({ low: 1, high: 100, logarithmic: true });
     expect(densityScale(values, false)).toEqual({ low: 0, high: 100, logarithmic: false });
     expect(densityScale(new Float32Array(4), true)).toBeNull();
-  });
-
-  test('a gray picture of few paths is smooth, and of equal paths is even', () => {
-    const few = { pixel: Uint32Array.of(3, 40, 77), count: Float32Array.of(1, 2, 1), light: Float32Array.of(5, 10, 5) };
-    const gray = grayPicture(few, [10, 10]);
-    expect(gray[40]! >>> 24).toBe(255);
-    expect(new Set([gray[3]! & 255, gray[40]! & 255, gray[77]! & 255, (gray[40]! >>> 16) & 255]).size).toBe(1);
-    expect(gray.filter((word) => (word & 255) > 0).length).toBeGreaterThan(90);
-  });
-
-  test('a gray picture has the mean luminances of the pixels, if the server returns them', () => {
-    const all = { pixel: Uint32Array.of(0, 1), count: Float32Array.of(20, 10), light: Float32Array.of(99, 1) };
-    const [a, b] = grayPicture({ ...all, luminance: Float32Array.of(3, 3) }, [2, 1]);
-    expect(a).toBe(b);
-    expect(grayPicture({ ...all, luminance: null }, [2, 1])).not.toEqual(Uint32Array.of(a!, b!));
-  });
-
-  test('in colors: nothing is dark, or the picture; the most is the strongest color', () => {
-    const values = Float32Array.of(0, 1, 100);
-    const scale = densityScale(values, true);
-    const base = Uint32Array.of(0xff102030, 0xff102030, 0xff102030);
-    expect([...paintDensity(values, scale, 'none', base, 1)]).toEqual([...base]);
-    expect([...paintDensity(values, null, 'over', base, 1)]).toEqual([...base]);
-    const over = paintDensity(values, scale, 'over', base, 1);
-    expect(over[0]).toBe(0xff102030);
-    expect(over[2]).toBe(0xffc8e500);
-    const hot = paintDensity(values, scale, 'hot', base, 1);
-    expect(hot[0]).toBe(0xff1a1816);
-    expect(hot[2]).toBe(0xffffffff);
-    expect(hot[1]! & 255).toBeGreaterThan(30);
   });
 });

@@ -46,6 +46,12 @@ describe('the tone curve is that of the farm', () => {
     expect(word & 0xff).toBe(255);
     expect((word >> 8) & 0xffff).toBe(0);
   });
+  test('a file that knows only luminances has a gray picture', () => {
+    const word = develop(decodePixels(encode(1, 1, { Y: [0x3800] })), 1)[0]!;
+    expect(word >>> 24).toBe(255);
+    expect(word & 255).toBeGreaterThan(100);
+    expect([(word >> 8) & 255, (word >> 16) & 255]).toEqual([word & 255, word & 255]);
+  });
 });
 
 describe('measures', () => {

@@ -90,3 +90,15 @@ pub fn send_request(address: &str, line: &str, head: &[&str], body: &str) -> Ans
 
 /// Headers of a request that changes something.
 pub const CHANGE: [&str; 2] = ["Content-Type: application/json", "X-Femc: 1"];
+
+/// Parses a half float that is finite and not subnormal, or 0.
+pub fn half_float(bytes: [u8; 2]) -> f32 {
+    let bits = u16::from_le_bytes(bytes);
+    let (sign, exponent, mantissa) = (bits >> 15, i32::from(bits >> 10 & 31), f32::from(bits & 1023));
+    let size = if exponent == 0 {
+        mantissa / 1024.0 * 2f32.powi(-14)
+    } else {
+        (1.0 + mantissa / 1024.0) * 2f32.powi(exponent - 15)
+    };
+    if sign == 1 { -size } else { size }
+}

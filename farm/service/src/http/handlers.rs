@@ -126,6 +126,7 @@ impl<S: Send + 'static> Http<S> {
             Route::Picture(job, frame, wanted) => self.picture(request_head, job, frame, wanted, caller_key).await,
             Route::Light(target, call) => self.light(request_head, target, call, caller_key).await,
             Route::LightFiles => Ok(self.light_files()),
+            Route::FileMaps(file) => self.file_maps(request_head, file, caller_key).await,
             Route::Download(job, file) => self.download(request_head, job, file, caller_key).await,
             Route::Workers => self.workers().await,
             Route::Usage => self.usage().await,
@@ -353,7 +354,9 @@ impl<S: Send + 'static> Http<S> {
     ) -> Result<Response<Body>, HttpError> {
         let slot = match kind {
             PictureKind::Thumbnail { .. } => self.0.transfer_slots.acquire(caller_key).await,
-            PictureKind::Pixels | PictureKind::Maps => self.0.pixel_slots.acquire(caller_key).await,
+            PictureKind::Pixels | PictureKind::Maps | PictureKind::FileMaps => {
+                self.0.pixel_slots.acquire(caller_key).await
+            }
         };
         let known = request_head.known_tag();
         let Some(drawn) = self.0.pictures.get(&self.0.farm, job, frame, kind, known).await? else {
@@ -362,7 +365,7 @@ impl<S: Send + 'static> Http<S> {
         let mut response = match kind {
             _ if known == Some(drawn.tag.as_str()) => response::empty(StatusCode::NOT_MODIFIED),
             PictureKind::Thumbnail { .. } => response::bytes(StatusCode::OK, "image/png", drawn.bytes),
-            PictureKind::Pixels | PictureKind::Maps => {
+            PictureKind::Pixels | PictureKind::Maps | PictureKind::FileMaps => {
                 response::large_bytes("application/vnd.femc.pixels", drawn.bytes, slot)
             }
         };

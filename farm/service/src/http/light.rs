@@ -145,6 +145,25 @@ impl<S: Send + 'static> Http<S> {
         Ok(response)
     }
 
+    /// Returns the maps of a statistics file.
+    pub(super) async fn file_maps(
+        &self,
+        request_head: &RequestHead<'_>,
+        file: usize,
+        caller_key: CallerKey,
+    ) -> Result<Response<Body>, HttpError> {
+        let known = request_head.known_tag();
+        let slot = self.0.pixel_slots.acquire(caller_key).await;
+        let drawn = self.0.pictures.file_maps(&self.0.light, file, known).await?;
+        let mut response = if known == Some(drawn.tag.as_str()) {
+            response::empty(StatusCode::NOT_MODIFIED)
+        } else {
+            response::large_bytes("application/vnd.femc.pixels", drawn.bytes, slot)
+        };
+        response::tag(&mut response, &drawn.tag);
+        Ok(response)
+    }
+
     /// Lists the files with light statistics beside the farm.
     pub(super) fn light_files(&self) -> Response<Body> {
         let files = self.0.light.files().iter().enumerate().map(|(file, it)| {

@@ -37,6 +37,8 @@ pub(super) enum Route {
     Light(LightTarget, LightCall),
     /// The files with light statistics beside the farm.
     LightFiles,
+    /// Maps of a file with light statistics.
+    FileMaps(usize),
     /// A result of a job as a file.
     Download(JobId, ResultFile),
     Control,
@@ -123,6 +125,7 @@ impl Route {
                 (Self::Light(target, light::parse_call(call, query, path)?), Method::GET)
             }
             ["files"] => (Self::LightFiles, Method::GET),
+            ["files", file, "maps"] => (Self::FileMaps(number("file", file)?), Method::GET),
             ["files", file, "light", call] => {
                 let target = LightTarget::File(number("file", file)?);
                 (Self::Light(target, light::parse_call(call, query, path)?), Method::GET)
@@ -182,7 +185,7 @@ impl Route {
             Self::Attempts(..) => Operation::Attempts,
             Self::Logs(..) => Operation::Logs,
             Self::Picture(..) => Operation::Picture,
-            Self::Light(..) | Self::LightFiles => Operation::Light,
+            Self::Light(..) | Self::LightFiles | Self::FileMaps(_) => Operation::Light,
             Self::Download(..) => Operation::Download,
             Self::Control => Operation::Control,
             Self::Workers => Operation::ListWorkers,
@@ -287,7 +290,7 @@ mod tests {
                 *seen.entry(route.operation()).or_default() += 1;
             }
         }
-        assert_eq!(seen.values().sum::<usize>(), 33);
+        assert_eq!(seen.values().sum::<usize>(), 34);
         // The page itself has no row in the table, and neither have requests without an operation.
         let documented = seen.into_keys().chain([Operation::Page, Operation::Other]);
         assert_eq!(documented.collect::<BTreeSet<_>>(), BTreeSet::from(Operation::HTTP));

@@ -137,6 +137,23 @@ impl LightViews {
         &self.files
     }
 
+    fn file(&self, number: usize) -> Result<&LightFile, LightViewError> {
+        self.files.get(number).ok_or(LightViewError::NoFile { number })
+    }
+
+    /// Returns a tag that changes when the file changes.
+    pub(crate) async fn file_tag(&self, number: usize) -> Result<String, LightViewError> {
+        let path = &self.file(number)?.path;
+        let version = version(path).await;
+        let version = version.map_err(|error| unreadable(format!("cannot read {}: {error}", path.display())))?;
+        Ok(Digest::compute(version.as_bytes()).to_string())
+    }
+
+    /// Reads a file.
+    pub(crate) async fn read_file(&self, number: usize) -> Result<Bytes, LightViewError> {
+        read_file(&self.file(number)?.path, MAX_LIGHT_BYTES).await
+    }
+
     /// Answers a question; `None`: no sample is recorded yet.
     /// - `known`: tag of the answer that the client has. If it is current, nothing is computed.
     pub(crate) async fn answer<S: Send + 'static>(
@@ -198,13 +215,10 @@ impl LightViews {
     async fn locate<S>(&self, farm: &Farm<S>, target: &LightTarget) -> Result<Option<TargetParts>, LightViewError> {
         match target {
             LightTarget::File(number) => {
-                let file = self.files.get(*number).ok_or(LightViewError::NoFile { number: *number })?;
-                let version = version(&file.path)
-                    .await
-                    .map_err(|error| unreadable(format!("cannot read {}: {error}", file.path.display())))?;
+                let (file, tag) = (self.file(*number)?, self.file_tag(*number).await?);
                 let part =
                     TargetPart { name: file.name.clone(), is_growing: false, origin: Origin::File(file.path.clone()) };
-                Ok(Some(TargetParts { tag: Digest::compute(version.as_bytes()).to_string(), parts: vec![part] }))
+                Ok(Some(TargetParts { tag, parts: vec![part] }))
             }
             LightTarget::Frames(job, frames) => self.locate_frames(farm, *job, frames).await,
         }

@@ -16,8 +16,6 @@ import {
 } from './data';
 import type { TableName } from './plot/contract';
 
-/** Condition that holds for all paths. */
-export const EVERYTHING = 'depth >= 0';
 /** Time after which a newer request aborts a running one. */
 const ABORT_TIMEOUT_MS = 700;
 const RETRY_INTERVAL_MS = 3000;
@@ -101,8 +99,6 @@ export interface Density {
   pixel: Uint32Array;
   count: Float32Array;
   light: Float32Array;
-  /** Mean luminance of the paths of the pixel, cd/m²; null if the server does not return it. */
-  luminance?: Float32Array | null;
 }
 
 export interface PairCounts {
@@ -117,7 +113,6 @@ const densityOf = (answer: Columns<SelectionHeader>): Density | null =>
         pixel: answer.u32('density.pixel'),
         count: answer.f32('density.count'),
         light: answer.f32('density.light'),
-        luminance: answer.has('density.luminance') ? answer.f32('density.luminance') : null,
       }
     : null;
 
@@ -141,10 +136,6 @@ export class DataSet {
   selectedHistograms = $state.raw<Histograms | null>(null);
   /** Fault of the condition. */
   refusal = $state.raw<string | null>(null);
-  /** Density of all paths, if it is wanted. */
-  whole = $state.raw<Density | null>(null);
-  /** Reason why there is no density of all paths. */
-  wholeFault = $state.raw<string | null>(null);
   /** Whether an evaluation of the selection is running or waiting. */
   isBusy = $state(false);
   /** Milliseconds of the last evaluation. */
@@ -158,7 +149,6 @@ export class DataSet {
   private isStale = false;
   private wish: Wish | null = null;
   private where = '';
-  private wantsWhole = false;
   private wanted: PerTable<[number, number][]> = perTable(() => []);
   private freshRows: Rows | null = null;
   private freshBrightest: BrightestSelection | null = null;
@@ -190,7 +180,6 @@ export class DataSet {
   private readonly representatives = new Newest(0, this.fail);
   private readonly selections = new Newest(60, this.refuse);
   private readonly selectedCounts = new Newest(120, this.refuse);
-  private readonly wholes = new Newest(0, this.fail);
 
   constructor(readonly source: Source) {}
 
@@ -249,25 +238,15 @@ export class DataSet {
     if (pairs.some(([a, b]) => !this.pairs.has(`${table}:${a}-${b}`))) this.loadCounts();
   }
 
-  /** Requests the density of all paths. */
-  needWhole() {
-    if (this.wantsWhole) return;
-    this.wantsWhole = true;
-    this.loadWhole();
-  }
-
   stop() {
     clearTimeout(this.retry);
-    for (const it of [this.schemas, this.counts, this.representatives, this.selections, this.selectedCounts, this.wholes]) {
-      it.stop();
-    }
+    for (const it of [this.schemas, this.counts, this.representatives, this.selections, this.selectedCounts]) it.stop();
   }
 
   private reload() {
     this.loadCounts();
     this.loadRows();
     this.evaluate();
-    this.loadWhole();
   }
 
   private loadCounts() {
@@ -354,16 +333,6 @@ export class DataSet {
       if (!where) return;
       const answer = await light.histograms(this.source, { where, box: this.wish!.box, pairs: [] }, signal);
       if (answer && this.where) this.selectedHistograms = answer;
-    });
-  }
-
-  private loadWhole() {
-    if (!this.schema || !this.wantsWhole) return;
-    this.wholes.run(async (signal) => {
-      const answer = await light.selection(this.source, EVERYTHING, true, signal);
-      if (!answer) return;
-      this.whole = densityOf(answer);
-      this.wholeFault = answer.header.density_fault ?? null;
     });
   }
 

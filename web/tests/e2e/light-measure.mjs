@@ -12,6 +12,7 @@ import { join, resolve } from 'node:path';
 import { chromium } from 'playwright-core';
 import { Farm, pause, until } from './farm.mjs';
 import { view } from './light.mjs';
+import { Tasks } from './tasks.mjs';
 
 const args = process.argv.slice(2);
 const option = (name, other) => (args.includes(name) ? Number(args.splice(args.indexOf(name), 2)[1]) : other);
@@ -47,10 +48,7 @@ try {
       return route.fulfill({ path: /\.\w+$/.test(path) && existsSync(path) ? path : join(pages, 'index.html') });
     });
   await page.addInitScript(() => {
-    const it = (globalThis.measured = { tasks: [], drawn: 0, event: 0, up: 0 });
-    new PerformanceObserver((list) => {
-      for (const { startTime, duration } of list.getEntries()) it.tasks.push([startTime, duration]);
-    }).observe({ type: 'longtask', buffered: true });
+    const it = (globalThis.measured = { drawn: 0, event: 0, up: 0 });
     // The last drawing of lines, by WebGL2 or by pixels; the pixels of a card are read, so that it has finished.
     const wrap = (prototype, name, after) => {
       const draw = prototype[name];
@@ -72,6 +70,8 @@ try {
   const began = Date.now();
   await page.goto(server.address);
   await page.locator('[data-plot=paths]').waitFor({ timeout: 60_000 });
+  await page.goto('about:blank');
+  const recorded = await Tasks.begin(browser, page);
   await page.goto(`${server.url}/view?n=${lines}`);
   await page.locator('[data-plot=lights]').waitFor({ timeout: 60_000 });
   /** Waits until the lines have not changed for a while; the time of the last change. */
@@ -82,10 +82,7 @@ try {
     return measured.drawn;
   }, ms);
   await quiet(1500);
-  const tasks = async (what) => {
-    const all = await page.evaluate(() => globalThis.measured.tasks.splice(0).map(([, duration]) => duration));
-    print({ what: `tasks of the main thread: ${what}`, above_50_ms: all.length, above_100_ms: all.filter((ms) => ms > 100).length, longest_ms: round(Math.max(0, ...all)) });
-  };
+  const tasks = async (what) => print({ what: `tasks of the main thread: ${what}`, load: loadavg()[0], ...(await recorded.take()) });
   const axes = await page.locator('[data-plot=paths] .column').count();
   print({
     what: 'setting', file, cpu, cores: Number(readFileSync('/proc/cpuinfo', 'utf8').match(/^processor/gm).length), load: loadavg()[0],

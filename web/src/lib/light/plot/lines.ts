@@ -4,7 +4,7 @@
  * a new drawing of the lines. The layer of all lines is kept while a selection changes.
  *
  * Lines are drawn in blocks. A frame has as many of them as the graphics processor finishes in time, so slow processors
- * show a part first and remain responsive. Heights are copied to the graphics processor in the frames before, one axis after another. Without a graphics card, pixels.ts draws the same picture.
+ * show a part first and remain responsive. Heights and densities are prepared in slices of the main thread, one axis after another. Without a graphics card, pixels.ts draws the same picture.
  */
 
 import type { PlotSet } from './contract';
@@ -13,6 +13,7 @@ import type { Drawing } from './graphics';
 import type { Layout } from './layout';
 import type { Palette } from './ratio';
 import { heightsOf, type AxisScale } from './scale';
+import { pageSlices, type Job } from './slices';
 
 /** An axis on the screen. */
 export interface ShownAxis {
@@ -36,8 +37,6 @@ export interface Scene extends Layout {
 const WIDTH = 1024;
 /** Lines of a block. */
 const BLOCK = 2500;
-/** Milliseconds of a frame for copies of heights and densities. */
-const PREPARE_MS = 6;
 
 /** Opacity of the density, and its value for full opacity, times 5. */
 export const DENSITY = 0.55;
@@ -159,7 +158,7 @@ export function identity(it: object | null | undefined): number {
 export const shape = ({ index, scale, flipped }: ShownAxis): string => `${index} ${flipped} ${scale.key}`;
 
 /** Drawing of the lines on a canvas. */
-export class LineDrawing implements Drawing {
+export class LineDrawing implements Drawing, Job {
   private gl: WebGL2RenderingContext;
   private lines!: WebGLProgram;
   private colors!: WebGLProgram;
@@ -321,7 +320,21 @@ export class LineDrawing implements Drawing {
     this.upload(scene);
     this.plan(scene, hasSelection);
     this.isStale = true;
+    pageSlices().add(this);
     this.frame ||= requestAnimationFrame(this.tick);
+  }
+
+  /** Copies the heights of an axis, or a density, to the graphics processor. */
+  step(): boolean {
+    const { scene, gl } = this;
+    if (!scene || this.isLost || gl.isContextLost()) return false;
+    if (this.uploads.length > 0) this.uploadAxis(scene, this.uploads.shift()!);
+    else if (this.densityWork.length > 0) {
+      this.drawDensity(scene, this.densityWork.shift()!);
+      this.isStale = true;
+    }
+    if (this.uploads.length === 0) this.frame ||= requestAnimationFrame(this.tick);
+    return this.uploads.length + this.densityWork.length > 0;
   }
 
   /** Copies selections that have changed, and notes the axes whose heights have to be copied. */
@@ -471,13 +484,8 @@ export class LineDrawing implements Drawing {
         return;
       }
     }
-    const end = performance.now() + PREPARE_MS;
-    while (this.uploads.length > 0 && performance.now() < end) this.uploadAxis(scene, this.uploads.shift()!);
-    if (this.uploads.length > 0) {
-      this.frame = requestAnimationFrame(this.tick);
-      return;
-    }
-    while (this.densityWork.length > 0 && performance.now() < end) this.drawDensity(scene, this.densityWork.shift()!);
+    // The next frame comes after the last heights.
+    if (this.uploads.length > 0) return;
     const segments = this.drawLines(scene);
     this.composite(scene);
     this.isStale = false;
@@ -591,6 +599,7 @@ export class LineDrawing implements Drawing {
   /** Frees everything on the graphics processor. */
   destroy() {
     cancelAnimationFrame(this.frame);
+    pageSlices().remove(this);
     this.canvas.removeEventListener('webglcontextlost', this.lose);
     this.canvas.removeEventListener('webglcontextrestored', this.restore);
     this.scene = null;

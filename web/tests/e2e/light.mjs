@@ -821,6 +821,7 @@ export async function light({ step, open, claim, equal, accessible, current, bro
       await picture.getByText('cd/m², A minus B').waitFor();
       claim(![pictureOfA, pictureOfB].includes(await it.canvas('.host canvas')), 'the difference is another picture');
       await picture.getByLabel('Show', { exact: true }).selectOption('picture');
+      await it.settled();
       await page.reload();
       await page.getByText('bins are red where A has the larger share').waitFor();
       await until(async () => (await it.canvas('.host canvas')) === pictureOfB, 'a reload shows the picture of B', 10);
@@ -940,8 +941,8 @@ export async function light({ step, open, claim, equal, accessible, current, bro
         const track = await slider.boundingBox();
         await page.touchscreen.tap(track.x + 0.75 * track.width, track.y + track.height / 2);
         await until(() => number(it.query('smooth') ?? '0') > 3, `smoothing by a tap: ${it.query('smooth')}`, 5);
-        for (const target of await picture.locator('button:not(.zoom button), select').all())
-          claim((await target.boundingBox()).height >= 34, `controls have 34 pixels for fingers: ${await target.innerText()}`);
+        for (const target of await picture.locator('button, select, input[type=range]').all())
+          claim((await target.boundingBox()).height >= 34, `controls have 34 pixels for fingers: ${await target.evaluate((t) => t.outerHTML)}`);
         await page.goto(home());
         await it.shown();
         // A line, after the button.

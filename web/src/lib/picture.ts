@@ -72,49 +72,63 @@ export function difference(a: Pixels, b: Pixels): Float32Array | null {
 }
 
 /**
- * Smooths values with a Gaussian. Values that are not finite are left out of the means and stay unchanged.
+ * Smooths values with a Gaussian. Values that are not finite are left out of the means and stay unchanged. Zeros cost little: most pixels
+ * of a density have no path.
  * - `sigma`: pixels; 0 changes nothing.
  */
 export function smooth(values: Float32Array, width: number, height: number, sigma: number): Float32Array {
   if (!(sigma > 0)) return values;
   const reach = Math.ceil(3 * sigma);
-  const kernel = Float64Array.from({ length: 2 * reach + 1 }, (_, i) =>
-    Math.exp(-((i - reach) ** 2) / (2 * sigma * sigma)),
-  );
-  const sums = new Float32Array(values.length);
-  const weights = new Float32Array(values.length);
+  const kernel = Float64Array.from({ length: 2 * reach + 1 }, (_, i) => Math.exp(-((i - reach) ** 2) / (2 * sigma * sigma)));
+  const isNumber = (v: number) => v - v === 0;
+  if (values.every(isNumber)) {
+    const [across, down] = [width, height].map((size) => kernelSums(size, kernel, reach)) as [Float64Array, Float64Array];
+    const out = convolve(values, width, height, kernel);
+    for (let y = 0, i = 0; y < height; y++) for (let x = 0; x < width; x++, i++) out[i]! /= across[x]! * down[y]!;
+    return out;
+  }
+  const sums = convolve(values.map((v) => (isNumber(v) ? v : 0)), width, height, kernel);
+  const weights = convolve(values.map((v) => Number(isNumber(v))), width, height, kernel);
+  return values.map((v, i) => (isNumber(v) ? sums[i]! / weights[i]! : v));
+}
+
+/** Returns the sums of neighbors, weighted by the kernel along the rows and along the columns. */
+function convolve(values: Float32Array, width: number, height: number, kernel: Float64Array): Float32Array {
+  const reach = (kernel.length - 1) / 2;
+  const rows = new Float32Array(values.length);
+  const isUsed = new Uint8Array(height);
+  const sums = new Float64Array(width);
+  for (let y = 0, i = 0; y < height; y++) {
+    sums.fill(0);
+    for (let x = 0; x < width; x++, i++) {
+      const v = values[i]!;
+      if (v === 0) continue;
+      isUsed[y] = 1;
+      const last = Math.min(width - 1, x + reach);
+      for (let to = Math.max(0, x - reach); to <= last; to++) sums[to]! += v * kernel[to - x + reach]!;
+    }
+    if (isUsed[y]) rows.set(sums, y * width);
+  }
   const out = new Float32Array(values.length);
   for (let y = 0; y < height; y++) {
-    for (let x = 0; x < width; x++) {
-      let [sum, weight] = [0, 0];
-      for (let k = Math.max(-reach, -x); k <= Math.min(reach, width - 1 - x); k++) {
-        const v = values[y * width + x + k]!;
-        if (v - v !== 0) continue;
-        const w = kernel[k + reach]!;
-        sum += w * v;
-        weight += w;
-      }
-      sums[y * width + x] = sum;
-      weights[y * width + x] = weight;
+    sums.fill(0);
+    for (let from = Math.max(0, y - reach); from <= Math.min(height - 1, y + reach); from++) {
+      if (!isUsed[from]) continue;
+      const weight = kernel[from - y + reach]!;
+      for (let x = 0, at = from * width; x < width; x++, at++) sums[x]! += weight * rows[at]!;
     }
-  }
-  for (let y = 0; y < height; y++) {
-    for (let x = 0; x < width; x++) {
-      const i = y * width + x;
-      if (values[i]! - values[i]! !== 0) {
-        out[i] = values[i]!;
-        continue;
-      }
-      let [sum, weight] = [0, 0];
-      for (let k = Math.max(-reach, -y); k <= Math.min(reach, height - 1 - y); k++) {
-        const w = kernel[k + reach]!;
-        sum += w * sums[i + k * width]!;
-        weight += w * weights[i + k * width]!;
-      }
-      out[i] = sum / weight;
-    }
+    out.set(sums, y * width);
   }
   return out;
+}
+
+/** Returns the sum of the part of the kernel that lies within the picture, for each place of a row or column. */
+function kernelSums(size: number, kernel: Float64Array, reach: number): Float64Array {
+  return Float64Array.from({ length: size }, (_, at) => {
+    let sum = 0;
+    for (let k = Math.max(-reach, -at); k <= Math.min(reach, size - 1 - at); k++) sum += kernel[k + reach]!;
+    return sum;
+  });
 }
 
 /** Returns a scale for the values, cut off by half a percent at each end; null if there is no value. */

@@ -969,6 +969,8 @@ export async function light({ step, open, claim, equal, accessible, current, bro
         try {
           if (kind === 'stub')
             await page.addInitScript(() => {
+              // The page itself looks at the graphics.
+              delete globalThis.Worker;
               for (const canvas of [HTMLCanvasElement, OffscreenCanvas]) {
                 const { getContext } = canvas.prototype;
                 canvas.prototype.getContext = function (name, ...more) {

@@ -1,5 +1,6 @@
 import { expect, test } from 'vitest';
-import { decodeColumns, encodeColumns, hasBit } from '../../src/lib/light/columns';
+import { decodeColumns, hasBit } from '../../src/lib/light/columns';
+import { encodeColumns } from './columns';
 
 const sample = () =>
   encodeColumns({ tag: 't', recorded: 3, words: 'ä' }, [

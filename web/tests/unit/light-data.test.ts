@@ -1,6 +1,6 @@
 import { describe, expect, test } from 'vitest';
 import { formatSource, parseSource, type Schema } from '../../src/lib/light/api';
-import { decodeColumns, encodeColumns } from '../../src/lib/light/columns';
+import { decodeColumns } from '../../src/lib/light/columns';
 import {
   axesOf,
   BrushError,
@@ -27,6 +27,7 @@ import { densityScale, spreadOut } from '../../src/lib/light/density';
 import { smooth } from '../../src/lib/picture';
 import { formatChips, toChips } from '../../src/lib/light/text';
 import type { Brush, TableName } from '../../src/lib/light/plot/contract';
+import { encodeColumns } from './columns';
 
 const edges = Array.from({ length: 64 }, (_, i) => i);
 const schema = (names: string[] = ['room.wall', 'ball', 'lamp']): Schema => ({

@@ -1,6 +1,6 @@
 import { afterEach, beforeEach, describe, expect, test, vi } from 'vitest';
-import { encodeColumns } from '../../src/lib/light/columns';
 import { DataSet, Newest } from '../../src/lib/light/state.svelte';
+import { encodeColumns } from './columns';
 
 beforeEach(() => void vi.useFakeTimers());
 afterEach(() => {

@@ -1,13 +1,13 @@
 import { describe, expect, test } from 'vitest';
 import { barsOf, shareIn, sharesIn } from '../../src/lib/light/plot/bars';
-import { brushOf, has, isEmpty, joined, selectRows, toggled, withBrush } from '../../src/lib/light/plot/brush';
+import { brushOf, isEmpty, joined, toggled, withBrush } from '../../src/lib/light/plot/brush';
 import type { Axis, AxisView, Brush, ScaleName } from '../../src/lib/light/plot/contract';
-import { addLines, encode, StripCounts } from '../../src/lib/light/plot/counts';
+import { addLines, encode, StripCounts, type StripLines } from '../../src/lib/light/plot/counts';
 import { addDensity, COLUMNS, ROWS } from '../../src/lib/light/plot/density';
 import { nearestLine } from '../../src/lib/light/plot/nearest';
 import { changed, moved, pairs } from '../../src/lib/light/plot/order';
 import { LIGHT, ratio, ratioColor } from '../../src/lib/light/plot/ratio';
-import { axisScale, binAt, formatValue, heightsOf, ordered, rangeBetween, step, ticks, withEnd, withEndAt, withShift } from '../../src/lib/light/plot/scale';
+import { axisScale, formatValue, heightsOf, ordered, rangeBetween, step, ticks, withEnd, withEndAt, withShift } from '../../src/lib/light/plot/scale';
 
 const RADIANCE = Array.from({ length: 64 }, (_, k) => (k < 2 ? 0 : 2 ** ((k - 22) / 2)));
 const axis = (scale: ScaleName, more: Partial<Axis> = {}): Axis => ({
@@ -90,11 +90,6 @@ describe('scales', () => {
     expect(scale.to[3]).toBe(0);
     // Both sets count equally, whatever their sizes.
     expect(axisScale(words, false, [bins({ 1: 1000, 2: 10 }), bins({ 2: 3 })]).order).toEqual([2, 1]);
-  });
-
-  test('the nearest bin', () => {
-    const scale = axisScale(axis('count'), false, [bins({ 1: 1, 4: 1 })]);
-    expect([0, 0.3, 0.6, 1].map((at) => binAt(scale, at))).toEqual([1, 2, 3, 4]);
   });
 
   test('keys move an end by bins, within the axis', () => {
@@ -194,18 +189,6 @@ describe('brushes', () => {
     expect(toggled(brush({ categories: [1, 3] }), 2).categories).toEqual([1, 2, 3]);
     expect(toggled(brush({ categories: [1, 3] }), 3).categories).toEqual([1]);
   });
-
-  test('rows have to be in every brush; ranges are closed; inversion turns one brush around', () => {
-    const set = { rows: 4, values: [Float32Array.of(0, 1, 2, 3), Float32Array.of(1, 1, 2, 2)] };
-    const words = (index: number) => index === 1;
-    const select = (...list: Brush[]) => selectRows(set, list, words);
-    expect(select()).toBeNull();
-    expect(select(brush({}))).toBeNull();
-    expect(select(brush({ ranges: [[1, 2]] }))).toEqual(Uint8Array.of(0, 1, 1, 0));
-    expect(select(brush({ ranges: [[1, 2]], inverted: true }))).toEqual(Uint8Array.of(1, 0, 0, 1));
-    expect(select(brush({ ranges: [[1, 2]] }), brush({ axis: 1, categories: [2] }))).toEqual(Uint8Array.of(0, 0, 1, 0));
-    expect(has(brush({ ranges: [[0, 9]], inverted: true }), NaN, false)).toBe(true);
-  });
 });
 
 describe('order', () => {
@@ -284,21 +267,25 @@ describe('counts of lines', () => {
   const lines = { left: random(200, 1), right: random(200, 2), leftFlipped: false, rightFlipped: false, rows: 200 };
   const count = (mask: Uint8Array | null) => {
     const counts = new StripCounts();
-    counts.update('', shape, lines, mask);
+    finish(counts, lines, mask);
     return counts.bytes;
+  };
+  /** Does all pieces of a count; returns their number. */
+  const finish = (counts: StripCounts, of: StripLines, mask: Uint8Array | null, most?: number) => {
+    for (let n = 1; ; n++) if (!counts.advance('', shape, of, mask, most)) return n;
   };
 
   test('a level line has one pixel in each column, a steep one all pixels between its ends', () => {
-    const steps = new Int16Array(10 * 42);
+    const steps = new Int32Array(10 * 42);
     const one = { ...lines, rows: 1, left: Float32Array.of(0.5), right: Float32Array.of(0.5) };
-    addLines(steps, shape, one, null, null);
+    addLines(steps, shape, one, null, new Uint8Array(1));
     const bytes = new Uint8Array(400);
     encode(steps, shape, bytes);
     expect(bytes.filter((v) => v > 0).length).toBe(10);
     expect(bytes.slice(190, 200).every((v) => v === 4)).toBe(true);
     for (const [left, right] of [[0, 1], [1, 0]] as const) {
       const counts = new StripCounts();
-      counts.update('', shape, { ...one, left: Float32Array.of(left), right: Float32Array.of(right) }, null);
+      finish(counts, { ...one, left: Float32Array.of(left), right: Float32Array.of(right) }, null);
       expect(counts.bytes.filter((v) => v > 0).length).toBeGreaterThanOrEqual(38);
       expect(Math.max(...counts.bytes)).toBe(4);
     }
@@ -308,11 +295,31 @@ describe('counts of lines', () => {
     const counts = new StripCounts();
     const masks = [0, 1, 2, 3].map((k) => Uint8Array.from({ length: 200 }, (_, i) => Number((i * 31 + k * 5) % 97 < 40 + 3 * k)));
     for (const mask of [...masks, masks[0]!]) {
-      counts.update('', shape, lines, mask);
+      finish(counts, lines, mask);
       expect(counts.bytes).toEqual(count(mask));
     }
-    counts.update('', shape, lines, null);
+    finish(counts, lines, null);
     expect(counts.bytes).toEqual(count(null));
+  });
+
+  test('pieces add up, and a selection that changes between them has the counts of a new one', () => {
+    const counts = new StripCounts();
+    expect(finish(counts, lines, null, 30)).toBe(7);
+    expect(counts.bytes).toEqual(count(null));
+    expect(finish(counts, lines, null, 30)).toBe(1);
+    const masks = [3, 5].map((k) => Uint8Array.from({ length: 200 }, (_, i) => Number(i % k === 0)));
+    expect(counts.advance('', shape, lines, masks[0]!, 30)).toBe(true);
+    expect(counts.advance('', shape, lines, masks[1]!, 10)).toBe(true);
+    finish(counts, lines, masks[1]!, 10);
+    expect(counts.bytes).toEqual(count(masks[1]!));
+  });
+
+  test('a pixel that all of very many lines cross is not empty', () => {
+    const rows = 70_000;
+    const level = { ...lines, rows, left: new Float32Array(rows).fill(0.5), right: new Float32Array(rows).fill(0.5) };
+    const counts = new StripCounts();
+    finish(counts, level, null);
+    expect([...counts.bytes.slice(190, 200)]).toEqual(Array(10).fill(255));
   });
 });
 

@@ -78,28 +78,5 @@ export function decodeColumns<H = Record<string, unknown>>(buffer: ArrayBuffer):
   return new Columns<H>(header, arrays);
 }
 
-/** Encodes columns; the counterpart of [`decodeColumns`], for tests. */
-export function encodeColumns(header: object, columns: [string, ColumnType, ArrayLike<number>][]): ArrayBuffer {
-  let offset = 0;
-  const described = columns.map(([name, type, values]): Column => {
-    const column = { name, type, length: values.length, offset };
-    offset += Math.ceil((values.length * BYTES[type]) / 8) * 8;
-    return column;
-  });
-  const json = new TextEncoder().encode(JSON.stringify({ ...header, columns: described }));
-  const begin = Math.ceil((12 + json.length) / 8) * 8;
-  const buffer = new ArrayBuffer(begin + offset);
-  const bytes = new Uint8Array(buffer);
-  bytes.fill(32, 12, begin);
-  bytes.set(json, 12);
-  const view = new DataView(buffer);
-  [MAGIC, VERSION, begin - 12].forEach((word, i) => view.setUint32(4 * i, word, true));
-  columns.forEach(([, type, values], i) => {
-    const Type = { u8: Uint8Array, u32: Uint32Array, f32: Float32Array, f64: Float64Array }[type];
-    new Type(buffer, begin + described[i]!.offset, values.length).set(values);
-  });
-  return buffer;
-}
-
 /** Checks bit `number` of a mask. Numbers outside are not set. */
 export const hasBit = (mask: Uint8Array, number: number): boolean => ((mask[number >>> 3] ?? 0) >>> (number & 7)) % 2 === 1;

@@ -485,8 +485,6 @@ export function hasCategory({ field, chain }: BrushChip, text: string | null): b
   return holds(chain);
 }
 
-export const isWordField = (field: string): boolean => WORD_FIELDS.has(field);
-
 /** Rounds a bound outward to six significant digits, so that the range keeps what it contains. */
 function bound(value: number, step: (v: number) => number): string {
   if (!Number.isFinite(value) || value === 0) return String(value);

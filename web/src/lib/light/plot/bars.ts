@@ -1,9 +1,15 @@
 /** Bins of the axes as bars on a canvas. */
 
 import type { PlotSet } from './contract';
+import type { Drawing } from './graphics';
+import { lengthOf, xOf } from './layout';
+import { identity, shape, type Scene } from './lines';
 import { ratio as ratioOf, ratioColor } from './ratio';
 import { BINS, type AxisScale } from './scale';
-import type { Scene } from './lines';
+import { pageSlices, type Job } from './slices';
+
+/** Least height of a bar, in pixels. */
+export const MIN_BAR_HEIGHT = 3;
 
 type Rgb = readonly [number, number, number];
 const css = ([r, g, b]: Rgb, alpha: number) => `rgb(${r} ${g} ${b} / ${alpha})`;
@@ -59,10 +65,10 @@ export const sharesIn = (bars: readonly Bar[], set: PlotSet, index: number, whic
 
 /** Draws the bars of all axes; lengths are in CSS pixels. */
 export function drawBars(context: CanvasRenderingContext2D, scene: Scene): void {
-  const { ratio, width, height, axes, sets, palette, top, bottom } = scene;
+  const { ratio, width, height, axes, sets, palette, top } = scene;
   context.setTransform(ratio, 0, 0, ratio, 0, 0);
   context.clearRect(0, 0, width, height);
-  const length = bottom - top;
+  const length = lengthOf(scene);
   const most = Math.min(0.42 * scene.spacing, 44) * (sets.length > 1 ? 0.75 : 1);
   const hasSelection = sets.some((it) => it.selectedBins);
   // Rectangles of one color are filled together.
@@ -75,8 +81,8 @@ export function drawBars(context: CanvasRenderingContext2D, scene: Scene): void 
   };
   const two = sets.length > 1;
   axes.forEach((axis, place) => {
-    const x = scene.left + place * scene.spacing;
-    const bars = barsOf(axis, 3 / length);
+    const x = xOf(scene, place);
+    const bars = barsOf(axis, MIN_BAR_HEIGHT / length);
     const all = sets.map((it) => sharesIn(bars, it, axis.index, 'all'));
     const chosen = hasSelection ? sets.map((it) => sharesIn(bars, it, axis.index, 'selected')) : null;
     // The place of records without a value may have most of them: it does not make the others invisible.
@@ -123,4 +129,39 @@ export function drawBars(context: CanvasRenderingContext2D, scene: Scene): void 
   }
   // Marks of bars that are longer than there is room for.
   for (const box of cuts) context.clearRect(...box);
+}
+
+/** Drawing of the bars of a plot on a canvas. */
+export class BarDrawing implements Drawing, Job {
+  private scene: Scene | null = null;
+  private key = '';
+
+  constructor(private readonly canvas: HTMLCanvasElement) {}
+
+  update(scene: Scene) {
+    const { width, height, ratio, palette, axes, sets } = scene;
+    const counts = sets.map((set) =>
+      axes.map(({ index }) => `${identity(set.bins[index])} ${identity(set.selectedBins?.[index])}`).concat(`${set.total} ${set.selectedTotal}`),
+    );
+    const key = `${width} ${height} ${ratio} ${palette.panel} ${axes.map(shape)} ${counts}`;
+    if (this.key === key) return;
+    this.key = key;
+    this.scene = scene;
+    pageSlices().add(this);
+  }
+
+  step(): boolean {
+    const { canvas, scene } = this;
+    const context = canvas.getContext('2d');
+    if (!scene || !context) return false;
+    const [width, height] = [Math.round(scene.width * scene.ratio), Math.round(scene.height * scene.ratio)];
+    if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
+    drawBars(context, scene);
+    return false;
+  }
+
+  destroy() {
+    pageSlices().remove(this);
+    this.scene = null;
+  }
 }

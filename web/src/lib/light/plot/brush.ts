@@ -1,6 +1,6 @@
 /** Brushes: sets of ranges or categories on axes. All functions return new objects. */
 
-import type { Brush, PlotSet } from './contract';
+import type { Brush } from './contract';
 
 type Range = [number, number];
 
@@ -38,30 +38,4 @@ export function toggled(brush: Brush, category: number): Brush {
     ...brush,
     categories: without.length < categories.length ? without : [...categories, category].sort((a, b) => a - b),
   };
-}
-
-/** Returns whether a value is in a brush. */
-export function has(brush: Brush, value: number, isCategorical: boolean): boolean {
-  const inside = isCategorical
-    ? brush.categories.includes(value)
-    : brush.ranges.some(([from, to]) => value >= from && value <= to);
-  return inside !== brush.inverted;
-}
-
-/** Returns a mask of the rows that all brushes select; null without brushes. */
-export function selectRows(
-  set: Pick<PlotSet, 'values' | 'rows'>,
-  brushes: readonly Brush[],
-  isCategorical: (axis: number) => boolean,
-): Uint8Array | null {
-  const active = brushes.filter((it) => !isEmpty(it));
-  if (active.length === 0) return null;
-  const mask = new Uint8Array(set.rows).fill(1);
-  for (const brush of active) {
-    const values = set.values[brush.axis];
-    if (!values) continue;
-    const words = isCategorical(brush.axis);
-    for (let i = 0; i < set.rows; i++) if (mask[i] && !has(brush, values[i]!, words)) mask[i] = 0;
-  }
-  return mask;
 }

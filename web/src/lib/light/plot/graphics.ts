@@ -1,29 +1,36 @@
 /** Graphics of the browser. */
 
 import type { Scene } from './lines';
+import { graphicsOf, type Graphics } from './renderer';
 
-/** Drawing of the lines of a plot on a canvas. */
+/** Drawing of a part of a plot on a canvas. */
 export interface Drawing {
   /** Shows a scene; draws only what has changed. */
   update(scene: Scene): void;
   destroy(): void;
 }
 
-/** `card`: WebGL2 with a graphics card; `software`: WebGL2 without one; `none`: no WebGL2. */
-export type Graphics = 'card' | 'software' | 'none';
+/** Time after which the page itself looks at the graphics. */
+const WORKER_TIMEOUT_MS = 3000;
 
-let known: Graphics | null = null;
+/** Looks at the graphics in a worker, because the start of WebGL stops a thread for long; null if workers have no WebGL2. */
+function graphicsOfWorker(): Promise<Graphics | null> {
+  return new Promise((done) => {
+    if (typeof Worker !== 'function') return done(null);
+    const worker = new Worker(new URL('./graphics.worker.ts', import.meta.url), { type: 'module', name: 'femc graphics' });
+    const end = (found: Graphics | null) => {
+      clearTimeout(timer);
+      worker.terminate();
+      done(found === 'none' ? null : found);
+    };
+    const timer = setTimeout(end, WORKER_TIMEOUT_MS, null);
+    worker.onmessage = ({ data }: MessageEvent<Graphics>) => end(data);
+    worker.onerror = () => end(null);
+  });
+}
 
-/** Returns the graphics of the browser if they are known already. */
-export const knownGraphics = (): Graphics | null => known;
+let found: Promise<Graphics> | null = null;
 
 /** Returns the graphics of the browser. */
-export function graphics(): Graphics {
-  if (known) return known;
-  const gl = document.createElement('canvas').getContext('webgl2');
-  if (!gl) return (known = 'none');
-  const info = gl.getExtension('WEBGL_debug_renderer_info');
-  const name = String(gl.getParameter(info ? info.UNMASKED_RENDERER_WEBGL : gl.RENDERER));
-  gl.getExtension('WEBGL_lose_context')?.loseContext();
-  return (known = /swiftshader|llvmpipe|softpipe|software|basic render/i.test(name) ? 'software' : 'card');
-}
+export const graphics = (): Promise<Graphics> =>
+  (found ??= graphicsOfWorker().then((it) => it ?? graphicsOf(document.createElement('canvas'))));

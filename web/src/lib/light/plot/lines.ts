@@ -4,11 +4,13 @@
  * a new drawing of the lines. The layer of all lines is kept while a selection changes.
  *
  * Lines are drawn in blocks. A frame has as many of them as the graphics processor finishes in time, so slow processors
- * show a part first and remain responsive. Without a graphics card, pixels.ts draws the same picture.
+ * show a part first and remain responsive. Heights are copied to the graphics processor in the frames before, one axis after another. Without a graphics card, pixels.ts draws the same picture.
  */
 
 import type { PlotSet } from './contract';
 import { addDensity, COLUMNS, ROWS } from './density';
+import type { Drawing } from './graphics';
+import type { Layout } from './layout';
 import type { Palette } from './ratio';
 import { heightsOf, type AxisScale } from './scale';
 
@@ -20,17 +22,9 @@ export interface ShownAxis {
 }
 
 /** Everything that the lines depend on. Lengths are in CSS pixels. */
-export interface Scene {
-  width: number;
-  height: number;
+export interface Scene extends Layout {
   /** Device pixels per CSS pixel. */
   ratio: number;
-  /** Position of the first axis, and the distance of axes. */
-  left: number;
-  spacing: number;
-  /** Upper and lower end of the axes. */
-  top: number;
-  bottom: number;
   axes: readonly ShownAxis[];
   sets: readonly PlotSet[];
   opacity: number;
@@ -42,6 +36,8 @@ export interface Scene {
 const WIDTH = 1024;
 /** Lines of a block. */
 const BLOCK = 2500;
+/** Milliseconds of a frame for copies of heights and densities. */
+const PREPARE_MS = 6;
 
 /** Opacity of the density, and its value for full opacity, times 5. */
 export const DENSITY = 0.55;
@@ -163,7 +159,7 @@ export function identity(it: object | null | undefined): number {
 export const shape = ({ index, scale, flipped }: ShownAxis): string => `${index} ${flipped} ${scale.key}`;
 
 /** Drawing of the lines on a canvas. */
-export class LineDrawing {
+export class LineDrawing implements Drawing {
   private gl: WebGL2RenderingContext;
   private lines!: WebGLProgram;
   private colors!: WebGLProgram;
@@ -173,6 +169,8 @@ export class LineDrawing {
   private density: WebGLTexture | null = null;
   private densityKeys: string[] = [];
   private densityWork: number[] = [];
+  /** Axes whose heights are not copied yet. */
+  private uploads: { set: number; place: number }[] = [];
   private work: Work[] = [];
   private scene: Scene | null = null;
   private size = '';
@@ -223,7 +221,7 @@ export class LineDrawing {
     this.uniforms.clear();
     this.lines = this.program(LINES, COUNT);
     this.colors = this.program(SCREEN, COLORS);
-    [this.layers, this.sets, this.work, this.densityWork] = [[], [], [], []];
+    [this.layers, this.sets, this.work, this.densityWork, this.uploads] = [[], [], [], [], []];
     [this.density, this.densityKeys, this.fence, this.size] = [null, [], null, ''];
   }
 
@@ -326,9 +324,10 @@ export class LineDrawing {
     this.frame ||= requestAnimationFrame(this.tick);
   }
 
-  /** Copies heights and selections that have changed. */
+  /** Copies selections that have changed, and notes the axes whose heights have to be copied. */
   private upload(scene: Scene) {
     const { gl } = this;
+    this.uploads = [];
     scene.sets.forEach((set, number) => {
       const axes = set.values.length;
       const blocks = Math.max(1, Math.ceil(set.rows / WIDTH));
@@ -344,17 +343,7 @@ export class LineDrawing {
         own = { texture, axes, blocks, columns: [], array, elements, selected: null, count: 0 };
         this.sets[number] = own;
       }
-      gl.bindTexture(gl.TEXTURE_2D, own.texture);
-      for (const { index, scale } of scene.axes) {
-        const values = set.values[index];
-        if (!values) continue;
-        const heights = heightsOf(values, scale);
-        if (own.columns[index] === heights) continue;
-        own.columns[index] = heights;
-        const padded = new Float32Array(WIDTH * blocks);
-        padded.set(heights.subarray(0, set.rows));
-        gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, index * blocks, WIDTH, blocks, gl.RED, gl.FLOAT, padded);
-      }
+      for (const place of scene.axes.keys()) this.uploads.push({ set: number, place });
       if (set.selected && own.selected !== set.selected) {
         const elements = new Uint32Array(2 * set.rows);
         let n = 0;
@@ -369,6 +358,21 @@ export class LineDrawing {
       }
       own.selected = set.selected;
     });
+  }
+
+  /** Copies the heights of an axis if they have changed. */
+  private uploadAxis(scene: Scene, { set: number, place }: { set: number; place: number }) {
+    const { gl } = this;
+    const [set, own, axis] = [scene.sets[number], this.sets[number], scene.axes[place]];
+    const values = axis && set?.values[axis.index];
+    if (!set || !own || !values) return;
+    const heights = heightsOf(values, axis.scale);
+    if (own.columns[axis.index] === heights) return;
+    own.columns[axis.index] = heights;
+    const padded = new Float32Array(WIDTH * own.blocks);
+    padded.set(heights.subarray(0, set.rows));
+    gl.bindTexture(gl.TEXTURE_2D, own.texture);
+    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, axis.index * own.blocks, WIDTH, own.blocks, gl.RED, gl.FLOAT, padded);
   }
 
   /** Position of an axis in device pixels. */
@@ -461,14 +465,19 @@ export class LineDrawing {
         if (wasFull || factor < 1) this.budget *= Math.min(Math.max(factor, 0.5), 2);
         this.budget = Math.min(Math.max(this.budget, 15_000), 5_000_000);
       }
-      if (!this.isStale && this.work.length === 0 && this.densityWork.length === 0) {
+      if (!this.isStale && this.work.length === 0 && this.densityWork.length === 0 && this.uploads.length === 0) {
         this.ondrawn?.(performance.now() - this.began);
         this.began = 0;
         return;
       }
     }
-    const start = performance.now();
-    while (this.densityWork.length > 0 && performance.now() - start < 6) this.drawDensity(scene, this.densityWork.shift()!);
+    const end = performance.now() + PREPARE_MS;
+    while (this.uploads.length > 0 && performance.now() < end) this.uploadAxis(scene, this.uploads.shift()!);
+    if (this.uploads.length > 0) {
+      this.frame = requestAnimationFrame(this.tick);
+      return;
+    }
+    while (this.densityWork.length > 0 && performance.now() < end) this.drawDensity(scene, this.densityWork.shift()!);
     const segments = this.drawLines(scene);
     this.composite(scene);
     this.isStale = false;

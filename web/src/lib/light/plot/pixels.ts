@@ -1,14 +1,12 @@
 /** Lines of a plot without a graphics card: counts.ts counts them, and this module makes colors of the counts. */
 
-import { ROOTS, StripCounts, type StripShape } from './counts';
+import { ROOTS, StripCounts, type StripLines, type StripShape } from './counts';
 import { addDensity, COLUMNS, ROWS } from './density';
 import type { Drawing } from './graphics';
 import { DEEP, DENSEST, DENSITY, identity, REST, shape, type Scene } from './lines';
 import { ratioColor } from './ratio';
-import { heightsOf } from './scale';
-
-/** Milliseconds of work in a frame. */
-const BUDGET = 25;
+import { hasHeights, heightsOf } from './scale';
+import { pageSlices, type Job } from './slices';
 
 interface Strip {
   /** Counts of all and of selected lines, by set. */
@@ -19,6 +17,13 @@ interface Strip {
   opacities: Uint8Array;
   ratios: Uint8Array;
   painted: string;
+}
+
+/** Texts that change with the counts of a strip for a mask, with its density, and with its pixels. */
+interface Plan {
+  shape: string;
+  density: string;
+  pixels: string;
 }
 
 /** Values by the code of a count, for the current opacity and colors. */
@@ -36,14 +41,14 @@ interface Tables {
 const NONE = new Float32Array();
 
 /** Drawing of the lines on a canvas without WebGL. */
-export class PixelDrawing implements Drawing {
+export class PixelDrawing implements Drawing, Job {
   private context: CanvasRenderingContext2D;
   private scene: Scene | null = null;
   private strips: Strip[] = [];
-  private keys: string[] = [];
+  private plans: Plan[] = [];
   private frame = 0;
-  /** Strip that is next to be checked. */
-  private next = 0;
+  /** Strip that is drawn. */
+  private current = 0;
   private began = 0;
   private image: ImageData | null = null;
   private words = new Uint32Array();
@@ -82,8 +87,12 @@ export class PixelDrawing implements Drawing {
     const look = `${scene.opacity} ${scene.palette.panel} ${scene.sets.length} ${scene.sets.map((it) => it.rows)}`;
     if (this.tables.key !== look) this.tables = makeTables(scene, look);
     const masks = scene.sets.map((it) => identity(it.selected)).join();
-    this.keys = this.strips.map((_, i) => `${this.shapeKey(scene, i)}|${this.densityKey(scene, i)}|${masks}|${look}`);
-    this.frame ||= requestAnimationFrame(this.tick);
+    this.plans = this.strips.map((_, i) => {
+      const shape = this.shapeKey(scene, i);
+      const density = `${shape}|${this.densityKey(scene, i)}`;
+      return { shape, density, pixels: `${this.column(scene, i)} ${density}|${masks}|${look}` };
+    });
+    pageSlices().add(this);
   }
 
   private column = (scene: Scene, place: number) => Math.round((scene.left + place * scene.spacing) * scene.ratio);
@@ -101,64 +110,79 @@ export class PixelDrawing implements Drawing {
     return scene.sets.map((it) => identity(it.pair(a.index, b.index))).join();
   }
 
-  private tick = () => {
-    this.frame = 0;
-    const { scene, strips, keys } = this;
-    if (!scene) return;
-    const start = performance.now();
-    let isBusy = false;
-    for (let n = 0; n < strips.length && performance.now() - start < BUDGET; n++) {
-      this.next = (this.next + 1) % strips.length;
-      const i = this.next;
-      if (strips[i]!.painted === `${this.column(scene, i)} ${keys[i]}`) continue;
-      isBusy = true;
-      this.draw(scene, i);
-      strips[i]!.painted = `${this.column(scene, i)} ${keys[i]}`;
+  /** Draws a piece of a strip between two axes: a part of its counts, its density, or its pixels. */
+  step(): boolean {
+    const { scene, strips, plans } = this;
+    if (!scene) return false;
+    const isStale = (i: number) => strips[i]!.painted !== plans[i]!.pixels;
+    if (this.current >= strips.length) this.current = 0;
+    for (let n = 0; n < strips.length && !isStale(this.current); n++) this.current = (this.current + 1) % strips.length;
+    const i = this.current;
+    if (i < strips.length && isStale(i)) {
+      if (!this.prepare(scene, i)) return true;
+      this.show(scene, i);
+      strips[i]!.painted = plans[i]!.pixels;
+      if (strips.some((_, k) => isStale(k))) return true;
     }
-    const isDone = strips.every((it, i) => it.painted === `${this.column(scene, i)} ${keys[i]}`);
-    if (isBusy || !isDone) this.frame = requestAnimationFrame(this.tick);
-    else {
+    // The last pixels are on the screen after the next frame.
+    this.frame ||= requestAnimationFrame(() => {
+      this.frame = 0;
       this.ondrawn?.(performance.now() - this.began);
       this.began = 0;
-    }
-  };
+    });
+    return false;
+  }
 
-  private draw(scene: Scene, i: number) {
-    const { sets } = scene;
-    const strip = this.strips[i]!;
-    const [a, b] = [scene.axes[i]!, scene.axes[i + 1]!];
-    const from = this.column(scene, i);
-    const place: StripShape = {
-      columns: this.column(scene, i + 1) - from,
+  private stripShape(scene: Scene, i: number): StripShape {
+    return {
+      columns: this.column(scene, i + 1) - this.column(scene, i),
       rows: this.canvas.height,
       base: this.canvas.height - scene.bottom * scene.ratio,
       length: (scene.bottom - scene.top) * scene.ratio,
     };
-    const key = this.shapeKey(scene, i);
+  }
+
+  /** Does a piece of the work before the pixels of a strip. Returns whether all of it is done. */
+  private prepare(scene: Scene, i: number): boolean {
+    const strip = this.strips[i]!;
+    const [a, b] = [scene.axes[i]!, scene.axes[i + 1]!];
+    const place = this.stripShape(scene, i);
+    const plan = this.plans[i]!;
+    const sets = scene.sets.slice(0, 2);
     const hasSelection = sets.some((it) => it.selected);
-    sets.slice(0, 2).forEach((set, number) => {
-      const lines = {
+    for (const [number, set] of sets.entries()) {
+      for (const { index, scale } of [a, b]) {
+        const values = set.values[index];
+        if (!values || hasHeights(values, scale)) continue;
+        heightsOf(values, scale);
+        return false;
+      }
+      const lines: StripLines = {
         left: heightsOf(set.values[a.index], a.scale),
         right: heightsOf(set.values[b.index], b.scale),
         leftFlipped: a.flipped,
         rightFlipped: b.flipped,
         rows: set.rows,
       };
-      (strip.all[number] ??= new StripCounts()).update(key, place, lines, null);
-      if (hasSelection) (strip.chosen[number] ??= new StripCounts()).update(key, place, lines, set.selected);
-    });
-    const densityKey = `${key}|${this.densityKey(scene, i)}`;
-    if (strip.densityKey !== densityKey) {
-      strip.densityKey = densityKey;
-      this.spread(scene, i, place);
+      if ((strip.all[number] ??= new StripCounts()).advance(plan.shape, place, lines, null)) return false;
+      if (hasSelection && (strip.chosen[number] ??= new StripCounts()).advance(plan.shape, place, lines, set.selected)) return false;
     }
+    if (strip.densityKey === plan.density) return true;
+    strip.densityKey = plan.density;
+    this.spread(scene, i, place);
+    return false;
+  }
+
+  /** Puts the pixels of a strip on the canvas. */
+  private show(scene: Scene, i: number) {
+    const place = this.stripShape(scene, i);
     // Strips of the same size share their pixels.
     if (this.image?.width !== place.columns || this.image.height !== place.rows) {
       this.image = new ImageData(place.columns, place.rows);
       this.words = new Uint32Array(this.image.data.buffer);
     }
-    this.paint(scene, strip, place, hasSelection, this.words);
-    this.context.putImageData(this.image, from, 0);
+    this.paint(scene, this.strips[i]!, place, scene.sets.some((it) => it.selected), this.words);
+    this.context.putImageData(this.image, this.column(scene, i), 0);
   }
 
   /** Enlarges the density between two axes to the pixels of the screen. */
@@ -266,6 +290,7 @@ export class PixelDrawing implements Drawing {
 
   destroy() {
     cancelAnimationFrame(this.frame);
+    pageSlices().remove(this);
     this.scene = null;
   }
 }

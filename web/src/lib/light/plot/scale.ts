@@ -188,6 +188,9 @@ const placed = new WeakMap<Float32Array, { key: string; heights: Float32Array }>
 
 const NONE = new Float32Array();
 
+/** Returns whether the heights of a column of values are known. */
+export const hasHeights = (values: Float32Array, scale: AxisScale): boolean => placed.get(values)?.key === scale.key;
+
 /** Returns the heights of a column of values; kept until the scale changes. */
 export function heightsOf(values: Float32Array | undefined, scale: AxisScale): Float32Array {
   if (!values) return NONE;
@@ -197,18 +200,6 @@ export function heightsOf(values: Float32Array | undefined, scale: AxisScale): F
   for (let i = 0; i < values.length; i++) heights[i] = scale.place(values[i]!, spread(i));
   placed.set(values, { key: scale.key, heights });
   return heights;
-}
-
-/** Returns the bin nearest to a height. */
-export function binAt(scale: AxisScale, height: number): number {
-  let [nearest, distance] = [0, Infinity];
-  for (let k = 0; k < BINS; k++) {
-    const [from, to] = [scale.from[k]!, scale.to[k]!];
-    if (to <= from) continue;
-    const away = height < from ? from - height : height > to ? height - to : 0;
-    if (away < distance) [nearest, distance] = [k, away];
-  }
-  return nearest;
 }
 
 /** Distance from an end of an axis within which a range is open. */

@@ -827,9 +827,9 @@ export async function light({ step, open, claim, equal, accessible, current, bro
       await until(async () => (await it.canvas('.host canvas')) === pictureOfB, 'a reload shows the picture of B', 10);
       await page.getByText('bins are red where A has the larger share').waitFor();
       if (images && where === 'view') {
-        await page.goto(`${home()}?b=${it.query('b')}&where=${encodeURIComponent('depth >= 2 and depth <= 4')}`);
+        await page.goto(`${home()}?b=${it.query('b')}&smooth=2&where=${encodeURIComponent('depth >= 2 and depth <= 4')}`);
         await page.getByText('bins are red where A has the larger share').waitFor();
-        await page.setViewportSize({ width: 1360, height: 960 });
+        await page.setViewportSize({ width: 1360, height: 1100 });
         await images(page, 'light-compare');
         await page.setViewportSize({ width: 1360, height: 800 });
       }
@@ -1035,13 +1035,13 @@ export async function light({ step, open, claim, equal, accessible, current, bro
       const it = await target('view');
       const { page } = it;
       current(page);
-      await page.setViewportSize({ width: 1360, height: 925 });
+      await page.setViewportSize({ width: 1360, height: 1080 });
       await page.goto(`/view?where=${encodeURIComponent('any(material == chrome) and path.radiance.g >= 2')}`);
       await it.shown();
       await it.agree(claim, 'a selection');
       await images(page, 'light-paths');
-      await page.setViewportSize({ width: 1360, height: 560 });
-      await page.goto(`/view?density=hot&smooth=1&where=${encodeURIComponent('any(material == chrome)')}`);
+      await page.setViewportSize({ width: 1360, height: 690 });
+      await page.goto(`/view?show=depth&density=over&where=${encodeURIComponent('any(material == chrome)')}`);
       await it.shown();
       await it.agree(claim, 'a selection');
       await images(page, 'light-density');

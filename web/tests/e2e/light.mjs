@@ -828,14 +828,15 @@ export async function light({ step, open, claim, equal, accessible, current, bro
       await picture.getByText('cd/m², A minus B').waitFor();
       claim(![pictureOfA, pictureOfB].includes(await it.canvas('.host canvas')), 'the difference is another picture');
       await picture.getByLabel('Show', { exact: true }).selectOption('picture');
+      await it.settled();
       await page.reload();
       await page.getByText('bins are red where A has the larger share').waitFor();
       await until(async () => (await it.canvas('.host canvas')) === pictureOfB, 'a reload shows the picture of B', 10);
       await page.getByText('bins are red where A has the larger share').waitFor();
       if (images && where === 'view') {
-        await page.goto(`${home()}?b=${it.query('b')}&where=${encodeURIComponent('depth >= 2 and depth <= 4')}`);
+        await page.goto(`${home()}?b=${it.query('b')}&smooth=2&where=${encodeURIComponent('depth >= 2 and depth <= 4')}`);
         await page.getByText('bins are red where A has the larger share').waitFor();
-        await page.setViewportSize({ width: 1360, height: 960 });
+        await page.setViewportSize({ width: 1360, height: 1100 });
         await images(page, 'light-compare');
         await page.setViewportSize({ width: 1360, height: 800 });
       }
@@ -947,8 +948,8 @@ export async function light({ step, open, claim, equal, accessible, current, bro
         const track = await slider.boundingBox();
         await page.touchscreen.tap(track.x + 0.75 * track.width, track.y + track.height / 2);
         await until(() => number(it.query('smooth') ?? '0') > 3, `smoothing by a tap: ${it.query('smooth')}`, 5);
-        for (const target of await picture.locator('button:not(.zoom button), select').all())
-          claim((await target.boundingBox()).height >= 34, `controls have 34 pixels for fingers: ${await target.innerText()}`);
+        for (const target of await picture.locator('button, select, input[type=range]').all())
+          claim((await target.boundingBox()).height >= 34, `controls have 34 pixels for fingers: ${await target.evaluate((t) => t.outerHTML)}`);
         await page.goto(home());
         await it.shown();
         // A line, after the button.
@@ -1041,13 +1042,13 @@ export async function light({ step, open, claim, equal, accessible, current, bro
       const it = await target('view');
       const { page } = it;
       current(page);
-      await page.setViewportSize({ width: 1360, height: 925 });
+      await page.setViewportSize({ width: 1360, height: 1080 });
       await page.goto(`/view?where=${encodeURIComponent('any(material == chrome) and path.radiance.g >= 2')}`);
       await it.shown();
       await it.agree(claim, 'a selection');
       await images(page, 'light-paths');
-      await page.setViewportSize({ width: 1360, height: 560 });
-      await page.goto(`/view?density=hot&smooth=1&where=${encodeURIComponent('any(material == chrome)')}`);
+      await page.setViewportSize({ width: 1360, height: 690 });
+      await page.goto(`/view?show=depth&density=over&where=${encodeURIComponent('any(material == chrome)')}`);
       await it.shown();
       await it.agree(claim, 'a selection');
       await images(page, 'light-density');

@@ -29,7 +29,7 @@ impl Run {
 
 const CARGO: &str = r#"#!/usr/bin/env bash
 case "$*" in *--no-run*) exit 0 ;; esac
-cat "results/${*##* }"
+cat "results/${@: -1}"
 "#;
 
 const PARTS: &str = "\

@@ -261,7 +261,8 @@ mod tests {
             assert_eq!(stages[2], (StageKind::Paint, 300, Role::Painted));
             assert_eq!(stages.len(), 3 + usize::from(stills));
             let paint = graph.stages.iter().find(|it| it.kind == StageKind::Paint).expect("it paints");
-            assert_eq!(paint.tags, [tag::PAINTING]);
+            assert_eq!(paint.tags, [tag::PAINTING, tag::LAYERS, tag::FEATURES]);
+            assert!(graph.stages.iter().all(|it| it.tags == paint.tags), "no other worker can read the graph");
         }
         for (style, boil) in [("aquatint", 0.5), ("oil", 1.5), ("oil", f32::NAN)] {
             let painting = Some(Painting { style: style.into(), boil });

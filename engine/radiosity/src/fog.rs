@@ -1,7 +1,7 @@
 //! Fog of a solution in the form that is kept.
 
 use crate::arena::Arena;
-use crate::element::{Element, ElementKind};
+use crate::element::Element;
 use crate::gather::{ElementLights, FROM_ELEMENTS};
 use crate::scene::Scene;
 use femc_field::{FogCell, FogLeaf, FogTree};
@@ -46,7 +46,7 @@ fn fog_leaf(scene: &Scene<'_>, element: &Element, values: &[Rgb; 4]) -> FogLeaf 
 
 /// Returns the mean scattering and extinction coefficients of a box, 1/m.
 fn coefficients(scene: &Scene<'_>, element: &Element) -> [Rgb; 2] {
-    debug_assert_eq!(element.kind, ElementKind::Volume);
+    debug_assert!(element.is_volume());
     let at = |point: Vec3A| {
         let media = &scene.prepared.media;
         [media.scattering_at(point), media.extinction_color_at(point)]

@@ -1,6 +1,6 @@
 //! Direct light that elements receive from light sources. A source is evaluated at each point; it is never an element itself.
 
-use crate::element::{Element, ElementKind};
+use crate::element::{Element, PatchForm, Shape};
 use crate::fog_factor::{FACE_POINTS, attenuated_length};
 use crate::form_factor::{polygon_form_factor, solid_angle};
 use crate::link::{Oracle, occlusion_bound};
@@ -53,10 +53,12 @@ impl Oracle<'_> {
             return LampLinkDecision::SplitReceiver;
         }
         let Lamp { center, radius, intensity, .. } = self.scene.lamps[lamp as usize];
-        let flat = p.kind == ElementKind::Patch && self.scene.surfaces[p.surface as usize].is_flat();
-        if (flat || p.kind == ElementKind::Cluster && p.normal != Vec3A::ZERO)
-            && p.normal.dot(center - p.center) + radius + p.radius * 1e-5 <= 0.0
-        {
+        let has_one_normal = match &p.shape {
+            Shape::Patch(patch) => self.scene.surfaces[patch.part.surface as usize].is_flat(),
+            Shape::Cluster(cluster) => cluster.normal.is_some(),
+            Shape::Curved(_) | Shape::Volume(_) => false,
+        };
+        if has_one_normal && p.normal().dot(center - p.center) + radius + p.radius * 1e-5 <= 0.0 {
             return LampLinkDecision::Drop;
         }
         let way = center - p.center;
@@ -65,16 +67,16 @@ impl Oracle<'_> {
         // A few points do not represent a large element's light from a near or one-sided source.
         let close = (p.radius / distance.max(1e-20)).min(1.0);
         let reach = distance.max(0.5 * p.radius);
-        let share = if p.kind == ElementKind::Volume { 0.25 } else { 1.0 };
+        let share = if p.is_volume() { 0.25 } else { 1.0 };
         let hidden_part =
             share * intensity * close / (reach * reach) * tester.fog_transmittance(self.scene, p.center, center);
         let allowed = self.allowed_error(p, &self.lights[receiver as usize]);
-        if p.kind != ElementKind::Patch && close > NEAR_ELEMENT && hidden_part > allowed && self.may_split(p) {
+        if p.patch().is_none() && close > NEAR_ELEMENT && hidden_part > allowed && self.may_split(p) {
             return LampLinkDecision::SplitReceiver;
         }
         // A box around the source absorbs this share of the source's light in the fog; four points cannot measure that.
-        if p.kind == ElementKind::Volume && close > NEAR_ELEMENT && !self.element_budget_exhausted {
-            let taken = 4.0 * hidden_part * p.size * self.extinction(p) / (PI * intensity);
+        if p.is_volume() && close > NEAR_ELEMENT && !self.element_budget_exhausted {
+            let taken = 4.0 * hidden_part * p.size() * self.extinction(p) / (PI * intensity);
             if taken > MAX_ABSORBED * self.error {
                 return LampLinkDecision::SplitReceiver;
             }
@@ -87,7 +89,7 @@ impl Oracle<'_> {
         let mut open = [Rgb::ZERO; 4];
         let mut weight = [0.0f32; 4];
         let mut points = [[None; (STRATA * STRATA) as usize]; 4];
-        for node in 0..p.node_count {
+        for node in 0..p.node_count() {
             let count = if large { STRATA * STRATA } else { 1 };
             for (k, point) in points[node].iter_mut().enumerate().take(count as usize) {
                 let u = if large {
@@ -96,7 +98,7 @@ impl Oracle<'_> {
                 } else {
                     [0.5; 2]
                 };
-                *point = self.unoccluded_light(p, &p.nodes[node], lamp, u);
+                *point = self.unoccluded_light(p, &p.node(node), lamp, u);
                 if let Some((light, _)) = point {
                     *light *= 1.0 / count as f32;
                     weight[node] += luminance(*light);
@@ -104,19 +106,19 @@ impl Oracle<'_> {
                 }
             }
             if exact {
-                open[node] = self.polygon_irradiance(p, &p.nodes[node], lamp);
+                open[node] = self.polygon_irradiance(p, &p.node(node), lamp);
             }
         }
         let amounts = open.map(luminance);
-        let mean = amounts[..p.node_count].iter().sum::<f32>() / p.node_count as f32;
-        let most = amounts[..p.node_count].iter().copied().fold(0.0, f32::max);
-        let least = amounts[..p.node_count].iter().copied().fold(f32::INFINITY, f32::min);
+        let mean = amounts[..p.node_count()].iter().sum::<f32>() / p.node_count() as f32;
+        let most = amounts[..p.node_count()].iter().copied().fold(0.0, f32::max);
+        let least = amounts[..p.node_count()].iter().copied().fold(f32::INFINITY, f32::min);
         let near = (p.radius / distance.max(1e-20)).min(1.0);
-        let error = match p.kind {
-            ElementKind::Cluster | ElementKind::Curved => mean * (0.1 + 4.0 * near * near),
+        let error = match &p.shape {
+            Shape::Cluster(_) | Shape::Curved(_) => mean * (0.1 + 4.0 * near * near),
             // A linear function has the mean of its nodes at the center, so the difference there is what the points miss.
             _ => {
-                let spot = SurfaceSpot { position: p.center, normal: p.normal, error: p.nodes[0].error };
+                let spot = p.center_spot();
                 let middle = match (exact, large) {
                     (true, _) => luminance(self.polygon_irradiance(p, &spot, lamp)),
                     (_, true) => mean,
@@ -138,19 +140,19 @@ impl Oracle<'_> {
             return LampLinkDecision::Drop;
         }
         let mut shares = [1.0f32; 4];
-        for node in 0..p.node_count {
+        for node in 0..p.node_count() {
             let mut got = Rgb::ZERO;
             for (light, to) in points[node].iter().flatten() {
                 let from = if wide {
                     let part = numbers.next();
                     let spot = sample_point(self.arena, self.scene, p, (part * 4.0) as u32, &mut numbers, |_| 1.0);
                     if spot.normal != Vec3A::ZERO && spot.normal.dot(to.position - spot.position) <= 0.0 {
-                        p.nodes[node]
+                        p.node(node)
                     } else {
                         spot
                     }
                 } else {
-                    p.nodes[node]
+                    p.node(node)
                 };
                 got += *light * tester.transmittance(self.scene, &from, to);
             }
@@ -160,12 +162,11 @@ impl Oracle<'_> {
             // The points' own sum, if there is no exact value.
             link.light[node] = if exact { open[node] * shares[node] } else { got };
         }
-        if p.kind == ElementKind::Volume && close > NEAR_ELEMENT && !large {
+        if p.is_volume() && close > NEAR_ELEMENT && !large {
             // Light of the box that the nodes miss is spread over it.
             let seen = shares.iter().sum::<f32>() * 0.25;
             let through: f32 =
-                p.nodes.iter().map(|node| tester.fog_transmittance(self.scene, node.position, center)).sum::<f32>()
-                    * 0.25;
+                p.nodes().map(|node| tester.fog_transmittance(self.scene, node.position, center)).sum::<f32>() * 0.25;
             let whole = self.mean_fog_light(p, lamp, center) * (seen / through.max(f32::MIN_POSITIVE)).min(1.0);
             let got = link.light.into_iter().sum::<Rgb>() * 0.25;
             let less = whole - got;
@@ -173,7 +174,7 @@ impl Oracle<'_> {
             let scale = (whole / got.max(Rgb::splat(f32::MIN_POSITIVE))).min(Rgb::ONE);
             link.light = link.light.map(|light| light * scale + more);
         }
-        let hidden = &shares[..p.node_count];
+        let hidden = &shares[..p.node_count()];
         let spread = hidden.iter().copied().fold(0.0, f32::max) - hidden.iter().copied().fold(1.0, f32::min);
         let refused = 0.5 * spread * mean > allowed;
         if refused && self.may_split(p) {
@@ -210,32 +211,27 @@ impl Oracle<'_> {
                 }
             }
         }
-        (sum / p.size).max(Rgb::ZERO)
+        (sum / p.size()).max(Rgb::ZERO)
     }
 
     /// Returns the irradiance of a patch from a source, treated as a point, that the nodes miss, lx. A source close to a large
     /// patch is far from all nodes. The total is known from the solid angle of the patch.
     fn missed_irradiance(&self, p: &Element, lamp: u32) -> f32 {
-        if p.kind != ElementKind::Patch {
-            return 0.0;
-        }
+        let Some(patch) = p.patch() else { return 0.0 };
         let Lamp { center, intensity, .. } = self.scene.lamps[lamp as usize];
-        let mut corners = p.corners;
-        let is_curved = p.corner_count == 0;
-        let corners = &mut corners[..if is_curved { 4 } else { p.corner_count }];
-        let mut whole = solid_angle(center, corners);
-        if is_curved {
+        let mut whole = solid_angle(center, patch.corners());
+        if patch.form == PatchForm::Bent {
             // Chords of a curve, in either order.
-            corners.reverse();
-            whole = whole.max(solid_angle(center, corners));
+            let reversed: [Vec3A; 4] = std::array::from_fn(|k| patch.corners()[3 - k]);
+            whole = whole.max(solid_angle(center, &reversed));
         }
         let at = |node: &SurfaceSpot| {
             let way = center - node.position;
             let distance2 = way.length_squared();
             node.normal.dot(way).max(0.0) / (distance2 * distance2.sqrt()).max(f32::MIN_POSITIVE)
         };
-        let mean = p.nodes[..p.node_count].iter().map(at).sum::<f32>() / p.node_count as f32;
-        intensity * (whole / p.size - mean).abs()
+        let mean = patch.nodes().iter().map(at).sum::<f32>() / patch.nodes().len() as f32;
+        intensity * (whole / patch.part.area - mean).abs()
     }
 
     /// Checks whether all rays between points of an element and of a source are occluded.
@@ -251,8 +247,8 @@ impl Oracle<'_> {
 
     /// Returns the unoccluded light at a spot from a polygon of constant radiance.
     fn polygon_irradiance(&self, p: &Element, spot: &SurfaceSpot, lamp: u32) -> Rgb {
-        let of = |(corners, luminance): &(Vec<Vec3A>, Rgb)| match p.kind {
-            ElementKind::Volume => *luminance * (0.25 * solid_angle(spot.position, corners)),
+        let of = |(corners, luminance): &(Vec<Vec3A>, Rgb)| match &p.shape {
+            Shape::Volume(_) => *luminance * (0.25 * solid_angle(spot.position, corners)),
             _ => *luminance * (PI * polygon_form_factor(spot.position, spot.normal, corners)),
         };
         self.scene.lamps[lamp as usize].polygons.iter().map(of).sum()
@@ -263,10 +259,10 @@ impl Oracle<'_> {
         let prepared = self.scene.prepared;
         let sample =
             prepared.lights.sample_light(&prepared.world, &prepared.textures, lamp, spot.position, SHUTTER_TIME, u)?;
-        let share = match p.kind {
-            ElementKind::Patch => spot.normal.dot(sample.dir).max(0.0),
-            ElementKind::Volume => 0.25,
-            ElementKind::Cluster | ElementKind::Curved => 1.0,
+        let share = match &p.shape {
+            Shape::Patch(_) => spot.normal.dot(sample.dir).max(0.0),
+            Shape::Volume(_) => 0.25,
+            Shape::Cluster(_) | Shape::Curved(_) => 1.0,
         };
         let light = sample.radiance * (share / sample.pdf);
         (share > 0.0 && light.is_finite())

@@ -32,6 +32,8 @@ mod rays;
 mod scene;
 mod solve;
 mod steps;
+#[cfg(test)]
+mod tests;
 mod verify;
 mod view;
 mod visibility;

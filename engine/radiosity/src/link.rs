@@ -1,7 +1,7 @@
 //! Links: the light that one element receives from another, and the decision whether a link is exact enough.
 
 use crate::arena::Arena;
-use crate::element::{Element, ElementKind};
+use crate::element::{Cluster, Curved, Element, Patch, PatchForm, Shape};
 use crate::form_factor::{is_near, polygon_form_factor, solid_angle};
 use crate::gather::ElementLight;
 use crate::scene::Scene;
@@ -96,13 +96,13 @@ const ONE_RAY_LIGHT: f32 = 0.2;
 impl Oracle<'_> {
     /// Checks whether an element has parts, or may be split.
     pub fn may_split(&self, element: &Element) -> bool {
-        match element.kind {
+        match &element.shape {
             _ if self.link_budget_exhausted => false,
-            ElementKind::Cluster => true,
+            Shape::Cluster(_) => true,
             _ if !element.is_leaf() => true,
             _ if self.element_budget_exhausted => false,
-            ElementKind::Volume => element.size > self.min_volume,
-            ElementKind::Patch | ElementKind::Curved => element.size > self.min_area,
+            Shape::Volume(fog) => fog.volume > self.min_volume,
+            Shape::Patch(Patch { part, .. }) | Shape::Curved(Curved { part, .. }) => part.area > self.min_area,
         }
     }
 
@@ -111,16 +111,18 @@ impl Oracle<'_> {
     pub fn allowed_error(&self, p: &Element, light: &ElementLight) -> f32 {
         // A larger element is a larger part of the scene.
         let weight = |ratio: f32| ratio.sqrt().clamp(ERROR_SCALE_BOUNDS[0], ERROR_SCALE_BOUNDS[1]);
-        match p.kind {
-            ElementKind::Volume => self.error * (light.min_mean + self.fog_floor) * weight(self.unit_volume / p.size),
-            _ => self.error * (0.5 * (light.min_mean + light.mean) + self.floor) * weight(self.unit_area / p.size),
+        match &p.shape {
+            Shape::Volume(fog) => {
+                self.error * (light.min_mean + self.fog_floor) * weight(self.unit_volume / fog.volume)
+            }
+            _ => self.error * (0.5 * (light.min_mean + light.mean) + self.floor) * weight(self.unit_area / p.size()),
         }
     }
 
     /// Returns the allowed error if no ray has reached the source.
     pub fn unproved_error(&self, p: &Element, allowed: f32) -> f32 {
         allowed
-            .max(self.error * UNPROVED_LIGHT * if p.kind == ElementKind::Volume { self.fog_floor } else { self.floor })
+            .max(self.error * UNPROVED_LIGHT * if p.is_volume() { self.fog_floor } else { self.floor })
     }
 
     /// Returns the extinction at the center of an element, 1/m.
@@ -157,7 +159,7 @@ impl Oracle<'_> {
         if wide && distance < 1.5 * (p.radius + q.radius) {
             let share = (q.radius / p.radius).min(1.0).sqrt();
             // For fog, the length from which light comes.
-            let length = if q.kind == ElementKind::Volume { q.radius.min(1.0 / self.extinction(q)) } else { 1.0 };
+            let length = if q.is_volume() { q.radius.min(1.0 / self.extinction(q)) } else { 1.0 };
             if luminance(from.radiosity) * length * share > 0.5 * allowed {
                 let larger_first = if p.radius > q.radius { [1.0, 0.0] } else { [0.0, 1.0] };
                 if let Some(verdict) = self.choose_split(p, q, larger_first) {
@@ -166,16 +168,13 @@ impl Oracle<'_> {
             }
         }
 
-        for (factor, node) in link.factors.iter_mut().zip(&p.nodes[..p.node_count]) {
-            *factor = self.factor(p, q, node, tester);
+        let count = p.node_count();
+        for (factor, node) in link.factors.iter_mut().zip(p.nodes()) {
+            *factor = self.factor(p, q, &node, tester);
         }
-        let nodes = &link.factors[..p.node_count];
-        let mut mean = nodes.iter().sum::<f32>() / p.node_count as f32;
-        let middle = if p.node_count > 1 {
-            self.factor(p, q, &SurfaceSpot { position: p.center, normal: p.normal, error: p.nodes[0].error }, tester)
-        } else {
-            mean
-        };
+        let nodes = &link.factors[..count];
+        let mut mean = nodes.iter().sum::<f32>() / count as f32;
+        let middle = if count > 1 { self.factor(p, q, &p.center_spot(), tester) } else { mean };
         let (low, high) = nodes.iter().fold((f32::INFINITY, 0.0f32), |(low, high), &f| (low.min(f), high.max(f)));
         let reach = radiosity.max(from.brightest * if q.is_directional() { 0.0 } else { 1.0 });
         let close = |element: &Element| (element.radius / distance.max(1e-20)).min(1.0);
@@ -183,19 +182,18 @@ impl Oracle<'_> {
         let spread = 0.5 * (from.brightest - from.darkest);
         // A small source at a box of fog mostly lights the fog next to itself, where there may be no node. The light that the whole
         // box receives is computed in the reverse direction. The part that the nodes miss is spread over the box.
-        let is_beside = p.kind == ElementKind::Volume
+        let is_beside = p.is_volume()
             && near_p + near_q > MIN_NEIGHBOR_RADII
-            && match q.kind {
-                ElementKind::Patch => q.radius < p.radius,
-                ElementKind::Volume => q.size < p.size,
-                ElementKind::Cluster | ElementKind::Curved => false,
+            && match &q.shape {
+                Shape::Patch(_) => q.radius < p.radius,
+                Shape::Volume(_) => q.size() < p.size(),
+                Shape::Cluster(_) | Shape::Curved(_) => false,
             };
         let unseen_part = if is_beside {
-            let spots = &q.nodes[..q.node_count];
-            let back: f32 =
-                spots.iter().map(|spot| self.factor_from_fog(q, p, spot, tester)).sum::<f32>() / q.node_count as f32;
-            let share = if q.kind == ElementKind::Volume { 1.0 } else { 0.25 };
-            let whole = share * back * q.size / p.size;
+            let back: f32 = q.nodes().map(|spot| self.factor_from_fog(q, p, &spot, tester)).sum::<f32>()
+                / q.node_count() as f32;
+            let share = if q.is_volume() { 1.0 } else { 0.25 };
+            let whole = share * back * q.size() / p.size();
             let less = whole - mean;
             let scale = if mean > 0.0 { (whole / mean).min(1.0) } else { 1.0 };
             link.factors = link.factors.map(|factor| factor * scale + less.max(0.0));
@@ -204,9 +202,9 @@ impl Oracle<'_> {
         } else {
             0.0
         };
-        let edge = match (p.kind, q.kind) {
-            (ElementKind::Volume, ElementKind::Volume) => EDGE_WEIGHT * self.edge_error(p, q, &link.factors, tester),
-            (ElementKind::Volume, ElementKind::Patch) => {
+        let edge = match (&p.shape, &q.shape) {
+            (Shape::Volume(_), Shape::Volume(_)) => EDGE_WEIGHT * self.edge_error(p, q, &link.factors, tester),
+            (Shape::Volume(_), Shape::Patch(_)) => {
                 SURFACE_EDGE_WEIGHT * self.edge_error(p, q, &link.factors, tester)
             }
             _ => 0.0,
@@ -222,13 +220,13 @@ impl Oracle<'_> {
                 mean * radiosity * (0.1 + 2.0 * near_q * near_q)
             } else {
                 // A few points represent a shape that is not a polygon.
-                let shape =
-                    if q.kind == ElementKind::Patch && q.corner_count == 0 { 0.5 * near_q * near_q } else { 0.0 };
+                let is_bent = q.patch().is_some_and(|patch| patch.form == PatchForm::Bent);
+                let shape = if is_bent { 0.5 * near_q * near_q } else { 0.0 };
                 mean * (spread * (2.0 * near_q).min(1.0) + shape * radiosity)
             },
         ];
         // A source that is small from here is one of many adjacent ones, whose errors at the receiver are alike and add up.
-        if p.kind == ElementKind::Volume {
+        if p.is_volume() {
             errors[0] /= near_q.max(MIN_SOURCE_SHARE);
         } else {
             let share = if wide { 0.25 * near_q * near_q } else { mean };
@@ -238,7 +236,7 @@ impl Oracle<'_> {
         if self.scene.fog.is_some() {
             // The attenuation by fog varies over the source. A box of fog also has no single distance.
             let thickness = (self.extinction(q) * q.radius).min(1.0);
-            let shape = if q.kind == ElementKind::Volume { near_q * near_q } else { 0.0 };
+            let shape = if q.is_volume() { near_q * near_q } else { 0.0 };
             errors[1] += mean * radiosity * (shape + 0.3 * near_q * thickness);
         }
         let amount = mean * reach;
@@ -248,7 +246,7 @@ impl Oracle<'_> {
             let looks = allowed < unproved_error
                 && amount * occlusion_bound(VISIBILITY_RAYS[0] + VISIBILITY_RAYS[1]) <= unproved_error;
             let is_dark = looks
-                && self.cast_visibility_rays(p, q, tester, false, true).0[..p.node_count]
+                && self.cast_visibility_rays(p, q, tester, false, true).0[..count]
                     .iter()
                     .all(|&seen| seen == 0.0);
             if is_dark {
@@ -269,8 +267,8 @@ impl Oracle<'_> {
             amount <= ONE_RAY_LIGHT * allowed,
             amount * occlusion_bound(VISIBILITY_RAYS[0]) > unproved_error,
         );
-        let least = seen[..p.node_count].iter().copied().fold(1.0f32, f32::min);
-        let most = seen[..p.node_count].iter().copied().fold(0.0f32, f32::max);
+        let least = seen[..count].iter().copied().fold(1.0f32, f32::min);
+        let most = seen[..count].iter().copied().fold(0.0f32, f32::max);
         let hidden = if most == 0.0 { refused } else { 0.5 * (most - least).max(refused) };
         link.factors.iter_mut().zip(seen).for_each(|(factor, seen)| *factor *= seen);
         let error = amount * hidden;
@@ -294,34 +292,35 @@ impl Oracle<'_> {
     fn decide_self_link(&self, receiver: u32, p: &Element, tester: &mut VisibilityTester) -> LinkDecision {
         let keep =
             |factors| LinkDecision::Keep { link: Link { receiver, source: receiver, factors }, is_inexact: false };
-        match p.kind {
-            ElementKind::Cluster => LinkDecision::SplitBoth,
-            ElementKind::Patch | ElementKind::Curved if !self.scene.surfaces[p.surface as usize].is_concave() => {
+        let is_convex = |surface: u32| !self.scene.surfaces[surface as usize].is_concave();
+        match &p.shape {
+            Shape::Cluster(_) => LinkDecision::SplitBoth,
+            Shape::Patch(Patch { part, .. }) | Shape::Curved(Curved { part, .. }) if is_convex(part.surface) => {
                 LinkDecision::Drop
             }
-            ElementKind::Curved => {
+            Shape::Curved(_) => {
                 if self.may_split(p) || !p.is_leaf() {
                     LinkDecision::SplitBoth
                 } else {
                     LinkDecision::Drop
                 }
             }
-            ElementKind::Patch => {
+            Shape::Patch(patch) => {
                 // The inner side of a sphere has a constant kernel. For other surfaces, this is the mean over the other nodes.
-                let mut factors = [0.0; 4];
-                for (k, factor) in factors.iter_mut().enumerate().take(p.node_count) {
-                    let others = (0..p.node_count).filter(|&j| j != k);
-                    let sum: f32 = others.map(|j| point_form_factor(&p.nodes[k], &p.nodes[j], p.size)).sum();
-                    *factor = sum / (p.node_count - 1) as f32;
+                let (nodes, mut factors) = (patch.nodes(), [0.0; 4]);
+                for (k, factor) in factors.iter_mut().enumerate().take(nodes.len()) {
+                    let others = (0..nodes.len()).filter(|&j| j != k);
+                    let sum: f32 = others.map(|j| point_form_factor(&nodes[k], &nodes[j], patch.part.area)).sum();
+                    *factor = sum / (nodes.len() - 1) as f32;
                 }
                 keep(factors)
             }
-            ElementKind::Volume => {
+            Shape::Volume(_) => {
                 let to = self.lights[receiver as usize];
                 let spread = 0.5 * (to.brightest - to.darkest);
                 let mut factors = [0.0; 4];
-                for (factor, node) in factors.iter_mut().zip(&p.nodes) {
-                    *factor = self.factor(p, p, node, tester);
+                for (factor, node) in factors.iter_mut().zip(p.nodes()) {
+                    *factor = self.factor(p, p, &node, tester);
                 }
                 let thick = self.extinction(p) * p.half_extent.max_element() > THICK_DEPTH;
                 if (thick || factors[0] * spread > self.allowed_error(p, &to)) && self.may_split(p) {
@@ -334,7 +333,7 @@ impl Oracle<'_> {
 
     /// Returns the factor of an element at a point through the fog, without occlusion, as in [`Link::factors`].
     pub fn factor(&self, p: &Element, q: &Element, node: &SurfaceSpot, tester: &mut VisibilityTester) -> f32 {
-        if q.kind == ElementKind::Volume {
+        if q.is_volume() {
             return self.factor_from_fog(p, q, node, tester);
         }
         let way = q.center - node.position;
@@ -346,48 +345,48 @@ impl Oracle<'_> {
         }
         let distance = distance2.sqrt();
         let near = is_near(distance2, q.radius) && !p.is_directional();
-        let polygon_corners = &q.corners[..q.corner_count];
         // Sums over parts of the source, by area and direction from the point.
-        let parts = |of: &dyn Fn(&SurfaceSpot, f32) -> f32| -> f32 {
+        let parts = |patch: &Patch, of: &dyn Fn(&SurfaceSpot, f32) -> f32| -> f32 {
             if near {
-                q.nodes[..q.node_count].iter().map(|part| of(part, q.size / q.node_count as f32)).sum()
+                let nodes = patch.nodes();
+                nodes.iter().map(|part| of(part, patch.part.area / nodes.len() as f32)).sum()
             } else {
-                of(&SurfaceSpot { position: q.center, normal: q.normal, ..*node }, q.size)
+                of(&SurfaceSpot { position: q.center, normal: patch.normal, ..*node }, patch.part.area)
             }
         };
-        let open = match (p.kind, q.kind) {
-            (ElementKind::Patch, ElementKind::Patch)
-                if q.corner_count > 0 && distance2 < 25.0 * q.radius * q.radius =>
-            {
-                polygon_form_factor(node.position, node.normal, polygon_corners)
+        let is_close_polygon =
+            |patch: &Patch| patch.form != PatchForm::Bent && distance2 < 25.0 * q.radius * q.radius;
+        let open = match (&p.shape, &q.shape) {
+            (Shape::Patch(_), Shape::Patch(patch)) if is_close_polygon(patch) => {
+                polygon_form_factor(node.position, node.normal, patch.polygon())
             }
-            (ElementKind::Patch, ElementKind::Patch) => {
-                parts(&|part, area| point_form_factor(node, part, area)).min(1.0)
+            (Shape::Patch(_), Shape::Patch(patch)) => {
+                parts(patch, &|part, area| point_form_factor(node, part, area)).min(1.0)
             }
-            (ElementKind::Patch, _) => (node.normal.dot(way) / distance).max(0.0) / distance2,
-            (ElementKind::Volume, ElementKind::Patch)
-                if q.corner_count > 0 && distance2 < 25.0 * q.radius * q.radius =>
-            {
-                solid_angle(node.position, polygon_corners) / (4.0 * PI)
+            (Shape::Patch(_), _) => (node.normal.dot(way) / distance).max(0.0) / distance2,
+            (Shape::Volume(_), Shape::Patch(patch)) if is_close_polygon(patch) => {
+                solid_angle(node.position, patch.polygon()) / (4.0 * PI)
             }
-            (ElementKind::Volume, ElementKind::Patch) => {
-                0.25 * parts(&|part, area| point_solid_angle_factor(node, part, area))
+            (Shape::Volume(_), Shape::Patch(patch)) => {
+                0.25 * parts(patch, &|part, area| point_solid_angle_factor(node, part, area))
             }
-            (ElementKind::Volume, _) => return self.factor_at_fog(p, q, distance2, node, tester),
-            (_, ElementKind::Patch) => q.size * (-q.normal.dot(way) / distance).max(0.0) / (PI * distance2),
+            (Shape::Volume(_), _) => return self.factor_at_fog(p, q, distance2, node, tester),
+            (_, Shape::Patch(patch)) => {
+                patch.part.area * (-patch.normal.dot(way) / distance).max(0.0) / (PI * distance2)
+            }
             _ => 1.0 / distance2,
         };
         if open <= 0.0 || self.scene.uniform_extinction == Some(0.0) {
             return open.max(0.0);
         }
-        if q.kind != ElementKind::Patch || !near {
+        let Some(patch) = q.patch().filter(|_| near) else {
             return open * tester.fog_transmittance(self.scene, node.position, q.center);
-        }
+        };
         // Near parts are attenuated less: the mean is weighted by the kernel at points of the source, at more points where that
         // matters.
         let (mut weight, mut through) = (0.0, 0.0);
         let mut add = |part: &SurfaceSpot| {
-            let kernel = if p.kind == ElementKind::Patch {
+            let kernel = if p.patch().is_some() {
                 point_form_factor(node, part, 1.0)
             } else {
                 point_solid_angle_factor(node, part, 1.0)
@@ -396,19 +395,20 @@ impl Oracle<'_> {
             through += kernel * tester.fog_transmittance(self.scene, node.position, part.position);
         };
         let thickness = self.extinction(q) * q.radius;
-        if q.corner_count > 0 && thickness * q.radius > THIN_DEPTH * distance {
-            let [a, b, c, d] = q.corners;
-            let last = if q.corner_count == 3 { c } else { d };
+        if patch.form != PatchForm::Bent && thickness * q.radius > THIN_DEPTH * distance {
+            let is_triangle = patch.form == PatchForm::Triangle;
+            let corners = patch.polygon();
+            let (a, b, last) = (corners[0], corners[1], corners[corners.len() - 1]);
             for k in 0..64 {
                 let mut u = [k % 8, k / 8].map(|k| (k as f32 + 0.5) / 8.0);
-                if q.corner_count == 3 && u[0] + u[1] > 1.0 {
+                if is_triangle && u[0] + u[1] > 1.0 {
                     u = u.map(|u| 1.0 - u);
                 }
                 let position = a + (b - a) * u[0] + (last - a) * u[1];
-                add(&SurfaceSpot { position, ..q.nodes[0] });
+                add(&SurfaceSpot { position, ..patch.nodes()[0] });
             }
         } else {
-            q.nodes[..q.node_count].iter().for_each(add);
+            patch.nodes().iter().for_each(add);
         }
         if weight > 0.0 {
             open * through / weight
@@ -439,7 +439,7 @@ impl Oracle<'_> {
             }
             for k in 0..if one_ray { 1 } else { rays } {
                 let turn = k + first;
-                let node = turn as usize % p.node_count;
+                let node = turn as usize % p.node_count();
                 for _ in 0..4 {
                     let to = sample_point(self.arena, self.scene, q, (turn + turn / 4) % 4, &mut numbers, |part| {
                         luminance(self.lights[part as usize].radiosity)
@@ -447,7 +447,7 @@ impl Oracle<'_> {
                     let from = if p.is_directional() {
                         sample_point(self.arena, self.scene, p, turn % 4, &mut numbers, |_| 1.0)
                     } else {
-                        p.nodes[node]
+                        p.node(node)
                     };
                     let way = to.position - from.position;
                     if faces(&from, way) && faces(&to, -way) {
@@ -504,17 +504,12 @@ pub fn point_solid_angle_factor(at: &SurfaceSpot, from: &SurfaceSpot, area: f32)
 
 /// Checks whether all of `b` is behind the flat element `a`.
 fn is_behind(scene: &Scene<'_>, a: &Element, b: &Element) -> bool {
-    let flat = match a.kind {
-        ElementKind::Patch => scene.surfaces[a.surface as usize].is_flat(),
-        ElementKind::Cluster => a.normal != Vec3A::ZERO,
-        ElementKind::Curved | ElementKind::Volume => false,
-    };
-    let lowest = || {
-        if a.kind == ElementKind::Patch {
-            a.center
-        } else {
-            a.box_center - a.normal * a.normal.abs().dot(a.half_extent)
+    let lowest = match &a.shape {
+        Shape::Patch(patch) if scene.surfaces[patch.part.surface as usize].is_flat() => a.center,
+        Shape::Cluster(Cluster { normal: Some(normal), .. }) => {
+            a.box_center - *normal * normal.abs().dot(a.half_extent)
         }
+        Shape::Patch(_) | Shape::Cluster(_) | Shape::Curved(_) | Shape::Volume(_) => return false,
     };
-    flat && b.max_height(lowest(), a.normal) <= 1e-5 * (a.radius + b.radius)
+    b.max_height(lowest, a.normal()) <= 1e-5 * (a.radius + b.radius)
 }

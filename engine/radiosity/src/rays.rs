@@ -13,7 +13,7 @@ mod correct;
 pub use aims::Aims;
 
 use crate::arena::Arena;
-use crate::element::{Element, ElementKind};
+use crate::element::{Element, Shape};
 use crate::gather::{ElementLights, FROM_ELEMENTS, FROM_LAMPS};
 use crate::scene::{SHUTTER_TIME, Scene, diffuse_albedos};
 use crate::visibility::{RandomNumbers, VisibilityTester};
@@ -161,7 +161,7 @@ impl RayHit {
 
 /// Returns the number of parts of a leaf from which rays begin.
 fn part_count(element: &Element) -> usize {
-    if element.node_count == 3 { 3 } else { MAX_PARTS }
+    if element.is_triangle() { 3 } else { MAX_PARTS }
 }
 
 /// Plan for casting rays: the number of rays from each leaf.
@@ -208,7 +208,7 @@ impl RayPlan {
         let more = (EXTRA_RAYS_RATIO * (parts * each) as f32).min(((fit - each) * parts) as f32);
         let power = |&leaf: &u32| {
             let element = &arena.elements[leaf as usize];
-            element.size * luminance(lights.elements[leaf as usize].radiosity).max(0.0)
+            element.size() * luminance(lights.elements[leaf as usize].radiosity).max(0.0)
         };
         let whole: f32 = leaves.iter().map(power).sum();
         let by_power = |leaf: &u32| if whole > 0.0 { (more * (power(leaf) / whole)) as usize / MAX_PARTS } else { 0 };
@@ -218,7 +218,7 @@ impl RayPlan {
             let element = &arena.elements[*leaf as usize];
             let number = (part_count(element) * (each + by_power(leaf))) as u32;
             first.push(first[first.len() - 1] + number);
-            density[*leaf as usize] = number as f32 / element.size;
+            density[*leaf as usize] = number as f32 / element.size();
         }
         Self { leaves, first, density, round }
     }
@@ -266,7 +266,7 @@ impl RayPlan {
                             let other = &arena.elements[hit.leaf as usize];
                             let normal = unpack_normal(hit.normal);
                             let spot = SurfaceSpot { position: Vec3A::from_array(hit.target), normal, ..spot };
-                            let each = (number * other.size / part_count(other) as f32).round() as usize;
+                            let each = (number * other.size() / part_count(other) as f32).round() as usize;
                             hit.density[1] = number * aims.get(hit.leaf).ratio(&spot, -dir, each);
                         }
                         hit
@@ -286,7 +286,7 @@ impl RayPlan {
 pub fn ray_leaves(arena: &Arena) -> Vec<u32> {
     let is_leaf = |index: &u32| {
         let element = &arena.elements[*index as usize];
-        element.is_leaf() && matches!(element.kind, ElementKind::Patch | ElementKind::Curved)
+        element.is_leaf() && element.surface_part().is_some()
     };
     (0..arena.elements.len() as u32).filter(is_leaf).collect()
 }
@@ -383,7 +383,7 @@ impl Rays {
         let [first, end] = [self.first[leaf_index], self.first[leaf_index + 1]].map(|at| at as usize);
         let parts = part_count(element);
         for (ray, sight) in self.hits[first..end].iter().enumerate() {
-            let number = weights.density(sight.density[0], sight.density[1], true) * element.size;
+            let number = weights.density(sight.density[0], sight.density[1], true) * element.size();
             if number > 0.0 {
                 let irradiance = received_irradiance(arena, lights, sight) * (1.0 / number);
                 each(RaySample { ray: first + ray, origin: None, part: ray % parts, irradiance, ray_count: number });
@@ -394,7 +394,7 @@ impl Rays {
         {
             let (ray, origin) = (ray as usize, origin as usize);
             let sight = &self.hits[ray];
-            let number = weights.density(sight.density[1], sight.density[0], false) * element.size;
+            let number = weights.density(sight.density[1], sight.density[0], false) * element.size();
             if number > 0.0 {
                 let leaf = self.leaves[origin];
                 let irradiance =
@@ -421,7 +421,7 @@ impl Rays {
     pub fn leaf_light(&self, arena: &Arena, lights: &ElementLights) -> Vec<(u32, [f32; 2])> {
         let of = |place: usize| {
             let leaf = self.leaves[place];
-            let size = arena.elements[leaf as usize].size;
+            let size = arena.elements[leaf as usize].size();
             let mut sums = [0.0f32; 2];
             self.visit_samples((arena, lights), place, MisHeuristic::Balance, |RaySample { irradiance, .. }| {
                 let light = luminance(irradiance) * size;
@@ -476,7 +476,7 @@ fn unpack_normal(normal: [i8; 3]) -> Vec3A {
 
 /// Returns the part of a leaf at a position in it.
 fn leaf_part(element: &Element, local: Vec2) -> usize {
-    if element.node_count == 3 {
+    if element.is_triangle() {
         let weights = [1.0 - local.x - local.y, local.x, local.y];
         (1..3).fold(0, |best, k| if weights[k] > weights[best] { k } else { best })
     } else {
@@ -496,7 +496,6 @@ fn generate_ray(
     rays_per_part: usize,
     round: u32,
 ) -> (SurfaceSpot, Vec3A, [f32; 2]) {
-    let surface = &scene.surfaces[element.surface as usize];
     let parts = part_count(element);
     let (part, turn) = (ray % parts, ray / parts);
     let mut numbers = RandomNumbers::new(&[element.key, 11, u64::from(round), part as u64]);
@@ -515,7 +514,7 @@ fn generate_ray(
     } else {
         local = 0.5 * (local + Vec2::new((part % 2) as f32, (part / 2) as f32));
     }
-    let spot = surface.point_at(element.outline.point_at(local));
+    let spot = element.point_at(scene, local);
     // Shifted lattices.
     let aimed = aim.number(rays_per_part);
     let (turn, of) = if turn < aimed { (turn, aimed) } else { (turn - aimed, rays_per_part - aimed) };
@@ -636,7 +635,7 @@ fn received_irradiance(arena: &Arena, lights: &ElementLights, hit: &RayHit) -> R
         return Rgb::splat(hit.share);
     }
     let light = &lights.elements[hit.leaf as usize];
-    if arena.elements[hit.leaf as usize].kind == ElementKind::Volume {
+    if arena.elements[hit.leaf as usize].is_volume() {
         return Rgb::splat(hit.share * light.mean);
     }
     radiosity(arena, lights, hit.leaf, unpack_normal(hit.normal)) * hit.share
@@ -646,9 +645,9 @@ fn received_irradiance(arena: &Arena, lights: &ElementLights, hit: &RayHit) -> R
 /// - `normal`: normal at the point, for a curved leaf.
 fn radiosity(arena: &Arena, lights: &ElementLights, leaf: u32, normal: Vec3A) -> Rgb {
     let element = &arena.elements[leaf as usize];
-    let radiosity = if element.kind == ElementKind::Curved {
-        let of = |from: usize| lights.directional_irradiance(element, leaf as usize, from).cosine_integral(normal);
-        element.reflectance * (of(FROM_LAMPS) + of(FROM_ELEMENTS))
+    let radiosity = if let Shape::Curved(curved) = &element.shape {
+        let of = |from: usize| lights.directional_irradiance(curved, leaf as usize, from).cosine_integral(normal);
+        curved.part.reflectance * (of(FROM_LAMPS) + of(FROM_ELEMENTS))
     } else {
         lights.elements[leaf as usize].radiosity
     };

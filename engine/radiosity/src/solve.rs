@@ -2,15 +2,15 @@
 
 use crate::arena::Arena;
 use crate::census::Census;
-use crate::element::{Element, ElementKind};
-use crate::gather::{ElementLights, EnergyBound, FROM_ELEMENTS, FROM_LAMPS, field_cell};
+use crate::element::{Element, Shape};
+use crate::gather::{ElementLights, EnergyBound, FROM_ELEMENTS, FROM_LAMPS};
 use crate::lamps::{LampLink, LampLinkDecision};
 use crate::link::{Link, LinkDecision, Oracle};
 use crate::portals::Portal;
 use crate::rays::{RayPlan, Rays};
 use crate::scene::Scene;
 use crate::visibility::VisibilityTester;
-use femc_field::{Field, Guide, Guides, Harmonics, Leaf, Lobe, NONE};
+use femc_field::{Cell, Field, Guide, Guides, Harmonics, Leaf, Lobe, NONE, Split, SurfaceSpot};
 use femc_math::Rgb;
 use femc_math::color::luminance;
 use rayon::prelude::*;
@@ -168,7 +168,7 @@ impl SolverState {
             SolveReport::default()
         } else {
             SolveReport {
-                elements: elements.iter().filter(|element| element.kind != ElementKind::Cluster).count(),
+                elements: elements.iter().filter(|element| !element.is_cluster()).count(),
                 leaves: elements.iter().filter(|element| element.is_leaf()).count(),
                 links: self.links.len(),
                 bytes: self.bytes(self.links.len()) + self.max_ray_bytes,
@@ -256,7 +256,7 @@ impl<'a> Solver<'a> {
     fn mean(&self) -> f32 {
         let roots = self.state.arena.roots.iter().filter(|&&root| root != NONE);
         let (sum, area) = roots.fold((0.0f64, 0.0f64), |(sum, area), &root| {
-            let size = f64::from(self.state.arena.elements[root as usize].size);
+            let size = f64::from(self.state.arena.elements[root as usize].size());
             (sum + size * f64::from(self.state.lights.elements[root as usize].mean), area + size)
         });
         if area > 0.0 { (sum / area) as f32 } else { self.state.lights.elements[self.state.arena.root as usize].mean }
@@ -271,16 +271,15 @@ impl<'a> Solver<'a> {
             .elements
             .par_iter()
             .map(|element| {
-                if element.kind == ElementKind::Cluster {
+                if element.is_cluster() {
                     return 0.0;
                 }
-                let spots = &element.nodes[..element.node_count];
-                let at = |spot: &femc_field::SurfaceSpot, lamp: u32| {
+                let at = |spot: &SurfaceSpot, lamp: u32| {
                     let textures = &self.scene.prepared.textures;
                     let sample =
                         lights.sample_light(world, textures, lamp, spot.position, crate::scene::SHUTTER_TIME, [0.5; 2]);
                     sample.map_or(0.0, |sample| {
-                        let share = if element.kind == ElementKind::Patch {
+                        let share = if element.patch().is_some() {
                             spot.normal.dot(sample.dir).max(0.0)
                         } else {
                             0.25
@@ -288,9 +287,9 @@ impl<'a> Solver<'a> {
                         luminance(sample.radiance) * share / sample.pdf
                     })
                 };
-                let sum: f32 =
-                    spots.iter().map(|spot| (0..lights.len() as u32).map(|lamp| at(spot, lamp)).sum::<f32>()).sum();
-                sum / element.node_count as f32
+                let of = |spot: SurfaceSpot| (0..lights.len() as u32).map(|lamp| at(&spot, lamp)).sum::<f32>();
+                let sum: f32 = element.nodes().map(of).sum();
+                sum / element.node_count() as f32
             })
             .collect();
         for (light, mean) in self.state.lights.elements.iter_mut().zip(estimates) {
@@ -301,7 +300,7 @@ impl<'a> Solver<'a> {
             let element = &self.state.arena.elements[index];
             if !element.is_leaf() {
                 let [a, b] = element.children.map(|child| child as usize);
-                let sizes = [a, b].map(|child| self.state.arena.elements[child].size);
+                let sizes = [a, b].map(|child| self.state.arena.elements[child].size());
                 let mean = (self.state.lights.elements[a].mean * sizes[0]
                     + self.state.lights.elements[b].mean * sizes[1])
                     / (sizes[0] + sizes[1]);
@@ -319,12 +318,12 @@ impl<'a> Solver<'a> {
             .roots
             .iter()
             .filter(|&&root| root != NONE)
-            .map(|&root| self.state.arena.elements[root as usize].size)
+            .map(|&root| self.state.arena.elements[root as usize].size())
             .sum();
         let volume = if self.state.arena.fog == NONE {
             0.0
         } else {
-            self.state.arena.elements[self.state.arena.fog as usize].size
+            self.state.arena.elements[self.state.arena.fog as usize].size()
         };
         Oracle {
             scene: self.scene,
@@ -386,8 +385,8 @@ impl<'a> Solver<'a> {
         }
         for link in done {
             let element = &self.state.arena.elements[link.receiver as usize];
-            if element.is_directional() {
-                self.state.lights.incident[element.directional as usize].gathered[FROM_LAMPS] +=
+            if let Some(directional) = element.directional() {
+                self.state.lights.incident[directional].gathered[FROM_LAMPS] +=
                     Harmonics::from_direction(link.dir, link.light[0]);
             } else {
                 let own = &mut self.state.lights.elements[link.receiver as usize].gathered[FROM_LAMPS];
@@ -571,7 +570,7 @@ fn build_field(scene: Scene<'_>, arena: &Arena, lights: &ElementLights) -> (Fiel
                 order.extend(element.children);
                 first + order.len() as u32 - 2
             };
-            field.cells.push(field_cell(element, next));
+            field.cells.extend(field_cell(element, next));
             at += 1;
         }
     }
@@ -586,10 +585,21 @@ fn build_field(scene: Scene<'_>, arena: &Arena, lights: &ElementLights) -> (Fiel
     (field, direct, fog)
 }
 
+/// Returns the cell of a part of a surface.
+fn field_cell(element: &Element, next: u32) -> Option<Cell> {
+    let part = element.surface_part()?;
+    let split = if element.is_leaf() { Split::None } else { part.split };
+    Some(Cell { outline: part.in_parent, split, next })
+}
+
 fn field_leaf(element: &Element, index: u32, lights: &ElementLights, from: usize) -> Leaf {
-    if element.is_directional() {
-        return Leaf::Curved(lights.directional_irradiance(element, index as usize, from));
+    if let Shape::Curved(curved) = &element.shape {
+        return Leaf::Curved(lights.directional_irradiance(curved, index as usize, from));
     }
     let values = lights.node_irradiance(index as usize, from);
-    if element.node_count == 3 { Leaf::Triangle([values[0], values[1], values[2]]) } else { Leaf::Rectangle(values) }
+    if element.is_triangle() {
+        Leaf::Triangle([values[0], values[1], values[2]])
+    } else {
+        Leaf::Rectangle(values)
+    }
 }

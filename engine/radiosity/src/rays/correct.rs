@@ -2,7 +2,7 @@
 
 use super::{MAX_PARTS, MisHeuristic, RaySample, Rays, part_count, unpack_normal};
 use crate::arena::Arena;
-use crate::element::{Element, ElementKind};
+use crate::element::Element;
 use crate::gather::{ElementLights, FROM_ELEMENTS};
 use femc_field::{Harmonics, NONE};
 use femc_math::Rgb;
@@ -137,7 +137,7 @@ impl Rays {
                 let own = (self.first[place + 1] - self.first[place]) as usize;
                 let parts = part_count(element);
                 let links = self.link_irradiance(arena, place, lights);
-                let (area, number) = (element.size / parts as f32, (own / parts) as f32);
+                let (area, number) = (element.size() / parts as f32, (own / parts) as f32);
                 let mut sums = [0, 1, 2, 3]
                     .map(|k| if k < parts { PartSums::new(area, number, links[k]) } else { PartSums::default() });
                 self.visit_samples(
@@ -146,7 +146,7 @@ impl Rays {
                     MisHeuristic::Maximum,
                     |RaySample { part, irradiance, origin, .. }| {
                         let bright = luminance(irradiance) * own as f32;
-                        sums[part.min(parts - 1)].add_sample(irradiance * element.size, bright, origin.is_none());
+                        sums[part.min(parts - 1)].add_sample(irradiance * element.size(), bright, origin.is_none());
                     },
                 );
                 sums
@@ -162,7 +162,7 @@ impl Rays {
             let part = sums[index];
             if is_root(arena, element) {
                 all.add(&part);
-            } else if element.surface != NONE {
+            } else if element.surface_part().is_some() {
                 sums[element.parent as usize].add(&part);
             }
         }
@@ -177,7 +177,7 @@ impl Rays {
             known[root as usize] = part;
         }
         for (index, element) in arena.elements.iter().enumerate() {
-            if element.surface == NONE || element.is_leaf() {
+            if element.surface_part().is_none() || element.is_leaf() {
                 continue;
             }
             let parts = element.children.map(|child| sums[child as usize]);
@@ -192,8 +192,8 @@ impl Rays {
             let sums_of = &sums_of[..part_count(element)];
             let mut parts = vec![above; sums_of.len()];
             let taken = lights.accepted[leaf as usize];
-            if element.kind == ElementKind::Curved {
-                let arriving = &mut lights.incident[element.directional as usize];
+            if let Some(directional) = element.directional() {
+                let arriving = &mut lights.incident[directional];
                 arriving.ray_correction = arriving.total[FROM_ELEMENTS] * Rgb::splat(above.scale - taken[0])
                     + Harmonics::from_irradiance(above.extra);
             } else {
@@ -223,8 +223,8 @@ impl Rays {
     fn link_irradiance(&self, arena: &Arena, leaf_index: usize, lights: &ElementLights) -> [f32; MAX_PARTS] {
         let leaf = self.leaves[leaf_index];
         let element = &arena.elements[leaf as usize];
-        if element.kind == ElementKind::Curved {
-            let light = lights.incident[element.directional as usize].total[FROM_ELEMENTS];
+        if let Some(directional) = element.directional() {
+            let light = lights.incident[directional].total[FROM_ELEMENTS];
             let range = self.first[leaf_index] as usize..self.first[leaf_index + 1] as usize;
             let (sights, number) = (&self.hits[range.clone()], range.len() as f32);
             let sum: f32 = sights
@@ -268,7 +268,8 @@ impl LightEstimate {
 }
 
 fn is_root(arena: &Arena, element: &Element) -> bool {
-    element.surface != NONE && (element.parent == NONE || arena.elements[element.parent as usize].surface == NONE)
+    let parent = arena.elements.get(element.parent as usize);
+    element.surface_part().is_some() && parent.is_none_or(|parent| parent.surface_part().is_none())
 }
 
 #[cfg(test)]

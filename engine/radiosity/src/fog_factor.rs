@@ -1,8 +1,9 @@
 //! Form factors between points and boxes of fog.
 
 use crate::element::{Element, FOG_NODES, Shape};
+use crate::factor::{point_form_factor, point_solid_angle_factor};
 use crate::form_factor::{polygon_form_factor, solid_angle};
-use crate::link::{Oracle, point_form_factor, point_solid_angle_factor};
+use crate::link::Oracle;
 use crate::visibility::VisibilityTester;
 use femc_field::SurfaceSpot;
 use femc_math::cross;

@@ -17,6 +17,7 @@ mod arena;
 mod bytes;
 mod census;
 mod element;
+mod factor;
 mod fewer;
 mod fog;
 mod fog_factor;

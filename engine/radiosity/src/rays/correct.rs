@@ -1,6 +1,7 @@
 //! Scaling of the links' light to that of the rays.
 
-use super::{MAX_PARTS, MisHeuristic, RaySample, Rays, part_count, unpack_normal};
+use super::trace::unpack_normal;
+use super::{MAX_PARTS, MisHeuristic, RaySample, Rays, part_count};
 use crate::arena::Arena;
 use crate::element::Element;
 use crate::gather::{ElementLights, FROM_ELEMENTS};

@@ -48,7 +48,9 @@ impl Arena {
     }
 
     fn push(&mut self, mut element: Element) -> u32 {
-        if let Shape::Cluster(Cluster { directional, .. }) | Shape::Curved(Curved { directional, .. }) = &mut element.shape {
+        if let Shape::Cluster(Cluster { directional, .. }) | Shape::Curved(Curved { directional, .. }) =
+            &mut element.shape
+        {
             *directional = self.directional_count as u32;
             self.directional_count += 1;
         }
@@ -109,7 +111,9 @@ impl Arena {
         let (mut index, mut local) = (root, point);
         loop {
             let element = &self.elements[index as usize];
-            let Some(SurfacePart { in_parent, split, area, .. }) = element.surface_part() else { return (index, local) };
+            let Some(SurfacePart { in_parent, split, area, .. }) = element.surface_part() else {
+                return (index, local);
+            };
             local = in_parent.local(local);
             if element.is_leaf() || *area <= min_size {
                 return (index, local);
@@ -200,4 +204,3 @@ fn enclosing_sphere(a: (Vec3A, f32), b: (Vec3A, f32)) -> (Vec3A, f32) {
     let radius = 0.5 * (distance + a.1 + b.1);
     (a.0 + (b.0 - a.0) * ((radius - a.1) / distance), radius)
 }
-

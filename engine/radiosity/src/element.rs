@@ -15,7 +15,7 @@ pub struct Element {
     pub parent: u32,
     /// Its two parts, or [`NONE`].
     pub children: [u32; 2],
-    /// Center and radius of a bounding sphere. A patch contains its center.
+    /// Center and radius of a bounding sphere. A patch contains its center. The sphere of a whole ring is too small by a ninth.
     pub center: Vec3A,
     pub radius: f32,
     /// Center of the bounding box, and half of the box's edges.
@@ -286,10 +286,6 @@ impl Element {
 
     pub fn is_cluster(&self) -> bool {
         matches!(self.shape, Shape::Cluster(_))
-    }
-
-    pub fn is_curved(&self) -> bool {
-        matches!(self.shape, Shape::Curved(_))
     }
 
     pub fn is_volume(&self) -> bool {

@@ -34,8 +34,7 @@ impl Oracle<'_> {
                 of(&SurfaceSpot { position: q.center, normal: patch.normal, ..*node }, patch.part.area)
             }
         };
-        let is_close_polygon =
-            |patch: &Patch| patch.form != PatchForm::Bent && distance2 < 25.0 * q.radius * q.radius;
+        let is_close_polygon = |patch: &Patch| patch.form != PatchForm::Bent && distance2 < 25.0 * q.radius * q.radius;
         let open = match (&p.shape, &q.shape) {
             (Shape::Patch(_), Shape::Patch(patch)) if is_close_polygon(patch) => {
                 polygon_form_factor(node.position, node.normal, patch.polygon())

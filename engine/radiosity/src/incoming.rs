@@ -295,7 +295,8 @@ fn in_parts(
             let distance2 = way.length_squared().max(0.25 * part.radius * part.radius).max(f32::MIN_POSITIVE);
             let dir = way.normalize_or(Vec3A::Z);
             let there = part.patch().map_or(0.5, |patch| (-patch.normal.dot(dir)).max(0.0));
-            part.size() * luminance(light.radiosity).max(0.0) * cosine(receiver, dir).max(1e-3) * there.max(1e-3) / distance2
+            part.size() * luminance(light.radiosity).max(0.0) * cosine(receiver, dir).max(1e-3) * there.max(1e-3)
+                / distance2
         });
         let sum = weights[0] + weights[1];
         for (child, weight) in q.children.into_iter().zip(weights) {

@@ -105,8 +105,7 @@ impl<'a> Oracle<'a> {
         let open = self.open_light(&pair, &mut numbers);
         if open.error > pair.allowed && self.may_split(p) {
             let unproved_error = self.unproved_error(p, pair.allowed);
-            let looks =
-                pair.allowed < unproved_error && open.mean * occlusion_bound(VISIBILITY_RAYS) <= unproved_error;
+            let looks = pair.allowed < unproved_error && open.mean * occlusion_bound(VISIBILITY_RAYS) <= unproved_error;
             return if looks && self.is_occluded(p, lamp, tester) {
                 LampLinkDecision::Drop
             } else {

@@ -101,7 +101,7 @@ pub struct Pair<'a> {
 
 impl Pair<'_> {
     /// Checks whether one of the elements has its light by direction.
-    fn is_wide(&self) -> bool {
+    fn has_directional(&self) -> bool {
         self.p.is_directional() || self.q.is_directional()
     }
 
@@ -138,8 +138,7 @@ impl<'a> Oracle<'a> {
 
     /// Returns the allowed error if no ray has reached the source.
     pub fn unproved_error(&self, p: &Element, allowed: f32) -> f32 {
-        allowed
-            .max(self.error * UNPROVED_LIGHT * if p.is_volume() { self.fog_floor } else { self.floor })
+        allowed.max(self.error * UNPROVED_LIGHT * if p.is_volume() { self.fog_floor } else { self.floor })
     }
 
     /// Returns the extinction at the center of an element, 1/m.
@@ -203,7 +202,7 @@ impl<'a> Oracle<'a> {
     /// the root of their share of the receiver.
     fn split_close(&self, pair: &Pair<'_>) -> Option<LinkDecision> {
         let Pair { p, q, .. } = *pair;
-        let is_close = pair.is_wide() && pair.distance < 1.5 * (p.radius + q.radius);
+        let is_close = pair.has_directional() && pair.distance < 1.5 * (p.radius + q.radius);
         if !is_close {
             return None;
         }

@@ -3,8 +3,8 @@
 mod refine;
 mod solution;
 
-pub(crate) use solution::surface_leaves;
 pub use solution::Solution;
+pub(crate) use solution::surface_leaves;
 
 use crate::arena::Arena;
 use crate::census::Census;
@@ -139,7 +139,6 @@ impl SolverState {
         self.lights.grow(&self.arena);
         self.lights.push_pull(scene, &self.arena);
     }
-
 }
 
 pub(crate) struct Solver<'a> {
@@ -272,4 +271,3 @@ impl<'a> Solver<'a> {
         Ok(())
     }
 }
-

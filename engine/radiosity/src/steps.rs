@@ -233,7 +233,10 @@ impl SolverState {
         }
         let uneven_leaves = reader.numbers()?;
         let is_surface = |leaf: &u32| {
-            arena.elements.get(*leaf as usize).is_some_and(|element| element.is_leaf() && element.surface_part().is_some())
+            arena
+                .elements
+                .get(*leaf as usize)
+                .is_some_and(|element| element.is_leaf() && element.surface_part().is_some())
         };
         if !uneven_leaves.iter().all(is_surface) {
             return Err(OTHER_ELEMENTS);

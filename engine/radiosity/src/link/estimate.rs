@@ -40,7 +40,8 @@ impl Oracle<'_> {
         let mut mean = nodes.iter().sum::<f32>() / count as f32;
         let middle = if count > 1 { self.factor(p, q, &p.center_spot(), tester) } else { mean };
         let (low, high) = nodes.iter().fold((f32::INFINITY, 0.0f32), |(low, high), &f| (low.min(f), high.max(f)));
-        let missed = if self.is_beside(pair) { self.add_missed_light(pair, (&mut factors, &mut mean), tester) } else { 0.0 };
+        let missed =
+            if self.is_beside(pair) { self.add_missed_light(pair, (&mut factors, &mut mean), tester) } else { 0.0 };
         let receiver_error = if p.is_directional() {
             mean * pair.radiosity * (0.1 + 2.0 * pair.near_p * pair.near_p)
         } else {
@@ -95,7 +96,7 @@ impl Oracle<'_> {
         if p.is_volume() {
             errors[0] /= near_q.max(MIN_SOURCE_SHARE);
         } else {
-            let share = if pair.is_wide() { 0.25 * near_q * near_q } else { mean };
+            let share = if pair.has_directional() { 0.25 * near_q * near_q } else { mean };
             let many = 1.0 / share.sqrt().clamp(MIN_SOURCE_SHARE, 1.0);
             errors = errors.map(|error| error * many);
         }

@@ -1,8 +1,8 @@
 //! Refinement: elements and links as fine as the light requires.
 
 use super::{Cancelled, Solver};
-use crate::lamps::{LampLink, LampLinkDecision};
 use crate::gather::FROM_LAMPS;
+use crate::lamps::{LampLink, LampLinkDecision};
 use crate::link::{Link, LinkDecision, Oracle};
 use crate::scene::SHUTTER_TIME;
 use crate::visibility::VisibilityTester;
@@ -47,14 +47,9 @@ impl Solver<'_> {
                 }
                 let at = |spot: &SurfaceSpot, lamp: u32| {
                     let textures = &self.scene.prepared.textures;
-                    let sample =
-                        lights.sample_light(world, textures, lamp, spot.position, SHUTTER_TIME, [0.5; 2]);
+                    let sample = lights.sample_light(world, textures, lamp, spot.position, SHUTTER_TIME, [0.5; 2]);
                     sample.map_or(0.0, |sample| {
-                        let share = if element.patch().is_some() {
-                            spot.normal.dot(sample.dir).max(0.0)
-                        } else {
-                            0.25
-                        };
+                        let share = if element.patch().is_some() { spot.normal.dot(sample.dir).max(0.0) } else { 0.25 };
                         luminance(sample.radiance) * share / sample.pdf
                     })
                 };

@@ -123,9 +123,5 @@ fn field_leaf(element: &Element, index: u32, lights: &ElementLights, from: usize
         return Leaf::Curved(lights.directional_irradiance(curved, index as usize, from));
     }
     let values = lights.node_irradiance(index as usize, from);
-    if element.is_triangle() {
-        Leaf::Triangle([values[0], values[1], values[2]])
-    } else {
-        Leaf::Rectangle(values)
-    }
+    if element.is_triangle() { Leaf::Triangle([values[0], values[1], values[2]]) } else { Leaf::Rectangle(values) }
 }

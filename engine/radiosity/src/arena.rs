@@ -2,6 +2,7 @@
 
 use crate::element::{Cluster, Curved, Element, Shape, SurfacePart};
 use crate::scene::Scene;
+use crate::tuning::{EQUAL_NORMALS_COSINE, LARGE_SURFACE_RATIO};
 use femc_field::{NONE, Outline, Split};
 use femc_math::glam::{Vec2, Vec3A};
 
@@ -20,9 +21,6 @@ pub struct Arena {
     /// Elements that were split, in order. Together with the scene they reproduce the tree.
     pub splits: Vec<u32>,
 }
-
-/// Minimum cosine between normals that count as equal.
-const EQUAL_NORMALS_COSINE: f32 = 0.999_999;
 
 impl Arena {
     /// Creates the roots of all surfaces in a tree of clusters, and the fog beside them.
@@ -81,7 +79,7 @@ impl Arena {
             .fold(0, |best, (k, root)| if root.1.radius > roots[best].1.radius { k } else { best });
         let rest =
             roots.iter().enumerate().filter(|(k, _)| *k != largest).map(|(_, root)| root.1.radius).fold(0.0, f32::max);
-        let (a, b) = if roots[largest].1.radius > 2.0 * rest {
+        let (a, b) = if roots[largest].1.radius > LARGE_SURFACE_RATIO * rest {
             roots.swap(0, largest);
             roots.split_at_mut(1)
         } else {

@@ -1,6 +1,7 @@
 //! Elements: parts of surfaces, boxes of fog, and clusters of them.
 
 use crate::scene::Scene;
+use crate::tuning::{BULGE_BOX, BULGE_RADIUS, MIN_NORMAL_COSINE};
 use femc_field::{Form, Leaf, NONE, Outline, Side, Split, Surface, SurfaceSpot};
 use femc_math::Rgb;
 use femc_math::glam::{Vec2, Vec3A};
@@ -108,9 +109,6 @@ pub const FOG_NODES: [Vec3A; 4] = {
     const D: f32 = 0.577_350_26;
     [Vec3A::new(D, D, D), Vec3A::new(D, -D, -D), Vec3A::new(-D, D, -D), Vec3A::new(-D, -D, D)]
 };
-
-/// Cosine between an element's normals below which they no longer count as one.
-const MIN_NORMAL_COSINE: f32 = 0.85;
 
 impl Patch {
     /// Returns the points at which its light is known.
@@ -252,8 +250,8 @@ impl Element {
             (center, Shape::Patch(patch))
         };
         // Between the points of the grid the surface may bulge.
-        let radius = 1.1 * 0.5 * diagonal;
-        let half_extent = half + 0.05 * radius;
+        let radius = BULGE_RADIUS * 0.5 * diagonal;
+        let half_extent = half + BULGE_BOX * radius;
         Self { key, parent, children: [NONE; 2], center, radius, box_center, half_extent, shape }
     }
 

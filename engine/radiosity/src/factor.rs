@@ -3,12 +3,10 @@
 use crate::element::{Element, Patch, PatchForm, Shape};
 use crate::form_factor::{is_near, polygon_form_factor, solid_angle};
 use crate::link::Oracle;
+use crate::tuning::{POLYGON_RADII, THIN_DEPTH};
 use crate::visibility::VisibilityTester;
 use femc_field::SurfaceSpot;
 use std::f32::consts::PI;
-
-/// Optical thickness of a surface's radius, times radius over distance, up to which its nodes suffice for the attenuation by fog.
-const THIN_DEPTH: f32 = 0.1;
 
 impl Oracle<'_> {
     /// Returns the factor of an element at a point through the fog, without occlusion, as in [`Link::factors`].
@@ -34,7 +32,9 @@ impl Oracle<'_> {
                 of(&SurfaceSpot { position: q.center, normal: patch.normal, ..*node }, patch.part.area)
             }
         };
-        let is_close_polygon = |patch: &Patch| patch.form != PatchForm::Bent && distance2 < 25.0 * q.radius * q.radius;
+        let is_close_polygon = |patch: &Patch| {
+            patch.form != PatchForm::Bent && distance2 < POLYGON_RADII * POLYGON_RADII * q.radius * q.radius
+        };
         let open = match (&p.shape, &q.shape) {
             (Shape::Patch(_), Shape::Patch(patch)) if is_close_polygon(patch) => {
                 polygon_form_factor(node.position, node.normal, patch.polygon())

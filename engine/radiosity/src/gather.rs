@@ -4,6 +4,7 @@ use crate::arena::Arena;
 use crate::element::{Curved, Element, Patch, Shape, SurfacePart};
 use crate::link::Link;
 use crate::scene::Scene;
+use crate::tuning::{CURVED_NORMALS, MAX_REFLECTED_SHARE, MAX_ROW_SUM};
 use femc_field::{Harmonics, NONE};
 use femc_math::Rgb;
 use femc_math::color::luminance;
@@ -70,14 +71,6 @@ pub enum EnergyBound {
     /// The excess is removed from now on, so that light cannot grow from reflection to reflection.
     RowSums,
 }
-
-/// Maximum irradiance of a point if all elements have a radiosity of 1.
-const MAX_ROW_SUM: f32 = 1.1;
-/// Maximum share of the light that a reflection may pass on under that bound.
-const MAX_REFLECTED_SHARE: f32 = 0.99;
-
-/// Number of normals at which a ball's light is evaluated.
-const CURVED_NORMALS: usize = 16;
 
 /// Light of all elements.
 #[derive(Clone, Debug)]

@@ -1,10 +1,14 @@
 //! Direct light that elements receive from light sources. A source is evaluated at each point; it is never an element itself.
 
 use crate::element::{Element, PatchForm, Shape};
-use crate::fog_factor::{FACE_POINTS, attenuated_length};
+use crate::fog_factor::attenuated_length;
 use crate::form_factor::{polygon_form_factor, solid_angle};
 use crate::link::{Oracle, occlusion_bound};
 use crate::scene::{Lamp, SHUTTER_TIME};
+use crate::tuning::{
+    BEHIND_HEIGHT, DIRECTIONAL_ERROR, DIRECTIONAL_LAMP_ERROR, FACE_POINTS, LAMP_NODES_WEIGHT, LAMP_STRATA,
+    LAMP_VISIBILITY_RAYS, LARGE_SOURCE, MAX_LAMP_ABSORBED, NEAR_ELEMENT,
+};
 use crate::visibility::{RandomNumbers, VisibilityTester, sample_point};
 use femc_field::SurfaceSpot;
 use femc_math::Rgb;
@@ -32,17 +36,6 @@ pub enum LampLinkDecision {
     Keep { link: LampLink, is_inexact: bool },
     SplitReceiver,
 }
-
-/// Number of rays that test whether any light of a source arrives.
-const VISIBILITY_RAYS: u32 = 16;
-/// Number of points by axis on a source that is large as seen from the element.
-const STRATA: u32 = 2;
-/// Minimum radius of a large source, as a share of the distance.
-const LARGE_SOURCE: f32 = 0.1;
-/// Minimum radius of an element near a source, as a share of the distance.
-const NEAR_ELEMENT: f32 = 0.3;
-/// Maximum share of a source's light that needs no closer test, times the error.
-const MAX_ABSORBED: f32 = 0.3;
 
 /// A receiver and a light source.
 struct LampPair<'a> {
@@ -74,7 +67,7 @@ impl LampPair<'_> {
 /// Points of a source, and the light without occlusion.
 struct OpenLight {
     /// Light and points of the source, by node of the receiver.
-    points: [[Option<(Rgb, SurfaceSpot)>; (STRATA * STRATA) as usize]; 4],
+    points: [[Option<(Rgb, SurfaceSpot)>; (LAMP_STRATA * LAMP_STRATA) as usize]; 4],
     /// Luminance of the points' light, by node.
     weight: [f32; 4],
     /// Light at each node, lx.
@@ -105,7 +98,8 @@ impl<'a> Oracle<'a> {
         let open = self.open_light(&pair, &mut numbers);
         if open.error > pair.allowed && self.may_split(p) {
             let unproved_error = self.unproved_error(p, pair.allowed);
-            let looks = pair.allowed < unproved_error && open.mean * occlusion_bound(VISIBILITY_RAYS) <= unproved_error;
+            let looks =
+                pair.allowed < unproved_error && open.mean * occlusion_bound(LAMP_VISIBILITY_RAYS) <= unproved_error;
             return if looks && self.is_occluded(p, lamp, tester) {
                 LampLinkDecision::Drop
             } else {
@@ -145,7 +139,7 @@ impl<'a> Oracle<'a> {
             Shape::Cluster(cluster) => cluster.normal.is_some(),
             Shape::Curved(_) | Shape::Volume(_) => false,
         };
-        has_one_normal && p.normal().dot(center - p.center) + radius + p.radius * 1e-5 <= 0.0
+        has_one_normal && p.normal().dot(center - p.center) + radius + p.radius * BEHIND_HEIGHT <= 0.0
     }
 
     /// Checks whether an element is too close to a source: a few points do not represent a large element's light from a near or
@@ -165,7 +159,7 @@ impl<'a> Oracle<'a> {
         }
         // A box around the source absorbs this share of the source's light in the fog; four points cannot measure that.
         let absorbed = || 4.0 * hidden_part * p.size() * self.extinction(p) / (PI * intensity);
-        p.is_volume() && !self.element_budget_exhausted && absorbed() > MAX_ABSORBED * self.error
+        p.is_volume() && !self.element_budget_exhausted && absorbed() > MAX_LAMP_ABSORBED * self.error
     }
 
     /// Computes the light without occlusion.
@@ -173,13 +167,13 @@ impl<'a> Oracle<'a> {
         let LampPair { p, lamp, .. } = *pair;
         let (is_large, is_exact, count) = (pair.is_large(), pair.is_exact(), p.node_count());
         let (mut nodes, mut weight) = ([Rgb::ZERO; 4], [0.0f32; 4]);
-        let mut points = [[None; (STRATA * STRATA) as usize]; 4];
+        let mut points = [[None; (LAMP_STRATA * LAMP_STRATA) as usize]; 4];
         for (index, node) in p.nodes().enumerate() {
-            let samples = if is_large { STRATA * STRATA } else { 1 };
+            let samples = if is_large { LAMP_STRATA * LAMP_STRATA } else { 1 };
             for (k, point) in points[index].iter_mut().enumerate().take(samples as usize) {
                 let u = if is_large {
-                    let place = [k as u32 % STRATA, k as u32 / STRATA];
-                    place.map(|at| (at as f32 + numbers.next()) / STRATA as f32)
+                    let place = [k as u32 % LAMP_STRATA, k as u32 / LAMP_STRATA];
+                    place.map(|at| (at as f32 + numbers.next()) / LAMP_STRATA as f32)
                 } else {
                     [0.5; 2]
                 };
@@ -200,7 +194,7 @@ impl<'a> Oracle<'a> {
         let most = amounts.iter().copied().fold(0.0, f32::max);
         let least = amounts.iter().copied().fold(f32::INFINITY, f32::min);
         let error = if p.is_directional() {
-            mean * (0.1 + 4.0 * pair.near * pair.near)
+            mean * (DIRECTIONAL_ERROR[0] + DIRECTIONAL_LAMP_ERROR * pair.near * pair.near)
         } else {
             // A linear function has the mean of its nodes at the center, so the difference there is what the points miss.
             let spot = p.center_spot();
@@ -209,7 +203,7 @@ impl<'a> Oracle<'a> {
                 (_, true) => mean,
                 _ => self.unoccluded_light(p, &spot, lamp, [0.5; 2]).map_or(0.0, |(light, _)| luminance(light)),
             };
-            (middle - mean).abs() + 0.1 * (most - least) + self.missed_irradiance(p, lamp)
+            (middle - mean).abs() + LAMP_NODES_WEIGHT * (most - least) + self.missed_irradiance(p, lamp)
         };
         OpenLight { points, weight, nodes, mean, most, error }
     }
@@ -323,7 +317,7 @@ impl<'a> Oracle<'a> {
     /// Checks whether all rays between points of an element and of a source are occluded.
     fn is_occluded(&self, p: &Element, lamp: u32, tester: &mut VisibilityTester) -> bool {
         let mut numbers = RandomNumbers::new(&[p.key, u64::from(lamp), 8]);
-        !(0..VISIBILITY_RAYS).any(|part| {
+        !(0..LAMP_VISIBILITY_RAYS).any(|part| {
             let from = sample_point(self.arena, self.scene, p, part % 4, &mut numbers, |_| 1.0);
             let u = [numbers.next(), numbers.next()];
             let to = self.unoccluded_light(p, &from, lamp, u);

@@ -35,6 +35,7 @@ mod solve;
 mod steps;
 #[cfg(test)]
 mod tests;
+mod tuning;
 mod verify;
 mod view;
 mod visibility;
@@ -43,7 +44,8 @@ pub use bytes::StepDecodeError;
 pub use census::{Census, KindCounts};
 pub use mesh::{Mesh, MeshContent, solution_meshes};
 pub use rays::RayHits;
-pub use solve::{Cancelled, RAY_ROUNDS, Solution, SolveOptions, SolveReport, SolverState, TARGET_RESIDUAL};
+pub use solve::{Cancelled, Solution, SolveOptions, SolveReport, SolverState};
 pub use steps::{BlockGuides, CastingState, CorrectedState, min_solve_bytes, solve};
+pub use tuning::{RAY_ROUNDS, TARGET_RESIDUAL};
 pub use verify::VerifyError;
 pub use view::{Irradiance, LightTotals, SolutionView};

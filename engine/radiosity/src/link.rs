@@ -10,6 +10,7 @@ use crate::element::{Cluster, Curved, Element, Patch, Shape};
 use crate::factor::point_form_factor;
 use crate::gather::ElementLight;
 use crate::scene::Scene;
+use crate::tuning::{BEHIND_HEIGHT, CLOSE_LIGHT, CLOSE_RADII, ERROR_SCALE_BOUNDS, THICK_DEPTH, UNPROVED_LIGHT};
 use crate::visibility::VisibilityTester;
 use femc_math::color::luminance;
 use femc_math::glam::Vec3A;
@@ -66,16 +67,6 @@ pub struct Oracle<'a> {
     /// Whether no link may be split, even with existing elements.
     pub link_budget_exhausted: bool,
 }
-
-/// Bounds of the error scale, for large and for small elements.
-const ERROR_SCALE_BOUNDS: [f32; 2] = [0.5, 4.0];
-
-/// Optical thickness of half of a box of fog above which its light to itself is not treated as one value.
-const THICK_DEPTH: f32 = 0.5;
-
-/// Limit for the light of a source that no ray has reached, in multiples of the minimum irradiance that an error is relative to.
-/// Below, the source counts as dark. Otherwise dark areas would be split finely only to prove their darkness.
-const UNPROVED_LIGHT: f32 = 10.0;
 
 /// A receiver and a source, which are different elements.
 #[derive(Clone, Copy, Debug)]
@@ -202,14 +193,14 @@ impl<'a> Oracle<'a> {
     /// the root of their share of the receiver.
     fn split_close(&self, pair: &Pair<'_>) -> Option<LinkDecision> {
         let Pair { p, q, .. } = *pair;
-        let is_close = pair.has_directional() && pair.distance < 1.5 * (p.radius + q.radius);
+        let is_close = pair.has_directional() && pair.distance < CLOSE_RADII * (p.radius + q.radius);
         if !is_close {
             return None;
         }
         let share = (q.radius / p.radius).min(1.0).sqrt();
         // For fog, the length from which light comes.
         let length = if q.is_volume() { q.radius.min(1.0 / self.extinction(q)) } else { 1.0 };
-        let is_bright = luminance(pair.from.radiosity) * length * share > 0.5 * pair.allowed;
+        let is_bright = luminance(pair.from.radiosity) * length * share > CLOSE_LIGHT * pair.allowed;
         let larger_first = if p.radius > q.radius { [1.0, 0.0] } else { [0.0, 1.0] };
         is_bright.then(|| self.choose_split(p, q, larger_first)).flatten()
     }
@@ -276,5 +267,5 @@ fn is_behind(scene: &Scene<'_>, a: &Element, b: &Element) -> bool {
         }
         Shape::Patch(_) | Shape::Cluster(_) | Shape::Curved(_) | Shape::Volume(_) => return false,
     };
-    b.max_height(lowest, a.normal()) <= 1e-5 * (a.radius + b.radius)
+    b.max_height(lowest, a.normal()) <= BEHIND_HEIGHT * (a.radius + b.radius)
 }

@@ -19,6 +19,7 @@ use crate::arena::Arena;
 use crate::element::{Element, Shape};
 use crate::gather::{ElementLights, FROM_ELEMENTS, FROM_LAMPS};
 use crate::scene::Scene;
+use crate::tuning::MIN_DENSITY_RATIO;
 use aims::Aim;
 use femc_field::{NONE, SurfaceSpot};
 use femc_math::Rgb;
@@ -29,8 +30,6 @@ use trace::{generate_ray, unpack_normal};
 
 /// Maximum number of parts of a leaf, which its nodes represent.
 const MAX_PARTS: usize = 4;
-/// Minimum ratio of the density of rays from the other end to that of a leaf's own rays, for the former to be preferred.
-const MIN_DENSITY_RATIO: f32 = 32.0;
 /// Number of bytes of the minimum number of rays of a surface.
 pub const MIN_BYTES: usize = MAX_PARTS * (size_of::<RayHit>() + size_of::<[u32; 2]>());
 

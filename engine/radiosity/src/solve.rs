@@ -14,6 +14,9 @@ use crate::link::Link;
 use crate::portals::Portal;
 use crate::rays::{RayPlan, Rays};
 use crate::scene::Scene;
+use crate::tuning::{
+    COARSE_RESIDUAL, ERROR_LEVELS, MAX_GROWING, MAX_ITERATIONS, MAX_LAMP_ERROR, RAY_CHECKS, RAY_ROUNDS, TARGET_RESIDUAL,
+};
 use femc_field::NONE;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -73,19 +76,6 @@ pub struct SolveReport {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Cancelled;
 
-/// Allowed errors of a link in successive levels, as multiples of the requested error.
-const ERROR_LEVELS: [f32; 3] = [8.0, 2.5, 1.0];
-/// Share of the light that leaves all elements. Iteration stops when the change is no more than this. A greater
-/// [`SolveReport::residual`] means that the light has not converged.
-pub const TARGET_RESIDUAL: f32 = 1e-4;
-/// Number of successive iterations with growing changes after which light counts as growing.
-const MAX_GROWING: usize = 4;
-/// Maximum number of iterations at one level of refinement.
-const MAX_ITERATIONS: usize = 400;
-/// Number of times that rays are cast. Between two casts, leaves are split where the rays find shadows.
-pub const RAY_ROUNDS: u32 = 3;
-/// Number of times that the links' light is compared with the same rays.
-const RAY_CHECKS: usize = 2;
 /// State of a first pass that is not finished: elements, links, light.
 #[derive(Clone, Debug)]
 pub struct SolverState {
@@ -184,7 +174,7 @@ impl<'a> Solver<'a> {
             solver.state.lights.accept_all();
             let error = options.error * coarse;
             // Direct light first, then the light between elements.
-            solver.link_lamps(error.min(0.1))?;
+            solver.link_lamps(error.min(MAX_LAMP_ERROR))?;
             if round == 0 {
                 solver.state.lights.push_pull(scene, &solver.state.arena);
             }
@@ -193,7 +183,7 @@ impl<'a> Solver<'a> {
                 let SolverState { arena, lights, links, report, .. } = &mut solver.state;
                 report.row_sum = lights.row_sum(scene, arena, links, EnergyBound::None);
             }
-            solver.iterate(if is_last { TARGET_RESIDUAL } else { 1e-2 })?;
+            solver.iterate(if is_last { TARGET_RESIDUAL } else { COARSE_RESIDUAL })?;
         }
         Ok(solver)
     }

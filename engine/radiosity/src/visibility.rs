@@ -3,6 +3,7 @@
 use crate::arena::Arena;
 use crate::element::Element;
 use crate::scene::{SHUTTER_TIME, Scene};
+use crate::tuning::{EVEN_PARTS, MAX_CLEAR_SURFACES};
 use femc_field::SurfaceSpot;
 use femc_geometry::{Ray, offset_origin, shadow_segment};
 use femc_math::color::luminance;
@@ -10,9 +11,6 @@ use femc_math::elementary::exp;
 use femc_math::glam::{Vec2, Vec3A};
 use femc_math::hash::{combine, unit_f32};
 use femc_prepared::media::{MediaRay, MediumStack};
-
-/// Maximum number of clear surfaces that a ray passes through.
-pub const MAX_CLEAR_SURFACES: u32 = 64;
 
 /// Visibility tester of one thread: rays and their buffers.
 #[derive(Default)]
@@ -105,7 +103,7 @@ pub fn sample_point(
         let share = if wa + wb > 0.0 { wa / (wa + wb) } else { a.size() / (a.size() + b.size()) };
         // Strata are worth more than a choice between nearly equal parts.
         let even = a.size() / (a.size() + b.size());
-        if element.patch().is_some() && (share - even).abs() < 0.2 {
+        if element.patch().is_some() && (share - even).abs() < EVEN_PARTS {
             break;
         }
         element = if numbers.next() < share { a } else { b };

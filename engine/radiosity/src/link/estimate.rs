@@ -2,19 +2,11 @@
 
 use super::{Oracle, Pair};
 use crate::element::{PatchForm, Shape};
+use crate::tuning::{
+    CENTER_WEIGHT, DIRECTIONAL_ERROR, EDGE_WEIGHT, MIN_NEIGHBOR_RADII, MIN_SOURCE_SHARE, NODES_WEIGHT, SHAPE_WEIGHT,
+    SURFACE_EDGE_WEIGHT, THICKNESS_WEIGHT,
+};
 use crate::visibility::VisibilityTester;
-
-/// Minimum sum of the radii of a box of fog and its neighbor, as a share of their distance.
-const MIN_NEIGHBOR_RADII: f32 = 0.5;
-
-/// Minimum share of a source in the receiver's view, by radius over distance, in the estimate of the number of similar sources.
-const MIN_SOURCE_SHARE: f32 = 0.03;
-
-/// Weight of the light at a box's edge that the nodes miss. With a small weight, large adjacent boxes would be linked. Their light
-/// travels from edge to edge, where no node is, and is lost.
-const EDGE_WEIGHT: f32 = 2.0;
-/// Weight for a surface as the source, which is adjacent to a larger part of the box.
-const SURFACE_EDGE_WEIGHT: f32 = 4.0;
 
 /// Light of a link without occlusion.
 #[derive(Clone, Copy, Debug)]
@@ -43,15 +35,16 @@ impl Oracle<'_> {
         let missed =
             if self.is_beside(pair) { self.add_missed_light(pair, (&mut factors, &mut mean), tester) } else { 0.0 };
         let receiver_error = if p.is_directional() {
-            mean * pair.radiosity * (0.1 + 2.0 * pair.near_p * pair.near_p)
+            mean * pair.radiosity * directional_error(pair.near_p)
         } else {
             let edge = match (&p.shape, &q.shape) {
                 (Shape::Volume(_), Shape::Volume(_)) => EDGE_WEIGHT * self.edge_error(p, q, &factors, tester),
                 (Shape::Volume(_), Shape::Patch(_)) => SURFACE_EDGE_WEIGHT * self.edge_error(p, q, &factors, tester),
                 _ => 0.0,
             };
-            let shape = 0.5 * pair.near_p * pair.near_p * mean;
-            (2.0 * (middle - mean).abs() + 0.03 * (high - low) + shape + missed + edge) * pair.radiosity
+            let shape = SHAPE_WEIGHT * pair.near_p * pair.near_p * mean;
+            (CENTER_WEIGHT * (middle - mean).abs() + NODES_WEIGHT * (high - low) + shape + missed + edge)
+                * pair.radiosity
         };
         let errors = self.sum_errors(pair, mean, [receiver_error, source_error(pair, mean)]);
         LinkEstimate { factors, mean, errors }
@@ -104,7 +97,7 @@ impl Oracle<'_> {
             // The attenuation by fog varies over the source. A box of fog also has no single distance.
             let thickness = (self.extinction(q) * q.radius).min(1.0);
             let shape = if q.is_volume() { near_q * near_q } else { 0.0 };
-            errors[1] += mean * pair.radiosity * (shape + 0.3 * near_q * thickness);
+            errors[1] += mean * pair.radiosity * (shape + THICKNESS_WEIGHT * near_q * thickness);
         }
         errors
     }
@@ -114,11 +107,17 @@ impl Oracle<'_> {
 fn source_error(pair: &Pair<'_>, mean: f32) -> f32 {
     let Pair { q, near_q, radiosity, .. } = *pair;
     if q.is_directional() {
-        return mean * radiosity * (0.1 + 2.0 * near_q * near_q);
+        return mean * radiosity * directional_error(near_q);
     }
     // A few points represent a shape that is not a polygon.
     let is_bent = q.patch().is_some_and(|patch| patch.form == PatchForm::Bent);
-    let shape = if is_bent { 0.5 * near_q * near_q } else { 0.0 };
+    let shape = if is_bent { SHAPE_WEIGHT * near_q * near_q } else { 0.0 };
     let spread = 0.5 * (pair.from.brightest - pair.from.darkest);
     mean * (spread * (2.0 * near_q).min(1.0) + shape * radiosity)
+}
+
+/// Returns the error of an element with light by direction, as a share of the light.
+/// - `near`: radius over distance.
+fn directional_error(near: f32) -> f32 {
+    DIRECTIONAL_ERROR[0] + DIRECTIONAL_ERROR[1] * near * near
 }

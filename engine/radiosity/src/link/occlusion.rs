@@ -1,15 +1,11 @@
 //! Occlusion of links: rays between the elements.
 
 use super::{LinkDecision, Oracle, Pair};
+use crate::tuning::{FACING_ATTEMPTS, ONE_RAY_LIGHT, VISIBILITY_RAYS};
 use crate::visibility::{RandomNumbers, VisibilityTester, sample_point};
 use femc_field::SurfaceSpot;
 use femc_math::color::luminance;
 use femc_math::glam::Vec3A;
-
-/// Number of visibility rays of a first test, and of a second one if the first found the source partly occluded.
-const VISIBILITY_RAYS: [u32; 2] = [4, 12];
-/// Maximum light of a link, as a share of the allowed error, for which one ray is enough.
-const ONE_RAY_LIGHT: f32 = 0.2;
 
 /// Shares of a source's light that reach the receiver.
 #[derive(Clone, Copy, Debug)]
@@ -120,7 +116,7 @@ impl Oracle<'_> {
         tester: &mut VisibilityTester,
     ) -> Option<f32> {
         let Pair { p, q, .. } = *pair;
-        for _ in 0..4 {
+        for _ in 0..FACING_ATTEMPTS {
             let to = sample_point(self.arena, self.scene, q, (turn + turn / 4) % 4, numbers, |part| {
                 luminance(self.lights[part as usize].radiosity)
             });

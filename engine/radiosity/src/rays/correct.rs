@@ -5,17 +5,11 @@ use super::{MAX_PARTS, MisHeuristic, RaySample, Rays, part_count};
 use crate::arena::Arena;
 use crate::element::Element;
 use crate::gather::{ElementLights, FROM_ELEMENTS};
+use crate::tuning::{CHANCE_VARIANCES, MAX_RAY_SCALE, ROUGH_ERROR};
 use femc_field::{Harmonics, NONE};
 use femc_math::Rgb;
 use femc_math::color::luminance;
 use rayon::prelude::*;
-
-/// Squared difference, in units of its variance, that counts as chance if links may have the error [`ROUGH_ERROR`] or more. For
-/// more exact links it is larger, because a difference is then less likely their fault.
-const CHANCE_VARIANCES: f32 = 4.0;
-const ROUGH_ERROR: f32 = 0.3;
-/// Maximum factor for the links' light. Light that rays find beyond that is added.
-const MAX_SCALE: f32 = 4.0;
 
 /// Result of the comparison with rays.
 pub struct RayCorrection {
@@ -118,7 +112,7 @@ impl PartSums {
             let less = if before > 0.0 { (1.0 + change / before).max(0.0) } else { 1.0 };
             return LightEstimate { scale: scale * less, extra: above.extra * less, bright, own_share: own };
         }
-        let room = (MAX_SCALE - scale).max(0.0) * self.links;
+        let room = (MAX_RAY_SCALE - scale).max(0.0) * self.links;
         let scaled = if self.links > 0.0 { scale + change.min(room) / self.links } else { scale };
         let more = (change - room).max(0.0) / (self.area * luminance(self.color)).max(f32::MIN_POSITIVE);
         LightEstimate { scale: scaled, extra: above.extra + self.color * more, bright, own_share: own }
@@ -257,7 +251,7 @@ impl LightEstimate {
         let above = Self { bright: whole.bright(self.bright), own_share: whole.own_share(self.own_share), ..self };
         let known: Vec<Self> = parts.iter().map(|part| part.estimate(&above, chance)).collect();
         let together: f32 = parts.iter().zip(&known).map(|(part, known)| part.light(known)).sum();
-        let more = (whole.light(&self) / together.max(f32::MIN_POSITIVE)).min(MAX_SCALE);
+        let more = (whole.light(&self) / together.max(f32::MIN_POSITIVE)).min(MAX_RAY_SCALE);
         let of = |(part, known): (&PartSums, Self)| Self {
             scale: known.scale * more,
             extra: known.extra * more,

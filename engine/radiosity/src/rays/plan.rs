@@ -5,21 +5,13 @@ use super::{Aims, MAX_PARTS, NO_PART, RayHit, RayHits, Rays, part_count};
 use crate::arena::Arena;
 use crate::gather::ElementLights;
 use crate::scene::Scene;
+use crate::tuning::{EXTRA_RAYS_RATIO, RAYS_PER_PART, TOTAL_RAYS, TOTAL_RAYS_FOR_PORTALS};
 use crate::visibility::VisibilityTester;
 use femc_field::{NONE, SurfaceSpot};
 use femc_math::color::luminance;
 use femc_math::glam::Vec3A;
 use rayon::prelude::*;
 use std::ops::Range;
-
-/// Minimum and maximum number of rays from each part of a leaf, and the total number of rays if the number per part is between
-/// these.
-const RAYS_PER_PART: [usize; 2] = [8, 1024];
-const TOTAL_RAYS: usize = 1 << 16;
-/// Total number of rays if few rays have found portals, so that each leaf measures their light with its own rays.
-const TOTAL_RAYS_FOR_PORTALS: usize = 4 * TOTAL_RAYS;
-/// Number of additional rays, distributed among the leaves by the light that they send, relative to the other rays.
-const EXTRA_RAYS_RATIO: f32 = 1.0;
 
 /// Plan for casting rays: the number of rays from each leaf.
 #[derive(Clone, Debug)]

@@ -5,6 +5,7 @@ use super::{NO_PART, RayHit, part_count};
 use crate::arena::Arena;
 use crate::element::Element;
 use crate::scene::{SHUTTER_TIME, Scene, diffuse_albedos};
+use crate::tuning::MAX_CLEAR_SURFACES;
 use crate::visibility::{RandomNumbers, VisibilityTester};
 use femc_field::{NONE, SurfaceSpot};
 use femc_geometry::{Ray, offset_origin};
@@ -102,7 +103,7 @@ pub(super) fn trace_ray(
         time: SHUTTER_TIME,
     };
     let (mut share, mut is_bent, mut is_turned, mut is_inside) = (1.0f32, false, false, false);
-    for _ in 0..=crate::visibility::MAX_CLEAR_SURFACES {
+    for _ in 0..=MAX_CLEAR_SURFACES {
         tester.rays += 1;
         let hit = prepared.world.intersect(&ray);
         let length = hit.as_ref().map_or(f32::INFINITY, |hit| hit.t);

@@ -5,22 +5,13 @@ use crate::gather::FROM_LAMPS;
 use crate::lamps::{LampLink, LampLinkDecision};
 use crate::link::{Link, LinkDecision, Oracle};
 use crate::scene::SHUTTER_TIME;
+use crate::tuning::{IRRADIANCE_FLOOR, MIN_AREA_SHARE, MIN_LINK_MEMORY, MIN_VOLUME_SHARE, UNIT_SHARE};
 use crate::visibility::VisibilityTester;
 use femc_field::{Harmonics, NONE, SurfaceSpot};
 use femc_math::Rgb;
 use femc_math::color::luminance;
 use rayon::prelude::*;
 use std::sync::atomic::Ordering;
-
-/// Share of the mean irradiance that is added to an element's when a link's error is judged.
-const IRRADIANCE_FLOOR: f32 = 0.03;
-/// Minimum limit for the bytes of links, even if elements and links have a smaller limit.
-const MIN_MEMORY: usize = 1 << 20;
-/// Minimum area, and minimum volume of fog, of an element that may be split: shares of the total, divided by the error.
-const MIN_AREA_SHARE: f32 = 1e-4;
-const MIN_VOLUME_SHARE: f32 = 1e-5;
-/// Share of all surfaces' area, or of the fog's volume, of an element that may have exactly the requested error.
-const UNIT_SHARE: f32 = 1e-3;
 
 impl Solver<'_> {
     /// Returns the mean irradiance of all surfaces, by luminance, lx.
@@ -107,7 +98,7 @@ impl Solver<'_> {
             min_area: area * MIN_AREA_SHARE * self.options.error,
             min_volume: volume * MIN_VOLUME_SHARE * self.options.error,
             element_budget_exhausted: self.state.bytes(links) > self.options.memory,
-            link_budget_exhausted: links > self.options.memory.max(MIN_MEMORY) / size_of::<Link>(),
+            link_budget_exhausted: links > self.options.memory.max(MIN_LINK_MEMORY) / size_of::<Link>(),
         }
     }
 

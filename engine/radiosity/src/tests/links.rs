@@ -176,7 +176,7 @@ fn without_memory_links_stay_inexact() {
 
 /// A black screen, a pane that lets 60 % through, and fog in a box of 1 m.
 #[test]
-fn visibility_stops_at_screens_and_is_attenuated_by_panes_and_fog() {
+fn screens_stop_light_and_panes_and_fog_attenuate_it() {
     let wall = |x: f64| face(&[[x, -1.0, -1.0], [x, 1.0, -1.0], [x, 1.0, 1.0], [x, -1.0, 1.0]]);
     let text = format!(
         "medium haze =\n  sigma_s 0.5\nmbox haze 4 -1 -1 5 1 1\n\

@@ -1,5 +1,6 @@
 //! Data of a prepared frame for the solver: sides of surfaces, their reflectance, and the bounds of the fog.
 
+use crate::tuning::{FAR_FREE_PATHS, OPEN_RAYS};
 use femc_field::{Form, NONE, Side, Surface};
 use femc_geometry::Ray;
 use femc_math::Rgb;
@@ -125,9 +126,6 @@ impl<'a> Scene<'a> {
 /// Direction halfway between the normal and grazing, by solid angle.
 pub const MEAN_DIRECTION: Vec3A = Vec3A::new(0.866_025_4, 0.0, 0.5);
 
-/// Number of free paths beyond the surfaces to which the fog is extended.
-const FAR_FREE_PATHS: f32 = 2.0;
-
 /// Returns a box around the fog that scatters: around all surfaces, and in open directions extended by the range of light in the
 /// fog.
 fn fog_bounds(prepared: &Prepared) -> Option<[Vec3A; 2]> {
@@ -151,7 +149,6 @@ fn fog_bounds(prepared: &Prepared) -> Option<[Vec3A; 2]> {
 
 /// Checks whether most rays along an axis leave the scene.
 fn is_open(prepared: &Prepared, axis: usize, outward: f32) -> bool {
-    const RAYS: u32 = 64;
     let bounds = prepared.world.bounds();
     let mut dir = Vec3A::ZERO;
     dir[axis] = outward;
@@ -163,5 +160,5 @@ fn is_open(prepared: &Prepared, axis: usize, outward: f32) -> bool {
         let origin = bounds.min + bounds.size() * place;
         !prepared.world.occluded(&Ray { origin, dir, t_max: f32::INFINITY, time: SHUTTER_TIME })
     };
-    (0..RAYS).filter(leaves).count() as u32 > RAYS / 2
+    (0..OPEN_RAYS).filter(leaves).count() as u32 > OPEN_RAYS / 2
 }

@@ -10,11 +10,8 @@
 //!
 //! `cargo run --release -p femc-tests --example first_pass -- errors`
 
-use femc_pipeline::radiosity::{RAY_ROUNDS, SolveOptions, solve};
-use femc_pipeline::{
-    Method, SceneSource, Settings, apply_first_pass_hits, begin_first_pass, first_pass_world, prepare_first_pass_rays,
-    prepare_frame,
-};
+use femc_pipeline::radiosity::{SolveOptions, solve};
+use femc_pipeline::{BlockPhase, Method, SceneSource, Settings, first_pass_world, prepare_frame, solver};
 use femc_tests::clock::processor_seconds;
 use femc_tests::closed_forms::{Case, SolvedScene, all_cases, relative_errors};
 use femc_tests::fog_light::{self, FogComparison, compare_points, compare_rays};
@@ -147,19 +144,22 @@ fn steps(path: &Path) -> Result<(), Box<dyn Error>> {
         }
         clock = now;
     };
-    let mut state = begin_first_pass(&world, Method::Femc, &cancel)?;
+    let solver = solver(Method::Femc);
+    let begun = solver.begin(&world, &cancel)?;
+    let links = begun.encode_links();
+    let mut casting = begun.before_rays(&world, Vec::new())?;
     took("elements and links");
-    let mut guides = Vec::new();
-    for _ in 0..RAY_ROUNDS {
-        let casting = prepare_first_pass_rays(state, &world, Method::Femc, guides);
-        let hits = vec![casting.cast(&world, 0, 1)];
+    for _ in 0..solver.phases().rounds {
+        let rays = casting.cast(&world, 0, 1);
         took("rays");
-        let corrected =
-            apply_first_pass_hits(&casting, &world, Method::Femc, hits, &cancel)?.ok_or("rays of other elements")?;
+        let hits = vec![solver.decode_block(BlockPhase::Rays, &rays)?];
+        let corrected = casting.apply(&world, hits, &cancel)?.ok_or("rays of other elements")?;
         took("what rays have met is taken in, and portals are found");
-        guides = vec![corrected.guides(&world, 0, 1)];
+        let guides = corrected.guides(&world, 0, 1);
         took("where light comes from");
-        state = corrected.state().clone();
+        let next = solver.decode(&world, &corrected.encode_elements(), &links)?;
+        casting = next.before_rays(&world, vec![solver.decode_block(BlockPhase::Guides, &guides)?])?;
+        took("bytes between steps");
     }
     let whole: f64 = rows.iter().map(|row| row.1).sum();
     println!("step\tprocessor seconds\tshare");

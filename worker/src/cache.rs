@@ -19,7 +19,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use femc_metrics::{Counter, Page};
 use femc_model::{Artifact, Digest, Failure, JobSpec};
-use femc_pipeline::{CastingState, CorrectedState, Field, FrameKey, Layer, LayerPlan, Prepared, SceneSource, Settings};
+use femc_pipeline::{Field, FrameKey, GuideState, Layer, LayerPlan, Prepared, RayState, SceneSource, Settings};
 use femc_proto::Client;
 use femc_scene::Scene;
 
@@ -75,8 +75,8 @@ struct CacheInner {
     scaled_fields: LruCache<(Digest, u32), Arc<Field>>,
     /// Solver states of unfinished first passes, by their input artifacts: `states_before_rays` before the rays,
     /// `states_after_rays` after them.
-    states_before_rays: LruCache<Digest, Arc<CastingState>>,
-    states_after_rays: LruCache<Digest, Arc<CorrectedState>>,
+    states_before_rays: LruCache<Digest, Arc<dyn RayState>>,
+    states_after_rays: LruCache<Digest, Arc<dyn GuideState>>,
     pieces: PieceCache,
 }
 
@@ -280,18 +280,18 @@ impl Cache {
     pub(crate) fn state_before_rays(
         &self,
         artifacts: &[Artifact],
-        make: impl FnOnce() -> Result<CastingState, Failure>,
-    ) -> Result<Arc<CastingState>, Failure> {
-        self.0.states_before_rays.get_or(combined_digest(artifacts), || make().map(Arc::new))
+        make: impl FnOnce() -> Result<Arc<dyn RayState>, Failure>,
+    ) -> Result<Arc<dyn RayState>, Failure> {
+        self.0.states_before_rays.get_or(combined_digest(artifacts), make)
     }
 
     /// Returns the state of a first pass after its rays, by the artifacts that it is made of.
     pub(crate) fn state_after_rays(
         &self,
         artifacts: &[Artifact],
-        make: impl FnOnce() -> Result<CorrectedState, Failure>,
-    ) -> Result<Arc<CorrectedState>, Failure> {
-        self.0.states_after_rays.get_or(combined_digest(artifacts), || make().map(Arc::new))
+        make: impl FnOnce() -> Result<Arc<dyn GuideState>, Failure>,
+    ) -> Result<Arc<dyn GuideState>, Failure> {
+        self.0.states_after_rays.get_or(combined_digest(artifacts), make)
     }
 
     fn load_scene(&self, spec: &JobSpec, client: &Client, fetch: &Fetcher) -> Result<LoadedScene, Failure> {

@@ -3,31 +3,19 @@
 use crate::preparation::frame_spec;
 use crate::render::RenderError;
 use crate::settings::{Method, Settings};
+use crate::solver::solver;
 use femc_field::{Field, SolveStatistics};
 use femc_prepared::{PrepareError, Prepared, SceneSource};
-use femc_radiosity::{Solution, SolveOptions, SolveReport};
+use femc_radiosity::{Solution, SolveReport};
 use femc_scene::FrameKey;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
-
-/// Maximum error of a link if the solution guides paths. Such a solution need not be exact; it only has to know where light comes
-/// from.
-const GUIDING_ERROR: f32 = 1.0;
-
-/// Returns the accuracy, limits and purpose of all solutions of a method.
-pub(crate) fn solver_options(method: Method) -> SolveOptions {
-    match method {
-        Method::Femc => SolveOptions { error: GUIDING_ERROR, guides: true, ..SolveOptions::default() },
-        Method::Auto | Method::Pt | Method::Fem => SolveOptions::default(),
-    }
-}
 
 /// Solves the finite-element first pass of a prepared frame. Returns its light and a report of the work. The result depends only on
 /// the inputs of the digest [`first_pass_key`].
 /// - errors: `cancel` was set, or the solution cannot be trusted.
 pub fn solve_first_pass(prepared: &Prepared, method: Method, cancel: &AtomicBool) -> Result<Solution, RenderError> {
-    let solution =
-        femc_radiosity::solve(prepared, &solver_options(method), cancel).map_err(|_| RenderError::Cancelled)?;
+    let solution = solver(method).solve(prepared, cancel)?;
     solution.verify(prepared)?;
     Ok(solution)
 }
@@ -55,13 +43,10 @@ pub fn scale_field(field: Arc<Field>, brightness: f32) -> Arc<Field> {
 /// - `blocks`: value of [`first_pass_blocks`](crate::first_pass_blocks). It changes no bit of the solution, but frames that share
 ///   the solution also share the tasks that compute it.
 pub fn first_pass_key(frame_key: &FrameKey, method: Method, blocks: u32) -> [u8; 32] {
-    let SolveOptions { error, memory, guides } = solver_options(method);
     let mut hasher = blake3::Hasher::new();
     hasher.update(b"femc first pass 4");
     hasher.update(&frame_key.light.0);
-    hasher.update(&error.to_bits().to_le_bytes());
-    hasher.update(&(memory as u64).to_le_bytes());
-    hasher.update(&[u8::from(guides)]);
+    hasher.update(&solver(method).key());
     if blocks > 1 {
         hasher.update(&blocks.to_le_bytes());
     }

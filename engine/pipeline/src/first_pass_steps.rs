@@ -1,20 +1,14 @@
-//! The first pass as many tasks: the steps of [`femc_radiosity`] with a method's options, and the number of blocks.
+//! The first pass as many tasks: the stages of a solver's steps ([`Solver`](crate::Solver)), and the number
+//! of blocks.
 //!
 //! One task solves a small scene. For larger scenes, rays and guides are computed in blocks, which are separate tasks. One task
 //! does the steps between. The result is the same to the bit.
 
-use crate::first_pass::solver_options;
-use crate::render::RenderError;
 use crate::settings::Method;
+use crate::solver::{SolverPhases, solver};
 use crate::stage::graph_of;
 use femc_graph::{Graph, Loop, Need, Reach, Role, Scope, StageKind, StageTemplate, TaskSizes};
-use femc_prepared::Prepared;
-use femc_radiosity::{BlockGuides, CastingState, CorrectedState, RayHits, SolverState};
 use femc_scene::Scene;
-use std::sync::atomic::AtomicBool;
-
-/// Number of times that rays are cast.
-const ROUNDS: u32 = femc_radiosity::RAY_ROUNDS;
 
 /// Number of surfaces of a block, and maximum number of blocks.
 const SURFACES_PER_BLOCK: u64 = 64;
@@ -74,16 +68,17 @@ fn first_pass_stages(method: Method, blocks: u32) -> Vec<StageTemplate> {
         |kind, tasks, outputs: &[Role]| StageTemplate::new(kind, Scope::Content, TaskSizes::even(tasks, 1), outputs);
     let one = |outputs: &[Role]| of(StageKind::FirstPass, 1, outputs);
     let block = |outputs: &[Role]| of(StageKind::FirstPassBlock, blocks, outputs);
+    let SolverPhases { rounds, has_guides } = solver(method).phases();
     let mut all = vec![one(&[Role::Elements, Role::Links])];
     // Stages that make the latest elements and guides.
     let (mut elements, mut guides) = (0, None);
-    for round in 1..=ROUNDS {
+    for round in 1..=rounds {
         let begin = |stage: StageTemplate| {
             let stage = stage.with_input(elements, Role::Elements, Reach::All).with_input(0, Role::Links, Reach::All);
             if let Some(guides) = guides { stage.with_input(guides, Role::Guides, Reach::All) } else { stage }
         };
         let rays = all.len() as u16;
-        let is_end = round == ROUNDS && !solver_options(method).guides;
+        let is_end = round == rounds && !has_guides;
         let settle = begin(one(if is_end { &[Role::Field] } else { &[Role::Elements] }));
         all.push(begin(block(&[Role::Rays])));
         all.push(settle.with_input(rays, Role::Rays, Reach::All));
@@ -91,13 +86,13 @@ fn first_pass_stages(method: Method, blocks: u32) -> Vec<StageTemplate> {
             break;
         }
         elements = rays + 1;
-        if !solver_options(method).guides {
+        if !has_guides {
             continue;
         }
         guides = Some(rays + 2);
         let guide = block(&[Role::Guides]).with_input(elements, Role::Elements, Reach::All);
         all.push(guide.with_input(0, Role::Links, Reach::All).with_input(rays, Role::Rays, Reach::All));
-        if round == ROUNDS {
+        if round == rounds {
             let end = one(&[Role::Field]).with_input(elements, Role::Elements, Reach::All);
             all.push(end.with_input(0, Role::Links, Reach::All).with_input(rays + 2, Role::Guides, Reach::All));
         }
@@ -105,42 +100,15 @@ fn first_pass_stages(method: Method, blocks: u32) -> Vec<StageTemplate> {
     all
 }
 
-/// Creates all elements and links of a prepared frame, as the first step.
-/// - errors: `cancel` was set.
-pub fn begin_first_pass(prepared: &Prepared, method: Method, cancel: &AtomicBool) -> Result<SolverState, RenderError> {
-    SolverState::new(prepared, &solver_options(method), cancel).map_err(|_| RenderError::Cancelled)
-}
-
-/// Prepares the state for casting rays.
-/// - `guides`: results of the blocks of the round before, in order; none before the first rays.
-pub fn prepare_first_pass_rays(
-    state: SolverState,
-    prepared: &Prepared,
-    method: Method,
-    guides: Vec<BlockGuides>,
-) -> CastingState {
-    state.plan_rays(prepared, &solver_options(method), guides)
-}
-
-/// Applies the ray hits of all blocks, in order.
-/// - returns `None` if the hits belong to other elements;
-/// - errors: `cancel` was set.
-pub fn apply_first_pass_hits(
-    state: &CastingState,
-    prepared: &Prepared,
-    method: Method,
-    hits: Vec<RayHits>,
-    cancel: &AtomicBool,
-) -> Result<Option<CorrectedState>, RenderError> {
-    state.apply_hits(prepared, &solver_options(method), hits, cancel).map_err(|_| RenderError::Cancelled)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::solver::{BlockOutput, BlockPhase};
     use crate::{job_graph, tiles_per_group};
     use femc_film::Tiling;
     use femc_graph::{Round, tag};
+    use femc_prepared::Prepared;
+    use std::sync::atomic::AtomicBool;
 
     #[test]
     fn blocks_are_leading_stages_and_tiles_read_the_last_output() {
@@ -208,31 +176,34 @@ m gray\nf a b c d\nf e f g h\nsph i 0.3\nm bright\nsph j 0.2\n";
 
     /// Runs all steps. Each step receives only the bytes of the steps before.
     fn solve_in_steps(prepared: &Prepared, method: Method, blocks: u32) -> Vec<u8> {
-        let begun = begin_first_pass(prepared, method, &CANCEL).unwrap();
+        let solver = solver(method);
+        let begun = solver.begin(prepared, &CANCEL).unwrap();
         let (mut elements, links) = (begun.encode_elements(), begun.encode_links());
-        let read = |elements: &[u8]| SolverState::decode(prepared, elements, &links).unwrap();
+        let linked = |elements: &[u8]| solver.decode(prepared, elements, &links).unwrap();
+        let decode = |phase: BlockPhase, outputs: &[Vec<u8>]| -> Vec<BlockOutput> {
+            outputs.iter().map(|bytes| solver.decode_block(phase, bytes).unwrap()).collect()
+        };
         let mut guides: Vec<Vec<u8>> = Vec::new();
-        for round in 0..ROUNDS {
-            let aimed = || {
-                let found = guides.iter().map(|bytes| BlockGuides::decode(bytes).unwrap()).collect();
-                prepare_first_pass_rays(read(&elements), prepared, method, found)
-            };
+        let SolverPhases { rounds, has_guides } = solver.phases();
+        for round in 0..rounds {
+            let aimed = || linked(&elements).before_rays(prepared, decode(BlockPhase::Guides, &guides)).unwrap();
             let before = aimed();
-            let rays: Vec<Vec<u8>> = (0..blocks).map(|block| before.cast(prepared, block, blocks).encode()).collect();
-            let sights = || rays.iter().map(|bytes| RayHits::decode(bytes).unwrap()).collect::<Vec<_>>();
-            let swapped = sights().into_iter().rev().collect::<Vec<_>>();
+            let rays: Vec<Vec<u8>> = (0..blocks).map(|block| before.cast(prepared, block, blocks)).collect();
+            let hits = || decode(BlockPhase::Rays, &rays);
+            let swapped = hits().into_iter().rev().collect();
             if round == 0 && blocks == 3 && begun.report().elements > 0 {
-                assert!(apply_first_pass_hits(&aimed(), prepared, method, swapped, &CANCEL).unwrap().is_none());
+                assert!(aimed().apply(prepared, swapped, &CANCEL).unwrap().is_none());
+                let guides = vec![BlockOutput::new(())];
+                assert!(linked(&elements).before_rays(prepared, guides).is_err(), "outputs of another solver");
             }
-            let settled = apply_first_pass_hits(&aimed(), prepared, method, sights(), &CANCEL).unwrap().unwrap();
-            elements = settled.state().encode_elements();
-            if solver_options(method).guides {
-                let after = read(&elements).with_hits(sights()).unwrap();
-                guides = (0..blocks).map(|block| after.guides(prepared, block, blocks).encode()).collect();
+            let settled = aimed().apply(prepared, hits(), &CANCEL).unwrap().unwrap();
+            elements = settled.encode_elements();
+            if has_guides {
+                let after = linked(&elements).after_rays(hits()).unwrap();
+                guides = (0..blocks).map(|block| after.guides(prepared, block, blocks)).collect();
             }
         }
-        let found = guides.iter().map(|bytes| BlockGuides::decode(bytes).unwrap()).collect();
-        crate::encode_solution(&read(&elements).solution(prepared, found))
+        crate::encode_solution(&linked(&elements).solution(prepared, decode(BlockPhase::Guides, &guides)).unwrap())
     }
 
     #[test]
@@ -249,24 +220,26 @@ m gray\nf a b c d\nf e f g h\nsph i 0.3\nm bright\nsph j 0.2\n";
     #[test]
     fn what_is_damaged_or_of_another_world_is_refused() {
         let [one, other] = [SCENE.to_owned(), SCENE.replace("f e f g h\n", "")].map(|text| prepare_scene(&text));
-        let begun = begin_first_pass(&one, Method::Femc, &CANCEL).unwrap();
+        let solver = solver(Method::Femc);
+        let begun = solver.begin(&one, &CANCEL).unwrap();
         let (elements, links) = (begun.encode_elements(), begun.encode_links());
-        let aimed = prepare_first_pass_rays(begun, &one, Method::Femc, Vec::new());
+        let aimed = begun.before_rays(&one, Vec::new()).unwrap();
         let rays = aimed.cast(&one, 0, 1);
-        let settled = apply_first_pass_hits(&aimed, &one, Method::Femc, vec![rays.clone()], &CANCEL).unwrap().unwrap();
-        let (rays, guides) = (rays.encode(), settled.guides(&one, 0, 1).encode());
-        let small = begin_first_pass(&other, Method::Femc, &CANCEL).unwrap();
+        let hits = |bytes: &[u8]| solver.decode_block(BlockPhase::Rays, bytes);
+        let settled = aimed.apply(&one, vec![hits(&rays).unwrap()], &CANCEL).unwrap().unwrap();
+        let guides = settled.guides(&one, 0, 1);
+        let small = solver.begin(&other, &CANCEL).unwrap();
         let [others, links_of_others] = [small.encode_elements(), small.encode_links()];
-        assert!(SolverState::decode(&other, &elements, &links).is_err());
-        assert!(SolverState::decode(&other, &others, &links).is_err());
-        assert!(SolverState::decode(&one, &elements, &links_of_others).is_err());
-        assert!(SolverState::decode(&one, &links, &links).is_err() && RayHits::decode(&guides).is_err());
-        assert!(small.with_hits(vec![RayHits::decode(&rays).unwrap()]).is_err());
+        assert!(solver.decode(&other, &elements, &links).is_err());
+        assert!(solver.decode(&other, &others, &links).is_err());
+        assert!(solver.decode(&one, &elements, &links_of_others).is_err());
+        assert!(solver.decode(&one, &links, &links).is_err() && hits(&guides).is_err());
+        assert!(small.after_rays(vec![hits(&rays).unwrap()]).is_err());
         for cut in [1, 2, 9, 101, usize::MAX] {
             let of = |bytes: &[u8]| bytes[..bytes.len().saturating_sub(cut)].to_vec();
-            assert!(SolverState::decode(&one, &of(&elements), &links).is_err());
-            assert!(SolverState::decode(&one, &elements, &of(&links)).is_err());
-            assert!(RayHits::decode(&of(&rays)).is_err() && BlockGuides::decode(&of(&guides)).is_err());
+            assert!(solver.decode(&one, &of(&elements), &links).is_err());
+            assert!(solver.decode(&one, &elements, &of(&links)).is_err());
+            assert!(hits(&of(&rays)).is_err() && solver.decode_block(BlockPhase::Guides, &of(&guides)).is_err());
         }
     }
 

@@ -19,6 +19,7 @@ mod render;
 pub mod replay;
 mod round;
 mod settings;
+mod solver;
 mod stage;
 mod statistics;
 pub mod variance_attribution;
@@ -27,18 +28,12 @@ pub use allocation::{AllocationError, SampleAllocation};
 pub use femc_field::{Field, FieldError, Form, Side, SolveStatistics as FirstPassStatistics};
 pub use femc_layers::{Feature, Layer, LayerError, Preset, cryptomatte};
 pub use femc_prepared::{PrepareError, Prepared, SceneSource};
-pub use femc_radiosity::{
-    self as radiosity, BlockGuides, CastingState, CorrectedState, RayHits, Solution, SolveReport as FirstPassReport,
-    SolverState, StepDecodeError,
-};
+pub use femc_radiosity::{self as radiosity, Solution, SolveReport as FirstPassReport, StepDecodeError};
 pub use femc_scene::FrameKey;
 pub use first_pass::{
     FieldMismatch, attach_first_pass, encode_solution, first_pass_key, first_pass_world, scale_field, solve_first_pass,
 };
-pub use first_pass_steps::{
-    apply_first_pass_hits, begin_first_pass, count_surfaces, first_pass_blocks, planned_first_pass_blocks,
-    prepare_first_pass_rays, split_first_pass,
-};
+pub use first_pass_steps::{count_surfaces, first_pass_blocks, planned_first_pass_blocks, split_first_pass};
 pub use in_process::{RenderedFrame, RoundEnd, render_frame, render_rounds};
 pub use layers::{
     DarkLayer, FeaturePlan, LayerPlan, cryptomatte_collisions, dark_layers, feature_channels, feature_layout,
@@ -55,5 +50,6 @@ pub const BUILD: &str = env!("FEMC_ENGINE");
 pub use femc_paths as paths;
 pub use round::{RoundVerdict, UNLIT_SPP};
 pub use settings::{Method, Settings, SettingsError, StopCondition};
+pub use solver::{BlockOutput, BlockPhase, GuideState, LinkedState, RayState, Solver, SolverPhases, solver};
 pub use stage::{job_graph, tiles_per_group, with_layers, with_statistics};
 pub use statistics::StatisticsPlan;

@@ -22,10 +22,10 @@ use femc_model::{
 };
 use femc_pipeline::paths::histogram::{Histograms, Table};
 use femc_pipeline::paths::{FrameStatistics, LightStatistics};
-use femc_pipeline::radiosity::SolveOptions;
+use femc_pipeline::radiosity::{BlockGuides, RayHits, SolveOptions, SolverState};
 use femc_pipeline::{
-    BlockGuides, Field, Layer, LayerPlan, Outputs, Prepared, Preset, RayHits, RenderTask, SceneSource, Settings, Side,
-    SolverState, StatisticsPlan, StopCondition, encode_solution, prepare_world, solve_first_pass,
+    Field, Layer, LayerPlan, Outputs, Prepared, Preset, RenderTask, SceneSource, Settings, Side, StatisticsPlan,
+    StopCondition, encode_solution, prepare_world, solve_first_pass,
 };
 use femc_schedule::{Fact, Ledger, decode_attempts, encode_attempts};
 use femc_stylize::{Brushwork, ChannelImage, Example};

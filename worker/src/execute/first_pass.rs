@@ -22,6 +22,7 @@ pub(crate) fn first_pass(task: &Task, stage: &StageTemplate, tools: &Tools) -> R
     }
     let frame_key = loaded.frame_key(frame)?;
     let method = loaded.settings.method;
+    let solver = femc_pipeline::solver(method);
     let key = femc_pipeline::first_pass_key(&frame_key, method, first_pass_steps::blocks(&spec.graph));
     if spec.content_key(0) != Some(Digest::from_bytes(key)) {
         return Err(settings_failure("the content of the job does not match its key"));
@@ -31,14 +32,14 @@ pub(crate) fn first_pass(task: &Task, stage: &StageTemplate, tools: &Tools) -> R
     tracing::debug!(frame, seconds = watch.seconds(), "the world is ready");
     task.set_phase(Phase::Working);
     if stage.needs.is_empty() {
-        let needs = femc_pipeline::radiosity::min_solve_bytes(&prepared);
+        let needs = solver.min_bytes(&prepared);
         let surfaces = femc_pipeline::count_surfaces(&prepared.scene);
         let what = format!("the first pass of {surfaces} surfaces (--method pt needs none)");
         tools.memory.check_room(needs, &what)?;
     }
     let solving = Stopwatch::start();
     if !stage.needs.is_empty() || !stage.outputs.contains(&Role::Field) {
-        let mut product = first_pass_steps::step(task, stage, tools, (method, &prepared), &solving)?;
+        let mut product = first_pass_steps::step(task, stage, tools, (&*solver, &prepared), &solving)?;
         task.units.store(1, Ordering::Relaxed);
         product.result.seconds = watch.seconds();
         return Ok(product);

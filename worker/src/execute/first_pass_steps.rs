@@ -7,7 +7,8 @@ use std::sync::Arc;
 
 use femc_model::{Artifact, Digest, Failure, Graph, Role, StageKind, StageTemplate};
 use femc_pipeline::{
-    BlockGuides, CastingState, CorrectedState, Method, Prepared, RayHits, SolverState, StepDecodeError, encode_solution,
+    BlockOutput, BlockPhase, GuideState, LinkedState, Prepared, RayState, Solution, Solver, StepDecodeError,
+    encode_solution,
 };
 use rayon::prelude::*;
 
@@ -23,8 +24,8 @@ pub(super) fn blocks(graph: &Graph) -> u32 {
     blocks.map(StageTemplate::tasks).max().unwrap_or(1)
 }
 
-/// Context of a step: the job's method and the world.
-type World<'a> = (Method, &'a Arc<Prepared>);
+/// Context of a step: the solver of the job's method, and the world.
+type World<'a> = (&'a dyn Solver, &'a Arc<Prepared>);
 
 pub(super) fn step(
     task: &Task,
@@ -38,8 +39,8 @@ pub(super) fn step(
     let reads = |role| stage.needs.iter().any(|need| need.role == role);
     let mut product = Product::default();
     if makes(Role::Links) {
-        let (method, prepared) = world;
-        let begun = tools.install(task, || femc_pipeline::begin_first_pass(prepared, method, &task.cancel));
+        let (solver, prepared) = world;
+        let begun = tools.install(task, || solver.begin(prepared, &task.cancel));
         let begun = begun.map_err(render_failure)?;
         let report = begun.report();
         tracing::debug!(
@@ -54,17 +55,19 @@ pub(super) fn step(
         product.put(stage, Role::Links, || tools.install(task, || begun.encode_links()));
     } else if makes(Role::Rays) {
         let aimed = state_before_rays(task, tools, world)?;
-        product.put(stage, Role::Rays, || tools.install(task, || aimed.cast(world.1, block, blocks).encode()));
+        product.put(stage, Role::Rays, || tools.install(task, || aimed.cast(world.1, block, blocks)));
     } else if makes(Role::Guides) {
         let settled = state_after_rays(task, tools, world)?;
-        product.put(stage, Role::Guides, || tools.install(task, || settled.guides(world.1, block, blocks).encode()));
+        product.put(stage, Role::Guides, || tools.install(task, || settled.guides(world.1, block, blocks)));
     } else if reads(Role::Rays) {
         combine_rays(task, stage, tools, world, watch, &mut product)?;
     } else if makes(Role::Field) {
         let mut lost = LostInputs::default();
         let underway = linked_state(task, tools, world, &mut lost)?;
-        let found = read_guides(task, tools, &mut lost)?;
-        write_solution(task, stage, tools, (world, watch), (&underway, found), &mut product)?;
+        let found = read_guides(task, tools, world.0, &mut lost)?;
+        let solution = tools.install(task, || underway.solution(world.1, found));
+        let solution = solution.map_err(|error| damaged(&artifacts(task, Role::Guides), error))?;
+        write_solution(task, stage, tools, (world, watch), solution, &mut product)?;
     } else {
         return Err(settings_failure("invalid job graph: unknown first-pass step"));
     }
@@ -80,20 +83,18 @@ fn combine_rays(
     watch: &Stopwatch,
     product: &mut Product,
 ) -> Result<(), Failure> {
-    let (method, prepared) = world;
+    let (solver, prepared) = world;
     let aimed = state_before_rays(task, tools, world)?;
-    let ray_hits = read_ray_hits(task, tools)?;
-    let settled =
-        tools.install(task, || femc_pipeline::apply_first_pass_hits(&aimed, prepared, method, ray_hits, &task.cancel));
+    let ray_hits = read_ray_hits(task, tools, solver)?;
+    let settled = tools.install(task, || aimed.apply(prepared, ray_hits, &task.cancel));
     let rays = artifacts(task, Role::Rays);
     let others = || Failure::LostInputs {
         digests: rays.iter().map(|artifact| artifact.digest).collect(),
         message: "the rays of the first pass belong to other elements".into(),
     };
     let settled = settled.map_err(render_failure)?.ok_or_else(others)?;
-    let (underway, report) = (settled.state(), settled.state().report());
+    let report = settled.report();
     tracing::debug!(
-        round = underway.round(),
         iterations = report.iterations,
         residual = report.residual,
         checked = report.ray_link_ratio,
@@ -102,9 +103,10 @@ fn combine_rays(
         "settled"
     );
     if stage.outputs.contains(&Role::Field) {
-        return write_solution(task, stage, tools, (world, watch), (underway, Vec::new()), product);
+        let solution = tools.install(task, || settled.solution(prepared));
+        return write_solution(task, stage, tools, (world, watch), solution, product);
     }
-    let bytes = tools.install(task, || underway.encode_elements());
+    let bytes = tools.install(task, || settled.encode_elements());
     // Later steps on this worker continue with the cached state.
     let elements = Artifact { digest: Digest::compute(&bytes), bytes: bytes.len() as u64 };
     let inputs: Vec<Artifact> = [elements].into_iter().chain(artifacts(task, Role::Links)).chain(rays).collect();
@@ -118,11 +120,10 @@ fn write_solution(
     stage: &StageTemplate,
     tools: &Tools,
     ((_, prepared), watch): (World<'_>, &Stopwatch),
-    (underway, found): (&SolverState, Vec<BlockGuides>),
+    solution: Solution,
     product: &mut Product,
 ) -> Result<(), Failure> {
     let solved = tools.install(task, || {
-        let solution = underway.solution(prepared, found);
         solution.verify(prepared)?;
         let bytes = encode_solution(&solution);
         log(&solution.report, bytes.len(), watch);
@@ -136,24 +137,25 @@ fn write_solution(
 }
 
 /// Returns the state from which the rays start.
-fn state_before_rays(task: &Task, tools: &Tools, world: World<'_>) -> Result<Arc<CastingState>, Failure> {
-    let (method, prepared) = world;
+fn state_before_rays(task: &Task, tools: &Tools, world: World<'_>) -> Result<Arc<dyn RayState>, Failure> {
+    let (solver, prepared) = world;
     tools.cache.state_before_rays(&inputs_of_roles(task, &[Role::Elements, Role::Links, Role::Guides]), || {
         let mut lost = LostInputs::default();
         let underway = linked_state(task, tools, world, &mut lost)?;
-        let found = read_guides(task, tools, &mut lost)?;
-        Ok(tools.install(task, || femc_pipeline::prepare_first_pass_rays(underway, prepared, method, found)))
+        let found = read_guides(task, tools, solver, &mut lost)?;
+        let aimed = tools.install(task, || underway.before_rays(prepared, found));
+        aimed.map_err(|error| damaged(&artifacts(task, Role::Guides), error))
     })
 }
 
 /// Returns the state from which the guides start.
-fn state_after_rays(task: &Task, tools: &Tools, world: World<'_>) -> Result<Arc<CorrectedState>, Failure> {
+fn state_after_rays(task: &Task, tools: &Tools, world: World<'_>) -> Result<Arc<dyn GuideState>, Failure> {
     let inputs = inputs_of_roles(task, &[Role::Elements, Role::Links, Role::Rays]);
     tools.cache.state_after_rays(&inputs, || {
         let mut lost = LostInputs::default();
         let underway = linked_state(task, tools, world, &mut lost)?;
-        let ray_hits = read_ray_hits(task, tools)?;
-        let settled = tools.install(task, || underway.with_hits(ray_hits));
+        let ray_hits = read_ray_hits(task, tools, world.0)?;
+        let settled = tools.install(task, || underway.after_rays(ray_hits));
         settled.map_err(|error| damaged(&artifacts(task, Role::Rays), error))
     })
 }
@@ -161,9 +163,9 @@ fn state_after_rays(task: &Task, tools: &Tools, world: World<'_>) -> Result<Arc<
 fn linked_state(
     task: &Task,
     tools: &Tools,
-    (_, prepared): World<'_>,
+    (solver, prepared): World<'_>,
     lost: &mut LostInputs,
-) -> Result<SolverState, Failure> {
+) -> Result<Box<dyn LinkedState>, Failure> {
     let [elements, links] = [Role::Elements, Role::Links].map(|role| artifacts(task, role));
     let [(elements, of_elements)] = &lost.fetch(task, &elements, tools)?[..] else {
         lost.finish()?;
@@ -175,28 +177,34 @@ fn linked_state(
         lost.finish()?;
         return Err(settings_failure("invalid job graph: a first-pass step must read the links of exactly one step"));
     };
-    let decoded = tools.install(task, || SolverState::decode(prepared, of_elements, of_links));
+    let decoded = tools.install(task, || solver.decode(prepared, of_elements, of_links));
     decoded.map_err(|error| damaged(&[*elements, *links], error))
 }
 
-fn read_guides(task: &Task, tools: &Tools, lost: &mut LostInputs) -> Result<Vec<BlockGuides>, Failure> {
-    read_outputs(task, tools, lost, Role::Guides, BlockGuides::decode)
+fn read_guides(
+    task: &Task,
+    tools: &Tools,
+    solver: &dyn Solver,
+    lost: &mut LostInputs,
+) -> Result<Vec<BlockOutput>, Failure> {
+    read_outputs(task, tools, lost, Role::Guides, |bytes| solver.decode_block(BlockPhase::Guides, bytes))
 }
 
-fn read_ray_hits(task: &Task, tools: &Tools) -> Result<Vec<RayHits>, Failure> {
-    read_outputs(task, tools, &mut LostInputs::default(), Role::Rays, RayHits::decode)
+fn read_ray_hits(task: &Task, tools: &Tools, solver: &dyn Solver) -> Result<Vec<BlockOutput>, Failure> {
+    let decode = |bytes: &[u8]| solver.decode_block(BlockPhase::Rays, bytes);
+    read_outputs(task, tools, &mut LostInputs::default(), Role::Rays, decode)
 }
 
 /// Downloads and decodes the outputs of one role from all blocks, in order. The error names all lost outputs.
-fn read_outputs<T: Send>(
+fn read_outputs(
     task: &Task,
     tools: &Tools,
     lost: &mut LostInputs,
     role: Role,
-    decode: fn(&[u8]) -> Result<T, StepDecodeError>,
-) -> Result<Vec<T>, Failure> {
+    decode: impl Fn(&[u8]) -> Result<BlockOutput, StepDecodeError> + Sync,
+) -> Result<Vec<BlockOutput>, Failure> {
     let here = lost.fetch(task, &artifacts(task, role), tools)?;
-    let decoded: Vec<Result<T, StepDecodeError>> =
+    let decoded: Vec<Result<BlockOutput, StepDecodeError>> =
         tools.install(task, || here.par_iter().map(|(_, bytes)| decode(bytes)).collect());
     let mut out = Vec::with_capacity(here.len());
     for ((artifact, _), decoded) in here.into_iter().zip(decoded) {

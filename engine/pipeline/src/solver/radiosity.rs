@@ -1,0 +1,144 @@
+//! Hierarchical radiosity as a solver.
+
+use super::{BlockOutput, BlockPhase, GuideState, LinkedState, RayState, Solver, SolverPhases};
+use crate::render::RenderError;
+use crate::settings::Method;
+use femc_prepared::Prepared;
+use femc_radiosity::{
+    BlockGuides, CastingState, CorrectedState, RAY_ROUNDS, RayHits, Solution, SolveOptions, SolveReport, SolverState,
+    StepDecodeError,
+};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+/// Maximum error of a link if the solution guides paths. Such a solution need not be exact; it only has to know where light comes
+/// from.
+const GUIDING_ERROR: f32 = 1.0;
+
+/// Hierarchical radiosity with the options of a method.
+pub(super) struct Radiosity(SolveOptions);
+
+impl Radiosity {
+    pub(super) fn new(method: Method) -> Self {
+        Self(match method {
+            Method::Femc => SolveOptions { error: GUIDING_ERROR, guides: true, ..SolveOptions::default() },
+            Method::Auto | Method::Pt | Method::Fem => SolveOptions::default(),
+        })
+    }
+}
+
+impl Solver for Radiosity {
+    fn key(&self) -> Vec<u8> {
+        let SolveOptions { error, memory, guides } = self.0;
+        let (error, memory) = (error.to_bits().to_le_bytes(), (memory as u64).to_le_bytes());
+        error.into_iter().chain(memory).chain([u8::from(guides)]).collect()
+    }
+
+    fn phases(&self) -> SolverPhases {
+        SolverPhases { rounds: RAY_ROUNDS, has_guides: self.0.guides }
+    }
+
+    fn min_bytes(&self, prepared: &Prepared) -> u64 {
+        femc_radiosity::min_solve_bytes(prepared)
+    }
+
+    fn solve(&self, prepared: &Prepared, cancel: &AtomicBool) -> Result<Solution, RenderError> {
+        femc_radiosity::solve(prepared, &self.0, cancel).map_err(|_| RenderError::Cancelled)
+    }
+
+    fn begin(&self, prepared: &Prepared, cancel: &AtomicBool) -> Result<Box<dyn LinkedState>, RenderError> {
+        let state = SolverState::new(prepared, &self.0, cancel).map_err(|_| RenderError::Cancelled)?;
+        Ok(Box::new(Linked(state, self.0)))
+    }
+
+    fn decode(
+        &self,
+        prepared: &Prepared,
+        elements: &[u8],
+        links: &[u8],
+    ) -> Result<Box<dyn LinkedState>, StepDecodeError> {
+        Ok(Box::new(Linked(SolverState::decode(prepared, elements, links)?, self.0)))
+    }
+
+    fn decode_block(&self, phase: BlockPhase, bytes: &[u8]) -> Result<BlockOutput, StepDecodeError> {
+        Ok(match phase {
+            BlockPhase::Rays => BlockOutput::new(RayHits::decode(bytes)?),
+            BlockPhase::Guides => BlockOutput::new(BlockGuides::decode(bytes)?),
+        })
+    }
+}
+
+#[derive(Debug)]
+struct Linked(SolverState, SolveOptions);
+
+impl LinkedState for Linked {
+    fn report(&self) -> SolveReport {
+        self.0.report()
+    }
+
+    fn encode_links(&self) -> Vec<u8> {
+        self.0.encode_links()
+    }
+
+    fn encode_elements(&self) -> Vec<u8> {
+        self.0.encode_elements()
+    }
+
+    fn before_rays(
+        self: Box<Self>,
+        prepared: &Prepared,
+        guides: Vec<BlockOutput>,
+    ) -> Result<Arc<dyn RayState>, StepDecodeError> {
+        let Self(state, options) = *self;
+        Ok(Arc::new(Casting(state.plan_rays(prepared, &options, BlockOutput::unwrap_all(guides)?), options)))
+    }
+
+    fn after_rays(self: Box<Self>, rays: Vec<BlockOutput>) -> Result<Arc<dyn GuideState>, StepDecodeError> {
+        Ok(Arc::new(Corrected(self.0.with_hits(BlockOutput::unwrap_all(rays)?)?)))
+    }
+
+    fn solution(&self, prepared: &Prepared, guides: Vec<BlockOutput>) -> Result<Solution, StepDecodeError> {
+        Ok(self.0.solution(prepared, BlockOutput::unwrap_all(guides)?))
+    }
+}
+
+#[derive(Debug)]
+struct Casting(CastingState, SolveOptions);
+
+impl RayState for Casting {
+    fn cast(&self, prepared: &Prepared, block: u32, blocks: u32) -> Vec<u8> {
+        self.0.cast(prepared, block, blocks).encode()
+    }
+
+    fn apply(
+        &self,
+        prepared: &Prepared,
+        rays: Vec<BlockOutput>,
+        cancel: &AtomicBool,
+    ) -> Result<Option<Arc<dyn GuideState>>, RenderError> {
+        let Ok(hits) = BlockOutput::unwrap_all(rays) else { return Ok(None) };
+        let applied = self.0.apply_hits(prepared, &self.1, hits, cancel).map_err(|_| RenderError::Cancelled)?;
+        Ok(applied.map(|corrected| -> Arc<dyn GuideState> { Arc::new(Corrected(corrected)) }))
+    }
+}
+
+#[derive(Debug)]
+struct Corrected(CorrectedState);
+
+impl GuideState for Corrected {
+    fn guides(&self, prepared: &Prepared, block: u32, blocks: u32) -> Vec<u8> {
+        self.0.guides(prepared, block, blocks).encode()
+    }
+
+    fn report(&self) -> SolveReport {
+        self.0.state().report()
+    }
+
+    fn encode_elements(&self) -> Vec<u8> {
+        self.0.state().encode_elements()
+    }
+
+    fn solution(&self, prepared: &Prepared) -> Solution {
+        self.0.state().solution(prepared, Vec::new())
+    }
+}

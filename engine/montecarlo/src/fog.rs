@@ -381,7 +381,7 @@ f e f g h
     }
 
     #[test]
-    fn free_flights_follow_their_density_and_their_weights_are_the_transmittance() {
+    fn free_flights_follow_their_density_and_weigh_transmittance() {
         let scene = prepare(SCENE);
         let mut fixture = Fixture::new(&scene);
         let (mut distances, mut through) = (Vec::new(), [Moments::default(); 3]);

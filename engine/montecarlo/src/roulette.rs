@@ -123,7 +123,7 @@ mod tests {
     }
 
     #[test]
-    fn short_paths_survive_and_heavy_ones_survive_until_they_are_long() {
+    fn short_paths_survive_and_heavy_ones_until_they_are_long() {
         for has_media in [false, true] {
             assert_eq!(probability(has_media, RR_MIN_RAYS - 1, 1e-9, Some(0.0)), None);
             for rays in RR_MIN_RAYS..=LONG_PATH {
@@ -148,7 +148,7 @@ mod tests {
     }
 
     #[test]
-    fn a_field_cannot_lower_the_probability_below_its_bound_nor_raise_it_above_one() {
+    fn the_probability_by_a_field_stays_between_its_bounds() {
         for (rays, weight) in [4, 100].into_iter().flat_map(|rays| WEIGHTS.map(|weight| (rays, weight))) {
             let by_weight = probability(false, rays, weight, None).expect("a path that may end");
             for survival in SURVIVALS.into_iter().flatten() {

@@ -199,7 +199,7 @@ f s t u
     }
 
     #[test]
-    fn sides_agree_where_both_normals_see_a_direction_on_the_same_side() {
+    fn sides_agree_where_both_normals_see_a_direction_alike() {
         let scene = prepare(SCENE);
         let rays = [
             ray(&scene, [-4.0, 0.0, 0.1], [1.0, 0.0, 0.0]),

@@ -44,7 +44,7 @@ mod tests {
     }
 
     #[test]
-    fn a_technique_without_rivals_has_all_the_weight_and_an_infinite_rival_leaves_none() {
+    fn no_rival_leaves_all_the_weight_and_an_infinite_one_none() {
         assert_eq!(mis_weight(None, MisTechnique::Light, 0.0), 1.0);
         assert_eq!(mis_weight(None, MisTechnique::Scatter, f32::INFINITY), 0.0);
     }

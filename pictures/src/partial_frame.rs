@@ -1,7 +1,7 @@
 //! Unfinished frames. The available outputs are combined as the farm will combine all of them.
 
 use crate::shows_pixels;
-use femc_film::{BadSamples, FilmError, Frame, FrameImage, ImagePiece, Tile, Tiling};
+use femc_film::{BadSamples, FilmError, Frame, FrameImage, ImagePiece, Tile, Tiling, sums};
 use femc_model::{FrameParts, Role};
 
 /// An unfinished frame, to which outputs are added.
@@ -23,7 +23,7 @@ impl PartialFrame {
         debug_assert!(shows_pixels(role));
         match role {
             Role::Tile => self.insert_tiles(vec![Tile::decode(bytes)?]),
-            Role::Sums => self.insert_tiles(femc_worker::decode_sums(bytes)?),
+            Role::Sums => self.insert_tiles(sums::decode(bytes)?),
             Role::Pixels => {
                 self.pieces.push(ImagePiece::decode(bytes)?);
                 Ok(())

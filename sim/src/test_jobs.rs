@@ -11,7 +11,7 @@ use femc_import::Bundle;
 use femc_model::{Digest, Grid, JobNotes, JobSpec, Role};
 use femc_pipeline::{Method, Settings, StopCondition};
 use femc_schedule::Config;
-use femc_worker::{Cache, job_graph};
+use femc_worker::Cache;
 
 /// A lamp over a floor, in fog that thickens with time.
 const SCENE: &str = "
@@ -84,8 +84,8 @@ impl TestJob {
         let Grid { film, tile } = self.spec.grid;
         let tiling = Tiling { width: film[0], height: film[1], edge: tile };
         let (method, blocks) = self.method_and_blocks;
-        let stages = femc_pipeline::job_stages(&tiling, self.spec.rounds(), fan, method);
-        let graph = job_graph(&femc_pipeline::split_first_pass(stages, method, blocks));
+        let graph = femc_pipeline::job_graph(&tiling, self.spec.rounds(), fan, method);
+        let graph = femc_pipeline::split_first_pass(graph, method, blocks);
         let spec = JobSpec { graph, ..self.spec.clone() };
         Self { spec, ..self.clone() }
     }
@@ -240,7 +240,7 @@ fn render_tiled_job(
     }
     contents.dedup();
     let bytes = bundle.encode()?;
-    let stages = femc_pipeline::job_stages(&Tiling::new(FILM[0], FILM[1], edge)?, rounds, FANS[0], method);
+    let graph = femc_pipeline::job_graph(&Tiling::new(FILM[0], FILM[1], edge)?, rounds, FANS[0], method);
     let spec = JobSpec {
         name: "haze".into(),
         bundle: Digest::compute(&bytes),
@@ -248,7 +248,7 @@ fn render_tiled_job(
         settings: serde_json::to_string(&settings)?,
         frames: FRAMES.to_vec(),
         grid: Grid { film: FILM, tile: edge },
-        graph: job_graph(&femc_pipeline::split_first_pass(stages, method, blocks)),
+        graph: femc_pipeline::split_first_pass(graph, method, blocks),
         contents,
         priority: 50,
         owner: "me".into(),

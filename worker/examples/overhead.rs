@@ -68,7 +68,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
         settings: serde_json::to_string(&settings)?,
         frames: vec![1],
         grid: Grid { film: [side, side], tile: plan.tiling.edge },
-        graph: femc_worker::job_graph(&plan.stages),
+        graph: plan.graph,
         contents: vec![],
         priority: 50,
         owner: "bench".into(),

@@ -15,6 +15,7 @@ pub mod clip;
 mod clock;
 mod config;
 mod execute;
+mod extra_outputs;
 mod fetch;
 mod journal;
 mod log;
@@ -26,10 +27,8 @@ mod outbox;
 mod outcome;
 mod parcel;
 mod piece_cache;
-mod plan;
 mod session;
 mod simulated;
-mod sums;
 mod task_table;
 #[cfg(feature = "testing")]
 pub mod testing;
@@ -43,7 +42,8 @@ pub use config::{
     Config, Executor, OutboxConfig, OutboxConflict, OutboxStorage, SimulatedOutcome, StopBehavior, TaskSimulation,
     WorkerError,
 };
-pub use execute::{ExtraOutputs, Painting, Video, drill_key};
+pub use execute::drill_key;
+pub use extra_outputs::{ExtraOutputs, Painting, Video};
 pub use journal::Journal;
 pub use log::{TASK_LOG_LEVEL, TaskLogs};
 pub use memory::MemoryLimit;
@@ -52,8 +52,6 @@ pub use metrics::Metrics;
 pub use outbox::MemoryOutbox;
 pub use parcel::{Parcel, ParcelError};
 pub use piece_cache::PieceCache;
-pub use plan::{FEATURES, FIRST_PASS, FIRST_PASS_BLOCKS, LAYERS, PAINTING, STATISTICS, job_graph};
-pub use sums::decode as decode_sums;
 pub use worker::Worker;
 
 /// Returns the build of the engine that this program's workers render with.

@@ -20,7 +20,6 @@ use crate::meter::Meter;
 use crate::niceness::Niceness;
 use crate::outbox::Outbox;
 use crate::outcome::OutcomeHandler;
-use crate::plan::{FEATURES, FIRST_PASS, FIRST_PASS_BLOCKS, LAYERS, PAINTING, STATISTICS};
 use crate::session::{Session, SessionEnd};
 use crate::task_table::{Task, TaskTable};
 use crate::threads::AbandonedThreads;
@@ -161,7 +160,7 @@ impl Worker {
 /// Returns the tags that a worker offers: the configured ones and those that this version supports.
 fn offered_tags(tags: &[String]) -> Vec<String> {
     let mut tags = tags.to_vec();
-    for known in [FIRST_PASS, FIRST_PASS_BLOCKS, STATISTICS, LAYERS, FEATURES, PAINTING] {
+    for known in femc_graph::tag::ALL {
         if !tags.iter().any(|tag| tag == known) {
             tags.push(known.to_owned());
         }

@@ -388,7 +388,7 @@ pub fn job_spec(resolved: &ResolvedRequest, scene: &Parcel, frames: Vec<u32>) ->
         contents: first_pass_keys(resolved, &frames)?,
         frames,
         grid: Grid { film: resolved.film(), tile: resolved.plan.tiling.edge },
-        graph: femc_worker::job_graph(&resolved.plan.stages),
+        graph: resolved.plan.graph.clone(),
         priority: resolved.priority.unwrap_or(DEFAULT_PRIORITY),
         owner: login_name(),
         tags: resolved.tags.clone(),
@@ -401,7 +401,7 @@ pub fn first_pass_keys(resolved: &ResolvedRequest, frames: &[u32]) -> Result<Vec
     if !resolved.plan.method.has_first_pass() {
         return Ok(Vec::new());
     }
-    let blocks = femc_pipeline::planned_first_pass_blocks(&resolved.plan.stages);
+    let blocks = femc_pipeline::planned_first_pass_blocks(&resolved.plan.graph);
     let mut runs: Vec<(u32, Digest)> = Vec::new();
     for (place, &frame) in (1..).zip(frames) {
         let frame_key = femc_pipeline::frame_key(&resolved.source, &resolved.settings, frame).map_err(failed)?;

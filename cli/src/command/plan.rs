@@ -132,7 +132,7 @@ pub fn run(mut args: PlanArgs, printer: Printer) -> Result<Exit, Failure> {
         StopCondition::Spp(_) => rounds,
         StopCondition::Error(_) | StopCondition::Time(_) => 1,
     };
-    let mut graph = femc_worker::job_graph(&plan.stages);
+    let mut graph = plan.graph.clone();
     let outputs = args.extras.requested_outputs(resolved.rate(&plan.frames))?;
     ExtraOutputs { painting, ..outputs }.add_to(&mut graph, frames as u32);
     let (samples_least, samples_most) =
@@ -159,7 +159,7 @@ pub fn run(mut args: PlanArgs, printer: Printer) -> Result<Exit, Failure> {
         worlds: worlds(&resolved)?,
         first_passes,
         surfaces: femc_pipeline::count_surfaces(resolved.source.scene()),
-        first_pass_blocks: femc_pipeline::planned_first_pass_blocks(&plan.stages),
+        first_pass_blocks: femc_pipeline::planned_first_pass_blocks(&plan.graph),
         samples_least,
         samples_most,
         cost,

@@ -308,10 +308,10 @@ impl ResolvedRequest {
 fn plan_request(scene: &Scene, settings: &Settings, frames: Option<&[u32]>) -> Result<Plan, PlanError> {
     let mut plan = femc_pipeline::plan_job(scene, settings, frames)?;
     if let Some(fan) = pretended_value(PretendedValue::Fan).and_then(|fan| fan.parse().ok()) {
-        plan.stages = femc_pipeline::job_stages(&plan.tiling, &plan.rounds, fan, plan.method);
+        plan.graph = femc_pipeline::job_graph(&plan.tiling, &plan.rounds, fan, plan.method);
     }
     if let Some(blocks) = pretended_value(PretendedValue::Blocks).and_then(|blocks| blocks.parse().ok()) {
-        plan.stages = femc_pipeline::split_first_pass(plan.stages, plan.method, blocks);
+        plan.graph = femc_pipeline::split_first_pass(plan.graph, plan.method, blocks);
     }
     Ok(plan)
 }

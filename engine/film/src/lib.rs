@@ -26,6 +26,7 @@ pub mod rect;
 pub mod sample;
 pub mod sampling_state;
 pub mod sheet;
+pub mod sums;
 pub mod thumbnail;
 pub mod tile;
 pub mod tone;

@@ -6,7 +6,8 @@
 use crate::first_pass::solver_options;
 use crate::render::RenderError;
 use crate::settings::Method;
-use crate::stage::{Loop, Need, Reach, Role, Scope, Stage, StageKind};
+use crate::stage::graph_of;
+use femc_graph::{Graph, Loop, Need, Reach, Role, Scope, StageKind, StageTemplate, TaskSizes};
 use femc_prepared::Prepared;
 use femc_radiosity::{BlockGuides, CastingState, CorrectedState, RayHits, SolverState};
 use femc_scene::Scene;
@@ -46,48 +47,46 @@ fn count_group_surfaces(scene: &Scene, group: usize, known: &mut [Option<u64>]) 
     sum
 }
 
-/// Returns the number of blocks of a job's first pass, from its stages; 1: it is one task, or there is none.
-pub fn planned_first_pass_blocks(stages: &[Stage]) -> u32 {
-    let blocks = stages.iter().filter(|stage| stage.kind == StageKind::FirstPassBlock);
-    blocks.flat_map(|stage| &stage.sizes).map(|(count, _)| *count).max().unwrap_or(1)
+/// Returns the number of blocks of a job's first pass, from its graph; 1: it is one task, or there is none.
+pub fn planned_first_pass_blocks(graph: &Graph) -> u32 {
+    let blocks = graph.stages.iter().filter(|stage| stage.kind == StageKind::FirstPassBlock);
+    blocks.map(StageTemplate::tasks).max().unwrap_or(1)
 }
 
-/// Returns the stages of a job with its first pass split into `blocks` blocks. A job without a first pass stays unchanged.
-pub fn split_first_pass(stages: Vec<Stage>, method: Method, blocks: u32) -> Vec<Stage> {
-    if blocks <= 1 || stages.first().is_none_or(|stage| stage.kind != StageKind::FirstPass) {
-        return stages;
+/// Returns the graph of a job with its first pass split into `blocks` blocks. A job without a first pass stays unchanged.
+pub fn split_first_pass(graph: Graph, method: Method, blocks: u32) -> Graph {
+    if blocks <= 1 || graph.stages.first().is_none_or(|stage| stage.kind != StageKind::FirstPass) {
+        return graph;
     }
     let mut all = first_pass_stages(method, blocks);
-    // The last one makes the outputs of the first stage of `stages`.
+    // The last one makes the outputs of the first stage of `graph`.
     let more = all.len() as u16 - 1;
-    all.extend(stages.into_iter().skip(1).map(|stage| Stage {
+    all.extend(graph.stages.into_iter().skip(1).map(|stage| StageTemplate {
         needs: stage.needs.into_iter().map(|need| Need { stage: need.stage + more, ..need }).collect(),
         closes: stage.closes.map(|closes| Loop { first: closes.first + more, ..closes }),
         ..stage
     }));
-    all
+    graph_of(all)
 }
 
-fn first_pass_stages(method: Method, blocks: u32) -> Vec<Stage> {
-    let of = |kind, tasks, makes: &[Role]| Stage {
-        scope: Scope::Content,
-        ..Stage::per_frame(kind, vec![(tasks, 1)], makes)
-    };
-    let one = |makes: &[Role]| of(StageKind::FirstPass, 1, makes);
-    let block = |makes: &[Role]| of(StageKind::FirstPassBlock, blocks, makes);
+fn first_pass_stages(method: Method, blocks: u32) -> Vec<StageTemplate> {
+    let of =
+        |kind, tasks, outputs: &[Role]| StageTemplate::new(kind, Scope::Content, TaskSizes::even(tasks, 1), outputs);
+    let one = |outputs: &[Role]| of(StageKind::FirstPass, 1, outputs);
+    let block = |outputs: &[Role]| of(StageKind::FirstPassBlock, blocks, outputs);
     let mut all = vec![one(&[Role::Elements, Role::Links])];
     // Stages that make the latest elements and guides.
     let (mut elements, mut guides) = (0, None);
     for round in 1..=ROUNDS {
-        let begin = |stage: Stage| {
-            let stage = stage.with_need(elements, Role::Elements, Reach::All).with_need(0, Role::Links, Reach::All);
-            guides.map_or(stage.clone(), |guides| stage.with_need(guides, Role::Guides, Reach::All))
+        let begin = |stage: StageTemplate| {
+            let stage = stage.with_input(elements, Role::Elements, Reach::All).with_input(0, Role::Links, Reach::All);
+            if let Some(guides) = guides { stage.with_input(guides, Role::Guides, Reach::All) } else { stage }
         };
         let rays = all.len() as u16;
         let is_end = round == ROUNDS && !solver_options(method).guides;
         let settle = begin(one(if is_end { &[Role::Field] } else { &[Role::Elements] }));
         all.push(begin(block(&[Role::Rays])));
-        all.push(settle.with_need(rays, Role::Rays, Reach::All));
+        all.push(settle.with_input(rays, Role::Rays, Reach::All));
         if is_end {
             break;
         }
@@ -96,11 +95,11 @@ fn first_pass_stages(method: Method, blocks: u32) -> Vec<Stage> {
             continue;
         }
         guides = Some(rays + 2);
-        let guide = block(&[Role::Guides]).with_need(elements, Role::Elements, Reach::All);
-        all.push(guide.with_need(0, Role::Links, Reach::All).with_need(rays, Role::Rays, Reach::All));
+        let guide = block(&[Role::Guides]).with_input(elements, Role::Elements, Reach::All);
+        all.push(guide.with_input(0, Role::Links, Reach::All).with_input(rays, Role::Rays, Reach::All));
         if round == ROUNDS {
-            let end = one(&[Role::Field]).with_need(elements, Role::Elements, Reach::All);
-            all.push(end.with_need(0, Role::Links, Reach::All).with_need(rays + 2, Role::Guides, Reach::All));
+            let end = one(&[Role::Field]).with_input(elements, Role::Elements, Reach::All);
+            all.push(end.with_input(0, Role::Links, Reach::All).with_input(rays + 2, Role::Guides, Reach::All));
         }
     }
     all
@@ -139,46 +138,48 @@ pub fn apply_first_pass_hits(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::stage::Round;
-    use crate::{job_stages, tiles_per_group};
+    use crate::{job_graph, tiles_per_group};
     use femc_film::Tiling;
+    use femc_graph::{Round, tag};
 
     #[test]
     fn blocks_are_leading_stages_and_tiles_read_the_last_output() {
         let tiling = Tiling { width: 272, height: 256, edge: 16 };
         for (method, count) in [(Method::Fem, 7), (Method::Femc, 11)] {
             for rounds in [&[4][..], &[4, 8]] {
-                let whole = job_stages(&tiling, rounds, tiles_per_group(&tiling), method);
+                let whole = job_graph(&tiling, rounds, tiles_per_group(&tiling), method);
                 assert_eq!(
                     (planned_first_pass_blocks(&whole), split_first_pass(whole.clone(), method, 1)),
                     (1, whole.clone())
                 );
                 let cut = split_first_pass(whole.clone(), method, 7);
-                assert_eq!((planned_first_pass_blocks(&cut), cut.len()), (7, whole.len() - 1 + count));
+                assert_eq!((planned_first_pass_blocks(&cut), cut.stages.len()), (7, whole.stages.len() - 1 + count));
+                assert!(cut.stages.iter().all(|stage| stage.tags == [tag::FIRST_PASS, tag::FIRST_PASS_BLOCKS]));
+                let cut = cut.stages;
                 for (number, stage) in cut.iter().enumerate() {
                     for need in &stage.needs {
-                        assert!(cut[usize::from(need.stage)].makes.contains(&need.role), "{number}: {need:?}");
-                        assert!(usize::from(need.stage) < number || need.round == Round::Before);
+                        assert!(cut[usize::from(need.stage)].outputs.contains(&need.role), "{number}: {need:?}");
+                        assert!(usize::from(need.stage) < number || need.round == Round::Previous);
                     }
                     let read = |role| {
                         cut.iter().any(|it| {
                             it.needs.iter().any(|need| (usize::from(need.stage), need.role) == (number, role))
                         })
                     };
-                    let is_end = stage.makes.contains(&Role::Image);
+                    let is_end = stage.outputs.contains(&Role::Image);
                     assert!(
-                        is_end || stage.makes.iter().all(|&role| read(role)),
+                        is_end || stage.outputs.iter().all(|&role| read(role)),
                         "{number}: nobody reads {:?}",
-                        stage.makes
+                        stage.outputs
                     );
                 }
-                let field = cut.iter().position(|stage| stage.makes == [Role::Field]).unwrap();
+                let field = cut.iter().position(|stage| stage.outputs == [Role::Field]).unwrap();
                 assert_eq!(field, count - 1);
                 let readers = cut.iter().filter(|stage| stage.needs.iter().any(|need| need.role == Role::Field));
                 assert_eq!(readers.map(|stage| stage.kind).collect::<Vec<_>>(), [StageKind::Render]);
             }
         }
-        let paths = job_stages(&tiling, &[4], tiles_per_group(&tiling), Method::Pt);
+        let paths = job_graph(&tiling, &[4], tiles_per_group(&tiling), Method::Pt);
         assert_eq!(split_first_pass(paths.clone(), Method::Pt, 7), paths);
     }
 

@@ -55,8 +55,5 @@ pub const BUILD: &str = env!("FEMC_ENGINE");
 pub use femc_paths as paths;
 pub use round::{RoundVerdict, UNLIT_SPP};
 pub use settings::{Method, Settings, SettingsError, StopCondition};
-pub use stage::{
-    Loop, Need, Reach, Role, Round, Scope, Stage, StageKind, job_stages, tiles_per_group, with_layer_stages,
-    with_statistics_stages,
-};
+pub use stage::{job_graph, tiles_per_group, with_layers, with_statistics};
 pub use statistics::StatisticsPlan;

@@ -3,8 +3,9 @@
 use crate::first_pass_steps::{first_pass_blocks, split_first_pass};
 use crate::layers::{check_labels, feature_layout};
 use crate::settings::{Method, Settings, SettingsError, StopCondition};
-use crate::stage::{Stage, job_stages, tiles_per_group, with_layer_stages, with_statistics_stages};
+use crate::stage::{job_graph, tiles_per_group, with_layers, with_statistics};
 use femc_film::{FilmError, Tiling};
+use femc_graph::Graph;
 use femc_scene::Scene;
 use serde::{Deserialize, Serialize};
 
@@ -21,8 +22,8 @@ pub struct Plan {
     pub frames: Vec<u32>,
     /// Chosen method.
     pub method: Method,
-    /// Stages that run. Each stage is identified by its index.
-    pub stages: Vec<Stage>,
+    /// Stages that run.
+    pub graph: Graph,
     /// Features that are left out.
     pub left_out: Vec<OmittedFeature>,
 }
@@ -101,14 +102,13 @@ pub fn plan_job(scene: &Scene, settings: &Settings, frames: Option<&[u32]>) -> R
     }
     // A pilot decides whether a first pass is worth it (`method_choice`). Settings that arrive here already contain its result.
     let method = if settings.method == Method::Auto { Method::Pt } else { settings.method };
-    let stages = split_first_pass(
-        job_stages(&tiling, &rounds, tiles_per_group(&tiling), method),
+    let graph = split_first_pass(
+        job_graph(&tiling, &rounds, tiles_per_group(&tiling), method),
         method,
         first_pass_blocks(scene),
     );
-    let stages = if settings.statistics { with_statistics_stages(stages) } else { stages };
-    let stages =
-        if settings.has_layers() { with_layer_stages(stages, &tiling, weight_of_layers(settings)) } else { stages };
+    let graph = if settings.statistics { with_statistics(graph) } else { graph };
+    let graph = if settings.has_layers() { with_layers(graph, &tiling, weight_of_layers(settings)) } else { graph };
     let left_out = |what: &str, reason: &str| OmittedFeature { what: what.into(), reason: reason.into() };
     let mut left_out = match method {
         Method::Fem => {
@@ -122,7 +122,7 @@ pub fn plan_job(scene: &Scene, settings: &Settings, frames: Option<&[u32]>) -> R
     };
     let spared = scene.unused_features(camera).into_iter();
     left_out.extend(spared.map(|s| OmittedFeature { what: s.feature.to_string(), reason: s.reason }));
-    Ok(Plan { camera: camera.name.clone(), tiling, rounds, frames, method, stages, left_out })
+    Ok(Plan { camera: camera.name.clone(), tiling, rounds, frames, method, graph, left_out })
 }
 
 /// Returns the cost of a pixel's layers and features, with a layer as 1.

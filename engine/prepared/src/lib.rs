@@ -22,6 +22,8 @@ pub mod names;
 mod next_frame;
 mod scene_source;
 mod shading_point;
+#[cfg(test)]
+mod tests;
 
 pub use frame::{
     FrameSpec, PrepareError, Prepared, find_camera, frame_key, prepare_frame, prepare_frame_at_unit_brightness,

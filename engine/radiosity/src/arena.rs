@@ -1,7 +1,8 @@
 //! Tree of elements, which grows as links are refined.
 
-use crate::element::{Element, ElementKind};
+use crate::element::{Cluster, Curved, Element, Shape, SurfacePart};
 use crate::scene::Scene;
+use crate::tuning::{EQUAL_NORMALS_COSINE, LARGE_SURFACE_RATIO};
 use femc_field::{NONE, Outline, Split};
 use femc_math::glam::{Vec2, Vec3A};
 
@@ -20,9 +21,6 @@ pub struct Arena {
     /// Elements that were split, in order. Together with the scene they reproduce the tree.
     pub splits: Vec<u32>,
 }
-
-/// Minimum cosine between normals that count as equal.
-const EQUAL_NORMALS_COSINE: f32 = 0.999_999;
 
 impl Arena {
     /// Creates the roots of all surfaces in a tree of clusters, and the fog beside them.
@@ -48,8 +46,10 @@ impl Arena {
     }
 
     fn push(&mut self, mut element: Element) -> u32 {
-        if element.is_directional() {
-            element.directional = self.directional_count as u32;
+        if let Shape::Cluster(Cluster { directional, .. }) | Shape::Curved(Curved { directional, .. }) =
+            &mut element.shape
+        {
+            *directional = self.directional_count as u32;
             self.directional_count += 1;
         }
         self.elements.push(element);
@@ -79,7 +79,7 @@ impl Arena {
             .fold(0, |best, (k, root)| if root.1.radius > roots[best].1.radius { k } else { best });
         let rest =
             roots.iter().enumerate().filter(|(k, _)| *k != largest).map(|(_, root)| root.1.radius).fold(0.0, f32::max);
-        let (a, b) = if roots[largest].1.radius > 2.0 * rest {
+        let (a, b) = if roots[largest].1.radius > LARGE_SURFACE_RATIO * rest {
             roots.swap(0, largest);
             roots.split_at_mut(1)
         } else {
@@ -89,14 +89,16 @@ impl Arena {
         let children = [self.build_clusters(a, index, key * 2), self.build_clusters(b, index, key * 2 + 1)];
         let [a, b] = children.map(|child| &self.elements[child as usize]);
         let (center, radius) = enclosing_sphere((a.center, a.radius), (b.center, b.radius));
-        let size = a.size + b.size;
-        let normal = if a.normal.dot(b.normal) > EQUAL_NORMALS_COSINE { a.normal } else { Vec3A::ZERO };
+        let area = a.size() + b.size();
+        let normal = (a.normal().dot(b.normal()) > EQUAL_NORMALS_COSINE).then_some(a.normal());
         let low = (a.box_center - a.half_extent).min(b.box_center - b.half_extent);
         let high = (a.box_center + a.half_extent).max(b.box_center + b.half_extent);
         let cluster = &mut self.elements[index as usize];
-        (cluster.box_center, cluster.half_extent, cluster.normal) = (0.5 * (low + high), 0.5 * (high - low), normal);
-        (cluster.children, cluster.center, cluster.radius, cluster.size) = (children, center, radius, size);
-        cluster.nodes[0].position = center;
+        (cluster.box_center, cluster.half_extent) = (0.5 * (low + high), 0.5 * (high - low));
+        (cluster.children, cluster.center, cluster.radius) = (children, center, radius);
+        if let Shape::Cluster(cluster) = &mut cluster.shape {
+            (cluster.area, cluster.normal) = (area, normal);
+        }
         index
     }
 
@@ -104,20 +106,22 @@ impl Arena {
     /// - `point`: the point, in the surface's parameters;
     /// - returns the part, and the point in the part's parameters.
     pub fn element_at(&self, root: u32, point: Vec2, min_size: f32) -> (u32, Vec2) {
-        let mut index = root;
-        let mut local = self.elements[root as usize].in_parent.local(point);
+        let (mut index, mut local) = (root, point);
         loop {
             let element = &self.elements[index as usize];
-            if element.is_leaf() || element.size <= min_size {
+            let Some(SurfacePart { in_parent, split, area, .. }) = element.surface_part() else {
+                return (index, local);
+            };
+            local = in_parent.local(local);
+            if element.is_leaf() || *area <= min_size {
                 return (index, local);
             }
-            let second = match element.split {
+            let second = match split {
                 Split::Half(0) | Split::None => local.x >= 0.5,
                 Split::Half(_) => local.y >= 0.5,
                 Split::Bisection => local.y > local.x,
             };
             index = element.children[usize::from(second)];
-            local = self.elements[index as usize].in_parent.local(local);
         }
     }
 
@@ -149,8 +153,8 @@ impl Arena {
         if !element.is_leaf() {
             return (element.children, false);
         }
-        let made: [Element; 2] = match element.kind {
-            ElementKind::Volume => {
+        let made: [Element; 2] = match element.surface_part() {
+            None => {
                 let half = element.half_extent;
                 let axis = (1..3).fold(0, |best, axis| if half[axis] > half[best] { axis } else { best });
                 let (min, max) = (element.center - half, element.center + half);
@@ -159,11 +163,10 @@ impl Arena {
                 let parent = Some((index, element.key));
                 [([min, low_max], 0), ([high_min, max], 1)].map(|(part, k)| Element::from_fog(scene, parent, part, k))
             }
-            _ => {
-                let (surface, outline) = (element.surface, element.outline);
+            Some(&SurfacePart { surface, outline, split, .. }) => {
                 let source = &scene.surfaces[surface as usize];
                 let at = |local: Vec2| source.point_at(outline.point_at(local)).position;
-                let halves = Outline::halves(element.split, |from, to| at(from).distance(at(to)));
+                let halves = Outline::halves(split, |from, to| at(from).distance(at(to)));
                 let mut part = 0;
                 halves.map(|half| {
                     part += 1;
@@ -198,9 +201,4 @@ fn enclosing_sphere(a: (Vec3A, f32), b: (Vec3A, f32)) -> (Vec3A, f32) {
     }
     let radius = 0.5 * (distance + a.1 + b.1);
     (a.0 + (b.0 - a.0) * ((radius - a.1) / distance), radius)
-}
-
-/// Returns the split of an element, for the field.
-pub fn field_split(element: &Element) -> Split {
-    if element.is_leaf() { Split::None } else { element.split }
 }

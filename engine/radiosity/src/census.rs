@@ -1,6 +1,6 @@
 //! Numbers of elements and links by kind.
 
-use crate::element::{Element, ElementKind};
+use crate::element::{Element, Shape};
 use crate::link::Link;
 
 /// Numbers by kind of element.
@@ -17,13 +17,13 @@ pub struct KindCounts {
 }
 
 impl KindCounts {
-    fn count(kinds: impl Iterator<Item = ElementKind>) -> Self {
-        kinds.fold(Self::default(), |mut sum, kind| {
-            *match kind {
-                ElementKind::Cluster => &mut sum.clusters,
-                ElementKind::Patch => &mut sum.patches,
-                ElementKind::Curved => &mut sum.curved,
-                ElementKind::Volume => &mut sum.fog,
+    fn count<'a>(elements: impl Iterator<Item = &'a Element>) -> Self {
+        elements.fold(Self::default(), |mut sum, element| {
+            *match element.shape {
+                Shape::Cluster(_) => &mut sum.clusters,
+                Shape::Patch(_) => &mut sum.patches,
+                Shape::Curved(_) => &mut sum.curved,
+                Shape::Volume(_) => &mut sum.fog,
             } += 1;
             sum
         })
@@ -48,11 +48,10 @@ pub struct Census {
 
 impl Census {
     pub(crate) fn new(elements: &[Element], links: &[Link]) -> Self {
-        let kind = |element: u32| elements[element as usize].kind;
         Self {
-            elements: KindCounts::count(elements.iter().map(|element| element.kind)),
-            receivers: KindCounts::count(links.iter().map(|link| kind(link.receiver))),
-            sources: KindCounts::count(links.iter().map(|link| kind(link.source))),
+            elements: KindCounts::count(elements.iter()),
+            receivers: KindCounts::count(links.iter().map(|link| &elements[link.receiver as usize])),
+            sources: KindCounts::count(links.iter().map(|link| &elements[link.source as usize])),
         }
     }
 }

@@ -1,62 +1,106 @@
 //! Elements: parts of surfaces, boxes of fog, and clusters of them.
 
 use crate::scene::Scene;
-use femc_field::{Leaf, NONE, Outline, Split, SurfaceSpot};
+use crate::tuning::{BULGE_BOX, BULGE_RADIUS, MIN_NORMAL_COSINE};
+use femc_field::{Form, Leaf, NONE, Outline, Side, Split, Surface, SurfaceSpot};
 use femc_math::Rgb;
 use femc_math::glam::{Vec2, Vec3A};
 use femc_math::hash::combine;
 
-/// Kind of an element.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ElementKind {
-    /// A group of nearby elements, treated as one.
-    Cluster,
-    /// A part of a surface with nearly one normal. Its light is linear over it.
-    Patch,
-    /// A part of a curved surface with many normals. Its light is a function of only the normal.
-    Curved,
-    /// A box of fog.
-    Volume,
-}
-
-/// An element. Lengths in m, prepared frame.
+/// An element: its place in the tree, its bounds, and its shape. Lengths in m, prepared frame.
 #[derive(Clone, Debug)]
 pub struct Element {
-    pub kind: ElementKind,
+    /// Key that identifies the element, independent of the order in which elements are created.
+    pub key: u64,
     /// Element that contains this one, or [`NONE`].
     pub parent: u32,
     /// Its two parts, or [`NONE`].
     pub children: [u32; 2],
-    /// Surface of the element, or [`NONE`].
-    pub surface: u32,
-    /// Outline in the surface's parameters.
-    pub outline: Outline,
-    /// Outline in the parent's parameters.
-    pub in_parent: Outline,
-    /// Split of the element, existing or possible.
-    pub split: Split,
-    /// Area, m2; volume of fog, m3.
-    pub size: f32,
-    /// Center and radius of a bounding sphere.
+    /// Center and radius of a bounding sphere. A patch contains its center. The sphere of a whole ring is too small by a ninth.
     pub center: Vec3A,
     pub radius: f32,
     /// Center of the bounding box, and half of the box's edges.
     pub box_center: Vec3A,
     pub half_extent: Vec3A,
-    /// Unit normal at the center; zero for balls, fog, and clusters with more than one normal.
-    pub normal: Vec3A,
-    /// Points at which its light is known: `node_count` of them. Clusters and balls have only the center.
-    pub nodes: [SurfaceSpot; 4],
-    pub node_count: usize,
-    /// Corners: polygons have `corner_count` of them in order, other elements none.
-    pub corners: [Vec3A; 4],
-    pub corner_count: usize,
-    /// Reflectance, and transmittance to the other side; for fog the scattering coefficient, 1/m.
+    pub shape: Shape,
+}
+
+/// Shape of an element, with its optical properties.
+#[derive(Clone, Debug)]
+#[expect(clippy::large_enum_variant, reason = "most elements are patches")]
+pub enum Shape {
+    Patch(Patch),
+    Curved(Curved),
+    Volume(Volume),
+    Cluster(Cluster),
+}
+
+/// Part of a surface, as patches and curved elements have it.
+#[derive(Clone, Debug)]
+pub struct SurfacePart {
+    /// Index of the surface.
+    pub surface: u32,
+    /// Outline in the surface's parameters.
+    pub outline: Outline,
+    /// Outline in the parent's parameters; for a root, in the surface's.
+    pub in_parent: Outline,
+    /// Split of the part, existing or possible.
+    pub split: Split,
+    /// Area, m2.
+    pub area: f32,
+    /// Share of the arriving light that the surface reflects diffusely.
     pub reflectance: Rgb,
+    /// Share that it transmits to the other side.
     pub transmittance: Rgb,
-    /// Key that identifies the element, independent of the order in which elements are created.
-    pub key: u64,
-    /// Index of the light by direction, for clusters and balls, else [`NONE`].
+}
+
+/// Form of a patch.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PatchForm {
+    /// Triangle: three nodes and three corners.
+    Triangle,
+    /// Parallelogram: four nodes and four corners.
+    Parallelogram,
+    /// Slightly curved part: four nodes. The corners are joined by curves.
+    Bent,
+}
+
+/// A part of a surface with nearly one normal. Its light is linear over it.
+#[derive(Clone, Debug)]
+pub struct Patch {
+    pub part: SurfacePart,
+    pub form: PatchForm,
+    /// Unit normal at the center.
+    pub normal: Vec3A,
+    nodes: [SurfaceSpot; 4],
+    corners: [Vec3A; 4],
+}
+
+/// A part of a curved surface with many normals. Its light is a function of only the normal.
+#[derive(Clone, Debug)]
+pub struct Curved {
+    pub part: SurfacePart,
+    /// Index of its light by direction.
+    pub directional: u32,
+}
+
+/// A box of fog, which is the bounding box of its element.
+#[derive(Clone, Debug)]
+pub struct Volume {
+    /// Volume, m3.
+    pub volume: f32,
+    /// Mean scattering coefficient, 1/m.
+    pub sigma_s: Rgb,
+}
+
+/// A group of nearby elements, treated as one.
+#[derive(Clone, Debug)]
+pub struct Cluster {
+    /// Area of its surfaces, m2.
+    pub area: f32,
+    /// Unit normal, if all parts have this one.
+    pub normal: Option<Vec3A>,
+    /// Index of its light by direction.
     pub directional: u32,
 }
 
@@ -66,41 +110,90 @@ pub const FOG_NODES: [Vec3A; 4] = {
     [Vec3A::new(D, D, D), Vec3A::new(D, -D, -D), Vec3A::new(-D, D, -D), Vec3A::new(-D, -D, D)]
 };
 
-/// Cosine between an element's normals below which they no longer count as one.
-const MIN_NORMAL_COSINE: f32 = 0.85;
+impl Patch {
+    /// Returns the points at which its light is known.
+    pub fn nodes(&self) -> &[SurfaceSpot] {
+        &self.nodes[..if self.form == PatchForm::Triangle { 3 } else { 4 }]
+    }
+
+    /// Returns the corners of a polygon, counterclockwise as seen from the side; none if the patch is bent.
+    pub fn polygon(&self) -> &[Vec3A] {
+        match self.form {
+            PatchForm::Triangle => &self.corners[..3],
+            PatchForm::Parallelogram => &self.corners,
+            PatchForm::Bent => &[],
+        }
+    }
+
+    /// Returns the corners, also those of a bent patch. The order of the latter does not depend on the side.
+    pub fn corners(&self) -> &[Vec3A] {
+        if self.form == PatchForm::Bent { &self.corners } else { self.polygon() }
+    }
+
+    /// Evaluates a linear function from its values at the nodes.
+    /// - `local`: the point, in the patch's coordinates.
+    fn interpolate(&self, values: &[Rgb; 4], local: Vec2) -> Rgb {
+        match self.form {
+            PatchForm::Triangle => Leaf::interpolate_triangle(&[values[0], values[1], values[2]], local),
+            PatchForm::Parallelogram | PatchForm::Bent => Leaf::interpolate_rectangle(values, local),
+        }
+    }
+}
+
+impl SurfacePart {
+    fn new(scene: &Scene<'_>, surface: u32, outline: Outline, in_parent: Outline) -> Self {
+        let source = &scene.surfaces[surface as usize];
+        let (reflectance, transmittance) = scene.surface_albedos(surface);
+        let split = match source.form {
+            Form::Triangle(_) => Split::Bisection,
+            Form::Parallelogram(_) | Form::Curved { .. } => longer_half(source, &outline),
+        };
+        let area = source.area() * outline.edges[0].perp_dot(outline.edges[1]).abs();
+        Self { surface, outline, in_parent, split, area, reflectance, transmittance }
+    }
+
+    /// Returns the point with these coordinates in the part.
+    pub fn point_at(&self, scene: &Scene<'_>, local: Vec2) -> SurfaceSpot {
+        scene.surfaces[self.surface as usize].point_at(self.outline.point_at(local))
+    }
+}
+
+/// Returns the split of a part across its longer direction. Lengths along curves are those of chords.
+fn longer_half(source: &Surface, outline: &Outline) -> Split {
+    let length = |from: Vec2, to: Vec2| -> f32 {
+        let at = |k: u32| source.point_at(outline.point_at(from.lerp(to, k as f32 * 0.25))).position;
+        let points = [0, 1, 2, 3, 4].map(at);
+        points.windows(2).map(|pair| pair[0].distance(pair[1])).sum()
+    };
+    let lengths = [length(Vec2::new(0.0, 0.5), Vec2::new(1.0, 0.5)), length(Vec2::new(0.5, 0.0), Vec2::new(0.5, 1.0))];
+    Split::Half(u8::from(lengths[1] > lengths[0]))
+}
+
+/// Returns the center and half of the edges of the box around some points.
+fn bounding_box(points: impl Iterator<Item = Vec3A>) -> (Vec3A, Vec3A) {
+    let (low, high) =
+        points.fold((Vec3A::INFINITY, Vec3A::NEG_INFINITY), |(low, high), point| (low.min(point), high.max(point)));
+    (0.5 * (low + high), 0.5 * (high - low))
+}
 
 impl Element {
-    fn empty(kind: ElementKind, parent: u32, key: u64) -> Self {
+    /// Creates a cluster without parts.
+    pub fn cluster(parent: u32, key: u64) -> Self {
         Self {
-            kind,
+            key,
             parent,
             children: [NONE; 2],
-            surface: NONE,
-            outline: Outline::WHOLE,
-            in_parent: Outline::WHOLE,
-            split: Split::None,
-            size: 0.0,
             center: Vec3A::ZERO,
             radius: 0.0,
             box_center: Vec3A::ZERO,
             half_extent: Vec3A::ZERO,
-            normal: Vec3A::ZERO,
-            nodes: [SurfaceSpot::default(); 4],
-            node_count: 1,
-            corners: [Vec3A::ZERO; 4],
-            corner_count: 0,
-            reflectance: Rgb::ZERO,
-            transmittance: Rgb::ZERO,
-            key,
-            directional: NONE,
+            shape: Shape::Cluster(Cluster { area: 0.0, normal: None, directional: NONE }),
         }
     }
 
-    pub fn cluster(parent: u32, key: u64) -> Self {
-        Self::empty(ElementKind::Cluster, parent, key)
-    }
-
-    /// Creates a part of a surface. `inner`: outline in its parent; for a root, in the surface's parameters.
+    /// Creates a part of a surface.
+    /// - `parent`: index of the parent, and the parent, which is a part of the same surface;
+    /// - `inner`: outline in the parent; for a root, in the surface's parameters.
     pub fn from_surface(
         scene: &Scene<'_>,
         surface: u32,
@@ -108,92 +201,179 @@ impl Element {
         inner: Outline,
         part: u64,
     ) -> Self {
-        let around = parent.map_or(Outline::WHOLE, |(_, parent)| parent.outline);
+        let around = parent.and_then(|(_, parent)| parent.surface_part()).map_or(Outline::WHOLE, |part| part.outline);
         let key = combine(&[parent.map_or(u64::from(surface), |(_, parent)| parent.key), part]);
-        let mut element = Self::empty(ElementKind::Patch, parent.map_or(NONE, |(index, _)| index), key);
-        let outline = around.compose(&inner);
+        let parent = parent.map_or(NONE, |(index, _)| index);
         let source = &scene.surfaces[surface as usize];
+        let part = SurfacePart::new(scene, surface, around.compose(&inner), inner);
+        let outline = part.outline;
         let at = |local: Vec2| source.point_at(outline.point_at(local));
-        let triangle = matches!(source.form, femc_field::Form::Triangle(_));
-        (element.surface, element.outline, element.in_parent) = (surface, outline, inner);
-        let share = outline.edges[0].perp_dot(outline.edges[1]).abs();
-        element.size = source.area() * share;
-        (element.reflectance, element.transmittance) = scene.surface_albedos(surface);
-        let places: &[Vec2] = if triangle { &Leaf::TRIANGLE_POINTS } else { &Leaf::RECTANGLE_POINTS };
-        element.node_count = places.len();
-        for (node, place) in element.nodes.iter_mut().zip(places) {
-            *node = at(*place);
-        }
-        let middle = at(if triangle { Vec2::splat(1.0 / 3.0) } else { Vec2::splat(0.5) });
-        (element.center, element.normal) = (middle.position, middle.normal);
-        if triangle {
-            element.split = Split::Bisection;
-            element.corners = [Vec2::ZERO, Vec2::X, Vec2::Y, Vec2::Y].map(|local| at(local).position);
-            element.corner_count = 3;
+        let form = match source.form {
+            Form::Triangle(_) => PatchForm::Triangle,
+            Form::Parallelogram(_) => PatchForm::Parallelogram,
+            Form::Curved { .. } => PatchForm::Bent,
+        };
+        let (places, middle, ends): (&[Vec2], _, _) = if form == PatchForm::Triangle {
+            (&Leaf::TRIANGLE_POINTS, Vec2::splat(1.0 / 3.0), [Vec2::ZERO, Vec2::X, Vec2::Y, Vec2::Y])
         } else {
-            // Length along curves, by chords.
-            let length = |from: Vec2, to: Vec2| -> f32 {
-                let points = [0, 1, 2, 3, 4].map(|k| at(from.lerp(to, k as f32 * 0.25)).position);
-                points.windows(2).map(|pair| pair[0].distance(pair[1])).sum()
-            };
-            let lengths =
-                [length(Vec2::new(0.0, 0.5), Vec2::new(1.0, 0.5)), length(Vec2::new(0.5, 0.0), Vec2::new(0.5, 1.0))];
-            element.split = Split::Half(u8::from(lengths[1] > lengths[0]));
-            element.corners = [Vec2::ZERO, Vec2::X, Vec2::ONE, Vec2::Y].map(|local| at(local).position);
-            element.corner_count = if source.is_polygon() { 4 } else { 0 };
+            (&Leaf::RECTANGLE_POINTS, Vec2::splat(0.5), [Vec2::ZERO, Vec2::X, Vec2::ONE, Vec2::Y])
+        };
+        let mut nodes = [SurfaceSpot::default(); 4];
+        nodes.iter_mut().zip(places).for_each(|(node, place)| *node = at(*place));
+        let SurfaceSpot { position: center, normal, .. } = at(middle);
+        let mut corners = ends.map(|local| at(local).position);
+        if form == PatchForm::Bent {
+            return Self::bent(key, parent, Patch { normal, nodes, corners, form, part }, center, at);
         }
-        if source.side == femc_field::Side::Back {
+        let count = if form == PatchForm::Triangle { 3 } else { 4 };
+        let radius = corners[..count].iter().map(|c| c.distance(center)).fold(0.0, f32::max);
+        let (box_center, half_extent) = bounding_box(corners[..count].iter().copied());
+        if source.side == Side::Back {
             // Counterclockwise as seen from the side.
-            element.corners[..element.corner_count].reverse();
+            corners[..count].reverse();
         }
-        if source.is_polygon() {
-            element.radius = element.corners.iter().map(|c| c.distance(element.center)).fold(0.0, f32::max);
-            let corners = element.corners.iter();
-            let (low, high) =
-                corners.fold((Vec3A::INFINITY, Vec3A::NEG_INFINITY), |(low, high), &c| (low.min(c), high.max(c)));
-            (element.box_center, element.half_extent) = (0.5 * (low + high), 0.5 * (high - low));
-            return element;
-        }
-        let grid = (0..25).map(|k| at(Vec2::new((k % 5) as f32, (k / 5) as f32) * 0.25));
-        let (mut low, mut high, mut least) = (Vec3A::INFINITY, Vec3A::NEG_INFINITY, 1.0f32);
-        for spot in grid {
-            (low, high) = (low.min(spot.position), high.max(spot.position));
-            least = least.min(spot.normal.dot(element.normal));
-        }
-        if least < MIN_NORMAL_COSINE {
-            element.kind = ElementKind::Curved;
-            element.normal = Vec3A::ZERO;
-            element.center = 0.5 * (low + high);
-            element.node_count = 1;
-            element.nodes[0] = SurfaceSpot { position: element.center, ..SurfaceSpot::default() };
-        }
+        let shape = Shape::Patch(Patch { normal, nodes, corners, form, part });
+        Self { key, parent, children: [NONE; 2], center, radius, box_center, half_extent, shape }
+    }
+
+    /// Creates a part of a curved surface: a patch, or a curved element if the part has many normals.
+    /// - `center`: center of the patch;
+    /// - `at`: the surface at a point in the patch's coordinates.
+    fn bent(key: u64, parent: u32, patch: Patch, center: Vec3A, at: impl Fn(Vec2) -> SurfaceSpot) -> Self {
+        let grid = || (0..25).map(|k| at(Vec2::new((k % 5) as f32, (k / 5) as f32) * 0.25));
+        let (box_center, half) = bounding_box(grid().map(|spot| spot.position));
+        let least = grid().map(|spot| spot.normal.dot(patch.normal)).fold(1.0, f32::min);
+        let diagonal = (half * 2.0).length();
+        let (center, shape) = if least < MIN_NORMAL_COSINE {
+            (box_center, Shape::Curved(Curved { part: patch.part, directional: NONE }))
+        } else {
+            (center, Shape::Patch(patch))
+        };
         // Between the points of the grid the surface may bulge.
-        element.radius = 1.1 * 0.5 * (high - low).length();
-        (element.box_center, element.half_extent) = (0.5 * (low + high), 0.5 * (high - low) + 0.05 * element.radius);
-        element
+        let radius = BULGE_RADIUS * 0.5 * diagonal;
+        let half_extent = half + BULGE_BOX * radius;
+        Self { key, parent, children: [NONE; 2], center, radius, box_center, half_extent, shape }
     }
 
     /// Creates a box of fog.
+    /// - `parent`: index and key of the parent.
     pub fn from_fog(scene: &Scene<'_>, parent: Option<(u32, u64)>, [min, max]: [Vec3A; 2], part: u64) -> Self {
         let key = combine(&[parent.map_or(0x0f09, |(_, key)| key), part]);
-        let mut element = Self::empty(ElementKind::Volume, parent.map_or(NONE, |(index, _)| index), key);
-        element.center = 0.5 * (min + max);
-        element.box_center = element.center;
-        element.half_extent = 0.5 * (max - min);
-        element.radius = element.half_extent.length();
-        element.size = 8.0 * element.half_extent.x * element.half_extent.y * element.half_extent.z;
-        element.node_count = 4;
-        for (node, place) in element.nodes.iter_mut().zip(FOG_NODES) {
-            node.position = element.center + element.half_extent * place;
-        }
+        let (center, half_extent) = (0.5 * (min + max), 0.5 * (max - min));
         // For fog that thins out upward, the mean is used.
-        let scattering = element.nodes.map(|node| scene.prepared.media.scattering_at(node.position));
-        element.reflectance = scattering.into_iter().sum::<Rgb>() * 0.25;
-        element
+        let scattering = FOG_NODES.map(|place| scene.prepared.media.scattering_at(center + half_extent * place));
+        let volume = Volume {
+            volume: 8.0 * half_extent.x * half_extent.y * half_extent.z,
+            sigma_s: scattering.into_iter().sum::<Rgb>() * 0.25,
+        };
+        Self {
+            key,
+            parent: parent.map_or(NONE, |(index, _)| index),
+            children: [NONE; 2],
+            center,
+            radius: half_extent.length(),
+            box_center: center,
+            half_extent,
+            shape: Shape::Volume(volume),
+        }
     }
 
     pub fn is_leaf(&self) -> bool {
         self.children[0] == NONE
+    }
+
+    pub fn is_cluster(&self) -> bool {
+        matches!(self.shape, Shape::Cluster(_))
+    }
+
+    pub fn is_volume(&self) -> bool {
+        matches!(self.shape, Shape::Volume(_))
+    }
+
+    pub fn is_triangle(&self) -> bool {
+        self.patch().is_some_and(|patch| patch.form == PatchForm::Triangle)
+    }
+
+    /// Returns the patch, if the element is one.
+    pub fn patch(&self) -> Option<&Patch> {
+        if let Shape::Patch(patch) = &self.shape { Some(patch) } else { None }
+    }
+
+    /// Returns the part of a surface; `None` for clusters and fog.
+    pub fn surface_part(&self) -> Option<&SurfacePart> {
+        match &self.shape {
+            Shape::Patch(Patch { part, .. }) | Shape::Curved(Curved { part, .. }) => Some(part),
+            Shape::Volume(_) | Shape::Cluster(_) => None,
+        }
+    }
+
+    /// Returns the index of the light by direction; `None` if light is stored at nodes.
+    pub fn directional(&self) -> Option<usize> {
+        match self.shape {
+            Shape::Curved(Curved { directional, .. }) | Shape::Cluster(Cluster { directional, .. }) => {
+                Some(directional as usize)
+            }
+            Shape::Patch(_) | Shape::Volume(_) => None,
+        }
+    }
+
+    /// Checks whether light is stored by direction here.
+    pub fn is_directional(&self) -> bool {
+        self.directional().is_some()
+    }
+
+    /// Returns the weight of the element's light in a sum over siblings: the area of its surfaces, m2, or the volume of fog, m3.
+    pub fn size(&self) -> f32 {
+        match &self.shape {
+            Shape::Patch(Patch { part, .. }) | Shape::Curved(Curved { part, .. }) => part.area,
+            Shape::Volume(fog) => fog.volume,
+            Shape::Cluster(cluster) => cluster.area,
+        }
+    }
+
+    /// Returns the unit normal; zero for curved elements, fog, and clusters with more than one normal.
+    pub fn normal(&self) -> Vec3A {
+        match &self.shape {
+            Shape::Patch(patch) => patch.normal,
+            Shape::Cluster(cluster) => cluster.normal.unwrap_or(Vec3A::ZERO),
+            Shape::Curved(_) | Shape::Volume(_) => Vec3A::ZERO,
+        }
+    }
+
+    /// Returns the number of points at which its light is known.
+    pub fn node_count(&self) -> usize {
+        match &self.shape {
+            Shape::Patch(patch) => patch.nodes().len(),
+            Shape::Volume(_) => FOG_NODES.len(),
+            Shape::Curved(_) | Shape::Cluster(_) => 1,
+        }
+    }
+
+    /// Returns a point at which its light is known; for an element with light by direction, the center. Nodes in space have no
+    /// normal.
+    /// - `index`: less than [`Self::node_count`].
+    pub fn node(&self, index: usize) -> SurfaceSpot {
+        let position = match &self.shape {
+            Shape::Patch(patch) => return patch.nodes[index],
+            Shape::Volume(_) => self.center + self.half_extent * FOG_NODES[index],
+            Shape::Curved(_) | Shape::Cluster(_) => self.center,
+        };
+        SurfaceSpot { position, ..SurfaceSpot::default() }
+    }
+
+    /// Returns all nodes in order.
+    pub fn nodes(&self) -> impl ExactSizeIterator<Item = SurfaceSpot> {
+        (0..self.node_count()).map(|index| self.node(index))
+    }
+
+    /// Returns the center as a point of the element.
+    pub fn center_spot(&self) -> SurfaceSpot {
+        SurfaceSpot { position: self.center, normal: self.normal(), error: self.node(0).error }
+    }
+
+    /// Returns the point with these coordinates in a part of a surface; the center of another element.
+    pub fn point_at(&self, scene: &Scene<'_>, local: Vec2) -> SurfaceSpot {
+        self.surface_part().map_or_else(|| self.center_spot(), |part| part.point_at(scene, local))
     }
 
     /// Returns the maximum height above the plane through `point` with unit normal `normal`, m.
@@ -201,22 +381,16 @@ impl Element {
         normal.dot(self.box_center - point) + normal.abs().dot(self.half_extent)
     }
 
-    /// Checks whether light is stored by direction here.
-    pub fn is_directional(&self) -> bool {
-        matches!(self.kind, ElementKind::Cluster | ElementKind::Curved)
-    }
-
     /// Evaluates a linear function from its values at the nodes.
     /// - `local`: the point, in a patch's coordinates; for fog, relative to the center in half edges of the box.
     pub fn interpolate(&self, values: &[Rgb; 4], local: Vec3A) -> Rgb {
-        let place = Vec2::new(local.x, local.y);
-        match (self.kind, self.node_count) {
-            (ElementKind::Patch, 3) => Leaf::interpolate_triangle(&[values[0], values[1], values[2]], place),
-            (ElementKind::Patch, _) => Leaf::interpolate_rectangle(values, place),
-            _ => {
+        match &self.shape {
+            Shape::Patch(patch) => patch.interpolate(values, Vec2::new(local.x, local.y)),
+            Shape::Volume(_) => {
                 let [middle, slopes @ ..] = Self::fog_slopes(values);
                 middle + slopes[0] * local.x + slopes[1] * local.y + slopes[2] * local.z
             }
+            Shape::Curved(_) | Shape::Cluster(_) => values[0],
         }
     }
 
@@ -233,11 +407,12 @@ impl Element {
 
     /// Returns the position of a child's node, as an argument of [`Self::interpolate`].
     pub fn node_in_parent(&self, child: &Self, node: usize) -> Vec3A {
-        if self.kind == ElementKind::Volume {
-            return (child.nodes[node].position - self.center) / self.half_extent;
-        }
-        let place = if child.node_count == 3 { Leaf::TRIANGLE_POINTS[node] } else { Leaf::RECTANGLE_POINTS[node] };
-        let local = child.in_parent.point_at(place);
+        let Some(patch) = child.patch() else {
+            return (child.node(node).position - self.center) / self.half_extent;
+        };
+        let triangle = patch.form == PatchForm::Triangle;
+        let place = if triangle { Leaf::TRIANGLE_POINTS[node] } else { Leaf::RECTANGLE_POINTS[node] };
+        let local = patch.part.in_parent.point_at(place);
         Vec3A::new(local.x, local.y, 0.0)
     }
 }

@@ -1,16 +1,14 @@
 //! Fog of a solution in the form that is kept.
 
 use crate::arena::Arena;
-use crate::element::{Element, ElementKind};
+use crate::element::Element;
 use crate::gather::{ElementLights, FROM_ELEMENTS};
 use crate::scene::Scene;
+use crate::tuning::FOG_GRID;
 use femc_field::{FogCell, FogLeaf, FogTree};
 use femc_math::Rgb;
 use femc_math::glam::Vec3A;
 use std::f32::consts::PI;
-
-/// Number of points by axis at which the fog of a box is evaluated if it varies.
-const GRID: u32 = 4;
 
 /// Returns the boxes of fog with their light and coefficients. `None` if some light is not finite, or negative.
 pub fn fog_tree(scene: &Scene<'_>, arena: &Arena, lights: &ElementLights) -> Option<FogTree> {
@@ -46,7 +44,7 @@ fn fog_leaf(scene: &Scene<'_>, element: &Element, values: &[Rgb; 4]) -> FogLeaf 
 
 /// Returns the mean scattering and extinction coefficients of a box, 1/m.
 fn coefficients(scene: &Scene<'_>, element: &Element) -> [Rgb; 2] {
-    debug_assert_eq!(element.kind, ElementKind::Volume);
+    debug_assert!(element.is_volume());
     let at = |point: Vec3A| {
         let media = &scene.prepared.media;
         [media.scattering_at(point), media.extinction_color_at(point)]
@@ -55,10 +53,11 @@ fn coefficients(scene: &Scene<'_>, element: &Element) -> [Rgb; 2] {
         return at(element.center);
     }
     let mut sums = [Rgb::ZERO; 2];
-    for k in 0..GRID.pow(3) {
-        let place = [k % GRID, k / GRID % GRID, k / GRID.pow(2)].map(|k| (2 * k + 1) as f32 / GRID as f32 - 1.0);
+    for k in 0..FOG_GRID.pow(3) {
+        let place = [k % FOG_GRID, k / FOG_GRID % FOG_GRID, k / FOG_GRID.pow(2)]
+            .map(|k| (2 * k + 1) as f32 / FOG_GRID as f32 - 1.0);
         let here = at(element.center + element.half_extent * Vec3A::from_array(place));
         sums = [sums[0] + here[0], sums[1] + here[1]];
     }
-    sums.map(|sum| sum / GRID.pow(3) as f32)
+    sums.map(|sum| sum / FOG_GRID.pow(3) as f32)
 }

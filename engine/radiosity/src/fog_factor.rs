@@ -1,8 +1,10 @@
 //! Form factors between points and boxes of fog.
 
-use crate::element::{Element, ElementKind, FOG_NODES};
+use crate::element::{Element, FOG_NODES, Shape};
+use crate::factor::{point_form_factor, point_solid_angle_factor};
 use crate::form_factor::{polygon_form_factor, solid_angle};
-use crate::link::{Oracle, point_form_factor, point_solid_angle_factor};
+use crate::link::Oracle;
+use crate::tuning::{AT_EDGE, FACE_POINTS, FAR_BOX_RADII, FAR_FACE_POINTS, MIN_FACE_DISTANCE, NEAR_BOX_RADII};
 use crate::visibility::VisibilityTester;
 use femc_field::SurfaceSpot;
 use femc_math::cross;
@@ -12,16 +14,6 @@ use std::f32::consts::PI;
 
 /// Kernel of a small surface at a spot: the spot, the surface's spot, its area.
 type Kernel = fn(&SurfaceSpot, &SurfaceSpot, f32) -> f32;
-
-/// Number of points by axis on a face of a box of fog.
-pub const FACE_POINTS: u32 = 5;
-
-/// Minimum distance between a point and a face of a box of fog, as a share of the box's radius, for the choice of points on the
-/// face.
-const MIN_FACE_DISTANCE: f32 = 1e-4;
-
-/// Position of the test point at the edge of a box of fog, in half edges from its center.
-const AT_EDGE: f32 = 0.9;
 
 impl Oracle<'_> {
     /// Returns the difference, at the edge of a box of fog next to a surface or another box, between the light received there and
@@ -43,11 +35,11 @@ impl Oracle<'_> {
         }
         let distance = distance2.sqrt();
         let extinction = self.extinction(q);
-        if p.is_directional() || distance > 3.0 * q.radius {
-            let share = match p.kind {
-                ElementKind::Volume => 1.0,
-                ElementKind::Patch => 4.0 * (node.normal.dot(way) / distance).max(0.0),
-                ElementKind::Cluster | ElementKind::Curved => 4.0,
+        if p.is_directional() || distance > FAR_BOX_RADII * q.radius {
+            let share = match p.shape {
+                Shape::Volume(_) => 1.0,
+                Shape::Patch(_) => 4.0 * (node.normal.dot(way) / distance).max(0.0),
+                Shape::Cluster(_) | Shape::Curved(_) => 4.0,
             };
             if share <= 0.0 {
                 return 0.0;
@@ -57,11 +49,11 @@ impl Oracle<'_> {
             let spread = |x: f32| 1.0 + x * x * (1.0 / 6.0 + x * x * (1.0 / 120.0 + x * x / 5040.0));
             let through = decay.to_array().into_iter().map(spread).product::<f32>()
                 * tester.fog_transmittance(self.scene, node.position, q.center);
-            return share * q.size / (4.0 * PI * distance2) * through;
+            return share * q.size() / (4.0 * PI * distance2) * through;
         }
         // Fewer points suffice where the distances to a face differ less.
-        let count = if distance > 1.5 * q.radius { 3 } else { FACE_POINTS };
-        box_factor(extinction, (q.center, q.half_extent), node, p.kind == ElementKind::Patch, count as usize)
+        let count = if distance > NEAR_BOX_RADII * q.radius { FAR_FACE_POINTS } else { FACE_POINTS };
+        box_factor(extinction, (q.center, q.half_extent), node, p.patch().is_some(), count as usize)
     }
 
     /// Computes the factor of a wide source at a box of fog. At a point outside, it is that of the source's center. Inside the box
@@ -77,7 +69,7 @@ impl Oracle<'_> {
         if (q.center - p.center).abs().cmple(p.half_extent).all() {
             // A quarter of 4 pi times the path length of light in the box, divided by its volume.
             let length = attenuated_length(self.extinction(p), p.half_extent.min_element());
-            return PI * length / p.size;
+            return PI * length / p.size();
         }
         0.25 / distance2 * tester.fog_transmittance(self.scene, node.position, q.center)
     }

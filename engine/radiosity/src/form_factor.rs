@@ -1,15 +1,10 @@
 //! Form factors from a point: the share of a source's light that a point receives without occlusion.
 
+use crate::tuning::{FAR_RADII, IN_PLANE};
 use femc_math::cross;
 use femc_math::elementary::atan2;
 use femc_math::glam::Vec3A;
 use std::f32::consts::PI;
-
-/// Height of a polygon above the horizon of a point, as a share of its distance, below which it counts as in the plane of the
-/// point: it sends nothing there. Lambert's formula has no value for it: a two-sided lamp would light itself.
-const IN_PLANE: f32 = 1e-5;
-/// Distance in radii beyond which a surface is treated as a point.
-const FAR_RADII: f32 = 30.0;
 
 /// Computes Lambert's formula: the form factor from a point with unit normal to a polygon, which sends from the side that sees its
 /// corners counterclockwise. The part below the point's horizon is clipped. At most 1.

@@ -1,14 +1,16 @@
 //! Gathering of light through links, and its transport down and up the tree.
 
 use crate::arena::Arena;
-use crate::element::{Element, ElementKind};
+use crate::element::{Curved, Element, Patch, Shape, SurfacePart};
 use crate::link::Link;
 use crate::scene::Scene;
-use femc_field::{Cell, Harmonics, NONE};
+use crate::tuning::{CURVED_NORMALS, MAX_REFLECTED_SHARE, MAX_ROW_SUM};
+use femc_field::{Harmonics, NONE};
 use femc_math::Rgb;
 use femc_math::color::luminance;
 use femc_math::glam::{Vec2, Vec3A};
 use rayon::prelude::*;
+use std::f32::consts::PI;
 
 /// The light of an element.
 #[derive(Clone, Copy, Debug)]
@@ -69,14 +71,6 @@ pub enum EnergyBound {
     /// The excess is removed from now on, so that light cannot grow from reflection to reflection.
     RowSums,
 }
-
-/// Maximum irradiance of a point if all elements have a radiosity of 1.
-const MAX_ROW_SUM: f32 = 1.1;
-/// Maximum share of the light that a reflection may pass on under that bound.
-const MAX_REFLECTED_SHARE: f32 = 0.99;
-
-/// Number of normals at which a ball's light is evaluated.
-const CURVED_NORMALS: usize = 16;
 
 /// Light of all elements.
 #[derive(Clone, Debug)]
@@ -140,35 +134,35 @@ impl ElementLights {
                 continue;
             }
             let light = &mut self.elements[index];
-            light.radiosity = match element.kind {
-                ElementKind::Volume => Rgb::splat(scene.prepared.media.extinction_at(element.center)),
-                _ => Rgb::ONE,
+            light.radiosity = match &element.shape {
+                Shape::Volume(_) => Rgb::splat(scene.prepared.media.extinction_at(element.center)),
+                Shape::Patch(_) | Shape::Curved(_) | Shape::Cluster(_) => Rgb::ONE,
             };
-            if element.kind == ElementKind::Curved {
-                light.intensity = curved_intensity(scene, element, |_| Rgb::ONE);
+            if let Shape::Curved(curved) = &element.shape {
+                light.intensity = curved_intensity(scene, &curved.part, |_| Rgb::ONE);
             }
         }
         self.gather(arena, links);
         self.push_all(arena);
-        let albedo = |element: &Element| match element.kind {
-            ElementKind::Cluster => 0.0,
-            ElementKind::Volume => {
+        let albedo = |element: &Element| match &element.shape {
+            Shape::Cluster(_) => 0.0,
+            Shape::Volume(fog) => {
                 let extinction = scene.prepared.media.extinction_at(element.center);
-                element.reflectance.max_element() / extinction.max(f32::MIN_POSITIVE)
+                fog.sigma_s.max_element() / extinction.max(f32::MIN_POSITIVE)
             }
-            ElementKind::Patch | ElementKind::Curved => (element.reflectance + element.transmittance).max_element(),
+            Shape::Patch(Patch { part, .. }) | Shape::Curved(Curved { part, .. }) => {
+                (part.reflectance + part.transmittance).max_element()
+            }
         };
         let greatest = arena.elements.iter().map(albedo).fold(0.0, f32::max);
         let bound = (MAX_REFLECTED_SHARE / greatest.max(f32::MIN_POSITIVE)).clamp(1.0, MAX_ROW_SUM);
         let mut most = 0.0f32;
         for (index, element) in arena.elements.iter().enumerate().filter(|(_, element)| element.is_leaf()) {
-            let received = match element.kind {
-                ElementKind::Curved => {
-                    [self.incident[element.directional as usize].total[FROM_ELEMENTS].total().y * 0.25; 4]
-                }
-                _ => self.elements[index].total[FROM_ELEMENTS].map(|light| light.y),
+            let received = match element.directional() {
+                Some(directional) => [self.incident[directional].total[FROM_ELEMENTS].total().y * 0.25; 4],
+                None => self.elements[index].total[FROM_ELEMENTS].map(|light| light.y),
             };
-            most = received[..element.node_count].iter().copied().fold(most, f32::max);
+            most = received[..element.node_count()].iter().copied().fold(most, f32::max);
             if bound_action == EnergyBound::RowSums {
                 for (taken, received) in self.accepted[index].iter_mut().zip(received) {
                     *taken = taken.min(bound / received.max(f32::MIN_POSITIVE));
@@ -194,9 +188,8 @@ impl ElementLights {
         for (row, (nodes, arriving)) in rows.iter().zip(gathered) {
             let receiver = row[0].receiver as usize;
             self.elements[receiver].gathered[FROM_ELEMENTS] = nodes;
-            let wide = arena.elements[receiver].directional;
-            if wide != NONE {
-                self.incident[wide as usize].gathered[FROM_ELEMENTS] = arriving;
+            if let Some(directional) = arena.elements[receiver].directional() {
+                self.incident[directional].gathered[FROM_ELEMENTS] = arriving;
             }
         }
     }
@@ -213,8 +206,7 @@ impl ElementLights {
                 let now = self.elements[index].radiosity;
                 let element = &arena.elements[index];
                 // A box of fog sends in all directions four times as much as a surface of its radiosity.
-                let size =
-                    f64::from(if element.kind == ElementKind::Volume { 4.0 * element.size } else { element.size });
+                let size = f64::from(if element.is_volume() { 4.0 * element.size() } else { element.size() });
                 change += size * f64::from(luminance((now - before).abs()));
                 whole += size * f64::from(luminance(now));
             } else {
@@ -231,33 +223,34 @@ impl ElementLights {
 
     fn push(&mut self, arena: &Arena, index: usize) {
         let element = &arena.elements[index];
-        if element.is_directional() {
-            let mut arriving = self.incident[element.directional as usize];
+        let parent = arena.elements.get(element.parent as usize);
+        if let Some(directional) = element.directional() {
+            let mut arriving = self.incident[directional];
             arriving.total = arriving.gathered;
-            if element.parent != NONE {
-                let above = self.incident[arena.elements[element.parent as usize].directional as usize].total;
+            if let Some(above) = parent.and_then(Element::directional) {
+                let above = self.incident[above].total;
                 (0..2).for_each(|kind| arriving.total[kind] += above[kind]);
             }
-            self.incident[element.directional as usize] = arriving;
+            self.incident[directional] = arriving;
             return;
         }
         let mut whole = self.elements[index].gathered;
-        if element.parent != NONE {
-            let above = &arena.elements[element.parent as usize];
+        if let Some(above) = parent {
             for kind in [FROM_LAMPS, FROM_ELEMENTS] {
-                for (node, value) in whole[kind].iter_mut().enumerate().take(element.node_count) {
-                    *value += if above.is_directional() {
-                        let light = &self.incident[above.directional as usize].total[kind];
-                        match element.kind {
-                            // A point of fog receives a quarter of the light from all directions.
-                            ElementKind::Volume => (light.total() * 0.25).max(Rgb::ZERO),
-                            _ => light.cosine_integral(element.nodes[node].normal),
+                for (node, value) in whole[kind].iter_mut().enumerate().take(element.node_count()) {
+                    *value += match above.directional() {
+                        Some(directional) => {
+                            let light = &self.incident[directional].total[kind];
+                            match &element.shape {
+                                // A point of fog receives a quarter of the light from all directions.
+                                Shape::Volume(_) => (light.total() * 0.25).max(Rgb::ZERO),
+                                _ => light.cosine_integral(element.node(node).normal),
+                            }
                         }
-                    } else {
-                        above.interpolate(
+                        None => above.interpolate(
                             &self.elements[element.parent as usize].total[kind],
                             above.node_in_parent(element, node),
-                        )
+                        ),
                     };
                 }
             }
@@ -276,7 +269,7 @@ impl ElementLights {
     }
 
     /// Returns the light by direction that a curved element receives from sources or from elements.
-    pub fn directional_irradiance(&self, element: &Element, index: usize, from: usize) -> Harmonics {
+    pub fn directional_irradiance(&self, element: &Curved, index: usize, from: usize) -> Harmonics {
         let IncidentLight { total: whole, ray_correction: more, .. } = self.incident[element.directional as usize];
         if from == FROM_ELEMENTS { whole[from] * Rgb::splat(self.accepted[index][0]) + more } else { whole[from] }
     }
@@ -284,82 +277,89 @@ impl ElementLights {
     /// Computes the light that a leaf sends from the light that it receives.
     fn reflect(&mut self, scene: &Scene<'_>, arena: &Arena, index: usize) {
         let element = &arena.elements[index];
-        let behind = self.back_irradiance(scene, arena, element);
+        let behind = element.surface_part().map_or(Rgb::ZERO, |part| self.back_irradiance(scene, arena, element, part));
         let of_elements = self.node_irradiance(index, FROM_ELEMENTS);
-        if element.kind == ElementKind::Curved {
-            let arriving = self.incident[element.directional as usize].total[FROM_LAMPS]
-                + self.directional_irradiance(element, index, FROM_ELEMENTS);
-            let (mut sum, mut mean) = (Rgb::ZERO, 0.0);
-            let sent = curved_intensity(scene, element, |normal| {
-                let irradiance = arriving.cosine_integral(normal);
-                let radiosity = element.reflectance * irradiance + element.transmittance * behind;
-                (sum, mean) = (sum + radiosity, mean + luminance(irradiance));
-                radiosity
-            });
-            let light = &mut self.elements[index];
-            light.intensity = sent;
-            light.radiosity = sum / CURVED_NORMALS as f32;
-            light.mean = mean / CURVED_NORMALS as f32;
-            light.min_mean = light.mean;
-            (light.darkest, light.brightest) = (0.0, 2.0 * luminance(light.radiosity));
-            return;
-        }
+        let (reflectance, transmittance) = match &element.shape {
+            Shape::Curved(curved) => return self.reflect_curved(scene, curved, behind, index),
+            Shape::Patch(Patch { part, .. }) => (part.reflectance, part.transmittance),
+            Shape::Volume(fog) => (fog.sigma_s, Rgb::ZERO),
+            Shape::Cluster(_) => (Rgb::ZERO, Rgb::ZERO),
+        };
         let light = &mut self.elements[index];
         let (mut sum, mut mean, mut darkest, mut brightest) = (Rgb::ZERO, 0.0, f32::INFINITY, 0.0f32);
-        for (node, of_elements) in of_elements.into_iter().enumerate().take(element.node_count) {
+        for (node, of_elements) in of_elements.into_iter().enumerate().take(element.node_count()) {
             let irradiance = (light.total[FROM_LAMPS][node] + of_elements).max(Rgb::ZERO);
-            let radiosity = element.reflectance * irradiance + element.transmittance * behind;
+            let radiosity = reflectance * irradiance + transmittance * behind;
             let value = luminance(radiosity);
             (darkest, brightest) = (darkest.min(value), brightest.max(value));
             (sum, mean) = (sum + radiosity, mean + luminance(irradiance));
         }
-        let share = 1.0 / element.node_count as f32;
+        let share = 1.0 / element.node_count() as f32;
         (light.radiosity, light.mean) = (sum * share, mean * share);
         light.min_mean = light.mean;
         (light.darkest, light.brightest) = (darkest, brightest);
     }
 
+    fn reflect_curved(&mut self, scene: &Scene<'_>, curved: &Curved, behind: Rgb, index: usize) {
+        let arriving = self.incident[curved.directional as usize].total[FROM_LAMPS]
+            + self.directional_irradiance(curved, index, FROM_ELEMENTS);
+        let (mut sum, mut mean) = (Rgb::ZERO, 0.0);
+        let sent = curved_intensity(scene, &curved.part, |normal| {
+            let irradiance = arriving.cosine_integral(normal);
+            let radiosity = curved.part.reflectance * irradiance + curved.part.transmittance * behind;
+            (sum, mean) = (sum + radiosity, mean + luminance(irradiance));
+            radiosity
+        });
+        let light = &mut self.elements[index];
+        light.intensity = sent;
+        light.radiosity = sum / CURVED_NORMALS as f32;
+        light.mean = mean / CURVED_NORMALS as f32;
+        light.min_mean = light.mean;
+        (light.darkest, light.brightest) = (0.0, 2.0 * luminance(light.radiosity));
+    }
+
     /// Returns the mean irradiance of the other side if the surface transmits light.
-    fn back_irradiance(&self, scene: &Scene<'_>, arena: &Arena, element: &Element) -> Rgb {
-        if element.transmittance == Rgb::ZERO || element.kind == ElementKind::Volume {
+    fn back_irradiance(&self, scene: &Scene<'_>, arena: &Arena, element: &Element, part: &SurfacePart) -> Rgb {
+        if part.transmittance == Rgb::ZERO {
             return Rgb::ZERO;
         }
-        let other = scene.other_side(element.surface);
+        let other = scene.other_side(part.surface);
         let root = if other == NONE { NONE } else { arena.roots[other as usize] };
         if root == NONE {
             return Rgb::ZERO;
         }
         // Both sides are split alike, though one may be split further.
-        let middle = if element.corner_count == 3 { Vec2::splat(1.0 / 3.0) } else { Vec2::splat(0.5) };
-        let (index, _) = arena.element_at(root, element.outline.point_at(middle), 0.0);
+        let middle = if element.is_triangle() { Vec2::splat(1.0 / 3.0) } else { Vec2::splat(0.5) };
+        let (index, _) = arena.element_at(root, part.outline.point_at(middle), 0.0);
         let other = &arena.elements[index as usize];
-        if other.kind == ElementKind::Curved {
+        if let Shape::Curved(other) = &other.shape {
             let sources = self.incident[other.directional as usize].total[FROM_LAMPS];
             return (sources + self.directional_irradiance(other, index as usize, FROM_ELEMENTS)).total() * 0.25;
         }
         let [sources, elements] = [FROM_LAMPS, FROM_ELEMENTS].map(|from| self.node_irradiance(index as usize, from));
-        let sum: Rgb = (0..other.node_count).map(|node| sources[node] + elements[node]).sum();
-        (sum / other.node_count as f32).max(Rgb::ZERO)
+        let sum: Rgb = (0..other.node_count()).map(|node| sources[node] + elements[node]).sum();
+        (sum / other.node_count() as f32).max(Rgb::ZERO)
     }
 
     fn pull(&mut self, arena: &Arena, index: usize) {
         let element = &arena.elements[index];
         let [a, b] = element.children.map(|child| (&arena.elements[child as usize], self.elements[child as usize]));
         let mut out = self.elements[index];
-        let size = a.0.size + b.0.size;
-        let [wa, wb] = [a, b].map(|(part, _)| if size > 0.0 { part.size / size } else { 0.5 });
+        let size = a.0.size() + b.0.size();
+        let [wa, wb] = [a, b].map(|(part, _)| if size > 0.0 { part.size() / size } else { 0.5 });
         if element.is_directional() {
             out.intensity = Harmonics::ZERO;
             for (part, light) in [a, b] {
-                match part.kind {
-                    ElementKind::Cluster | ElementKind::Curved => out.intensity += light.intensity,
-                    ElementKind::Patch => {
-                        let amount = light.radiosity * (part.size / (std::f32::consts::PI * part.node_count as f32));
-                        for node in &part.nodes[..part.node_count] {
+                match &part.shape {
+                    Shape::Cluster(_) | Shape::Curved(_) => out.intensity += light.intensity,
+                    Shape::Patch(patch) => {
+                        let nodes = patch.nodes();
+                        let amount = light.radiosity * (patch.part.area / (PI * nodes.len() as f32));
+                        for node in nodes {
                             out.intensity += Harmonics::from_direction(node.normal, amount);
                         }
                     }
-                    ElementKind::Volume => {}
+                    Shape::Volume(_) => {}
                 }
             }
         }
@@ -373,16 +373,12 @@ impl ElementLights {
 }
 
 /// Returns the intensity of a curved element by direction, cd, from the radiosity at points around it.
-fn curved_intensity(scene: &Scene<'_>, element: &Element, mut radiosity: impl FnMut(Vec3A) -> Rgb) -> Harmonics {
-    let surface = &scene.surfaces[element.surface as usize];
+fn curved_intensity(scene: &Scene<'_>, part: &SurfacePart, mut radiosity: impl FnMut(Vec3A) -> Rgb) -> Harmonics {
     let mut sent = Harmonics::ZERO;
     for k in 0..CURVED_NORMALS {
         let place = Vec2::new((k % 4) as f32 + 0.5, (k / 4) as f32 + 0.5) * 0.25;
-        let normal = surface.point_at(element.outline.point_at(place)).normal;
-        sent += Harmonics::from_direction(
-            normal,
-            radiosity(normal) * (element.size / (std::f32::consts::PI * CURVED_NORMALS as f32)),
-        );
+        let normal = part.point_at(scene, place).normal;
+        sent += Harmonics::from_direction(normal, radiosity(normal) * (part.area / (PI * CURVED_NORMALS as f32)));
     }
     sent
 }
@@ -407,9 +403,4 @@ fn gather_row(arena: &Arena, lights: &[ElementLight], row: &[Link]) -> ([Rgb; 4]
         }
     }
     (nodes, arriving)
-}
-
-/// Returns the cell of an element for the field.
-pub fn field_cell(element: &Element, next: u32) -> Cell {
-    Cell { outline: element.in_parent, split: crate::arena::field_split(element), next }
 }

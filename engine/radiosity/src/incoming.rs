@@ -5,7 +5,7 @@
 //! that were not used for the fit.
 
 use crate::arena::Arena;
-use crate::element::{Element, ElementKind};
+use crate::element::Element;
 use crate::gather::ElementLights;
 use crate::link::Link;
 use crate::lobes::{Part, fit};
@@ -69,10 +69,10 @@ pub fn of_groups(
     groups
         .par_iter()
         .map(|(group, leaves)| {
-            let area: f32 = leaves.iter().map(|&leaf| arena.elements[leaf as usize].size).sum();
-            let mean = |leaf: &u32| arena.elements[*leaf as usize].size * lights.elements[*leaf as usize].mean / area;
+            let area: f32 = leaves.iter().map(|&leaf| arena.elements[leaf as usize].size()).sum();
+            let mean = |leaf: &u32| arena.elements[*leaf as usize].size() * lights.elements[*leaf as usize].mean / area;
             let least = EVEN * leaves.iter().map(mean).sum::<f32>();
-            let is_flat = arena.elements[*group as usize].kind == ElementKind::Patch;
+            let is_flat = arena.elements[*group as usize].patch().is_some();
             if !(is_flat && least > f32::MIN_POSITIVE && least.is_finite()) {
                 return (0.0, Vec::new());
             }
@@ -80,14 +80,14 @@ pub fn of_groups(
             for &leaf in leaves {
                 let (element, light) = (&arena.elements[leaf as usize], &lights.elements[leaf as usize]);
                 // Dark leaves next to bright ones count nearly as much.
-                let scale = element.size / area / (light.mean + least);
+                let scale = element.size() / area / (light.mean + least);
                 let first = ways.len();
                 by_links(arena, lights, links, leaf, &mut ways);
                 ways[first..].iter_mut().for_each(|part: &mut Part| part.amount *= scale);
                 let of = rays
                     .incident_segments((scene, arena), lights, leaf, |irradiance, _| irradiance.is_finite())
                     .into_iter();
-                let number = area / element.size;
+                let number = area / element.size();
                 seen.extend(of.map(|ray| IncidentSegment {
                     irradiance: ray.irradiance * scale,
                     ray_count: ray.ray_count * number,
@@ -120,18 +120,18 @@ pub fn joined<'a>(
 
 /// Returns the portals of a scene, found from rays.
 pub fn portals(scene: &Scene<'_>, arena: &Arena, lights: &ElementLights, rays: &Rays, leaves: &[u32]) -> Vec<Portal> {
-    let area = |&leaf: &u32| f64::from(arena.elements[leaf as usize].size);
+    let area = |&leaf: &u32| f64::from(arena.elements[leaf as usize].size());
     portals::find(&bright(scene, arena, lights, rays, leaves), leaves.iter().map(area).sum())
 }
 
 /// Returns ways that are much brighter than the mean of their leaf.
 fn bright(scene: &Scene<'_>, arena: &Arena, lights: &ElementLights, rays: &Rays, leaves: &[u32]) -> Vec<Line> {
-    let light = |leaf: u32| f64::from(arena.elements[leaf as usize].size * lights.elements[leaf as usize].mean);
+    let light = |leaf: u32| f64::from(arena.elements[leaf as usize].size() * lights.elements[leaf as usize].mean);
     let roots: Vec<u32> = leaves.iter().map(|&leaf| root(arena, leaf)).collect();
     let mut sums: HashMap<u32, [f64; 2]> = HashMap::new();
     for (&leaf, &root) in leaves.iter().zip(&roots) {
         let sum = sums.entry(root).or_default();
-        *sum = [sum[0] + light(leaf), sum[1] + f64::from(arena.elements[leaf as usize].size)];
+        *sum = [sum[0] + light(leaf), sum[1] + f64::from(arena.elements[leaf as usize].size())];
     }
     let of = |(&leaf, root): (&u32, &u32)| {
         let element = &arena.elements[leaf as usize];
@@ -141,7 +141,7 @@ fn bright(scene: &Scene<'_>, arena: &Arena, lights: &ElementLights, rays: &Rays,
         let line = |ray: IncidentSegment| {
             let way = (ray.target - ray.origin).as_dvec3();
             let length = way.length();
-            let weight = f64::from(ray.irradiance / mean * element.size);
+            let weight = f64::from(ray.irradiance / mean * element.size());
             Line { origin: ray.origin.as_dvec3(), dir: way / length, length, weight }
         };
         let is_lit = mean > f32::MIN_POSITIVE;
@@ -152,12 +152,17 @@ fn bright(scene: &Scene<'_>, arena: &Arena, lights: &ElementLights, rays: &Rays,
     leaves.par_iter().zip(&roots).flat_map_iter(of).collect()
 }
 
+/// Checks whether an element is a part of a surface. [`NONE`] is not.
+fn is_surface(arena: &Arena, element: u32) -> bool {
+    arena.elements.get(element as usize).is_some_and(|element| element.surface_part().is_some())
+}
+
 /// Returns the root element of a leaf's surface.
 fn root(arena: &Arena, leaf: u32) -> u32 {
     let mut at = leaf;
     loop {
         let parent = arena.elements[at as usize].parent;
-        if parent == NONE || arena.elements[parent as usize].surface == NONE {
+        if !is_surface(arena, parent) {
             return at;
         }
         at = parent;
@@ -178,7 +183,7 @@ fn toward(
         Purpose::Paths => [BEWARE, SHARES[0]],
     };
     let seen: Vec<Lobe> =
-        portals.iter().filter(is_there).filter_map(|portal| portal.lobe(group.center, group.normal, seek)).collect();
+        portals.iter().filter(is_there).filter_map(|portal| portal.lobe(group.center, group.normal(), seek)).collect();
     if seen.is_empty() {
         return (share, lobes);
     }
@@ -194,7 +199,7 @@ pub fn groups(arena: &Arena, leaves: &[u32], light: &[(u32, [f32; 2])]) -> Vec<(
     let mut sums = vec![[0.0f32; 2]; arena.elements.len()];
     for &(leaf, of) in light {
         let mut at = leaf;
-        while at != NONE && arena.elements[at as usize].surface != NONE {
+        while is_surface(arena, at) {
             sums[at as usize].iter_mut().zip(of).for_each(|(sum, of)| *sum += of);
             at = arena.elements[at as usize].parent;
         }
@@ -209,7 +214,7 @@ pub fn groups(arena: &Arena, leaves: &[u32], light: &[(u32, [f32; 2])]) -> Vec<(
             let mut at = leaf;
             while !is_enough(at) {
                 let parent = arena.elements[at as usize].parent;
-                if parent == NONE || arena.elements[parent as usize].surface == NONE {
+                if !is_surface(arena, parent) {
                     break;
                 }
                 at = parent;
@@ -237,7 +242,7 @@ fn by_links(arena: &Arena, lights: &ElementLights, links: &[Link], leaf: u32, pa
             let factor = if p.is_directional() {
                 link.factors[0] * cosine(receiver, dir)
             } else {
-                link.factors[..p.node_count].iter().sum::<f32>() / p.node_count as f32
+                link.factors[..p.node_count()].iter().sum::<f32>() / p.node_count() as f32
             };
             let amount = sent * factor;
             if amount > 0.0 && amount.is_finite() {
@@ -250,7 +255,8 @@ fn by_links(arena: &Arena, lights: &ElementLights, links: &[Link], leaf: u32, pa
 
 /// Returns the cosine at a receiver; for a curved one its mean.
 fn cosine(receiver: &Element, dir: Vec3A) -> f32 {
-    if receiver.normal == Vec3A::ZERO { 0.25 } else { receiver.normal.dot(dir).max(0.0) }
+    let normal = receiver.normal();
+    if normal == Vec3A::ZERO { 0.25 } else { normal.dot(dir).max(0.0) }
 }
 
 /// Divides a source's light into parts, more for a larger source.
@@ -269,13 +275,14 @@ fn in_parts(
         let distance2 = q.center.distance_squared(receiver.center);
         let is_small = q.radius * q.radius <= LARGE * LARGE * distance2;
         if is_small || q.is_leaf() || parts.len() + open.len() >= end {
-            let origin = receiver.nodes[parts.len() % receiver.node_count].position;
-            if q.kind == ElementKind::Patch {
+            let origin = receiver.node(parts.len() % receiver.node_count()).position;
+            if let Some(patch) = q.patch() {
                 // Each node represents its share of the area.
-                let amount = amount / q.node_count as f32;
-                let spread = q.size / (PI * q.node_count as f32);
+                let nodes = patch.nodes();
+                let amount = amount / nodes.len() as f32;
+                let spread = patch.part.area / (PI * nodes.len() as f32);
                 let part = |node: &SurfaceSpot| Part { origin, target: node.position, spread, amount };
-                parts.extend(q.nodes[..q.node_count].iter().map(part));
+                parts.extend(nodes.iter().map(part));
             } else {
                 let spread = (0.5 * q.radius * q.radius).min(1e30);
                 parts.push(Part { origin, target: q.center, spread, amount });
@@ -287,9 +294,9 @@ fn in_parts(
             let way = part.center - receiver.center;
             let distance2 = way.length_squared().max(0.25 * part.radius * part.radius).max(f32::MIN_POSITIVE);
             let dir = way.normalize_or(Vec3A::Z);
-            let there = if part.kind == ElementKind::Patch { (-part.normal.dot(dir)).max(0.0) } else { 0.5 };
-            let size = if part.size.is_finite() { part.size } else { 0.0 };
-            size * luminance(light.radiosity).max(0.0) * cosine(receiver, dir).max(1e-3) * there.max(1e-3) / distance2
+            let there = part.patch().map_or(0.5, |patch| (-patch.normal.dot(dir)).max(0.0));
+            part.size() * luminance(light.radiosity).max(0.0) * cosine(receiver, dir).max(1e-3) * there.max(1e-3)
+                / distance2
         });
         let sum = weights[0] + weights[1];
         for (child, weight) in q.children.into_iter().zip(weights) {
@@ -325,7 +332,7 @@ fn guide(element: &Element, links: &[Part], rays: &[IncidentSegment], portals: &
     if !(by_links + by_rays > 0.0 && (by_links + by_rays).is_finite()) {
         return nothing;
     }
-    let frame = Frame::from_normal(element.normal);
+    let frame = Frame::from_normal(element.normal());
     // The fit uses the links and every other ray, whichever finds more. The remaining rays test the result.
     const SCALE: f32 = 2.0;
     let mut parts = links.to_vec();
@@ -363,8 +370,8 @@ fn guide(element: &Element, links: &[Part], rays: &[IncidentSegment], portals: &
     if odd > 0.0 {
         for ray in rays.iter().skip(1).step_by(2) {
             // Mean of the square, as if the direction had been sampled from the mixture.
-            let dir = (ray.target - ray.origin).normalize_or(element.normal);
-            let cosine = element.normal.dot(dir).max(1e-3) / PI;
+            let dir = (ray.target - ray.origin).normalize_or(element.normal());
+            let cosine = element.normal().dot(dir).max(1e-3) / PI;
             let square = ray.irradiance * ray.irradiance / (odd * odd) * (0.5 * ray.ray_count);
             let lobes = Directions::new(&block, 1.0, ray.origin).map_or(0.0, |directions| directions.pdf(dir));
             moments[0][1] += square;

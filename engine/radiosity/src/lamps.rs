@@ -1,10 +1,14 @@
 //! Direct light that elements receive from light sources. A source is evaluated at each point; it is never an element itself.
 
-use crate::element::{Element, ElementKind};
-use crate::fog_factor::{FACE_POINTS, attenuated_length};
+use crate::element::{Element, PatchForm, Shape};
+use crate::fog_factor::attenuated_length;
 use crate::form_factor::{polygon_form_factor, solid_angle};
 use crate::link::{Oracle, occlusion_bound};
 use crate::scene::{Lamp, SHUTTER_TIME};
+use crate::tuning::{
+    BEHIND_HEIGHT, DIRECTIONAL_ERROR, DIRECTIONAL_LAMP_ERROR, FACE_POINTS, LAMP_NODES_WEIGHT, LAMP_STRATA,
+    LAMP_VISIBILITY_RAYS, LARGE_SOURCE, MAX_LAMP_ABSORBED, NEAR_ELEMENT,
+};
 use crate::visibility::{RandomNumbers, VisibilityTester, sample_point};
 use femc_field::SurfaceSpot;
 use femc_math::Rgb;
@@ -33,18 +37,49 @@ pub enum LampLinkDecision {
     SplitReceiver,
 }
 
-/// Number of rays that test whether any light of a source arrives.
-const VISIBILITY_RAYS: u32 = 16;
-/// Number of points by axis on a source that is large as seen from the element.
-const STRATA: u32 = 2;
-/// Minimum radius of a large source, as a share of the distance.
-const LARGE_SOURCE: f32 = 0.1;
-/// Minimum radius of an element near a source, as a share of the distance.
-const NEAR_ELEMENT: f32 = 0.3;
-/// Maximum share of a source's light that needs no closer test, times the error.
-const MAX_ABSORBED: f32 = 0.3;
+/// A receiver and a light source.
+struct LampPair<'a> {
+    /// The receiver.
+    p: &'a Element,
+    /// Index of the source, and the source.
+    lamp: u32,
+    source: &'a Lamp,
+    /// Distance of the centers, m.
+    distance: f32,
+    /// Radius of the receiver over the distance; at most 1.
+    near: f32,
+    /// Allowed error of the irradiance, lx.
+    allowed: f32,
+}
 
-impl Oracle<'_> {
+impl LampPair<'_> {
+    /// Checks whether the source is large as seen from the element.
+    fn is_large(&self) -> bool {
+        self.source.radius > LARGE_SOURCE * (self.distance - self.p.radius).max(0.0)
+    }
+
+    /// Checks whether the light is computed exactly, so that points of the source only measure the occlusion.
+    fn is_exact(&self) -> bool {
+        self.is_large() && !self.source.polygons.is_empty() && !self.p.is_directional()
+    }
+}
+
+/// Points of a source, and the light without occlusion.
+struct OpenLight {
+    /// Light and points of the source, by node of the receiver.
+    points: [[Option<(Rgb, SurfaceSpot)>; (LAMP_STRATA * LAMP_STRATA) as usize]; 4],
+    /// Luminance of the points' light, by node.
+    weight: [f32; 4],
+    /// Light at each node, lx.
+    nodes: [Rgb; 4],
+    /// Mean and maximum over the nodes, by luminance, lx.
+    mean: f32,
+    most: f32,
+    /// Estimated error, lx.
+    error: f32,
+}
+
+impl<'a> Oracle<'a> {
     /// Decides on the light of a source at an element.
     pub fn decide_lamp_link(&self, receiver: u32, lamp: u32, tester: &mut VisibilityTester) -> LampLinkDecision {
         let p = &self.arena.elements[receiver as usize];
@@ -52,134 +87,180 @@ impl Oracle<'_> {
             // Surfaces and fog together cannot be judged as one.
             return LampLinkDecision::SplitReceiver;
         }
-        let Lamp { center, radius, intensity, .. } = self.scene.lamps[lamp as usize];
-        let flat = p.kind == ElementKind::Patch && self.scene.surfaces[p.surface as usize].is_flat();
-        if (flat || p.kind == ElementKind::Cluster && p.normal != Vec3A::ZERO)
-            && p.normal.dot(center - p.center) + radius + p.radius * 1e-5 <= 0.0
-        {
+        if self.is_behind_receiver(p, lamp) {
             return LampLinkDecision::Drop;
         }
-        let way = center - p.center;
-        let distance = way.length();
-        let wide = p.is_directional();
-        // A few points do not represent a large element's light from a near or one-sided source.
-        let close = (p.radius / distance.max(1e-20)).min(1.0);
-        let reach = distance.max(0.5 * p.radius);
-        let share = if p.kind == ElementKind::Volume { 0.25 } else { 1.0 };
-        let hidden_part =
-            share * intensity * close / (reach * reach) * tester.fog_transmittance(self.scene, p.center, center);
-        let allowed = self.allowed_error(p, &self.lights[receiver as usize]);
-        if p.kind != ElementKind::Patch && close > NEAR_ELEMENT && hidden_part > allowed && self.may_split(p) {
+        let pair = self.lamp_pair(receiver, lamp);
+        if self.must_split_near(&pair, tester) {
             return LampLinkDecision::SplitReceiver;
         }
-        // A box around the source absorbs this share of the source's light in the fog; four points cannot measure that.
-        if p.kind == ElementKind::Volume && close > NEAR_ELEMENT && !self.element_budget_exhausted {
-            let taken = 4.0 * hidden_part * p.size * self.extinction(p) / (PI * intensity);
-            if taken > MAX_ABSORBED * self.error {
-                return LampLinkDecision::SplitReceiver;
-            }
-        }
-        let large = radius > LARGE_SOURCE * (distance - p.radius).max(0.0);
-        let mut link = LampLink { receiver, lamp, light: [Rgb::ZERO; 4], dir: way.normalize_or(Vec3A::Z) };
         let mut numbers = RandomNumbers::new(&[p.key, u64::from(lamp), 7]);
-        // Light without occlusion: by points of the source, or exactly, if the points only measure the occlusion.
-        let exact = large && !self.scene.lamps[lamp as usize].polygons.is_empty() && !wide;
-        let mut open = [Rgb::ZERO; 4];
-        let mut weight = [0.0f32; 4];
-        let mut points = [[None; (STRATA * STRATA) as usize]; 4];
-        for node in 0..p.node_count {
-            let count = if large { STRATA * STRATA } else { 1 };
-            for (k, point) in points[node].iter_mut().enumerate().take(count as usize) {
-                let u = if large {
-                    let place = [k as u32 % STRATA, k as u32 / STRATA];
-                    place.map(|at| (at as f32 + numbers.next()) / STRATA as f32)
-                } else {
-                    [0.5; 2]
-                };
-                *point = self.unoccluded_light(p, &p.nodes[node], lamp, u);
-                if let Some((light, _)) = point {
-                    *light *= 1.0 / count as f32;
-                    weight[node] += luminance(*light);
-                    open[node] += *light;
-                }
-            }
-            if exact {
-                open[node] = self.polygon_irradiance(p, &p.nodes[node], lamp);
-            }
-        }
-        let amounts = open.map(luminance);
-        let mean = amounts[..p.node_count].iter().sum::<f32>() / p.node_count as f32;
-        let most = amounts[..p.node_count].iter().copied().fold(0.0, f32::max);
-        let least = amounts[..p.node_count].iter().copied().fold(f32::INFINITY, f32::min);
-        let near = (p.radius / distance.max(1e-20)).min(1.0);
-        let error = match p.kind {
-            ElementKind::Cluster | ElementKind::Curved => mean * (0.1 + 4.0 * near * near),
-            // A linear function has the mean of its nodes at the center, so the difference there is what the points miss.
-            _ => {
-                let spot = SurfaceSpot { position: p.center, normal: p.normal, error: p.nodes[0].error };
-                let middle = match (exact, large) {
-                    (true, _) => luminance(self.polygon_irradiance(p, &spot, lamp)),
-                    (_, true) => mean,
-                    _ => self.unoccluded_light(p, &spot, lamp, [0.5; 2]).map_or(0.0, |(light, _)| luminance(light)),
-                };
-                (middle - mean).abs() + 0.1 * (most - least) + self.missed_irradiance(p, lamp)
-            }
-        };
-        if error > allowed && self.may_split(p) {
-            let unproved_error = self.unproved_error(p, allowed);
-            let looks = allowed < unproved_error && mean * occlusion_bound(VISIBILITY_RAYS) <= unproved_error;
+        let open = self.open_light(&pair, &mut numbers);
+        if open.error > pair.allowed && self.may_split(p) {
+            let unproved_error = self.unproved_error(p, pair.allowed);
+            let looks =
+                pair.allowed < unproved_error && open.mean * occlusion_bound(LAMP_VISIBILITY_RAYS) <= unproved_error;
             return if looks && self.is_occluded(p, lamp, tester) {
                 LampLinkDecision::Drop
             } else {
                 LampLinkDecision::SplitReceiver
             };
         }
-        if most <= 0.0 {
+        if open.most <= 0.0 {
             return LampLinkDecision::Drop;
         }
-        let mut shares = [1.0f32; 4];
-        for node in 0..p.node_count {
+        let (mut light, shares) = self.occluded_light(&pair, &open, &mut numbers, tester);
+        if p.is_volume() && pair.near > NEAR_ELEMENT && !pair.is_large() {
+            self.add_missed_lamp_light(&pair, &mut light, shares, tester);
+        }
+        let shares = &shares[..p.node_count()];
+        let spread = shares.iter().copied().fold(0.0, f32::max) - shares.iter().copied().fold(1.0, f32::min);
+        let is_uneven = 0.5 * spread * open.mean > pair.allowed;
+        if is_uneven && self.may_split(p) {
+            return LampLinkDecision::SplitReceiver;
+        }
+        let dir = (pair.source.center - p.center).normalize_or(Vec3A::Z);
+        let link = LampLink { receiver, lamp, light, dir };
+        LampLinkDecision::Keep { link, is_inexact: is_uneven || open.error > pair.allowed }
+    }
+
+    fn lamp_pair(&self, receiver: u32, lamp: u32) -> LampPair<'a> {
+        let (p, source) = (&self.arena.elements[receiver as usize], &self.scene.lamps[lamp as usize]);
+        let distance = (source.center - p.center).length();
+        let near = (p.radius / distance.max(1e-20)).min(1.0);
+        LampPair { p, lamp, source, distance, near, allowed: self.allowed_error(p, &self.lights[receiver as usize]) }
+    }
+
+    /// Checks whether a source is behind an element with one normal.
+    fn is_behind_receiver(&self, p: &Element, lamp: u32) -> bool {
+        let Lamp { center, radius, .. } = self.scene.lamps[lamp as usize];
+        let has_one_normal = match &p.shape {
+            Shape::Patch(patch) => self.scene.surfaces[patch.part.surface as usize].is_flat(),
+            Shape::Cluster(cluster) => cluster.normal.is_some(),
+            Shape::Curved(_) | Shape::Volume(_) => false,
+        };
+        has_one_normal && p.normal().dot(center - p.center) + radius + p.radius * BEHIND_HEIGHT <= 0.0
+    }
+
+    /// Checks whether an element is too close to a source: a few points do not represent a large element's light from a near or
+    /// one-sided source.
+    fn must_split_near(&self, pair: &LampPair<'_>, tester: &mut VisibilityTester) -> bool {
+        let LampPair { p, near, allowed, .. } = *pair;
+        let Lamp { center, intensity, .. } = *pair.source;
+        if p.patch().is_some() || near <= NEAR_ELEMENT {
+            return false;
+        }
+        let reach = pair.distance.max(0.5 * p.radius);
+        let share = if p.is_volume() { 0.25 } else { 1.0 };
+        let hidden_part =
+            share * intensity * near / (reach * reach) * tester.fog_transmittance(self.scene, p.center, center);
+        if hidden_part > allowed && self.may_split(p) {
+            return true;
+        }
+        // A box around the source absorbs this share of the source's light in the fog; four points cannot measure that.
+        let absorbed = || 4.0 * hidden_part * p.size() * self.extinction(p) / (PI * intensity);
+        p.is_volume() && !self.element_budget_exhausted && absorbed() > MAX_LAMP_ABSORBED * self.error
+    }
+
+    /// Computes the light without occlusion.
+    fn open_light(&self, pair: &LampPair<'_>, numbers: &mut RandomNumbers) -> OpenLight {
+        let LampPair { p, lamp, .. } = *pair;
+        let (is_large, is_exact, count) = (pair.is_large(), pair.is_exact(), p.node_count());
+        let (mut nodes, mut weight) = ([Rgb::ZERO; 4], [0.0f32; 4]);
+        let mut points = [[None; (LAMP_STRATA * LAMP_STRATA) as usize]; 4];
+        for (index, node) in p.nodes().enumerate() {
+            let samples = if is_large { LAMP_STRATA * LAMP_STRATA } else { 1 };
+            for (k, point) in points[index].iter_mut().enumerate().take(samples as usize) {
+                let u = if is_large {
+                    let place = [k as u32 % LAMP_STRATA, k as u32 / LAMP_STRATA];
+                    place.map(|at| (at as f32 + numbers.next()) / LAMP_STRATA as f32)
+                } else {
+                    [0.5; 2]
+                };
+                *point = self.unoccluded_light(p, &node, lamp, u);
+                if let Some((light, _)) = point {
+                    *light *= 1.0 / samples as f32;
+                    weight[index] += luminance(*light);
+                    nodes[index] += *light;
+                }
+            }
+            if is_exact {
+                nodes[index] = self.polygon_irradiance(p, &node, lamp);
+            }
+        }
+        let amounts = nodes.map(luminance);
+        let amounts = &amounts[..count];
+        let mean = amounts.iter().sum::<f32>() / count as f32;
+        let most = amounts.iter().copied().fold(0.0, f32::max);
+        let least = amounts.iter().copied().fold(f32::INFINITY, f32::min);
+        let error = if p.is_directional() {
+            mean * (DIRECTIONAL_ERROR[0] + DIRECTIONAL_LAMP_ERROR * pair.near * pair.near)
+        } else {
+            // A linear function has the mean of its nodes at the center, so the difference there is what the points miss.
+            let spot = p.center_spot();
+            let middle = match (is_exact, is_large) {
+                (true, _) => luminance(self.polygon_irradiance(p, &spot, lamp)),
+                (_, true) => mean,
+                _ => self.unoccluded_light(p, &spot, lamp, [0.5; 2]).map_or(0.0, |(light, _)| luminance(light)),
+            };
+            (middle - mean).abs() + LAMP_NODES_WEIGHT * (most - least) + self.missed_irradiance(p, lamp)
+        };
+        OpenLight { points, weight, nodes, mean, most, error }
+    }
+
+    /// Returns the light at the nodes with occlusion, and the share that is not occluded.
+    fn occluded_light(
+        &self,
+        pair: &LampPair<'_>,
+        open: &OpenLight,
+        numbers: &mut RandomNumbers,
+        tester: &mut VisibilityTester,
+    ) -> ([Rgb; 4], [f32; 4]) {
+        let LampPair { p, .. } = *pair;
+        let (mut light_at, mut shares) = ([Rgb::ZERO; 4], [1.0f32; 4]);
+        for (index, node) in p.nodes().enumerate() {
             let mut got = Rgb::ZERO;
-            for (light, to) in points[node].iter().flatten() {
-                let from = if wide {
+            for (light, to) in open.points[index].iter().flatten() {
+                let from = if p.is_directional() {
                     let part = numbers.next();
-                    let spot = sample_point(self.arena, self.scene, p, (part * 4.0) as u32, &mut numbers, |_| 1.0);
+                    let spot = sample_point(self.arena, self.scene, p, (part * 4.0) as u32, numbers, |_| 1.0);
                     if spot.normal != Vec3A::ZERO && spot.normal.dot(to.position - spot.position) <= 0.0 {
-                        p.nodes[node]
+                        node
                     } else {
                         spot
                     }
                 } else {
-                    p.nodes[node]
+                    node
                 };
                 got += *light * tester.transmittance(self.scene, &from, to);
             }
-            if weight[node] > 0.0 {
-                shares[node] = luminance(got) / weight[node];
+            if open.weight[index] > 0.0 {
+                shares[index] = luminance(got) / open.weight[index];
             }
             // The points' own sum, if there is no exact value.
-            link.light[node] = if exact { open[node] * shares[node] } else { got };
+            light_at[index] = if pair.is_exact() { open.nodes[index] * shares[index] } else { got };
         }
-        if p.kind == ElementKind::Volume && close > NEAR_ELEMENT && !large {
-            // Light of the box that the nodes miss is spread over it.
-            let seen = shares.iter().sum::<f32>() * 0.25;
-            let through: f32 =
-                p.nodes.iter().map(|node| tester.fog_transmittance(self.scene, node.position, center)).sum::<f32>()
-                    * 0.25;
-            let whole = self.mean_fog_light(p, lamp, center) * (seen / through.max(f32::MIN_POSITIVE)).min(1.0);
-            let got = link.light.into_iter().sum::<Rgb>() * 0.25;
-            let less = whole - got;
-            let more = less.max(Rgb::ZERO);
-            let scale = (whole / got.max(Rgb::splat(f32::MIN_POSITIVE))).min(Rgb::ONE);
-            link.light = link.light.map(|light| light * scale + more);
-        }
-        let hidden = &shares[..p.node_count];
-        let spread = hidden.iter().copied().fold(0.0, f32::max) - hidden.iter().copied().fold(1.0, f32::min);
-        let refused = 0.5 * spread * mean > allowed;
-        if refused && self.may_split(p) {
-            return LampLinkDecision::SplitReceiver;
-        }
-        LampLinkDecision::Keep { link, is_inexact: refused || error > allowed }
+        (light_at, shares)
+    }
+
+    /// Spreads the light of a box of fog that the nodes miss over the box.
+    fn add_missed_lamp_light(
+        &self,
+        pair: &LampPair<'_>,
+        light: &mut [Rgb; 4],
+        shares: [f32; 4],
+        tester: &mut VisibilityTester,
+    ) {
+        let LampPair { p, lamp, source: &Lamp { center, .. }, .. } = *pair;
+        let seen = shares.iter().sum::<f32>() * 0.25;
+        let through: f32 =
+            p.nodes().map(|node| tester.fog_transmittance(self.scene, node.position, center)).sum::<f32>() * 0.25;
+        let whole = self.mean_fog_light(p, lamp, center) * (seen / through.max(f32::MIN_POSITIVE)).min(1.0);
+        let got = light.iter().sum::<Rgb>() * 0.25;
+        let less = whole - got;
+        let more = less.max(Rgb::ZERO);
+        let scale = (whole / got.max(Rgb::splat(f32::MIN_POSITIVE))).min(Rgb::ONE);
+        *light = light.map(|light| light * scale + more);
     }
 
     /// Returns the mean light over a box of fog from a source, treated as a point, through the fog, as a quarter of the light from
@@ -210,38 +291,33 @@ impl Oracle<'_> {
                 }
             }
         }
-        (sum / p.size).max(Rgb::ZERO)
+        (sum / p.size()).max(Rgb::ZERO)
     }
 
     /// Returns the irradiance of a patch from a source, treated as a point, that the nodes miss, lx. A source close to a large
     /// patch is far from all nodes. The total is known from the solid angle of the patch.
     fn missed_irradiance(&self, p: &Element, lamp: u32) -> f32 {
-        if p.kind != ElementKind::Patch {
-            return 0.0;
-        }
+        let Some(patch) = p.patch() else { return 0.0 };
         let Lamp { center, intensity, .. } = self.scene.lamps[lamp as usize];
-        let mut corners = p.corners;
-        let is_curved = p.corner_count == 0;
-        let corners = &mut corners[..if is_curved { 4 } else { p.corner_count }];
-        let mut whole = solid_angle(center, corners);
-        if is_curved {
+        let mut whole = solid_angle(center, patch.corners());
+        if patch.form == PatchForm::Bent {
             // Chords of a curve, in either order.
-            corners.reverse();
-            whole = whole.max(solid_angle(center, corners));
+            let reversed: [Vec3A; 4] = std::array::from_fn(|k| patch.corners()[3 - k]);
+            whole = whole.max(solid_angle(center, &reversed));
         }
         let at = |node: &SurfaceSpot| {
             let way = center - node.position;
             let distance2 = way.length_squared();
             node.normal.dot(way).max(0.0) / (distance2 * distance2.sqrt()).max(f32::MIN_POSITIVE)
         };
-        let mean = p.nodes[..p.node_count].iter().map(at).sum::<f32>() / p.node_count as f32;
-        intensity * (whole / p.size - mean).abs()
+        let mean = patch.nodes().iter().map(at).sum::<f32>() / patch.nodes().len() as f32;
+        intensity * (whole / patch.part.area - mean).abs()
     }
 
     /// Checks whether all rays between points of an element and of a source are occluded.
     fn is_occluded(&self, p: &Element, lamp: u32, tester: &mut VisibilityTester) -> bool {
         let mut numbers = RandomNumbers::new(&[p.key, u64::from(lamp), 8]);
-        !(0..VISIBILITY_RAYS).any(|part| {
+        !(0..LAMP_VISIBILITY_RAYS).any(|part| {
             let from = sample_point(self.arena, self.scene, p, part % 4, &mut numbers, |_| 1.0);
             let u = [numbers.next(), numbers.next()];
             let to = self.unoccluded_light(p, &from, lamp, u);
@@ -251,8 +327,8 @@ impl Oracle<'_> {
 
     /// Returns the unoccluded light at a spot from a polygon of constant radiance.
     fn polygon_irradiance(&self, p: &Element, spot: &SurfaceSpot, lamp: u32) -> Rgb {
-        let of = |(corners, luminance): &(Vec<Vec3A>, Rgb)| match p.kind {
-            ElementKind::Volume => *luminance * (0.25 * solid_angle(spot.position, corners)),
+        let of = |(corners, luminance): &(Vec<Vec3A>, Rgb)| match &p.shape {
+            Shape::Volume(_) => *luminance * (0.25 * solid_angle(spot.position, corners)),
             _ => *luminance * (PI * polygon_form_factor(spot.position, spot.normal, corners)),
         };
         self.scene.lamps[lamp as usize].polygons.iter().map(of).sum()
@@ -263,10 +339,10 @@ impl Oracle<'_> {
         let prepared = self.scene.prepared;
         let sample =
             prepared.lights.sample_light(&prepared.world, &prepared.textures, lamp, spot.position, SHUTTER_TIME, u)?;
-        let share = match p.kind {
-            ElementKind::Patch => spot.normal.dot(sample.dir).max(0.0),
-            ElementKind::Volume => 0.25,
-            ElementKind::Cluster | ElementKind::Curved => 1.0,
+        let share = match &p.shape {
+            Shape::Patch(_) => spot.normal.dot(sample.dir).max(0.0),
+            Shape::Volume(_) => 0.25,
+            Shape::Cluster(_) | Shape::Curved(_) => 1.0,
         };
         let light = sample.radiance * (share / sample.pdf);
         (share > 0.0 && light.is_finite())

@@ -1,15 +1,19 @@
 //! Links: the light that one element receives from another, and the decision whether a link is exact enough.
 
+mod estimate;
+mod occlusion;
+
+pub use occlusion::occlusion_bound;
+
 use crate::arena::Arena;
-use crate::element::{Element, ElementKind};
-use crate::form_factor::{is_near, polygon_form_factor, solid_angle};
+use crate::element::{Cluster, Curved, Element, Patch, Shape};
+use crate::factor::point_form_factor;
 use crate::gather::ElementLight;
 use crate::scene::Scene;
-use crate::visibility::{RandomNumbers, VisibilityTester, sample_point};
-use femc_field::SurfaceSpot;
+use crate::tuning::{BEHIND_HEIGHT, CLOSE_LIGHT, CLOSE_RADII, ERROR_SCALE_BOUNDS, THICK_DEPTH, UNPROVED_LIGHT};
+use crate::visibility::VisibilityTester;
 use femc_math::color::luminance;
 use femc_math::glam::Vec3A;
-use std::f32::consts::PI;
 
 /// Light from one element to another.
 #[derive(Clone, Copy, Debug)]
@@ -64,45 +68,49 @@ pub struct Oracle<'a> {
     pub link_budget_exhausted: bool,
 }
 
-/// Minimum sum of the radii of a box of fog and its neighbor, as a share of their distance.
-const MIN_NEIGHBOR_RADII: f32 = 0.5;
+/// A receiver and a source, which are different elements.
+#[derive(Clone, Copy, Debug)]
+pub struct Pair<'a> {
+    /// Indices of the receiver and the source.
+    receiver: u32,
+    source: u32,
+    /// The receiver, and the source.
+    pub p: &'a Element,
+    pub q: &'a Element,
+    /// Light of the source.
+    from: &'a ElementLight,
+    /// Distance of the centers, m.
+    distance: f32,
+    /// Radius of the receiver, and of the source, over the distance; at most 1.
+    near_p: f32,
+    near_q: f32,
+    /// Luminance of the source's radiosity, lx; of a source with light by direction the intensity toward the receiver, cd.
+    radiosity: f32,
+    /// Allowed error of the irradiance, lx.
+    allowed: f32,
+}
 
-/// Bounds of the error scale, for large and for small elements.
-const ERROR_SCALE_BOUNDS: [f32; 2] = [0.5, 4.0];
+impl Pair<'_> {
+    /// Checks whether one of the elements has its light by direction.
+    fn has_directional(&self) -> bool {
+        self.p.is_directional() || self.q.is_directional()
+    }
 
-/// Minimum share of a source in the receiver's view, by radius over distance, in the estimate of the number of similar sources.
-const MIN_SOURCE_SHARE: f32 = 0.03;
+    fn keep(&self, factors: [f32; 4], is_inexact: bool) -> LinkDecision {
+        LinkDecision::Keep { link: Link { receiver: self.receiver, source: self.source, factors }, is_inexact }
+    }
+}
 
-/// Weight of the light at a box's edge that the nodes miss. With a small weight, large adjacent boxes would be linked. Their light
-/// travels from edge to edge, where no node is, and is lost.
-const EDGE_WEIGHT: f32 = 2.0;
-/// Weight for a surface as the source, which is adjacent to a larger part of the box.
-const SURFACE_EDGE_WEIGHT: f32 = 4.0;
-
-/// Optical thickness of half of a box of fog above which its light to itself is not treated as one value.
-const THICK_DEPTH: f32 = 0.5;
-
-/// Optical thickness of a surface's radius, times radius over distance, up to which its nodes suffice for the attenuation by fog.
-const THIN_DEPTH: f32 = 0.1;
-
-/// Number of visibility rays of a first test, and of a second one if the first found the source partly occluded.
-const VISIBILITY_RAYS: [u32; 2] = [4, 12];
-/// Limit for the light of a source that no ray has reached, in multiples of the minimum irradiance that an error is relative to.
-/// Below, the source counts as dark. Otherwise dark areas would be split finely only to prove their darkness.
-const UNPROVED_LIGHT: f32 = 10.0;
-/// Maximum light of a link, as a share of the allowed error, for which one ray is enough.
-const ONE_RAY_LIGHT: f32 = 0.2;
-
-impl Oracle<'_> {
+impl<'a> Oracle<'a> {
     /// Checks whether an element has parts, or may be split.
     pub fn may_split(&self, element: &Element) -> bool {
-        match element.kind {
+        match &element.shape {
             _ if self.link_budget_exhausted => false,
-            ElementKind::Cluster => true,
+            Shape::Cluster(_) => true,
             _ if !element.is_leaf() => true,
             _ if self.element_budget_exhausted => false,
-            ElementKind::Volume => element.size > self.min_volume,
-            ElementKind::Patch | ElementKind::Curved => element.size > self.min_area,
+            Shape::Volume(fog) => fog.volume > self.min_volume,
+            Shape::Patch(Patch { part, .. }) | Shape::Curved(Curved { part, .. }) => part.area > self.min_area,
         }
     }
 
@@ -111,16 +119,17 @@ impl Oracle<'_> {
     pub fn allowed_error(&self, p: &Element, light: &ElementLight) -> f32 {
         // A larger element is a larger part of the scene.
         let weight = |ratio: f32| ratio.sqrt().clamp(ERROR_SCALE_BOUNDS[0], ERROR_SCALE_BOUNDS[1]);
-        match p.kind {
-            ElementKind::Volume => self.error * (light.min_mean + self.fog_floor) * weight(self.unit_volume / p.size),
-            _ => self.error * (0.5 * (light.min_mean + light.mean) + self.floor) * weight(self.unit_area / p.size),
+        match &p.shape {
+            Shape::Volume(fog) => {
+                self.error * (light.min_mean + self.fog_floor) * weight(self.unit_volume / fog.volume)
+            }
+            _ => self.error * (0.5 * (light.min_mean + light.mean) + self.floor) * weight(self.unit_area / p.size()),
         }
     }
 
     /// Returns the allowed error if no ray has reached the source.
     pub fn unproved_error(&self, p: &Element, allowed: f32) -> f32 {
-        allowed
-            .max(self.error * UNPROVED_LIGHT * if p.kind == ElementKind::Volume { self.fog_floor } else { self.floor })
+        allowed.max(self.error * UNPROVED_LIGHT * if p.is_volume() { self.fog_floor } else { self.floor })
     }
 
     /// Returns the extinction at the center of an element, 1/m.
@@ -132,6 +141,19 @@ impl Oracle<'_> {
         self.scene.uniform_extinction.unwrap_or_else(|| self.scene.prepared.media.extinction_at(point))
     }
 
+    /// Returns a receiver and a source as a pair.
+    pub fn pair(&self, receiver: u32, source: u32) -> Pair<'a> {
+        let (p, q) = (&self.arena.elements[receiver as usize], &self.arena.elements[source as usize]);
+        let (from, to) = (&self.lights[source as usize], &self.lights[receiver as usize]);
+        let distance = p.center.distance(q.center);
+        let dir = (p.center - q.center) / distance.max(f32::MIN_POSITIVE);
+        let sent = if q.is_directional() { from.intensity.cosine_integral(dir) } else { from.radiosity };
+        let close = |element: &Element| (element.radius / distance.max(1e-20)).min(1.0);
+        let (near_p, near_q) = (close(p), close(q));
+        let (radiosity, allowed) = (luminance(sent), self.allowed_error(p, to));
+        Pair { receiver, source, p, q, from, distance, near_p, near_q, radiosity, allowed }
+    }
+
     /// Decides on a link.
     pub fn decide(&self, receiver: u32, source: u32, tester: &mut VisibilityTester) -> LinkDecision {
         let (p, q) = (&self.arena.elements[receiver as usize], &self.arena.elements[source as usize]);
@@ -141,144 +163,46 @@ impl Oracle<'_> {
         if is_behind(self.scene, p, q) || is_behind(self.scene, q, p) {
             return LinkDecision::Drop;
         }
-        let distance = p.center.distance(q.center);
-        let wide = p.is_directional() || q.is_directional();
-        let (from, to) = (&self.lights[source as usize], &self.lights[receiver as usize]);
-        let mut link = Link { receiver, source, factors: [0.0; 4] };
-        let dir = (p.center - q.center) / distance.max(f32::MIN_POSITIVE);
-        let radiosity =
-            luminance(if q.is_directional() { from.intensity.cosine_integral(dir) } else { from.radiosity });
-        if radiosity <= 0.0 && from.brightest <= 0.0 {
-            return LinkDecision::Keep { link, is_inexact: false };
+        let pair = self.pair(receiver, source);
+        if pair.radiosity <= 0.0 && pair.from.brightest <= 0.0 {
+            return pair.keep([0.0; 4], false);
         }
-        let allowed = self.allowed_error(p, to);
-        // The center of a wide element represents all of it only from far away. Near the source, parts of the receiver as large as
-        // the source receive up to the source's radiosity. An error counts by the root of their share of the receiver.
-        if wide && distance < 1.5 * (p.radius + q.radius) {
-            let share = (q.radius / p.radius).min(1.0).sqrt();
-            // For fog, the length from which light comes.
-            let length = if q.kind == ElementKind::Volume { q.radius.min(1.0 / self.extinction(q)) } else { 1.0 };
-            if luminance(from.radiosity) * length * share > 0.5 * allowed {
-                let larger_first = if p.radius > q.radius { [1.0, 0.0] } else { [0.0, 1.0] };
-                if let Some(verdict) = self.choose_split(p, q, larger_first) {
-                    return verdict;
-                }
+        if let Some(split) = self.split_close(&pair) {
+            return split;
+        }
+        let estimate = self.estimate(&pair, tester);
+        let is_inexact = estimate.errors[0] + estimate.errors[1] > pair.allowed;
+        let brightest = pair.radiosity.max(pair.from.brightest * if q.is_directional() { 0.0 } else { 1.0 });
+        let amount = estimate.mean * brightest;
+        if is_inexact {
+            if self.is_dark(&pair, amount, tester) {
+                return pair.keep([0.0; 4], false);
             }
-        }
-
-        for (factor, node) in link.factors.iter_mut().zip(&p.nodes[..p.node_count]) {
-            *factor = self.factor(p, q, node, tester);
-        }
-        let nodes = &link.factors[..p.node_count];
-        let mut mean = nodes.iter().sum::<f32>() / p.node_count as f32;
-        let middle = if p.node_count > 1 {
-            self.factor(p, q, &SurfaceSpot { position: p.center, normal: p.normal, error: p.nodes[0].error }, tester)
-        } else {
-            mean
-        };
-        let (low, high) = nodes.iter().fold((f32::INFINITY, 0.0f32), |(low, high), &f| (low.min(f), high.max(f)));
-        let reach = radiosity.max(from.brightest * if q.is_directional() { 0.0 } else { 1.0 });
-        let close = |element: &Element| (element.radius / distance.max(1e-20)).min(1.0);
-        let (near_p, near_q) = (close(p), close(q));
-        let spread = 0.5 * (from.brightest - from.darkest);
-        // A small source at a box of fog mostly lights the fog next to itself, where there may be no node. The light that the whole
-        // box receives is computed in the reverse direction. The part that the nodes miss is spread over the box.
-        let is_beside = p.kind == ElementKind::Volume
-            && near_p + near_q > MIN_NEIGHBOR_RADII
-            && match q.kind {
-                ElementKind::Patch => q.radius < p.radius,
-                ElementKind::Volume => q.size < p.size,
-                ElementKind::Cluster | ElementKind::Curved => false,
-            };
-        let unseen_part = if is_beside {
-            let spots = &q.nodes[..q.node_count];
-            let back: f32 =
-                spots.iter().map(|spot| self.factor_from_fog(q, p, spot, tester)).sum::<f32>() / q.node_count as f32;
-            let share = if q.kind == ElementKind::Volume { 1.0 } else { 0.25 };
-            let whole = share * back * q.size / p.size;
-            let less = whole - mean;
-            let scale = if mean > 0.0 { (whole / mean).min(1.0) } else { 1.0 };
-            link.factors = link.factors.map(|factor| factor * scale + less.max(0.0));
-            mean = whole;
-            less.abs()
-        } else {
-            0.0
-        };
-        let edge = match (p.kind, q.kind) {
-            (ElementKind::Volume, ElementKind::Volume) => EDGE_WEIGHT * self.edge_error(p, q, &link.factors, tester),
-            (ElementKind::Volume, ElementKind::Patch) => {
-                SURFACE_EDGE_WEIGHT * self.edge_error(p, q, &link.factors, tester)
-            }
-            _ => 0.0,
-        };
-        let mut errors = [
-            if p.is_directional() {
-                mean * radiosity * (0.1 + 2.0 * near_p * near_p)
-            } else {
-                let shape = 0.5 * near_p * near_p * mean;
-                (2.0 * (middle - mean).abs() + 0.03 * (high - low) + shape + unseen_part + edge) * radiosity
-            },
-            if q.is_directional() {
-                mean * radiosity * (0.1 + 2.0 * near_q * near_q)
-            } else {
-                // A few points represent a shape that is not a polygon.
-                let shape =
-                    if q.kind == ElementKind::Patch && q.corner_count == 0 { 0.5 * near_q * near_q } else { 0.0 };
-                mean * (spread * (2.0 * near_q).min(1.0) + shape * radiosity)
-            },
-        ];
-        // A source that is small from here is one of many adjacent ones, whose errors at the receiver are alike and add up.
-        if p.kind == ElementKind::Volume {
-            errors[0] /= near_q.max(MIN_SOURCE_SHARE);
-        } else {
-            let share = if wide { 0.25 * near_q * near_q } else { mean };
-            let many = 1.0 / share.sqrt().clamp(MIN_SOURCE_SHARE, 1.0);
-            errors = errors.map(|error| error * many);
-        }
-        if self.scene.fog.is_some() {
-            // The attenuation by fog varies over the source. A box of fog also has no single distance.
-            let thickness = (self.extinction(q) * q.radius).min(1.0);
-            let shape = if q.kind == ElementKind::Volume { near_q * near_q } else { 0.0 };
-            errors[1] += mean * radiosity * (shape + 0.3 * near_q * thickness);
-        }
-        let amount = mean * reach;
-        let unproved_error = self.unproved_error(p, allowed);
-        if errors[0] + errors[1] > allowed {
-            // In the dark, it is worth testing first whether any light arrives.
-            let looks = allowed < unproved_error
-                && amount * occlusion_bound(VISIBILITY_RAYS[0] + VISIBILITY_RAYS[1]) <= unproved_error;
-            let is_dark = looks
-                && self.cast_visibility_rays(p, q, tester, false, true).0[..p.node_count]
-                    .iter()
-                    .all(|&seen| seen == 0.0);
-            if is_dark {
-                return LinkDecision::Keep { link: Link { factors: [0.0; 4], ..link }, is_inexact: false };
-            }
-            if let Some(verdict) = self.choose_split(p, q, errors) {
-                return verdict;
+            if let Some(split) = self.choose_split(p, q, estimate.errors) {
+                return split;
             }
         }
         if amount <= 0.0 {
-            return LinkDecision::Keep { link, is_inexact: false };
+            return pair.keep(estimate.factors, false);
         }
-        // Occlusion.
-        let (seen, refused) = self.cast_visibility_rays(
-            p,
-            q,
-            tester,
-            amount <= ONE_RAY_LIGHT * allowed,
-            amount * occlusion_bound(VISIBILITY_RAYS[0]) > unproved_error,
-        );
-        let least = seen[..p.node_count].iter().copied().fold(1.0f32, f32::min);
-        let most = seen[..p.node_count].iter().copied().fold(0.0f32, f32::max);
-        let hidden = if most == 0.0 { refused } else { 0.5 * (most - least).max(refused) };
-        link.factors.iter_mut().zip(seen).for_each(|(factor, seen)| *factor *= seen);
-        let error = amount * hidden;
-        if error > if most == 0.0 { unproved_error } else { allowed } {
-            let sizes = if p.radius > q.radius { [error, 0.0] } else { [0.0, error] };
-            return self.choose_split(p, q, sizes).unwrap_or(LinkDecision::Keep { link, is_inexact: true });
+        self.decide_by_occlusion(&pair, (estimate.factors, amount), is_inexact, tester)
+    }
+
+    /// Splits a pair that is too close for light by direction. The center of such an element represents all of it only from far
+    /// away. Near the source, parts of the receiver as large as the source receive up to the source's radiosity. An error counts by
+    /// the root of their share of the receiver.
+    fn split_close(&self, pair: &Pair<'_>) -> Option<LinkDecision> {
+        let Pair { p, q, .. } = *pair;
+        let is_close = pair.has_directional() && pair.distance < CLOSE_RADII * (p.radius + q.radius);
+        if !is_close {
+            return None;
         }
-        LinkDecision::Keep { link, is_inexact: errors[0] + errors[1] > allowed }
+        let share = (q.radius / p.radius).min(1.0).sqrt();
+        // For fog, the length from which light comes.
+        let length = if q.is_volume() { q.radius.min(1.0 / self.extinction(q)) } else { 1.0 };
+        let is_bright = luminance(pair.from.radiosity) * length * share > CLOSE_LIGHT * pair.allowed;
+        let larger_first = if p.radius > q.radius { [1.0, 0.0] } else { [0.0, 1.0] };
+        is_bright.then(|| self.choose_split(p, q, larger_first)).flatten()
     }
 
     /// Splits the element that causes the error, or else the other one. `None` if neither can be split.
@@ -294,34 +218,35 @@ impl Oracle<'_> {
     fn decide_self_link(&self, receiver: u32, p: &Element, tester: &mut VisibilityTester) -> LinkDecision {
         let keep =
             |factors| LinkDecision::Keep { link: Link { receiver, source: receiver, factors }, is_inexact: false };
-        match p.kind {
-            ElementKind::Cluster => LinkDecision::SplitBoth,
-            ElementKind::Patch | ElementKind::Curved if !self.scene.surfaces[p.surface as usize].is_concave() => {
+        let is_convex = |surface: u32| !self.scene.surfaces[surface as usize].is_concave();
+        match &p.shape {
+            Shape::Cluster(_) => LinkDecision::SplitBoth,
+            Shape::Patch(Patch { part, .. }) | Shape::Curved(Curved { part, .. }) if is_convex(part.surface) => {
                 LinkDecision::Drop
             }
-            ElementKind::Curved => {
+            Shape::Curved(_) => {
                 if self.may_split(p) || !p.is_leaf() {
                     LinkDecision::SplitBoth
                 } else {
                     LinkDecision::Drop
                 }
             }
-            ElementKind::Patch => {
+            Shape::Patch(patch) => {
                 // The inner side of a sphere has a constant kernel. For other surfaces, this is the mean over the other nodes.
-                let mut factors = [0.0; 4];
-                for (k, factor) in factors.iter_mut().enumerate().take(p.node_count) {
-                    let others = (0..p.node_count).filter(|&j| j != k);
-                    let sum: f32 = others.map(|j| point_form_factor(&p.nodes[k], &p.nodes[j], p.size)).sum();
-                    *factor = sum / (p.node_count - 1) as f32;
+                let (nodes, mut factors) = (patch.nodes(), [0.0; 4]);
+                for (k, factor) in factors.iter_mut().enumerate().take(nodes.len()) {
+                    let others = (0..nodes.len()).filter(|&j| j != k);
+                    let sum: f32 = others.map(|j| point_form_factor(&nodes[k], &nodes[j], patch.part.area)).sum();
+                    *factor = sum / (nodes.len() - 1) as f32;
                 }
                 keep(factors)
             }
-            ElementKind::Volume => {
+            Shape::Volume(_) => {
                 let to = self.lights[receiver as usize];
                 let spread = 0.5 * (to.brightest - to.darkest);
                 let mut factors = [0.0; 4];
-                for (factor, node) in factors.iter_mut().zip(&p.nodes) {
-                    *factor = self.factor(p, p, node, tester);
+                for (factor, node) in factors.iter_mut().zip(p.nodes()) {
+                    *factor = self.factor(p, p, &node, tester);
                 }
                 let thick = self.extinction(p) * p.half_extent.max_element() > THICK_DEPTH;
                 if (thick || factors[0] * spread > self.allowed_error(p, &to)) && self.may_split(p) {
@@ -331,190 +256,16 @@ impl Oracle<'_> {
             }
         }
     }
-
-    /// Returns the factor of an element at a point through the fog, without occlusion, as in [`Link::factors`].
-    pub fn factor(&self, p: &Element, q: &Element, node: &SurfaceSpot, tester: &mut VisibilityTester) -> f32 {
-        if q.kind == ElementKind::Volume {
-            return self.factor_from_fog(p, q, node, tester);
-        }
-        let way = q.center - node.position;
-        let mut distance2 = way.length_squared();
-        if p.is_directional() || q.is_directional() {
-            // Minimum mean distance of the parts of both elements.
-            let reach = p.radius + q.radius;
-            distance2 = distance2.max(0.25 * reach * reach);
-        }
-        let distance = distance2.sqrt();
-        let near = is_near(distance2, q.radius) && !p.is_directional();
-        let polygon_corners = &q.corners[..q.corner_count];
-        // Sums over parts of the source, by area and direction from the point.
-        let parts = |of: &dyn Fn(&SurfaceSpot, f32) -> f32| -> f32 {
-            if near {
-                q.nodes[..q.node_count].iter().map(|part| of(part, q.size / q.node_count as f32)).sum()
-            } else {
-                of(&SurfaceSpot { position: q.center, normal: q.normal, ..*node }, q.size)
-            }
-        };
-        let open = match (p.kind, q.kind) {
-            (ElementKind::Patch, ElementKind::Patch)
-                if q.corner_count > 0 && distance2 < 25.0 * q.radius * q.radius =>
-            {
-                polygon_form_factor(node.position, node.normal, polygon_corners)
-            }
-            (ElementKind::Patch, ElementKind::Patch) => {
-                parts(&|part, area| point_form_factor(node, part, area)).min(1.0)
-            }
-            (ElementKind::Patch, _) => (node.normal.dot(way) / distance).max(0.0) / distance2,
-            (ElementKind::Volume, ElementKind::Patch)
-                if q.corner_count > 0 && distance2 < 25.0 * q.radius * q.radius =>
-            {
-                solid_angle(node.position, polygon_corners) / (4.0 * PI)
-            }
-            (ElementKind::Volume, ElementKind::Patch) => {
-                0.25 * parts(&|part, area| point_solid_angle_factor(node, part, area))
-            }
-            (ElementKind::Volume, _) => return self.factor_at_fog(p, q, distance2, node, tester),
-            (_, ElementKind::Patch) => q.size * (-q.normal.dot(way) / distance).max(0.0) / (PI * distance2),
-            _ => 1.0 / distance2,
-        };
-        if open <= 0.0 || self.scene.uniform_extinction == Some(0.0) {
-            return open.max(0.0);
-        }
-        if q.kind != ElementKind::Patch || !near {
-            return open * tester.fog_transmittance(self.scene, node.position, q.center);
-        }
-        // Near parts are attenuated less: the mean is weighted by the kernel at points of the source, at more points where that
-        // matters.
-        let (mut weight, mut through) = (0.0, 0.0);
-        let mut add = |part: &SurfaceSpot| {
-            let kernel = if p.kind == ElementKind::Patch {
-                point_form_factor(node, part, 1.0)
-            } else {
-                point_solid_angle_factor(node, part, 1.0)
-            };
-            weight += kernel;
-            through += kernel * tester.fog_transmittance(self.scene, node.position, part.position);
-        };
-        let thickness = self.extinction(q) * q.radius;
-        if q.corner_count > 0 && thickness * q.radius > THIN_DEPTH * distance {
-            let [a, b, c, d] = q.corners;
-            let last = if q.corner_count == 3 { c } else { d };
-            for k in 0..64 {
-                let mut u = [k % 8, k / 8].map(|k| (k as f32 + 0.5) / 8.0);
-                if q.corner_count == 3 && u[0] + u[1] > 1.0 {
-                    u = u.map(|u| 1.0 - u);
-                }
-                let position = a + (b - a) * u[0] + (last - a) * u[1];
-                add(&SurfaceSpot { position, ..q.nodes[0] });
-            }
-        } else {
-            q.nodes[..q.node_count].iter().for_each(add);
-        }
-        if weight > 0.0 {
-            open * through / weight
-        } else {
-            open * tester.fog_transmittance(self.scene, node.position, q.center)
-        }
-    }
-
-    /// Returns the share of the source's light that reaches each node, and the uncertainty of the shares.
-    /// - `one_ray`: one ray is enough;
-    /// - `recheck_unseen`: cast more rays if the first rays do not reach the source.
-    fn cast_visibility_rays(
-        &self,
-        p: &Element,
-        q: &Element,
-        tester: &mut VisibilityTester,
-        one_ray: bool,
-        recheck_unseen: bool,
-    ) -> ([f32; 4], f32) {
-        let mut numbers = RandomNumbers::new(&[p.key, q.key]);
-        let (mut got, mut cast) = ([0.0f32; 4], [0u32; 4]);
-        let (mut hits, mut misses) = (0u32, 0u32);
-        // A single ray goes from a random node to a random quarter.
-        let first = (numbers.next() * 12.0) as u32;
-        for (round, rays) in VISIBILITY_RAYS.into_iter().enumerate() {
-            if round == 1 && (misses == 0 || one_ray || hits == 0 && !recheck_unseen) {
-                break;
-            }
-            for k in 0..if one_ray { 1 } else { rays } {
-                let turn = k + first;
-                let node = turn as usize % p.node_count;
-                for _ in 0..4 {
-                    let to = sample_point(self.arena, self.scene, q, (turn + turn / 4) % 4, &mut numbers, |part| {
-                        luminance(self.lights[part as usize].radiosity)
-                    });
-                    let from = if p.is_directional() {
-                        sample_point(self.arena, self.scene, p, turn % 4, &mut numbers, |_| 1.0)
-                    } else {
-                        p.nodes[node]
-                    };
-                    let way = to.position - from.position;
-                    if faces(&from, way) && faces(&to, -way) {
-                        let share = tester.visibility(self.scene, &from, &to);
-                        got[node] += share;
-                        cast[node] += 1;
-                        *if share > 0.0 { &mut hits } else { &mut misses } += 1;
-                        break;
-                    }
-                }
-            }
-        }
-        let total: u32 = cast.iter().sum();
-        if total == 0 {
-            return ([0.0; 4], 0.0);
-        }
-        let mean = got.iter().sum::<f32>() / total as f32;
-        let seen = [0, 1, 2, 3].map(|k| if cast[k] > 0 { got[k] / cast[k] as f32 } else { mean });
-        let share = hits as f32 / total as f32;
-        // A source that no ray has reached may still be visible.
-        let unsure = if hits == 0 { occlusion_bound(total) } else { (share * (1.0 - share)).sqrt() };
-        (seen, unsure)
-    }
-}
-
-/// Returns the share of a source that may be visible although this number of rays missed it.
-pub fn occlusion_bound(rays: u32) -> f32 {
-    0.5 / (rays + 2) as f32
-}
-
-fn faces(spot: &SurfaceSpot, way: Vec3A) -> bool {
-    spot.normal == Vec3A::ZERO || spot.normal.dot(way) > 0.0
-}
-
-/// Returns the form factor of a small surface of area `area` at a spot, from another spot.
-pub fn point_form_factor(at: &SurfaceSpot, from: &SurfaceSpot, area: f32) -> f32 {
-    let way = from.position - at.position;
-    let distance2 = way.length_squared();
-    if distance2 <= 0.0 {
-        return 0.0;
-    }
-    area * at.normal.dot(way).max(0.0) * (-from.normal.dot(way)).max(0.0) / (PI * distance2 * distance2)
-}
-
-/// Returns the form factor without the cosine of the receiver.
-pub fn point_solid_angle_factor(at: &SurfaceSpot, from: &SurfaceSpot, area: f32) -> f32 {
-    let way = from.position - at.position;
-    let distance2 = way.length_squared();
-    if distance2 <= 0.0 {
-        return 0.0;
-    }
-    area * (-from.normal.dot(way)).max(0.0) / (PI * distance2 * distance2.sqrt())
 }
 
 /// Checks whether all of `b` is behind the flat element `a`.
 fn is_behind(scene: &Scene<'_>, a: &Element, b: &Element) -> bool {
-    let flat = match a.kind {
-        ElementKind::Patch => scene.surfaces[a.surface as usize].is_flat(),
-        ElementKind::Cluster => a.normal != Vec3A::ZERO,
-        ElementKind::Curved | ElementKind::Volume => false,
-    };
-    let lowest = || {
-        if a.kind == ElementKind::Patch {
-            a.center
-        } else {
-            a.box_center - a.normal * a.normal.abs().dot(a.half_extent)
+    let lowest = match &a.shape {
+        Shape::Patch(patch) if scene.surfaces[patch.part.surface as usize].is_flat() => a.center,
+        Shape::Cluster(Cluster { normal: Some(normal), .. }) => {
+            a.box_center - *normal * normal.abs().dot(a.half_extent)
         }
+        Shape::Patch(_) | Shape::Cluster(_) | Shape::Curved(_) | Shape::Volume(_) => return false,
     };
-    flat && b.max_height(lowest(), a.normal) <= 1e-5 * (a.radius + b.radius)
+    b.max_height(lowest, a.normal()) <= BEHIND_HEIGHT * (a.radius + b.radius)
 }

@@ -9,42 +9,30 @@
 mod aims;
 mod bytes;
 mod correct;
+mod plan;
+mod trace;
 
 pub use aims::Aims;
+pub use plan::{RayPlan, are_complete, block_range, ray_leaves};
 
 use crate::arena::Arena;
-use crate::element::{Element, ElementKind};
+use crate::element::{Element, Shape};
 use crate::gather::{ElementLights, FROM_ELEMENTS, FROM_LAMPS};
-use crate::scene::{SHUTTER_TIME, Scene, diffuse_albedos};
-use crate::visibility::{RandomNumbers, VisibilityTester};
+use crate::scene::Scene;
+use crate::tuning::MIN_DENSITY_RATIO;
 use aims::Aim;
 use femc_field::{NONE, SurfaceSpot};
-use femc_geometry::{Ray, offset_origin};
+use femc_math::Rgb;
 use femc_math::color::luminance;
-use femc_math::glam::{Vec2, Vec3A};
-use femc_math::{Frame, Rgb, warp};
-use femc_prepared::lights::EmitterPoint;
-use femc_prepared::media::{DistanceSample, MediumStack};
-use femc_prepared::{Crossing, Orientation};
-use femc_scattering::{LobeKind, Transmitted};
+use femc_math::glam::Vec3A;
 use rayon::prelude::*;
-use std::f32::consts::PI;
-use std::ops::Range;
+use trace::{generate_ray, unpack_normal};
 
-/// Minimum and maximum number of rays from each part of a leaf, and the total number of rays if the number per part is between
-/// these.
-const RAYS_PER_PART: [usize; 2] = [8, 1024];
-const TOTAL_RAYS: usize = 1 << 16;
-/// Total number of rays if few rays have found portals, so that each leaf measures their light with its own rays.
-const TOTAL_RAYS_FOR_PORTALS: usize = 4 * TOTAL_RAYS;
-/// Number of additional rays, distributed among the leaves by the light that they send, relative to the other rays.
-const EXTRA_RAYS_RATIO: f32 = 1.0;
 /// Maximum number of parts of a leaf, which its nodes represent.
 const MAX_PARTS: usize = 4;
-/// Minimum ratio of the density of rays from the other end to that of a leaf's own rays, for the former to be preferred.
-const MIN_DENSITY_RATIO: f32 = 32.0;
 /// Number of bytes of the minimum number of rays of a surface.
 pub const MIN_BYTES: usize = MAX_PARTS * (size_of::<RayHit>() + size_of::<[u32; 2]>());
+
 /// Hit of a ray.
 #[derive(Clone, Copy, Debug)]
 struct RayHit {
@@ -162,20 +150,7 @@ impl RayHit {
 
 /// Returns the number of parts of a leaf from which rays begin.
 fn part_count(element: &Element) -> usize {
-    if element.node_count == 3 { 3 } else { MAX_PARTS }
-}
-
-/// Plan for casting rays: the number of rays from each leaf.
-#[derive(Clone, Debug)]
-pub struct RayPlan {
-    /// Leaves by index.
-    leaves: Vec<u32>,
-    /// First ray by leaf, and the end.
-    first: Vec<u32>,
-    /// Rays per area by element, 1/m2.
-    density: Vec<f32>,
-    /// Round, an argument of [`generate_ray`].
-    round: u32,
+    if element.is_triangle() { 3 } else { MAX_PARTS }
 }
 
 /// Hits of rays from some leaves.
@@ -188,132 +163,6 @@ pub struct RayHits {
     hits: Vec<RayHit>,
     /// Number of traced rays.
     traced: u64,
-}
-
-impl RayPlan {
-    /// Creates a plan without rays.
-    pub fn empty() -> Self {
-        Self { leaves: Vec::new(), first: vec![0], density: Vec::new(), round: 0 }
-    }
-
-    /// Plans the rays from all leaves.
-    /// - `max_bytes`: maximum number of bytes of the rays. If it is too small, there are fewer rays, at least one from each part.
-    /// - `round`: number of the round; each has different rays.
-    /// - `needs_more_rays`: whether more rays are worth casting, because some must measure the light through portals.
-    pub fn new(arena: &Arena, lights: &ElementLights, round: u32, max_bytes: usize, needs_more_rays: bool) -> Self {
-        let leaves = ray_leaves(arena);
-        let parts = MAX_PARTS * leaves.len().max(1);
-        let fit = (max_bytes / ((size_of::<RayHit>() + size_of::<[u32; 2]>()) * parts)).max(1);
-        let all = if needs_more_rays { TOTAL_RAYS_FOR_PORTALS } else { TOTAL_RAYS };
-        let each = (all / parts).clamp(RAYS_PER_PART[0], RAYS_PER_PART[1]).min(fit);
-        let more = (EXTRA_RAYS_RATIO * (parts * each) as f32).min(((fit - each) * parts) as f32);
-        let power = |&leaf: &u32| {
-            let element = &arena.elements[leaf as usize];
-            element.size * luminance(lights.elements[leaf as usize].radiosity).max(0.0)
-        };
-        let whole: f32 = leaves.iter().map(power).sum();
-        let by_power = |leaf: &u32| if whole > 0.0 { (more * (power(leaf) / whole)) as usize / MAX_PARTS } else { 0 };
-        let mut first = vec![0u32];
-        let mut density = vec![0.0f32; arena.elements.len()];
-        for leaf in &leaves {
-            let element = &arena.elements[*leaf as usize];
-            let number = (part_count(element) * (each + by_power(leaf))) as u32;
-            first.push(first[first.len() - 1] + number);
-            density[*leaf as usize] = number as f32 / element.size;
-        }
-        Self { leaves, first, density, round }
-    }
-
-    /// Returns the range of the leaves of a block. The blocks have about equal numbers of rays.
-    pub fn block_range(&self, block: u32, blocks: u32) -> Range<usize> {
-        block_range(&self.first, block, blocks)
-    }
-
-    /// Creates the rays from the hits of all leaves in order.
-    pub fn into_rays(self, parts: Vec<RayHits>) -> Rays {
-        Rays::new(self.leaves, self.round, parts)
-    }
-
-    /// Checks that these are the hits of all leaves, in order.
-    pub fn matches_hits(&self, arena: &Arena, parts: &[RayHits]) -> bool {
-        let counts = parts.iter().flat_map(|part| &part.counts).copied();
-        are_complete(arena, parts, self.leaves.len()) && counts.eq(self.first.windows(2).map(|ends| ends[1] - ends[0]))
-    }
-
-    /// Casts the rays of these leaves.
-    /// - `aims`: guides for a share of the rays.
-    pub fn cast(&self, scene: &Scene<'_>, arena: &Arena, aims: &Aims, part: Range<usize>) -> RayHits {
-        let density = &self.density;
-        let counts: Vec<u32> = self.first[part.start..=part.end].windows(2).map(|ends| ends[1] - ends[0]).collect();
-        let chunks: Vec<(Vec<RayHit>, u64)> = self.leaves[part.clone()]
-            .par_chunks(64)
-            .zip(counts.par_chunks(64))
-            .map(|(leaves, counts)| {
-                let mut tester = VisibilityTester::default();
-                let mut hits = Vec::with_capacity(counts.iter().sum::<u32>() as usize);
-                for (&leaf, &count) in leaves.iter().zip(counts) {
-                    let element = &arena.elements[leaf as usize];
-                    let each = count as usize / part_count(element);
-                    let sight = |ray: usize| {
-                        let (spot, dir, u) = generate_ray(scene, element, aims.get(leaf), ray, each, self.round);
-                        if dir.dot(spot.normal) <= 0.0 {
-                            return RayHit { origin_normal: pack_normal(spot.normal), ..RayHit::MISS };
-                        }
-                        let mut hit = trace_ray(scene, arena, &spot, dir, u, &mut tester);
-                        hit.origin_normal = pack_normal(spot.normal);
-                        hit.density[0] = density[leaf as usize] * aims.get(leaf).ratio(&spot, dir, each);
-                        if hit.part != NO_PART {
-                            let number = density[hit.leaf as usize];
-                            let other = &arena.elements[hit.leaf as usize];
-                            let normal = unpack_normal(hit.normal);
-                            let spot = SurfaceSpot { position: Vec3A::from_array(hit.target), normal, ..spot };
-                            let each = (number * other.size / part_count(other) as f32).round() as usize;
-                            hit.density[1] = number * aims.get(hit.leaf).ratio(&spot, -dir, each);
-                        }
-                        hit
-                    };
-                    hits.extend((0..count as usize).map(sight));
-                }
-                (hits, tester.rays)
-            })
-            .collect();
-        let traced = chunks.iter().map(|(_, rays)| rays).sum();
-        let hits = chunks.into_iter().flat_map(|(sights, _)| sights).collect();
-        RayHits { first_leaf: part.start as u32, counts, hits, traced }
-    }
-}
-
-/// Returns the leaves of surfaces from which rays begin, by index.
-pub fn ray_leaves(arena: &Arena) -> Vec<u32> {
-    let is_leaf = |index: &u32| {
-        let element = &arena.elements[*index as usize];
-        element.is_leaf() && matches!(element.kind, ElementKind::Patch | ElementKind::Curved)
-    };
-    (0..arena.elements.len() as u32).filter(is_leaf).collect()
-}
-
-/// Checks that hits are, in order, those of `leaves` leaves, and that the leaves that were hit exist.
-pub fn are_complete(arena: &Arena, parts: &[RayHits], leaves: usize) -> bool {
-    let mut next = 0;
-    let follow = parts.iter().all(|part| {
-        let is_next = part.first_leaf as usize == next;
-        next += part.counts.len();
-        is_next
-    });
-    let sights = || parts.par_iter().flat_map(|part| &part.hits);
-    follow && next == leaves && sights().all(|sight| sight.leaf == NONE || (sight.leaf as usize) < arena.elements.len())
-}
-
-/// Returns the range of items of a block, if all blocks have about equal amounts.
-/// - `first`: for each item the total of those before it, and at the end the total of all.
-pub fn block_range(first: &[u32], block: u32, blocks: u32) -> Range<usize> {
-    let (items, whole) = (first.len() - 1, u64::from(first[first.len() - 1]));
-    let at = |block: u32| match block {
-        0 => 0,
-        _ if block >= blocks => items,
-        _ => first.partition_point(|&first| u64::from(first) < whole * u64::from(block) / u64::from(blocks)).min(items),
-    };
-    at(block)..at(block + 1)
 }
 
 impl Rays {
@@ -384,7 +233,7 @@ impl Rays {
         let [first, end] = [self.first[leaf_index], self.first[leaf_index + 1]].map(|at| at as usize);
         let parts = part_count(element);
         for (ray, sight) in self.hits[first..end].iter().enumerate() {
-            let number = weights.density(sight.density[0], sight.density[1], true) * element.size;
+            let number = weights.density(sight.density[0], sight.density[1], true) * element.size();
             if number > 0.0 {
                 let irradiance = received_irradiance(arena, lights, sight) * (1.0 / number);
                 each(RaySample { ray: first + ray, origin: None, part: ray % parts, irradiance, ray_count: number });
@@ -395,7 +244,7 @@ impl Rays {
         {
             let (ray, origin) = (ray as usize, origin as usize);
             let sight = &self.hits[ray];
-            let number = weights.density(sight.density[1], sight.density[0], false) * element.size;
+            let number = weights.density(sight.density[1], sight.density[0], false) * element.size();
             if number > 0.0 {
                 let leaf = self.leaves[origin];
                 let irradiance =
@@ -422,7 +271,7 @@ impl Rays {
     pub fn leaf_light(&self, arena: &Arena, lights: &ElementLights) -> Vec<(u32, [f32; 2])> {
         let of = |place: usize| {
             let leaf = self.leaves[place];
-            let size = arena.elements[leaf as usize].size;
+            let size = arena.elements[leaf as usize].size();
             let mut sums = [0.0f32; 2];
             self.visit_samples((arena, lights), place, MisHeuristic::Balance, |RaySample { irradiance, .. }| {
                 let light = luminance(irradiance) * size;
@@ -466,178 +315,13 @@ impl Rays {
     }
 }
 
-/// Packs a unit vector in 127ths.
-fn pack_normal(normal: Vec3A) -> [i8; 3] {
-    (normal * 127.0).round().to_array().map(|x| x as i8)
-}
-
-fn unpack_normal(normal: [i8; 3]) -> Vec3A {
-    Vec3A::from_array(normal.map(f32::from)).normalize_or_zero()
-}
-
-/// Returns the part of a leaf at a position in it.
-fn leaf_part(element: &Element, local: Vec2) -> usize {
-    if element.node_count == 3 {
-        let weights = [1.0 - local.x - local.y, local.x, local.y];
-        (1..3).fold(0, |best, k| if weights[k] > weights[best] { k } else { best })
-    } else {
-        usize::from(local.x >= 0.5) + 2 * usize::from(local.y >= 0.5)
-    }
-}
-
-/// Returns the origin of a ray of a leaf, its direction, by the cosine distribution, and two further numbers in [0, 1). Successive
-/// rays begin on the parts of the leaf in turn.
-/// - `rays_per_part`: number of rays of a part;
-/// - `round`: number of the round; each has different rays.
-fn generate_ray(
-    scene: &Scene<'_>,
-    element: &Element,
-    aim: &Aim,
-    ray: usize,
-    rays_per_part: usize,
-    round: u32,
-) -> (SurfaceSpot, Vec3A, [f32; 2]) {
-    let surface = &scene.surfaces[element.surface as usize];
-    let parts = part_count(element);
-    let (part, turn) = (ray % parts, ray / parts);
-    let mut numbers = RandomNumbers::new(&[element.key, 11, u64::from(round), part as u64]);
-    let shift = [numbers.next(), numbers.next()];
-    let mut numbers = RandomNumbers::new(&[element.key, 12, u64::from(round), ray as u64]);
-    let mut local = Vec2::new(numbers.next(), numbers.next());
-    if parts == 3 {
-        // Each of three parts has the points nearest to one corner.
-        if local.x + local.y > 1.0 {
-            local = Vec2::ONE - local;
-        }
-        let mut weights = [1.0 - local.x - local.y, local.x, local.y];
-        let most = (1..3).fold(0, |best, k| if weights[k] > weights[best] { k } else { best });
-        weights.swap(most, part);
-        local = Vec2::new(weights[1], weights[2]);
-    } else {
-        local = 0.5 * (local + Vec2::new((part % 2) as f32, (part / 2) as f32));
-    }
-    let spot = surface.point_at(element.outline.point_at(local));
-    // Shifted lattices.
-    let aimed = aim.number(rays_per_part);
-    let (turn, of) = if turn < aimed { (turn, aimed) } else { (turn - aimed, rays_per_part - aimed) };
-    let u = [(turn as f32 + shift[0]) / of as f32, (turn as f32 * 0.618_034 + shift[1]).fract()];
-    if ray / parts < aimed
-        && let Some(dir) = aim.sample(spot.position, numbers.next(), u)
-    {
-        return (spot, dir, [numbers.next(), numbers.next()]);
-    }
-    let dir = (warp::direction(1.0 - 2.0 * u[0], u[1]) + spot.normal).normalize_or(spot.normal);
-    (spot, dir, [numbers.next(), numbers.next()])
-}
-
-/// Traces a ray to its hit: a surface that scatters, the fog, or a lamp seen through a mirror or refracting glass. Mirrors and
-/// clear surfaces pass it on.
-/// - `u`: numbers in [0, 1).
-fn trace_ray(
-    scene: &Scene<'_>,
-    arena: &Arena,
-    from: &SurfaceSpot,
-    dir: Vec3A,
-    u: [f32; 2],
-    tester: &mut VisibilityTester,
-) -> RayHit {
-    let nothing = RayHit::MISS;
-    let mut way = 0.0;
-    let target = |way: f32| (from.position + dir * way).to_array();
-    let prepared = scene.prepared;
-    let mut numbers = RandomNumbers::new(&[u64::from(u[0].to_bits()), u64::from(u[1].to_bits())]);
-    let mut ray = Ray {
-        origin: offset_origin(from.position, from.error, from.normal, dir),
-        dir,
-        t_max: f32::INFINITY,
-        time: SHUTTER_TIME,
-    };
-    let (mut share, mut is_bent, mut is_turned, mut is_inside) = (1.0f32, false, false, false);
-    for _ in 0..=crate::visibility::MAX_CLEAR_SURFACES {
-        tester.rays += 1;
-        let hit = prepared.world.intersect(&ray);
-        let length = hit.as_ref().map_or(f32::INFINITY, |hit| hit.t);
-        let media = &prepared.media;
-        if !media.is_empty()
-            && !is_inside
-            && media.find_intervals(ray.origin, ray.dir, length, &MediumStack::default(), &mut tester.media)
-        {
-            match media.sample_distance(&tester.media, f64::from(numbers.next()), numbers.next()) {
-                DistanceSample::Scatter(event) => {
-                    let leaf = arena.fog_at(ray.origin + ray.dir * event.t);
-                    let (share, target) = (share * luminance(event.weight), target(way + event.t));
-                    return leaf.map_or(nothing, |leaf| RayHit { leaf, share, target, ..nothing });
-                }
-                DistanceSample::Through { weight } => share *= luminance(weight),
-            }
-        }
-        let Some(hit) = hit else { return nothing };
-        way += length;
-        let point = prepared.shading_point(&ray, &hit);
-        let is_back = point.normal.dot(ray.dir) > 0.0;
-        if is_bent && point.light != NONE {
-            // Light that arrives without a change of direction is covered by the links with lamps.
-            let (lights, world, textures) = (&prepared.lights, &prepared.world, &prepared.textures);
-            let lamp = EmitterPoint { light: point.light, normal: point.normal, parametric: point.parametric };
-            let radiance = lights.radiance(world, textures, &lamp, -ray.dir, SHUTTER_TIME);
-            if radiance != Rgb::ZERO {
-                return RayHit { share: share * PI * luminance(radiance), target: target(way), ..nothing };
-            }
-        }
-        let material = &prepared.materials[point.material as usize];
-        let crossing = material.crossing[usize::from(is_back)];
-        let straight_through = luminance(crossing.straight_through());
-        if matches!(crossing, Crossing::Null { .. }) {
-            share *= straight_through;
-            ray.origin = offset_origin(point.position, point.error, point.normal, ray.dir);
-            continue;
-        }
-        let mut specular_probability = 0.0;
-        if material.bsdf.has_delta() {
-            let towards_viewer = material.orientation == Orientation::TowardViewer;
-            let normal = if is_back && towards_viewer { -point.normal } else { point.normal };
-            let (frame, delta) = (Frame::from_normal(normal), material.bsdf.without_lambertian());
-            let wo = frame.to_local(-ray.dir);
-            let (reflected, transmitted) = diffuse_albedos(&material.bsdf);
-            let [sent, passed] = [reflected + transmitted, delta.albedo(wo)].map(luminance);
-            specular_probability = if passed > 0.0 { passed / (passed + sent) } else { 0.0 };
-            if numbers.next() < specular_probability {
-                let Some(sample) = delta.sample(wo, [numbers.next(), numbers.next()], numbers.next()) else {
-                    return nothing;
-                };
-                share *= luminance(sample.weight) / specular_probability;
-                let is_through = sample.transmitted == Transmitted::Yes;
-                let is_straight = sample.lobe == LobeKind::Delta && is_through && straight_through > 0.0;
-                is_bent |= !is_straight;
-                is_turned = true;
-                is_inside ^= is_through && sample.eta != 1.0;
-                let dir = frame.to_world(sample.wi).normalize_or(normal);
-                let origin = offset_origin(point.position, point.error, point.normal, dir);
-                ray = Ray { origin, dir, ..ray };
-                continue;
-            }
-        }
-        let surface = scene.sides[hit.instance as usize][hit.primitive as usize][usize::from(is_back)];
-        if surface == NONE || arena.roots[surface as usize] == NONE || share <= 0.0 {
-            return nothing;
-        }
-        let place = scene.surfaces[surface as usize].parameters(point.position, [hit.u, hit.v]);
-        let (leaf, local) = arena.element_at(arena.roots[surface as usize], place, 0.0);
-        let part = if is_turned { NO_PART } else { leaf_part(&arena.elements[leaf as usize], local) as u8 };
-        let normal = if is_back { -point.normal } else { point.normal };
-        let (share, normal) = (share / (1.0 - specular_probability), pack_normal(normal));
-        return RayHit { leaf, share, normal, part, target: target(way), ..nothing };
-    }
-    nothing
-}
-
 /// Returns the irradiance of a ray's origin, if all rays had this hit, lx.
 fn received_irradiance(arena: &Arena, lights: &ElementLights, hit: &RayHit) -> Rgb {
     if hit.leaf == NONE {
         return Rgb::splat(hit.share);
     }
     let light = &lights.elements[hit.leaf as usize];
-    if arena.elements[hit.leaf as usize].kind == ElementKind::Volume {
+    if arena.elements[hit.leaf as usize].is_volume() {
         return Rgb::splat(hit.share * light.mean);
     }
     radiosity(arena, lights, hit.leaf, unpack_normal(hit.normal)) * hit.share
@@ -647,9 +331,9 @@ fn received_irradiance(arena: &Arena, lights: &ElementLights, hit: &RayHit) -> R
 /// - `normal`: normal at the point, for a curved leaf.
 fn radiosity(arena: &Arena, lights: &ElementLights, leaf: u32, normal: Vec3A) -> Rgb {
     let element = &arena.elements[leaf as usize];
-    let radiosity = if element.kind == ElementKind::Curved {
-        let of = |from: usize| lights.directional_irradiance(element, leaf as usize, from).cosine_integral(normal);
-        element.reflectance * (of(FROM_LAMPS) + of(FROM_ELEMENTS))
+    let radiosity = if let Shape::Curved(curved) = &element.shape {
+        let of = |from: usize| lights.directional_irradiance(curved, leaf as usize, from).cosine_integral(normal);
+        curved.part.reflectance * (of(FROM_LAMPS) + of(FROM_ELEMENTS))
     } else {
         lights.elements[leaf as usize].radiosity
     };

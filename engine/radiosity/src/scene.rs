@@ -1,11 +1,12 @@
 //! Data of a prepared frame for the solver: sides of surfaces, their reflectance, and the bounds of the fog.
 
+use crate::tuning::{FAR_FREE_PATHS, OPEN_RAYS};
 use femc_field::{Form, NONE, Side, Surface};
 use femc_geometry::Ray;
 use femc_math::Rgb;
 use femc_math::glam::Vec3A;
 use femc_prepared::{Orientation, Prepared};
-use femc_scattering::{Bsdf, Sides};
+use femc_scattering::Sides;
 
 /// Time of the shutter. Moving objects are at their position in the middle of the shutter interval.
 pub const SHUTTER_TIME: f32 = 0.5;
@@ -55,7 +56,8 @@ impl Lamp {
 
 impl<'a> Scene<'a> {
     pub fn new(prepared: &'a Prepared) -> Self {
-        let albedos: Vec<_> = prepared.materials.iter().map(|material| diffuse_albedos(&material.bsdf)).collect();
+        let albedos: Vec<_> =
+            prepared.materials.iter().map(|material| material.bsdf.diffuse_albedos(MEAN_DIRECTION)).collect();
         let mut surfaces = Vec::new();
         let mut sides = Vec::with_capacity(prepared.instances.len());
         for (instance, group) in prepared.instances.iter().enumerate() {
@@ -124,21 +126,6 @@ impl<'a> Scene<'a> {
 /// Direction halfway between the normal and grazing, by solid angle.
 pub const MEAN_DIRECTION: Vec3A = Vec3A::new(0.866_025_4, 0.0, 0.5);
 
-/// Returns the diffuse reflectance and transmittance, including glossy reflection. Mirrors and clear solids contribute nothing.
-pub fn diffuse_albedos(bsdf: &Bsdf) -> (Rgb, Rgb) {
-    let wo = MEAN_DIRECTION;
-    match bsdf {
-        Bsdf::Black | Bsdf::Mirror(_) | Bsdf::Dielectric(_) => (Rgb::ZERO, Rgb::ZERO),
-        Bsdf::Diffuse(diffuse) => (diffuse.rd, Rgb::ZERO),
-        Bsdf::Opaque(opaque) if opaque.is_smooth() => (opaque.rd, Rgb::ZERO),
-        Bsdf::Opaque(_) => (bsdf.albedo(wo), Rgb::ZERO),
-        Bsdf::Sheet(sheet) => (sheet.rd, sheet.td),
-    }
-}
-
-/// Number of free paths beyond the surfaces to which the fog is extended.
-const FAR_FREE_PATHS: f32 = 2.0;
-
 /// Returns a box around the fog that scatters: around all surfaces, and in open directions extended by the range of light in the
 /// fog.
 fn fog_bounds(prepared: &Prepared) -> Option<[Vec3A; 2]> {
@@ -162,7 +149,6 @@ fn fog_bounds(prepared: &Prepared) -> Option<[Vec3A; 2]> {
 
 /// Checks whether most rays along an axis leave the scene.
 fn is_open(prepared: &Prepared, axis: usize, outward: f32) -> bool {
-    const RAYS: u32 = 64;
     let bounds = prepared.world.bounds();
     let mut dir = Vec3A::ZERO;
     dir[axis] = outward;
@@ -174,5 +160,5 @@ fn is_open(prepared: &Prepared, axis: usize, outward: f32) -> bool {
         let origin = bounds.min + bounds.size() * place;
         !prepared.world.occluded(&Ray { origin, dir, t_max: f32::INFINITY, time: SHUTTER_TIME })
     };
-    (0..RAYS).filter(leaves).count() as u32 > RAYS / 2
+    (0..OPEN_RAYS).filter(leaves).count() as u32 > OPEN_RAYS / 2
 }

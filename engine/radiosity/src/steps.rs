@@ -8,7 +8,7 @@
 
 use crate::arena::Arena;
 use crate::bytes::{Reader, StepDecodeError, Writer, colors_from_floats, position_from_floats, to_floats};
-use crate::element::{Element, ElementKind};
+use crate::element::Element;
 use crate::gather::{ElementLight, ElementLights, FROM_ELEMENTS, FROM_LAMPS, IncidentLight};
 use crate::incoming::{self, Purpose};
 use crate::link::Link;
@@ -97,7 +97,7 @@ impl SolverState {
 
     /// Returns the statistics so far.
     pub fn report(&self) -> SolveReport {
-        let elements = self.arena.elements.iter().filter(|element| element.kind != ElementKind::Cluster).count();
+        let elements = self.arena.elements.iter().filter(|element| !element.is_cluster()).count();
         SolveReport { elements, links: self.links.len(), ..self.report }
     }
 
@@ -225,7 +225,7 @@ impl SolverState {
         };
         let mut arena = Arena::new(&scene);
         for cut in reader.numbers()? {
-            let may_be_cut = |element: &Element| element.is_leaf() && element.kind != ElementKind::Cluster;
+            let may_be_cut = |element: &Element| element.is_leaf() && !element.is_cluster();
             if !arena.elements.get(cut as usize).is_some_and(may_be_cut) {
                 return Err(OTHER_ELEMENTS);
             }
@@ -233,7 +233,10 @@ impl SolverState {
         }
         let uneven_leaves = reader.numbers()?;
         let is_surface = |leaf: &u32| {
-            arena.elements.get(*leaf as usize).is_some_and(|element| element.is_leaf() && element.surface != NONE)
+            arena
+                .elements
+                .get(*leaf as usize)
+                .is_some_and(|element| element.is_leaf() && element.surface_part().is_some())
         };
         if !uneven_leaves.iter().all(is_surface) {
             return Err(OTHER_ELEMENTS);

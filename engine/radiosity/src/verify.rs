@@ -4,16 +4,10 @@
 //! solution that fails either check must not be used for pictures or for decisions of path tracing: its local values are as wrong
 //! as its total.
 
-use crate::solve::{Solution, SolveReport, TARGET_RESIDUAL};
+use crate::solve::{Solution, SolveReport};
+use crate::tuning::{MAX_ABSORBED_RATIO, MAX_RESIDUAL, TARGET_RESIDUAL};
 use crate::view::{LightTotals, SolutionView};
 use femc_prepared::Prepared;
-
-/// Maximum ratio of the absorbed flux to the flux that is sent. Links are approximate: valid solutions of closed rooms, especially
-/// in fog and for guides, absorb up to a tenth more than is sent (docs/first-pass.md).
-const MAX_ABSORBED_RATIO: f64 = 1.25;
-/// Maximum light that further iterations may add, as a share of all light. If surfaces absorb very little, iterations end with some
-/// light not yet absorbed.
-const MAX_RESIDUAL: f32 = 0.05;
 
 /// Reason why a solution cannot be trusted.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]

@@ -1,8 +1,9 @@
 //! Visibility between two elements: rays between pseudo-random points of them.
 
 use crate::arena::Arena;
-use crate::element::{Element, ElementKind};
+use crate::element::Element;
 use crate::scene::{SHUTTER_TIME, Scene};
+use crate::tuning::{EVEN_PARTS, MAX_CLEAR_SURFACES};
 use femc_field::SurfaceSpot;
 use femc_geometry::{Ray, offset_origin, shadow_segment};
 use femc_math::color::luminance;
@@ -10,9 +11,6 @@ use femc_math::elementary::exp;
 use femc_math::glam::{Vec2, Vec3A};
 use femc_math::hash::{combine, unit_f32};
 use femc_prepared::media::{MediaRay, MediumStack};
-
-/// Maximum number of clear surfaces that a ray passes through.
-pub const MAX_CLEAR_SURFACES: u32 = 64;
 
 /// Visibility tester of one thread: rays and their buffers.
 #[derive(Default)]
@@ -98,28 +96,27 @@ pub fn sample_point(
     weight: impl Fn(u32) -> f32,
 ) -> SurfaceSpot {
     let mut element = element;
-    while element.kind == ElementKind::Cluster || !element.is_leaf() {
+    while element.is_cluster() || !element.is_leaf() {
         let children = element.children;
         let [a, b] = children.map(|child| &arena.elements[child as usize]);
-        let [wa, wb] = [(a, children[0]), (b, children[1])].map(|(part, index)| part.size * weight(index));
-        let share = if wa + wb > 0.0 { wa / (wa + wb) } else { a.size / (a.size + b.size) };
+        let [wa, wb] = [(a, children[0]), (b, children[1])].map(|(part, index)| part.size() * weight(index));
+        let share = if wa + wb > 0.0 { wa / (wa + wb) } else { a.size() / (a.size() + b.size()) };
         // Strata are worth more than a choice between nearly equal parts.
-        let even = a.size / (a.size + b.size);
-        if element.kind == ElementKind::Patch && (share - even).abs() < 0.2 {
+        let even = a.size() / (a.size() + b.size());
+        if element.patch().is_some() && (share - even).abs() < EVEN_PARTS {
             break;
         }
         element = if numbers.next() < share { a } else { b };
     }
     let u = [0, 1].map(|axis| 0.5 * (numbers.next() + (part >> axis & 1) as f32));
-    if element.kind == ElementKind::Volume {
+    let Some(part) = element.surface_part() else {
         let u = Vec3A::new(u[0], u[1], numbers.next());
         let position = element.center + element.half_extent * (u * 2.0 - 1.0);
         return SurfaceSpot { position, ..SurfaceSpot::default() };
-    }
+    };
     let mut local = Vec2::new(u[0], u[1]);
-    let surface = &scene.surfaces[element.surface as usize];
-    if matches!(surface.form, femc_field::Form::Triangle(_)) && local.x + local.y > 1.0 {
+    if element.is_triangle() && local.x + local.y > 1.0 {
         local = Vec2::ONE - local;
     }
-    surface.point_at(element.outline.point_at(local))
+    part.point_at(scene, local)
 }

@@ -176,19 +176,6 @@ impl<'a> Chunks<'a> {
     }
 }
 
-impl StageTemplate {
-    /// Returns the steps that each task takes in a round where tasks do not differ. The range is empty past the last round. A stage
-    /// that is not divided into chunks has one step.
-    pub fn steps_of(&self, round: u32) -> Range<u32> {
-        if !self.kind.is_divided() {
-            return 0..1;
-        }
-        let round = round as usize;
-        let start = round.checked_sub(1).and_then(|before| self.steps.get(before)).copied().unwrap_or(0);
-        start..self.steps.get(round).copied().unwrap_or(start)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use crate::{Role, Scope, StageKind};

@@ -2,7 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Digest, Graph, GraphError, Grid, JobNotes, NotesError, Scope, Stage};
+use crate::{
+    Digest, Graph, GraphError, Grid, JobNotes, NotesError, Scope, Stage, check_graph, check_graph_frames, encode_graph,
+    max_graph_inputs,
+};
 
 /// A job as submitted. Only its priority can change.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -70,9 +73,9 @@ impl JobSpec {
         {
             return Err(SpecError::Frames { frames: self.frames.len() });
         }
-        self.graph.check()?;
-        self.graph.check_frames(self.frames.len() as u64)?;
-        if self.graph.max_inputs(self.frames.len() as u64) > Graph::MAX_INPUTS {
+        check_graph(&self.graph)?;
+        check_graph_frames(&self.graph, self.frames.len() as u64)?;
+        if max_graph_inputs(&self.graph, self.frames.len() as u64) > Graph::MAX_INPUTS {
             return Err(GraphError::TooMany { what: "outputs that a task reads", limit: Graph::MAX_INPUTS }.into());
         }
         let named = self.contents.last().map_or(0, |(end, _)| *end as usize);
@@ -152,7 +155,7 @@ impl JobSpec {
         put(self.settings.as_bytes());
         put(&numbers(&self.frames));
         put(&numbers(&[self.grid.film[0], self.grid.film[1], self.grid.tile]));
-        put(&self.graph.encode());
+        put(&encode_graph(&self.graph));
         for (end, key) in &self.contents {
             put(&numbers(&[*end]));
             put(key.as_bytes());

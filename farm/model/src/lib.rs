@@ -12,7 +12,6 @@ mod graph;
 mod grid;
 mod id;
 mod job;
-mod kind;
 mod log;
 mod log_version;
 mod manifest;
@@ -31,11 +30,14 @@ pub use bounded_map::BoundedMap;
 pub use chunks::{ChunkSize, Chunks, StepsTaken, UnevenSteps};
 pub use digest::{Digest, ParseDigestError};
 pub use failure::{Failure, FailureVerdict};
-pub use graph::{Graph, GraphError, Hint, Loop, Need, Reach, Round, Scope, StageTemplate, TaskSizes};
+pub use femc_graph::{
+    Affinity, Graph, Hint, Lane, LogDestination, Loop, Need, Reach, Role, RoleProperties, Round, Scope, StageKind,
+    StageKindProperties, StageTemplate, TaskSizes,
+};
+pub use graph::{GraphError, check_graph, check_graph_frames, encode_graph, max_graph_inputs};
 pub use grid::{Grid, TileRect};
 pub use id::{Epoch, JobId, ParseJobIdError, Tick, WorkerId};
 pub use job::{Control, JobSpec, JobState, SpecError};
-pub use kind::{Affinity, Lane, LogDestination, Role, RoleProperties, StageKind, StageKindProperties};
 pub use log::{AttemptOutcome, LogRecord, LogText, TaskLog};
 pub use log_version::{since_version_9, since_version_10, since_version_11, with_log_version};
 pub use manifest::{BundlePiece, FileExtent, Manifest, ManifestError};

@@ -29,7 +29,7 @@ use femc_pipeline::{
 };
 use femc_schedule::{Fact, Ledger, decode_attempts, encode_attempts};
 use femc_stylize::{Brushwork, ChannelImage, Example};
-use femc_worker::{Parcel, decode_sums, testing};
+use femc_worker::{Parcel, testing};
 
 use super::Target;
 
@@ -214,7 +214,7 @@ fn film() -> Vec<Target> {
         Target::with_envelope("errors, inside", vec![errors], with_checksum, are_errors),
         Target::new("thumbnail", vec![thumbnail], |bytes| Tile::decode_thumbnail(bytes).is_ok()),
         Target::new("levels", vec![levels], |bytes| LuminanceLevels::decode(bytes).is_ok()),
-        Target::new("sums", vec![sums], |bytes| decode_sums(bytes).is_ok()),
+        Target::new("sums", vec![sums], |bytes| femc_film::sums::decode(bytes).is_ok()),
     ]
 }
 

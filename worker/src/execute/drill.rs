@@ -56,7 +56,7 @@ impl Drill {
     /// Returns the key of the shared content: a digest of all that the numbers depend on.
     fn key(&self, spec: &JobSpec) -> Digest {
         let stages = spec.graph.stages_of(Scope::Content).map(|(_, template)| template.clone()).collect();
-        let mut bytes = femc_model::Graph { stages }.encode();
+        let mut bytes = femc_model::encode_graph(&femc_model::Graph { stages });
         bytes.extend([self.seed, u64::from(self.numbers)].into_iter().flat_map(u64::to_le_bytes));
         Digest::compute(&bytes)
     }

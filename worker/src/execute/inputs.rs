@@ -8,12 +8,11 @@ use std::sync::atomic::Ordering;
 use bytes::Bytes;
 use femc_fault::{Point, pass_point};
 use femc_film::tile::HalfEnds;
-use femc_film::{FilmError, Frame, SampleRange, SamplingState, Tile, Tiling};
+use femc_film::{FilmError, Frame, SampleRange, SamplingState, Tile, Tiling, sums};
 use femc_model::{Artifact, Digest, Failure, Reach, Role, StageTemplate};
 use rayon::prelude::*;
 
 use super::{Tools, settings_failure};
-use crate::sums;
 use crate::task_table::Task;
 
 /// Number of tiles downloaded and added in parallel; limits the memory beside the frame.

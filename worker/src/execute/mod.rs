@@ -14,7 +14,6 @@ mod render;
 mod statistics;
 
 pub use drill::drill_key;
-pub use encode::{ExtraOutputs, Painting, Video};
 
 use std::any::Any;
 use std::fmt::Display;

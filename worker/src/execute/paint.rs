@@ -6,10 +6,10 @@ use femc_film::{FilmError, LuminanceLevels, Picture, ToneCurve};
 use femc_model::{Failure, Phase, Role, StageTemplate};
 use femc_stylize::{Brushwork, Example, GuideFrame, PreviousFrame, Settings, StylizeError, frames, styles};
 
-use super::encode::ExtraOutputs;
 use super::inputs::for_each_input;
 use super::{Product, Tools, settings_failure};
 use crate::clock::Stopwatch;
+use crate::extra_outputs::ExtraOutputs;
 use crate::task_table::Task;
 
 /// Paints the task's frame under the exposure common to all frames. A missing frame gives a card, and the next frame is painted

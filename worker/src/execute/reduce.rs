@@ -1,14 +1,13 @@
 //! The reduce task: combines outputs of one role. It combines the tiles of a group as sums for the next round, as resolved pixels
 //! for the image, and as errors for the decision. It also combines levels for a clip's exposure and the statistics of paths.
 
-use femc_film::{ErrorStatistics, ImagePiece};
+use femc_film::{ErrorStatistics, ImagePiece, sums};
 use femc_model::{Failure, NextRound, Phase, Role, StageTemplate};
 
 use super::encode::levels;
 use super::inputs::{reduce_tiles, tile_span};
 use super::{Product, Tools, layers, settings_failure, statistics};
 use crate::clock::Stopwatch;
-use crate::sums;
 use crate::task_table::Task;
 
 pub(crate) fn reduce(task: &Task, stage: &StageTemplate, tools: &Tools) -> Result<Product, Failure> {

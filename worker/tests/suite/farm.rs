@@ -106,8 +106,8 @@ async fn until(client: &Client, job: JobId, wanted: impl Fn(&JobStatus) -> bool)
 fn grouped(settings: &Settings, fan: u32) -> (JobSpec, Vec<u8>) {
     let (spec, bundle) = job(SCENE, settings);
     let tiling = Tiling::new(spec.grid.film[0], spec.grid.film[1], spec.grid.tile).unwrap();
-    let stages = femc_pipeline::job_stages(&tiling, &settings.rounds(), NonZeroU32::new(fan).unwrap(), settings.method);
-    (JobSpec { graph: femc_worker::job_graph(&stages), ..spec }, bundle)
+    let graph = femc_pipeline::job_graph(&tiling, &settings.rounds(), NonZeroU32::new(fan).unwrap(), settings.method);
+    (JobSpec { graph, ..spec }, bundle)
 }
 
 async fn image(client: &Client, frame: &FrameRecord) -> Vec<u8> {
@@ -297,13 +297,13 @@ fn halves(stop: StopCondition, fan: u32) -> (JobSpec, Vec<u8>) {
     let settings = settings(stop);
     let (spec, bundle) = job(&format!("{SCENE}{HALVES}"), &settings);
     let rounds = if let StopCondition::Spp(spp) = stop { vec![spp] } else { vec![16, 32, 64] };
-    let stages = femc_pipeline::job_stages(
+    let graph = femc_pipeline::job_graph(
         &Tiling::new(48, 32, 16).unwrap(),
         &rounds,
         NonZeroU32::new(fan).unwrap(),
         settings.method,
     );
-    (JobSpec { graph: femc_worker::job_graph(&stages), frames: vec![1, 3], ..spec }, bundle)
+    (JobSpec { graph, frames: vec![1, 3], ..spec }, bundle)
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -5,4 +5,5 @@ mod cancel;
 mod common;
 mod farm;
 mod fence;
+mod plans;
 mod scene;

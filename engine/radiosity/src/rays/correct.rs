@@ -1,20 +1,15 @@
 //! Scaling of the links' light to that of the rays.
 
-use super::{MAX_PARTS, MisHeuristic, RaySample, Rays, part_count, unpack_normal};
+use super::trace::unpack_normal;
+use super::{MAX_PARTS, MisHeuristic, RaySample, Rays, part_count};
 use crate::arena::Arena;
-use crate::element::{Element, ElementKind};
+use crate::element::Element;
 use crate::gather::{ElementLights, FROM_ELEMENTS};
+use crate::tuning::{CHANCE_VARIANCES, MAX_RAY_SCALE, ROUGH_ERROR};
 use femc_field::{Harmonics, NONE};
 use femc_math::Rgb;
 use femc_math::color::luminance;
 use rayon::prelude::*;
-
-/// Squared difference, in units of its variance, that counts as chance if links may have the error [`ROUGH_ERROR`] or more. For
-/// more exact links it is larger, because a difference is then less likely their fault.
-const CHANCE_VARIANCES: f32 = 4.0;
-const ROUGH_ERROR: f32 = 0.3;
-/// Maximum factor for the links' light. Light that rays find beyond that is added.
-const MAX_SCALE: f32 = 4.0;
 
 /// Result of the comparison with rays.
 pub struct RayCorrection {
@@ -117,7 +112,7 @@ impl PartSums {
             let less = if before > 0.0 { (1.0 + change / before).max(0.0) } else { 1.0 };
             return LightEstimate { scale: scale * less, extra: above.extra * less, bright, own_share: own };
         }
-        let room = (MAX_SCALE - scale).max(0.0) * self.links;
+        let room = (MAX_RAY_SCALE - scale).max(0.0) * self.links;
         let scaled = if self.links > 0.0 { scale + change.min(room) / self.links } else { scale };
         let more = (change - room).max(0.0) / (self.area * luminance(self.color)).max(f32::MIN_POSITIVE);
         LightEstimate { scale: scaled, extra: above.extra + self.color * more, bright, own_share: own }
@@ -137,7 +132,7 @@ impl Rays {
                 let own = (self.first[place + 1] - self.first[place]) as usize;
                 let parts = part_count(element);
                 let links = self.link_irradiance(arena, place, lights);
-                let (area, number) = (element.size / parts as f32, (own / parts) as f32);
+                let (area, number) = (element.size() / parts as f32, (own / parts) as f32);
                 let mut sums = [0, 1, 2, 3]
                     .map(|k| if k < parts { PartSums::new(area, number, links[k]) } else { PartSums::default() });
                 self.visit_samples(
@@ -146,7 +141,7 @@ impl Rays {
                     MisHeuristic::Maximum,
                     |RaySample { part, irradiance, origin, .. }| {
                         let bright = luminance(irradiance) * own as f32;
-                        sums[part.min(parts - 1)].add_sample(irradiance * element.size, bright, origin.is_none());
+                        sums[part.min(parts - 1)].add_sample(irradiance * element.size(), bright, origin.is_none());
                     },
                 );
                 sums
@@ -162,7 +157,7 @@ impl Rays {
             let part = sums[index];
             if is_root(arena, element) {
                 all.add(&part);
-            } else if element.surface != NONE {
+            } else if element.surface_part().is_some() {
                 sums[element.parent as usize].add(&part);
             }
         }
@@ -177,7 +172,7 @@ impl Rays {
             known[root as usize] = part;
         }
         for (index, element) in arena.elements.iter().enumerate() {
-            if element.surface == NONE || element.is_leaf() {
+            if element.surface_part().is_none() || element.is_leaf() {
                 continue;
             }
             let parts = element.children.map(|child| sums[child as usize]);
@@ -192,8 +187,8 @@ impl Rays {
             let sums_of = &sums_of[..part_count(element)];
             let mut parts = vec![above; sums_of.len()];
             let taken = lights.accepted[leaf as usize];
-            if element.kind == ElementKind::Curved {
-                let arriving = &mut lights.incident[element.directional as usize];
+            if let Some(directional) = element.directional() {
+                let arriving = &mut lights.incident[directional];
                 arriving.ray_correction = arriving.total[FROM_ELEMENTS] * Rgb::splat(above.scale - taken[0])
                     + Harmonics::from_irradiance(above.extra);
             } else {
@@ -223,8 +218,8 @@ impl Rays {
     fn link_irradiance(&self, arena: &Arena, leaf_index: usize, lights: &ElementLights) -> [f32; MAX_PARTS] {
         let leaf = self.leaves[leaf_index];
         let element = &arena.elements[leaf as usize];
-        if element.kind == ElementKind::Curved {
-            let light = lights.incident[element.directional as usize].total[FROM_ELEMENTS];
+        if let Some(directional) = element.directional() {
+            let light = lights.incident[directional].total[FROM_ELEMENTS];
             let range = self.first[leaf_index] as usize..self.first[leaf_index + 1] as usize;
             let (sights, number) = (&self.hits[range.clone()], range.len() as f32);
             let sum: f32 = sights
@@ -256,7 +251,7 @@ impl LightEstimate {
         let above = Self { bright: whole.bright(self.bright), own_share: whole.own_share(self.own_share), ..self };
         let known: Vec<Self> = parts.iter().map(|part| part.estimate(&above, chance)).collect();
         let together: f32 = parts.iter().zip(&known).map(|(part, known)| part.light(known)).sum();
-        let more = (whole.light(&self) / together.max(f32::MIN_POSITIVE)).min(MAX_SCALE);
+        let more = (whole.light(&self) / together.max(f32::MIN_POSITIVE)).min(MAX_RAY_SCALE);
         let of = |(part, known): (&PartSums, Self)| Self {
             scale: known.scale * more,
             extra: known.extra * more,
@@ -268,7 +263,8 @@ impl LightEstimate {
 }
 
 fn is_root(arena: &Arena, element: &Element) -> bool {
-    element.surface != NONE && (element.parent == NONE || arena.elements[element.parent as usize].surface == NONE)
+    let parent = arena.elements.get(element.parent as usize);
+    element.surface_part().is_some() && parent.is_none_or(|parent| parent.surface_part().is_none())
 }
 
 #[cfg(test)]

@@ -13,7 +13,7 @@ fn chain_job(frames: &[u32]) -> JobSpec {
         .with_input(0, Role::Answer, Reach::Fan(1))
         .with_input(1, Role::Answer, Reach::Previous);
     let spec = job_with_graph(frames, 1, Graph { stages: vec![drill(Scope::Frame, 1, &[Role::Answer]), chain] });
-    assert_eq!((spec.graph.check(), spec.graph.check_frames(frames.len() as u64)), (Ok(()), Ok(())));
+    assert_eq!((check_graph(&spec.graph), check_graph_frames(&spec.graph, frames.len() as u64)), (Ok(()), Ok(())));
     spec
 }
 
@@ -78,7 +78,7 @@ fn link_lost_after_job_end_is_remade_with_chain_and_no_frame() {
 #[test]
 fn a_chain_of_a_frame_s_cut_tasks_or_over_frames_is_refused() {
     let drill = |scope, tasks| StageTemplate::new(StageKind::Drill, scope, TaskSizes::even(tasks, 1), &[Role::Answer]);
-    let refused = |stages: Vec<StageTemplate>| Graph { stages }.check().is_err();
+    let refused = |stages: Vec<StageTemplate>| check_graph(&Graph { stages }).is_err();
     let over = drill(Scope::Job, 3).with_input(0, Role::Answer, Reach::Previous);
     assert!(refused(vec![drill(Scope::Frame, 1), over]));
     let other = drill(Scope::Frame, 2).with_input(0, Role::Answer, Reach::Previous);

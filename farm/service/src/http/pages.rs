@@ -68,6 +68,6 @@ mod tests {
         let mut kinds: Vec<&str> = StageKind::ALL.iter().map(|kind| kind.name()).collect();
         known.sort_unstable();
         kinds.sort_unstable();
-        assert_eq!(known, kinds, "web/src/lib/kinds.ts and farm/model/src/kind.rs");
+        assert_eq!(known, kinds, "web/src/lib/kinds.ts and graph/src/kind.rs");
     }
 }

@@ -51,12 +51,7 @@ sph e 0.2
 /// Returns the stages of frames with this grid.
 pub fn graph(grid: Grid, settings: &Settings) -> Graph {
     let tiling = Tiling::new(grid.film[0], grid.film[1], grid.tile).unwrap();
-    femc_worker::job_graph(&femc_pipeline::job_stages(
-        &tiling,
-        &settings.rounds(),
-        femc_pipeline::tiles_per_group(&tiling),
-        settings.method,
-    ))
+    femc_pipeline::job_graph(&tiling, &settings.rounds(), femc_pipeline::tiles_per_group(&tiling), settings.method)
 }
 
 /// Returns a job of one frame of two tiles, and its bundle.

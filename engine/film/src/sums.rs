@@ -7,14 +7,14 @@
 //! | 4 | number of tiles |
 //! | each | length (8), the encoded tile |
 
-use femc_film::{FilmError, Frame, Tile};
+use crate::{FilmError, Frame, Tile};
 use rayon::prelude::*;
 
 const MAGIC: &[u8; 8] = b"FEMCSUMS";
 const VERSION: u32 = 1;
 
 /// Encodes all tiles of `frame` that hold samples, in their order. Equal sums give equal bytes.
-pub(crate) fn encode(frame: &Frame) -> Vec<u8> {
+pub fn encode(frame: &Frame) -> Vec<u8> {
     let tiles: Vec<Vec<u8>> =
         (0..frame.tiling().count()).into_par_iter().filter_map(|index| frame.tile(index).map(Tile::encode)).collect();
     let mut bytes = Vec::with_capacity(16 + tiles.iter().map(|tile| tile.len() + 8).sum::<usize>());
@@ -62,9 +62,8 @@ fn take<const N: usize>(rest: &mut &[u8]) -> Result<[u8; N], FilmError> {
 
 #[cfg(test)]
 mod tests {
-    use femc_film::Tiling;
-
     use super::*;
+    use crate::Tiling;
 
     fn frame() -> Frame {
         let tiling = Tiling::new(40, 20, 16).unwrap();

@@ -1,0 +1,153 @@
+//! Number of rays from each leaf, and blocks of leaves whose rays are cast together.
+
+use super::trace::{generate_ray, pack_normal, trace_ray, unpack_normal};
+use super::{Aims, MAX_PARTS, NO_PART, RayHit, RayHits, Rays, part_count};
+use crate::arena::Arena;
+use crate::gather::ElementLights;
+use crate::scene::Scene;
+use crate::tuning::{EXTRA_RAYS_RATIO, RAYS_PER_PART, TOTAL_RAYS, TOTAL_RAYS_FOR_PORTALS};
+use crate::visibility::VisibilityTester;
+use femc_field::{NONE, SurfaceSpot};
+use femc_math::color::luminance;
+use femc_math::glam::Vec3A;
+use rayon::prelude::*;
+use std::ops::Range;
+
+/// Plan for casting rays: the number of rays from each leaf.
+#[derive(Clone, Debug)]
+pub struct RayPlan {
+    /// Leaves by index.
+    leaves: Vec<u32>,
+    /// First ray by leaf, and the end.
+    first: Vec<u32>,
+    /// Rays per area by element, 1/m2.
+    density: Vec<f32>,
+    /// Round, an argument of [`generate_ray`].
+    round: u32,
+}
+
+impl RayPlan {
+    /// Creates a plan without rays.
+    pub fn empty() -> Self {
+        Self { leaves: Vec::new(), first: vec![0], density: Vec::new(), round: 0 }
+    }
+
+    /// Plans the rays from all leaves.
+    /// - `max_bytes`: maximum number of bytes of the rays. If it is too small, there are fewer rays, at least one from each part.
+    /// - `round`: number of the round; each has different rays.
+    /// - `needs_more_rays`: whether more rays are worth casting, because some must measure the light through portals.
+    pub fn new(arena: &Arena, lights: &ElementLights, round: u32, max_bytes: usize, needs_more_rays: bool) -> Self {
+        let leaves = ray_leaves(arena);
+        let parts = MAX_PARTS * leaves.len().max(1);
+        let fit = (max_bytes / ((size_of::<RayHit>() + size_of::<[u32; 2]>()) * parts)).max(1);
+        let all = if needs_more_rays { TOTAL_RAYS_FOR_PORTALS } else { TOTAL_RAYS };
+        let each = (all / parts).clamp(RAYS_PER_PART[0], RAYS_PER_PART[1]).min(fit);
+        let more = (EXTRA_RAYS_RATIO * (parts * each) as f32).min(((fit - each) * parts) as f32);
+        let power = |&leaf: &u32| {
+            let element = &arena.elements[leaf as usize];
+            element.size() * luminance(lights.elements[leaf as usize].radiosity).max(0.0)
+        };
+        let whole: f32 = leaves.iter().map(power).sum();
+        let by_power = |leaf: &u32| if whole > 0.0 { (more * (power(leaf) / whole)) as usize / MAX_PARTS } else { 0 };
+        let mut first = vec![0u32];
+        let mut density = vec![0.0f32; arena.elements.len()];
+        for leaf in &leaves {
+            let element = &arena.elements[*leaf as usize];
+            let number = (part_count(element) * (each + by_power(leaf))) as u32;
+            first.push(first[first.len() - 1] + number);
+            density[*leaf as usize] = number as f32 / element.size();
+        }
+        Self { leaves, first, density, round }
+    }
+
+    /// Returns the range of the leaves of a block. The blocks have about equal numbers of rays.
+    pub fn block_range(&self, block: u32, blocks: u32) -> Range<usize> {
+        block_range(&self.first, block, blocks)
+    }
+
+    /// Creates the rays from the hits of all leaves in order.
+    pub fn into_rays(self, parts: Vec<RayHits>) -> Rays {
+        Rays::new(self.leaves, self.round, parts)
+    }
+
+    /// Checks that these are the hits of all leaves, in order.
+    pub fn matches_hits(&self, arena: &Arena, parts: &[RayHits]) -> bool {
+        let counts = parts.iter().flat_map(|part| &part.counts).copied();
+        are_complete(arena, parts, self.leaves.len()) && counts.eq(self.first.windows(2).map(|ends| ends[1] - ends[0]))
+    }
+
+    /// Casts the rays of these leaves.
+    /// - `aims`: guides for a share of the rays.
+    pub fn cast(&self, scene: &Scene<'_>, arena: &Arena, aims: &Aims, part: Range<usize>) -> RayHits {
+        let density = &self.density;
+        let counts: Vec<u32> = self.first[part.start..=part.end].windows(2).map(|ends| ends[1] - ends[0]).collect();
+        let chunks: Vec<(Vec<RayHit>, u64)> = self.leaves[part.clone()]
+            .par_chunks(64)
+            .zip(counts.par_chunks(64))
+            .map(|(leaves, counts)| {
+                let mut tester = VisibilityTester::default();
+                let mut hits = Vec::with_capacity(counts.iter().sum::<u32>() as usize);
+                for (&leaf, &count) in leaves.iter().zip(counts) {
+                    let element = &arena.elements[leaf as usize];
+                    let each = count as usize / part_count(element);
+                    let sight = |ray: usize| {
+                        let (spot, dir, u) = generate_ray(scene, element, aims.get(leaf), ray, each, self.round);
+                        if dir.dot(spot.normal) <= 0.0 {
+                            return RayHit { origin_normal: pack_normal(spot.normal), ..RayHit::MISS };
+                        }
+                        let mut hit = trace_ray(scene, arena, &spot, dir, u, &mut tester);
+                        hit.origin_normal = pack_normal(spot.normal);
+                        hit.density[0] = density[leaf as usize] * aims.get(leaf).ratio(&spot, dir, each);
+                        if hit.part != NO_PART {
+                            let number = density[hit.leaf as usize];
+                            let other = &arena.elements[hit.leaf as usize];
+                            let normal = unpack_normal(hit.normal);
+                            let spot = SurfaceSpot { position: Vec3A::from_array(hit.target), normal, ..spot };
+                            let each = (number * other.size() / part_count(other) as f32).round() as usize;
+                            hit.density[1] = number * aims.get(hit.leaf).ratio(&spot, -dir, each);
+                        }
+                        hit
+                    };
+                    hits.extend((0..count as usize).map(sight));
+                }
+                (hits, tester.rays)
+            })
+            .collect();
+        let traced = chunks.iter().map(|(_, rays)| rays).sum();
+        let hits = chunks.into_iter().flat_map(|(sights, _)| sights).collect();
+        RayHits { first_leaf: part.start as u32, counts, hits, traced }
+    }
+}
+
+/// Returns the leaves of surfaces from which rays begin, by index.
+pub fn ray_leaves(arena: &Arena) -> Vec<u32> {
+    let is_leaf = |index: &u32| {
+        let element = &arena.elements[*index as usize];
+        element.is_leaf() && element.surface_part().is_some()
+    };
+    (0..arena.elements.len() as u32).filter(is_leaf).collect()
+}
+
+/// Checks that hits are, in order, those of `leaves` leaves, and that the leaves that were hit exist.
+pub fn are_complete(arena: &Arena, parts: &[RayHits], leaves: usize) -> bool {
+    let mut next = 0;
+    let follow = parts.iter().all(|part| {
+        let is_next = part.first_leaf as usize == next;
+        next += part.counts.len();
+        is_next
+    });
+    let sights = || parts.par_iter().flat_map(|part| &part.hits);
+    follow && next == leaves && sights().all(|sight| sight.leaf == NONE || (sight.leaf as usize) < arena.elements.len())
+}
+
+/// Returns the range of items of a block, if all blocks have about equal amounts.
+/// - `first`: for each item the total of those before it, and at the end the total of all.
+pub fn block_range(first: &[u32], block: u32, blocks: u32) -> Range<usize> {
+    let (items, whole) = (first.len() - 1, u64::from(first[first.len() - 1]));
+    let at = |block: u32| match block {
+        0 => 0,
+        _ if block >= blocks => items,
+        _ => first.partition_point(|&first| u64::from(first) < whole * u64::from(block) / u64::from(blocks)).min(items),
+    };
+    at(block)..at(block + 1)
+}

@@ -1,0 +1,183 @@
+//! Generation of rays on leaves, and their hits.
+
+use super::aims::Aim;
+use super::{NO_PART, RayHit, part_count};
+use crate::arena::Arena;
+use crate::element::Element;
+use crate::scene::{MEAN_DIRECTION, SHUTTER_TIME, Scene};
+use crate::tuning::MAX_CLEAR_SURFACES;
+use crate::visibility::{RandomNumbers, VisibilityTester};
+use femc_field::{NONE, SurfaceSpot};
+use femc_geometry::{Ray, offset_origin};
+use femc_math::color::luminance;
+use femc_math::glam::{Vec2, Vec3A};
+use femc_math::{Frame, Rgb, warp};
+use femc_prepared::lights::EmitterPoint;
+use femc_prepared::media::{DistanceSample, MediumStack};
+use femc_prepared::{Crossing, Orientation};
+use femc_scattering::{LobeKind, Transmitted};
+use std::f32::consts::PI;
+
+/// Packs a unit vector in 127ths.
+pub(super) fn pack_normal(normal: Vec3A) -> [i8; 3] {
+    (normal * 127.0).round().to_array().map(|x| x as i8)
+}
+
+pub(super) fn unpack_normal(normal: [i8; 3]) -> Vec3A {
+    Vec3A::from_array(normal.map(f32::from)).normalize_or_zero()
+}
+
+/// Returns the part of a leaf at a position in it.
+fn leaf_part(element: &Element, local: Vec2) -> usize {
+    if element.is_triangle() {
+        let weights = [1.0 - local.x - local.y, local.x, local.y];
+        (1..3).fold(0, |best, k| if weights[k] > weights[best] { k } else { best })
+    } else {
+        usize::from(local.x >= 0.5) + 2 * usize::from(local.y >= 0.5)
+    }
+}
+
+/// Returns the origin of a ray of a leaf, its direction, by the cosine distribution, and two further numbers in [0, 1). Successive
+/// rays begin on the parts of the leaf in turn.
+/// - `rays_per_part`: number of rays of a part;
+/// - `round`: number of the round; each has different rays.
+pub(super) fn generate_ray(
+    scene: &Scene<'_>,
+    element: &Element,
+    aim: &Aim,
+    ray: usize,
+    rays_per_part: usize,
+    round: u32,
+) -> (SurfaceSpot, Vec3A, [f32; 2]) {
+    let parts = part_count(element);
+    let (part, turn) = (ray % parts, ray / parts);
+    let mut numbers = RandomNumbers::new(&[element.key, 11, u64::from(round), part as u64]);
+    let shift = [numbers.next(), numbers.next()];
+    let mut numbers = RandomNumbers::new(&[element.key, 12, u64::from(round), ray as u64]);
+    let mut local = Vec2::new(numbers.next(), numbers.next());
+    if parts == 3 {
+        // Each of three parts has the points nearest to one corner.
+        if local.x + local.y > 1.0 {
+            local = Vec2::ONE - local;
+        }
+        let mut weights = [1.0 - local.x - local.y, local.x, local.y];
+        let most = (1..3).fold(0, |best, k| if weights[k] > weights[best] { k } else { best });
+        weights.swap(most, part);
+        local = Vec2::new(weights[1], weights[2]);
+    } else {
+        local = 0.5 * (local + Vec2::new((part % 2) as f32, (part / 2) as f32));
+    }
+    let spot = element.point_at(scene, local);
+    // Shifted lattices.
+    let aimed = aim.number(rays_per_part);
+    let (turn, of) = if turn < aimed { (turn, aimed) } else { (turn - aimed, rays_per_part - aimed) };
+    let u = [(turn as f32 + shift[0]) / of as f32, (turn as f32 * 0.618_034 + shift[1]).fract()];
+    if ray / parts < aimed
+        && let Some(dir) = aim.sample(spot.position, numbers.next(), u)
+    {
+        return (spot, dir, [numbers.next(), numbers.next()]);
+    }
+    let dir = (warp::direction(1.0 - 2.0 * u[0], u[1]) + spot.normal).normalize_or(spot.normal);
+    (spot, dir, [numbers.next(), numbers.next()])
+}
+
+/// Traces a ray to its hit: a surface that scatters, the fog, or a lamp seen through a mirror or refracting glass. Mirrors and
+/// clear surfaces pass it on.
+/// - `u`: numbers in [0, 1).
+pub(super) fn trace_ray(
+    scene: &Scene<'_>,
+    arena: &Arena,
+    from: &SurfaceSpot,
+    dir: Vec3A,
+    u: [f32; 2],
+    tester: &mut VisibilityTester,
+) -> RayHit {
+    let nothing = RayHit::MISS;
+    let mut way = 0.0;
+    let target = |way: f32| (from.position + dir * way).to_array();
+    let prepared = scene.prepared;
+    let mut numbers = RandomNumbers::new(&[u64::from(u[0].to_bits()), u64::from(u[1].to_bits())]);
+    let mut ray = Ray {
+        origin: offset_origin(from.position, from.error, from.normal, dir),
+        dir,
+        t_max: f32::INFINITY,
+        time: SHUTTER_TIME,
+    };
+    let (mut share, mut is_bent, mut is_turned, mut is_inside) = (1.0f32, false, false, false);
+    for _ in 0..=MAX_CLEAR_SURFACES {
+        tester.rays += 1;
+        let hit = prepared.world.intersect(&ray);
+        let length = hit.as_ref().map_or(f32::INFINITY, |hit| hit.t);
+        let media = &prepared.media;
+        if !media.is_empty()
+            && !is_inside
+            && media.find_intervals(ray.origin, ray.dir, length, &MediumStack::default(), &mut tester.media)
+        {
+            match media.sample_distance(&tester.media, f64::from(numbers.next()), numbers.next()) {
+                DistanceSample::Scatter(event) => {
+                    let leaf = arena.fog_at(ray.origin + ray.dir * event.t);
+                    let (share, target) = (share * luminance(event.weight), target(way + event.t));
+                    return leaf.map_or(nothing, |leaf| RayHit { leaf, share, target, ..nothing });
+                }
+                DistanceSample::Through { weight } => share *= luminance(weight),
+            }
+        }
+        let Some(hit) = hit else { return nothing };
+        way += length;
+        let point = prepared.shading_point(&ray, &hit);
+        let is_back = point.normal.dot(ray.dir) > 0.0;
+        if is_bent && point.light != NONE {
+            // Light that arrives without a change of direction is covered by the links with lamps.
+            let (lights, world, textures) = (&prepared.lights, &prepared.world, &prepared.textures);
+            let lamp = EmitterPoint { light: point.light, normal: point.normal, parametric: point.parametric };
+            let radiance = lights.radiance(world, textures, &lamp, -ray.dir, SHUTTER_TIME);
+            if radiance != Rgb::ZERO {
+                return RayHit { share: share * PI * luminance(radiance), target: target(way), ..nothing };
+            }
+        }
+        let material = &prepared.materials[point.material as usize];
+        let crossing = material.crossing[usize::from(is_back)];
+        let straight_through = luminance(crossing.straight_through());
+        if matches!(crossing, Crossing::Null { .. }) {
+            share *= straight_through;
+            ray.origin = offset_origin(point.position, point.error, point.normal, ray.dir);
+            continue;
+        }
+        let mut specular_probability = 0.0;
+        if material.bsdf.has_delta() {
+            let towards_viewer = material.orientation == Orientation::TowardViewer;
+            let normal = if is_back && towards_viewer { -point.normal } else { point.normal };
+            let (frame, delta) = (Frame::from_normal(normal), material.bsdf.without_lambertian());
+            let wo = frame.to_local(-ray.dir);
+            let (reflected, transmitted) = material.bsdf.diffuse_albedos(MEAN_DIRECTION);
+            let [sent, passed] = [reflected + transmitted, delta.albedo(wo)].map(luminance);
+            specular_probability = if passed > 0.0 { passed / (passed + sent) } else { 0.0 };
+            if numbers.next() < specular_probability {
+                let Some(sample) = delta.sample(wo, [numbers.next(), numbers.next()], numbers.next()) else {
+                    return nothing;
+                };
+                share *= luminance(sample.weight) / specular_probability;
+                let is_through = sample.transmitted == Transmitted::Yes;
+                let is_straight = sample.lobe == LobeKind::Delta && is_through && straight_through > 0.0;
+                is_bent |= !is_straight;
+                is_turned = true;
+                is_inside ^= is_through && sample.eta != 1.0;
+                let dir = frame.to_world(sample.wi).normalize_or(normal);
+                let origin = offset_origin(point.position, point.error, point.normal, dir);
+                ray = Ray { origin, dir, ..ray };
+                continue;
+            }
+        }
+        let surface = scene.sides[hit.instance as usize][hit.primitive as usize][usize::from(is_back)];
+        if surface == NONE || arena.roots[surface as usize] == NONE || share <= 0.0 {
+            return nothing;
+        }
+        let place = scene.surfaces[surface as usize].parameters(point.position, [hit.u, hit.v]);
+        let (leaf, local) = arena.element_at(arena.roots[surface as usize], place, 0.0);
+        let part = if is_turned { NO_PART } else { leaf_part(&arena.elements[leaf as usize], local) as u8 };
+        let normal = if is_back { -point.normal } else { point.normal };
+        let (share, normal) = (share / (1.0 - specular_probability), pack_normal(normal));
+        return RayHit { leaf, share, normal, part, target: target(way), ..nothing };
+    }
+    nothing
+}

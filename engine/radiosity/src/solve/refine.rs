@@ -1,0 +1,214 @@
+//! Refinement: elements and links as fine as the light requires.
+
+use super::{Cancelled, Solver};
+use crate::gather::FROM_LAMPS;
+use crate::lamps::{LampLink, LampLinkDecision};
+use crate::link::{Link, LinkDecision, Oracle};
+use crate::scene::SHUTTER_TIME;
+use crate::tuning::{IRRADIANCE_FLOOR, MIN_AREA_SHARE, MIN_LINK_MEMORY, MIN_VOLUME_SHARE, UNIT_SHARE};
+use crate::visibility::VisibilityTester;
+use femc_field::{Harmonics, NONE, SurfaceSpot};
+use femc_math::Rgb;
+use femc_math::color::luminance;
+use rayon::prelude::*;
+use std::sync::atomic::Ordering;
+
+impl Solver<'_> {
+    /// Returns the mean irradiance of all surfaces, by luminance, lx.
+    fn mean(&self) -> f32 {
+        let roots = self.state.arena.roots.iter().filter(|&&root| root != NONE);
+        let (sum, area) = roots.fold((0.0f64, 0.0f64), |(sum, area), &root| {
+            let size = f64::from(self.state.arena.elements[root as usize].size());
+            (sum + size * f64::from(self.state.lights.elements[root as usize].mean), area + size)
+        });
+        if area > 0.0 { (sum / area) as f32 } else { self.state.lights.elements[self.state.arena.root as usize].mean }
+    }
+
+    /// Makes a first estimate of the irradiance of elements, without occlusion of the light sources.
+    pub(super) fn estimate_irradiance(&mut self) {
+        let (lights, world) = (&self.scene.prepared.lights, &self.scene.prepared.world);
+        let estimates: Vec<f32> = self
+            .state
+            .arena
+            .elements
+            .par_iter()
+            .map(|element| {
+                if element.is_cluster() {
+                    return 0.0;
+                }
+                let at = |spot: &SurfaceSpot, lamp: u32| {
+                    let textures = &self.scene.prepared.textures;
+                    let sample = lights.sample_light(world, textures, lamp, spot.position, SHUTTER_TIME, [0.5; 2]);
+                    sample.map_or(0.0, |sample| {
+                        let share = if element.patch().is_some() { spot.normal.dot(sample.dir).max(0.0) } else { 0.25 };
+                        luminance(sample.radiance) * share / sample.pdf
+                    })
+                };
+                let of = |spot: SurfaceSpot| (0..lights.len() as u32).map(|lamp| at(&spot, lamp)).sum::<f32>();
+                let sum: f32 = element.nodes().map(of).sum();
+                sum / element.node_count() as f32
+            })
+            .collect();
+        for (light, mean) in self.state.lights.elements.iter_mut().zip(estimates) {
+            light.mean = if mean.is_finite() { mean } else { 0.0 };
+            light.min_mean = light.mean;
+        }
+        for index in (0..self.state.arena.elements.len()).rev() {
+            let element = &self.state.arena.elements[index];
+            if !element.is_leaf() {
+                let [a, b] = element.children.map(|child| child as usize);
+                let sizes = [a, b].map(|child| self.state.arena.elements[child].size());
+                let mean = (self.state.lights.elements[a].mean * sizes[0]
+                    + self.state.lights.elements[b].mean * sizes[1])
+                    / (sizes[0] + sizes[1]);
+                self.state.lights.elements[index].mean = if mean.is_finite() { mean } else { 0.0 };
+                self.state.lights.elements[index].min_mean =
+                    self.state.lights.elements[a].min_mean.min(self.state.lights.elements[b].min_mean);
+            }
+        }
+    }
+
+    pub(super) fn oracle(&self, error: f32, links: usize) -> Oracle<'_> {
+        let area: f32 = self
+            .state
+            .arena
+            .roots
+            .iter()
+            .filter(|&&root| root != NONE)
+            .map(|&root| self.state.arena.elements[root as usize].size())
+            .sum();
+        let volume = if self.state.arena.fog == NONE {
+            0.0
+        } else {
+            self.state.arena.elements[self.state.arena.fog as usize].size()
+        };
+        Oracle {
+            scene: self.scene,
+            arena: &self.state.arena,
+            lights: &self.state.lights.elements,
+            error,
+            floor: IRRADIANCE_FLOOR * self.mean(),
+            fog_floor: if self.state.arena.fog == NONE {
+                0.0
+            } else {
+                IRRADIANCE_FLOOR * self.state.lights.elements[self.state.arena.fog as usize].mean
+            },
+            unit_area: area * UNIT_SHARE,
+            unit_volume: volume * UNIT_SHARE,
+            min_area: area * MIN_AREA_SHARE * self.options.error,
+            min_volume: volume * MIN_VOLUME_SHARE * self.options.error,
+            element_budget_exhausted: self.state.bytes(links) > self.options.memory,
+            link_budget_exhausted: links > self.options.memory.max(MIN_LINK_MEMORY) / size_of::<Link>(),
+        }
+    }
+
+    /// Computes the light of the sources, on elements that are as fine as it requires.
+    pub(super) fn link_lamps(&mut self, error: f32) -> Result<(), Cancelled> {
+        let mut pending: Vec<(u32, u32)> =
+            (0..self.scene.prepared.lights.len() as u32).map(|lamp| (self.state.arena.root, lamp)).collect();
+        let mut done: Vec<LampLink> = Vec::new();
+        while !pending.is_empty() {
+            if self.cancel.load(Ordering::Relaxed) {
+                return Err(Cancelled);
+            }
+            let oracle = self.oracle(error, done.len() + pending.len());
+            let (verdicts, rays) =
+                decide_all(&pending, |&(receiver, lamp), eye| oracle.decide_lamp_link(receiver, lamp, eye));
+            self.state.report.rays += rays;
+            let mut next = Vec::new();
+            for ((receiver, lamp), verdict) in pending.into_iter().zip(verdicts) {
+                match verdict {
+                    LampLinkDecision::Drop => {}
+                    LampLinkDecision::Keep { link, is_inexact: refused } => {
+                        done.push(link);
+                        self.state.report.inexact_links += usize::from(refused);
+                    }
+                    LampLinkDecision::SplitReceiver => {
+                        let (children, _) = self.state.arena.ensure_children(self.scene, receiver);
+                        next.extend(children.map(|child| (child, lamp)));
+                    }
+                }
+            }
+            self.state.lights.grow(&self.state.arena);
+            pending = next;
+        }
+        done.sort_unstable_by_key(|link| (link.receiver, link.lamp));
+        self.state.report.lamp_links = done.len();
+        for light in &mut self.state.lights.elements {
+            light.gathered[FROM_LAMPS] = [Rgb::ZERO; 4];
+        }
+        for arriving in &mut self.state.lights.incident {
+            arriving.gathered[FROM_LAMPS] = Harmonics::ZERO;
+        }
+        for link in done {
+            let element = &self.state.arena.elements[link.receiver as usize];
+            if let Some(directional) = element.directional() {
+                self.state.lights.incident[directional].gathered[FROM_LAMPS] +=
+                    Harmonics::from_direction(link.dir, link.light[0]);
+            } else {
+                let own = &mut self.state.lights.elements[link.receiver as usize].gathered[FROM_LAMPS];
+                own.iter_mut().zip(link.light).for_each(|(sum, light)| *sum += light);
+            }
+        }
+        Ok(())
+    }
+
+    /// Refines links until each is as exact as requested.
+    pub(super) fn refine_links(&mut self, error: f32) -> Result<(), Cancelled> {
+        let mut pending = std::mem::take(&mut self.state.links);
+        let mut done = Vec::new();
+        while !pending.is_empty() {
+            if self.cancel.load(Ordering::Relaxed) {
+                return Err(Cancelled);
+            }
+            let oracle = self.oracle(error, done.len() + pending.len());
+            let (verdicts, rays) = decide_all(&pending, |link, eye| oracle.decide(link.receiver, link.source, eye));
+            self.state.report.rays += rays;
+            let mut next = Vec::new();
+            let link = |receiver: u32, source: u32| Link { receiver, source, factors: [0.0; 4] };
+            for (Link { receiver, source, .. }, verdict) in pending.into_iter().zip(verdicts) {
+                match verdict {
+                    LinkDecision::Drop => {}
+                    LinkDecision::Keep { link, is_inexact: refused } => {
+                        done.push(link);
+                        self.state.report.inexact_links += usize::from(refused);
+                    }
+                    LinkDecision::SplitReceiver => {
+                        let (children, _) = self.state.arena.ensure_children(self.scene, receiver);
+                        next.extend(children.map(|child| link(child, source)));
+                    }
+                    LinkDecision::SplitSource => {
+                        let (children, _) = self.state.arena.ensure_children(self.scene, source);
+                        next.extend(children.map(|child| link(receiver, child)));
+                    }
+                    LinkDecision::SplitBoth => {
+                        let ([a, b], _) = self.state.arena.ensure_children(self.scene, receiver);
+                        next.extend([(a, a), (a, b), (b, a), (b, b)].map(|(p, q)| link(p, q)));
+                    }
+                }
+            }
+            self.state.lights.grow(&self.state.arena);
+            pending = next;
+        }
+        done.sort_unstable_by_key(|link| (link.receiver, link.source));
+        self.state.links = done;
+        Ok(())
+    }
+}
+
+/// Returns the verdicts in order, and the number of their rays.
+fn decide_all<T: Sync, V: Send>(
+    pending: &[T],
+    decide: impl Fn(&T, &mut VisibilityTester) -> V + Sync,
+) -> (Vec<V>, u64) {
+    let chunks: Vec<(Vec<V>, u64)> = pending
+        .par_chunks(256)
+        .map(|chunk| {
+            let mut tester = VisibilityTester::default();
+            let verdicts = chunk.iter().map(|item| decide(item, &mut tester)).collect();
+            (verdicts, tester.rays)
+        })
+        .collect();
+    let rays = chunks.iter().map(|(_, rays)| rays).sum();
+    (chunks.into_iter().flat_map(|(verdicts, _)| verdicts).collect(), rays)
+}

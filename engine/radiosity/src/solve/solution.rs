@@ -1,0 +1,127 @@
+//! Solution: the light of elements as a field.
+
+use super::{SolveReport, SolverState};
+use crate::arena::Arena;
+use crate::census::Census;
+use crate::element::{Element, Shape};
+use crate::gather::{ElementLights, FROM_ELEMENTS, FROM_LAMPS};
+use crate::scene::Scene;
+use femc_field::{Cell, Field, Guide, Guides, Leaf, Lobe, NONE, Split};
+
+/// Light of a scene, with a report.
+#[derive(Clone, Debug)]
+pub struct Solution {
+    /// Light of the scene.
+    pub field: Field,
+    /// Direct light from light sources, as in the elements, by leaf of the field.
+    pub direct: Vec<Leaf>,
+    /// Report on the solution.
+    pub report: SolveReport,
+}
+
+impl SolverState {
+    /// Creates the solution.
+    /// - `guides`: guides by leaf, and their lobes.
+    pub(crate) fn finish(&self, scene: Scene<'_>, (guides, lobes): (Vec<Guide>, Vec<Lobe>)) -> Solution {
+        let elements = &self.arena.elements;
+        let report = if self.arena.root == NONE {
+            SolveReport::default()
+        } else {
+            SolveReport {
+                elements: elements.iter().filter(|element| !element.is_cluster()).count(),
+                leaves: elements.iter().filter(|element| element.is_leaf()).count(),
+                links: self.links.len(),
+                bytes: self.bytes(self.links.len()) + self.max_ray_bytes,
+                census: Census::new(elements, &self.links),
+                ..self.report
+            }
+        };
+        let (field, direct, fog) = build_field(scene, &self.arena, &self.lights);
+        // `Solution::verify` rejects NaN.
+        let residual = if fog == FogLight::Valid { report.residual } else { f32::NAN };
+        let report = SolveReport { residual, ..report };
+        let field = Field { guides: Guides::new(guides, lobes, &field.cells, &field.leaves), ..field };
+        Solution { field, direct, report }
+    }
+}
+
+/// Returns the leaves of surfaces, in the order of the field.
+pub(crate) fn surface_leaves(arena: &Arena) -> Vec<u32> {
+    let mut leaves = Vec::new();
+    for &root in arena.roots.iter().filter(|&&root| root != NONE) {
+        let mut order = vec![root];
+        let mut at = 0;
+        while at < order.len() {
+            let element = &arena.elements[order[at] as usize];
+            if element.is_leaf() {
+                leaves.push(order[at]);
+            } else {
+                order.extend(element.children);
+            }
+            at += 1;
+        }
+    }
+    leaves
+}
+
+/// State of the fog's light in a solution.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum FogLight {
+    /// Finite and not negative, or without fog.
+    Valid,
+    /// Not finite, or negative: the field has no fog.
+    Invalid,
+}
+
+/// Creates the field of a solution, and the direct light from light sources.
+fn build_field(scene: Scene<'_>, arena: &Arena, lights: &ElementLights) -> (Field, Vec<Leaf>, FogLight) {
+    let mut field = Field { roots: vec![NONE; scene.surfaces.len()], ..Field::default() };
+    let mut direct = Vec::new();
+    for (surface, &root) in arena.roots.iter().enumerate() {
+        if root == NONE {
+            continue;
+        }
+        // Breadth first, so that two halves are adjacent.
+        let first = field.cells.len() as u32;
+        field.roots[surface] = first;
+        let mut order = vec![root];
+        let mut at = 0;
+        while at < order.len() {
+            let element = &arena.elements[order[at] as usize];
+            let next = if element.is_leaf() {
+                field.leaves.push(field_leaf(element, order[at], lights, FROM_ELEMENTS));
+                direct.push(field_leaf(element, order[at], lights, FROM_LAMPS));
+                field.leaves.len() as u32 - 1
+            } else {
+                order.extend(element.children);
+                first + order.len() as u32 - 2
+            };
+            field.cells.extend(field_cell(element, next));
+            at += 1;
+        }
+    }
+    let mut fog = FogLight::Valid;
+    if arena.fog != NONE {
+        match crate::fog::fog_tree(&scene, arena, lights) {
+            Some(tree) => field.fog = tree,
+            None => fog = FogLight::Invalid,
+        }
+    }
+    (field.surfaces, field.sides) = (scene.surfaces, scene.sides);
+    (field, direct, fog)
+}
+
+/// Returns the cell of a part of a surface.
+fn field_cell(element: &Element, next: u32) -> Option<Cell> {
+    let part = element.surface_part()?;
+    let split = if element.is_leaf() { Split::None } else { part.split };
+    Some(Cell { outline: part.in_parent, split, next })
+}
+
+fn field_leaf(element: &Element, index: u32, lights: &ElementLights, from: usize) -> Leaf {
+    if let Shape::Curved(curved) = &element.shape {
+        return Leaf::Curved(lights.directional_irradiance(curved, index as usize, from));
+    }
+    let values = lights.node_irradiance(index as usize, from);
+    if element.is_triangle() { Leaf::Triangle([values[0], values[1], values[2]]) } else { Leaf::Rectangle(values) }
+}

@@ -1,0 +1,74 @@
+//! Bytes of the steps: what is decoded and encoded again is equal, and damage is found.
+
+use super::{face, prepare};
+use crate::solve::SolverState;
+use crate::{BlockGuides, CastingState, RayHits, SolveOptions};
+use femc_prepared::Prepared;
+use std::sync::atomic::AtomicBool;
+
+static CANCEL: AtomicBool = AtomicBool::new(false);
+const OPTIONS: SolveOptions = SolveOptions { error: 2.0, memory: 1 << 22, guides: true };
+
+/// A floor, a screen, a ball, a lamp and fog: elements of all shapes.
+fn world() -> Prepared {
+    prepare(&format!(
+        "medium haze =\n  sigma_s 0.1\nmbox haze -2 -2 0 2 2 2\nm gray =\n  sides 2\n  c\n  rd 0.6\nm gray\n{}{}\
+         v s =\n  p 0.5 -0.5 0.4\nsph s 0.3\nm bright =\n  c\n  ed 2000\nm bright\nv l =\n  p -1 1.5 1\nsph l 0.2\n",
+        face(&[[-2.0, -2.0, 0.0], [2.0, -2.0, 0.0], [2.0, 2.0, 0.0], [-2.0, 2.0, 0.0]]),
+        face(&[[-2.0, 0.5, 0.0], [1.6, 0.5, 0.0], [1.6, 0.5, 2.0]]),
+    ))
+}
+
+fn casting(world: &Prepared) -> CastingState {
+    let state = SolverState::new(world, &OPTIONS, &CANCEL).unwrap();
+    state.plan_rays(world, &OPTIONS, Vec::new())
+}
+
+#[test]
+fn the_state_is_encoded_without_loss() {
+    let world = world();
+    let state = SolverState::new(&world, &OPTIONS, &CANCEL).unwrap();
+    let (elements, links) = (state.encode_elements(), state.encode_links());
+    let again = SolverState::decode(&world, &elements, &links).unwrap();
+    assert!(again.encode_elements() == elements && again.encode_links() == links);
+    assert_eq!(again.report().rays, state.report().rays);
+    let [before, after] = [&state, &again].map(|state| {
+        let lights = &state.lights.elements;
+        lights.iter().map(|light| format!("{:?} {:?}", light.total, light.radiosity)).collect::<Vec<_>>()
+    });
+    assert_eq!(before, after, "light that is not stored follows from what is");
+    for end in [0, 1, 8, elements.len() / 2, elements.len() - 1] {
+        assert!(SolverState::decode(&world, &elements[..end], &links).is_err(), "{end} bytes");
+    }
+    for end in [0, 1, 8, links.len() / 2, links.len() - 1] {
+        assert!(SolverState::decode(&world, &elements, &links[..end]).is_err(), "{end} bytes");
+    }
+}
+
+#[test]
+fn hits_and_guides_of_blocks_are_encoded_without_loss() {
+    let world = world();
+    let before = casting(&world);
+    let whole = format!("{:?}", before.cast(&world, 0, 1));
+    let blocks: Vec<RayHits> = (0..3).map(|block| before.cast(&world, block, 3)).collect();
+    let bytes: Vec<Vec<u8>> = blocks.iter().map(RayHits::encode).collect();
+    for (block, bytes) in blocks.iter().zip(&bytes) {
+        let again = RayHits::decode(bytes).unwrap();
+        assert_eq!(format!("{again:?}"), format!("{block:?}"));
+        assert!((0..bytes.len()).step_by(97).all(|end| RayHits::decode(&bytes[..end]).is_err()));
+    }
+    assert_eq!(format!("{:?}", casting(&world).cast(&world, 0, 1)), whole, "rays depend on the elements alone");
+    let decoded: Vec<RayHits> = bytes.iter().map(|bytes| RayHits::decode(bytes).unwrap()).collect();
+    let reversed = decoded.iter().rev().cloned().collect();
+    assert!(before.apply_hits(&world, &OPTIONS, reversed, &CANCEL).unwrap().is_none(), "blocks in the wrong order");
+    assert!(
+        before.apply_hits(&world, &OPTIONS, decoded[..2].to_vec(), &CANCEL).unwrap().is_none(),
+        "a block is missing"
+    );
+    let after = before.apply_hits(&world, &OPTIONS, decoded, &CANCEL).unwrap().expect("all hits");
+    let guides = after.guides(&world, 0, 1);
+    let bytes = guides.encode();
+    assert_eq!(BlockGuides::decode(&bytes).unwrap(), guides);
+    assert!((0..bytes.len()).all(|end| BlockGuides::decode(&bytes[..end]).is_err()));
+    assert!(RayHits::decode(&bytes).is_err() && BlockGuides::decode(&after.state().encode_links()).is_err());
+}

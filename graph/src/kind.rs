@@ -1,0 +1,156 @@
+//! Table of stage kinds. It holds everything that the farm knows about a kind, besides its code.
+
+use serde::{Deserialize, Serialize};
+
+use crate::tag;
+
+/// Kind of a stage: the work its tasks do. Its properties are a row of [`StageKind::properties`]. The worker's code for a kind is a
+/// file in `worker/src/execute`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub enum StageKind {
+    /// Renders samples of a tile.
+    Render,
+    /// Combines outputs of one role.
+    Reduce,
+    /// Measures a frame and writes its image.
+    Image,
+    /// Does exact arithmetic on numbers, to exercise the farm.
+    Drill,
+    /// Decides from the errors of a frame's tiles whether another round follows, and how many samples each tile gets in it.
+    Decide,
+    /// Tone-maps frames with one exposure, and makes a contact sheet or a clip of them.
+    Encode,
+    /// Solves the first pass once for all frames of one shared content, before their samples. If the first pass is divided into
+    /// blocks, this kind is the part that one task does for all blocks.
+    FirstPass,
+    /// Computes one block of a first pass.
+    FirstPassBlock,
+    /// Paints a frame in a style, from its layers and the painting of the preceding frame.
+    Paint,
+}
+
+/// Lane of a task. A worker runs tasks of one lane one after another, and tasks of different lanes in parallel.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Lane {
+    /// Uses all threads of the worker.
+    Compute,
+    /// Joins existing outputs.
+    Join,
+}
+
+impl Lane {
+    /// All lanes.
+    pub const ALL: [Self; 2] = [Self::Compute, Self::Join];
+
+    /// Name in one word.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Compute => "compute",
+            Self::Join => "join",
+        }
+    }
+}
+
+/// Data that a task prefers to have on its worker.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Affinity {
+    /// The prepared frame: a worker preferably continues with a frame that it has prepared.
+    Frame,
+    /// Only the inputs of the task.
+    Inputs,
+}
+
+/// Destination of the log of a successful attempt. Logs of failures always go to the store.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum LogDestination {
+    /// The log is part of the report and is kept in memory.
+    Report,
+    /// The log goes to the store.
+    Store,
+}
+
+/// Row of the table of kinds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct StageKindProperties {
+    /// Name in one word.
+    pub name: &'static str,
+    /// Unit in which the steps are counted, for display.
+    pub unit: &'static str,
+    /// Lane in which the tasks compete for the worker.
+    pub lane: Lane,
+    /// Whether a lease may cover a part of a task's steps.
+    pub is_divided: bool,
+    /// Data because of which the scheduler prefers a worker.
+    pub affinity: Affinity,
+    /// Destination of the logs of the kind's tasks.
+    pub log: LogDestination,
+    /// Tags of the workers that know the kind; none: all workers know it.
+    pub tags: &'static [&'static str],
+}
+
+impl StageKind {
+    /// All variants, in the order of the table.
+    pub const ALL: [Self; 9] = [
+        Self::Render,
+        Self::Reduce,
+        Self::Image,
+        Self::Drill,
+        Self::Decide,
+        Self::Encode,
+        Self::FirstPass,
+        Self::FirstPassBlock,
+        Self::Paint,
+    ];
+
+    /// Returns the kind's row of the table.
+    pub fn properties(self) -> StageKindProperties {
+        use Lane::{Compute, Join};
+        use LogDestination::{Report, Store};
+        let row = |name, unit, lane, is_divided, affinity, log, tags| StageKindProperties {
+            name,
+            unit,
+            lane,
+            is_divided,
+            affinity,
+            log,
+            tags,
+        };
+        match self {
+            Self::Render => row("render", "pixel samples", Compute, true, Affinity::Frame, Report, &[]),
+            Self::Reduce => row("reduce", "inputs", Join, false, Affinity::Inputs, Report, &[]),
+            Self::Image => row("image", "inputs", Join, false, Affinity::Inputs, Store, &[]),
+            Self::Drill => row("drill", "inputs", Compute, false, Affinity::Inputs, Report, &[]),
+            Self::Decide => row("decide", "inputs", Join, false, Affinity::Inputs, Report, &[]),
+            // A video encoder uses all threads, too.
+            Self::Encode => row("encode", "inputs", Compute, false, Affinity::Inputs, Report, &[]),
+            // There is one task per content, and it is long, so its log is stored.
+            Self::FirstPass => {
+                row("first-pass", "solutions", Compute, false, Affinity::Inputs, Store, &[tag::FIRST_PASS])
+            }
+            Self::FirstPassBlock => {
+                row("first-pass-block", "blocks", Compute, false, Affinity::Inputs, Report, &[tag::FIRST_PASS_BLOCKS])
+            }
+            Self::Paint => row("paint", "inputs", Compute, false, Affinity::Inputs, Report, &[tag::PAINTING]),
+        }
+    }
+
+    /// Name in one word.
+    pub fn name(self) -> &'static str {
+        self.properties().name
+    }
+
+    /// Returns the kind with this name.
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|kind| kind.name() == name)
+    }
+
+    /// Returns whether a lease may cover a part of a task's steps.
+    pub fn is_divided(self) -> bool {
+        self.properties().is_divided
+    }
+
+    /// Returns the position in [`StageKind::ALL`].
+    pub const fn index(self) -> usize {
+        self as usize
+    }
+}

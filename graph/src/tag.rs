@@ -1,0 +1,24 @@
+//! Tags of workers that know the later kinds of stages and roles of outputs. Workers of earlier versions cannot read a graph with a
+//! kind or role that is new to them, so all stages of such a graph require its tags
+//! ([`Graph::add_known_tags`](crate::Graph::add_known_tags)).
+
+/// Tag of workers that support first passes.
+pub const FIRST_PASS: &str = "first-pass";
+
+/// Tag of workers that support first passes in blocks.
+pub const FIRST_PASS_BLOCKS: &str = "first-pass-blocks";
+
+/// Tag of workers that support light statistics.
+pub const STATISTICS: &str = "statistics";
+
+/// Tag of workers that support layers.
+pub const LAYERS: &str = "layers";
+
+/// Tag of workers that support features and the layer format with room for them.
+pub const FEATURES: &str = "features";
+
+/// Tag of workers that support painted styles.
+pub const PAINTING: &str = "painting";
+
+/// All these tags. A worker of this version offers them.
+pub const ALL: [&str; 6] = [FIRST_PASS, FIRST_PASS_BLOCKS, STATISTICS, LAYERS, FEATURES, PAINTING];

@@ -1,8 +1,8 @@
 //! Russian roulette.
 
 use crate::dimensions as dim;
-use crate::path_state::{PathEnd, PathState};
-use crate::record::Termination;
+use crate::path_state::PathState;
+use crate::record::{PathEnd, Termination};
 use crate::square;
 use femc_math::Rgb;
 use std::ops::ControlFlow;
@@ -35,12 +35,12 @@ impl PathState {
     /// not. The field may be wrong, so the survival probability is at least [`RR_MIN_SURVIVAL`] times that by the weight.
     /// - `survival`: light that the field expects of the path from here on, relative to that from the first vertex on.
     #[inline(always)]
-    pub fn roulette<const MEDIA: bool>(&mut self, survival: Option<f32>) -> ControlFlow<PathEnd> {
+    pub fn roulette<const MEDIA: bool>(&mut self, survival: Option<f32>) -> ControlFlow<Termination> {
         if self.survives::<MEDIA>(survival) {
             return ControlFlow::Continue(());
         }
         let is_left = self.throughput.max_element() > 0.0;
-        ControlFlow::Break(self.end(if is_left { Termination::Roulette } else { Termination::Absorbed }))
+        ControlFlow::Break(self.end(if is_left { PathEnd::Roulette } else { PathEnd::Absorbed }))
     }
 
     /// Performs Russian roulette as [`Self::roulette`] does, and returns whether the path continues.

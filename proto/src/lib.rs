@@ -33,7 +33,7 @@ pub use net::{ByteStream, DialFuture, Dialer, Io};
 pub use probe::{ProbeResult, probe_address};
 pub use server::{
     AccessControl, ArtifactTotals, Call, CollectMode, CollectReport, MIN_GRACE, Server, Session, Traffic,
-    WorkerMessages,
+    WorkerMessages, serve_metrics,
 };
 pub use tonic::transport::server::{Connected, TcpIncoming};
 

@@ -9,6 +9,7 @@ mod guard;
 mod handshake;
 mod inputs;
 mod jobs;
+mod metrics;
 mod promises;
 mod traffic;
 mod uploads;
@@ -40,6 +41,7 @@ pub use collect::{ArtifactTotals, CollectMode, CollectReport, MIN_GRACE};
 use connection_limiter::{ConnectionLimiter, UnusedConnections};
 use guard::Guard;
 use handshake::{Connection, with_handshakes};
+pub use metrics::serve_metrics;
 use promises::Promises;
 pub use traffic::Traffic;
 use uploads::Uploads;
@@ -231,7 +233,6 @@ impl Server {
         let reflection = tonic_reflection::server::Builder::configure()
             .register_encoded_file_descriptor_set(wire::DESCRIPTORS)
             .build_v1()?;
-        let builder = tonic::transport::Server::builder();
         let limits = self.limits;
         let is_encrypted = self.access_control.as_ref().is_some_and(|access| access.identity.is_some());
         let lists =
@@ -240,17 +241,9 @@ impl Server {
         let gate = Gate::new(lists, limits, self.audit.clone()).with_logins(logins);
         let (store, slots) = (self.store.clone(), self.transfer_slots.clone());
         let http = Http::new(self.farm.clone(), store, slots, gate.clone(), self.site.clone(), is_encrypted);
-        let router = builder
-            .accept_http1(true)
+        let router = transport(&limits)
             .layer(self.traffic.clone())
             .layer(Guard::new(gate, http))
-            .http2_keepalive_interval(Some(limits.keep_alive_interval))
-            .http2_keepalive_timeout(Some(limits.keep_alive_timeout))
-            .http2_max_header_list_size(limits.headers)
-            .http2_max_pending_accept_reset_streams(Some(limits.resets))
-            .max_concurrent_streams(limits.streams)
-            .initial_stream_window_size(limits.stream_window)
-            .initial_connection_window_size(limits.connection_window)
             .add_service(health)
             .add_service(reflection)
             .add_service(JobsServer::new(self.clone()).max_decoding_message_size(limits.message))
@@ -268,6 +261,19 @@ impl Server {
     async fn call_raw<T>(&self, call: impl FnOnce(Reply<T>) -> Call) -> Result<T, Refusal> {
         self.farm.call(call).await
     }
+}
+
+/// Returns the transport of all servers: HTTP/1.1 and HTTP/2 with these limits.
+fn transport(limits: &Limits) -> tonic::transport::Server {
+    tonic::transport::Server::builder()
+        .accept_http1(true)
+        .http2_keepalive_interval(Some(limits.keep_alive_interval))
+        .http2_keepalive_timeout(Some(limits.keep_alive_timeout))
+        .http2_max_header_list_size(limits.headers)
+        .http2_max_pending_accept_reset_streams(Some(limits.resets))
+        .max_concurrent_streams(limits.streams)
+        .initial_stream_window_size(limits.stream_window)
+        .initial_connection_window_size(limits.connection_window)
 }
 
 /// Returns the audit trail of this request's call.

@@ -2,7 +2,8 @@
 
 use crate::exit::{Failure, failed};
 use crate::output::Printer;
-use femc_metrics::{ProcessReport, serve_metrics};
+use femc_metrics::ProcessReport;
+use femc_proto::serve_metrics;
 use std::net::SocketAddr;
 use tokio::net::TcpListener;
 

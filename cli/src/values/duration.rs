@@ -1,3 +1,4 @@
+use jiff::{Span, SpanTotal, Unit};
 use serde::Deserialize;
 use serde::de::{Deserializer, Error as _};
 use std::str::FromStr;
@@ -27,26 +28,19 @@ impl FromStr for DurationArg {
     }
 }
 
-/// Returns the sum of number-unit pairs; `None` if a number or a unit is missing or unknown.
-fn with_units(mut rest: &str) -> Option<f64> {
-    let mut seconds = 0.0;
-    while !rest.is_empty() {
-        let digits = rest.find(|c: char| !c.is_ascii_digit() && c != '.')?;
-        let (number, tail) = rest.split_at(digits);
-        let letters = tail.find(|c: char| !c.is_ascii_alphabetic()).unwrap_or(tail.len());
-        let (unit, tail) = tail.split_at(letters);
-        let scale = match unit {
-            "ms" => 1e-3,
-            "s" => 1.0,
-            "m" | "min" => 60.0,
-            "h" => 3600.0,
-            "d" => 86_400.0,
-            _ => return None,
-        };
-        seconds += number.parse::<f64>().ok()? * scale;
-        rest = tail;
+/// Returns the seconds of a duration in the format of [`jiff::fmt::friendly`] or ISO 8601; days have 24 hours. Returns `None` for months
+/// and years, whose lengths vary.
+fn with_units(text: &str) -> Option<f64> {
+    let total = |text: &str| {
+        let span: Span = text.parse().ok()?;
+        span.total(SpanTotal::from(Unit::Second).days_are_24_hours()).ok()
+    };
+    // Jiff reads no fraction of a day, and no fraction without a digit before the point.
+    let (number, unit) = text.split_at(text.find(|c: char| c.is_ascii_alphabetic()).unwrap_or(text.len()));
+    match number.parse::<f64>() {
+        Ok(number) if unit.bytes().all(|byte| byte.is_ascii_alphabetic()) => Some(number * total(&format!("1{unit}"))?),
+        _ => total(text),
     }
-    Some(seconds)
 }
 
 impl<'de> Deserialize<'de> for DurationArg {
@@ -82,11 +76,20 @@ mod tests {
         assert_eq!(seconds("7d"), Some(604_800.0));
         assert_eq!(seconds("500ms"), Some(0.5));
         assert_eq!(seconds("1.5m"), Some(90.0));
+        assert_eq!(seconds("2h30m"), Some(9000.0));
+        assert_eq!(seconds("1.5d"), Some(129_600.0));
+        assert_eq!(seconds(".5h"), Some(1800.0));
+        assert_eq!(seconds("1d12h0.5s"), Some(129_600.5));
+        for text in ["90 secs", "1 min 30 s", "1min30s", "1 minute, 30 seconds", "00:01:30", "PT1M30S"] {
+            assert_eq!(seconds(text), Some(90.0), "{text}");
+        }
     }
 
     #[test]
     fn what_is_no_positive_time_is_refused() {
-        for text in ["", "s", "90x", "-3s", "0", "inf", "NaN", "1h30", "m2", "1..2s"] {
+        for text in
+            ["", "s", "90x", "-3s", "0", "inf", "NaN", "1h30", "m2", "1..2s", "3s ago", "1mo", "1y", "1.5y", "1d ever"]
+        {
             assert_eq!(seconds(text), None, "{text}");
         }
     }

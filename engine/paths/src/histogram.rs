@@ -10,10 +10,10 @@
 //!   ([`LightStatistics::image_weight`]). If tiles have different numbers of samples, only this one shows what is visible in the
 //!   image.
 
-use crate::schema::{
-    ATTRIBUTE_COUNTS, Attribute, FINE_BINS, INTERSECTION_ATTRIBUTES, LIGHT_ATTRIBUTES, PATH_ATTRIBUTES,
-    intersection_bins, light_bins, path_bins,
+use crate::attribute::{
+    Attribute, INTERSECTION_ATTRIBUTES, LIGHT_ATTRIBUTES, PATH_ATTRIBUTES, intersection_bins, light_bins, path_bins,
 };
+use crate::schema::{ATTRIBUTE_COUNTS, FINE_BINS};
 use crate::statistics::{LightStatistics, image_weight};
 
 /// A table of records.
@@ -107,9 +107,13 @@ impl Histograms {
             match table {
                 Table::Paths => all.add(&path_bins(&statistics.scope, path), weight),
                 Table::Intersections => {
-                    intersection_bins(&statistics.scope, path).for_each(|bins| all.add(&bins, weight));
+                    let bins = path.intersections.iter().map(|it| intersection_bins(&statistics.scope, it));
+                    bins.for_each(|bins| all.add(&bins, weight));
                 }
-                Table::Lights => light_bins(path).for_each(|bins| all.add(&bins, weight)),
+                Table::Lights => {
+                    let bins = path.lights.iter().map(|it| light_bins(&statistics.scope, it));
+                    bins.for_each(|bins| all.add(&bins, weight));
+                }
             }
         }
         all

@@ -12,6 +12,7 @@
 //! This crate does not render, does not read files and knows nothing about the farm.
 #![deny(missing_docs)]
 
+pub mod attribute;
 pub mod bottlenecks;
 pub mod codec;
 pub mod frames;

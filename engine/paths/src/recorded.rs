@@ -10,11 +10,11 @@ pub use bins::{CountedSamples, HistogramRequest, PairKey, RecordHistograms, Weig
 pub use categories::{Categories, MAX_CATEGORIES, NameTable, OTHERS_BIN};
 
 use crate::FrameStatistics;
+use crate::attribute::path_bins;
 use crate::histogram::{Counts, Histograms, Table};
 use crate::octree::{Root, Voxel};
 use crate::record::{LightPath, Names, PathKey};
 use crate::represent::{Distance, PathBins, Target, choose_representative_within};
-use crate::schema::path_bins;
 use crate::selection::{BitMask, CancelCheck, Cancelled, SelectedRecords, check_cancelled};
 use crate::statistics::{LightStatistics, Scope};
 use bins::RecordBins;

@@ -9,7 +9,8 @@
 //! of a few other candidates, if this reduces `D + DJ`. The arithmetic is in integers with a fixed sequence of draws, so equal
 //! candidates give equal sets.
 
-use crate::schema::{COARSE_BINS, PATH_ATTRIBUTES};
+use crate::attribute::PATH_ATTRIBUTES;
+use crate::schema::COARSE_BINS;
 use crate::selection::{CancelCheck, Cancelled};
 use femc_math::hash::mix64;
 use std::sync::atomic::AtomicBool;
@@ -29,7 +30,7 @@ const EXCHANGES_PER_PATH: usize = 10;
 /// Work of one attempted exchange, in units of [`CancelCheck`].
 const EXCHANGE_WORK: usize = 2 * TOURNAMENT_SIZE;
 
-/// Fine bins of a path, by [`path_bins`](crate::schema::path_bins).
+/// Fine bins of a path, by [`path_bins`](crate::attribute::path_bins).
 pub type PathBins = [u8; AXES];
 
 /// Coarse bins of a path.

@@ -1,4 +1,4 @@
-//! Attributes of records as numbers, and the bins that count them. All edges are fixed and independent of the samples, so counts of
+//! Scales of attributes, and the bins that count them. All edges are fixed and independent of the samples, so counts of
 //! different workers, jobs and variants add up. A change of this file requires a new [`VERSION`].
 //!
 //! | scale | of 64 fine bins | of 10 coarse bins |
@@ -11,7 +11,8 @@
 //! | [`Scale::Class`] | the number of the word, 0: none | the same |
 //! | [`Scale::Name`] | 0: none, else 1 + key mod 63: names may share a bin | `10 f / 64` |
 
-use crate::record::{LightPath, Name, luminance};
+use crate::attribute::{INTERSECTION_ATTRIBUTES, LIGHT_ATTRIBUTES, PATH_ATTRIBUTES, Value};
+use crate::record::{InteractionKind, LightTechnique, Name, PathEnd};
 use crate::statistics::Scope;
 
 /// Version of the attributes and their bins.
@@ -24,10 +25,10 @@ pub const COARSE_BINS: usize = 10;
 /// Mapping from numbers to bins.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scale {
-    /// Position of a pixel on the film.
-    Film,
-    /// A coordinate, world, m.
-    World,
+    /// Position of a pixel on the film along an axis.
+    Film(usize),
+    /// A coordinate along an axis, world, m.
+    World(usize),
     /// Radiance, cd/m2.
     Radiance,
     /// Throughput factor.
@@ -35,157 +36,104 @@ pub enum Scale {
     /// Number of items.
     Count,
     /// Word of a small set.
-    Class,
+    Class(Words),
     /// A name.
     Name,
 }
 
+/// A small set of words.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Words {
+    /// [`PathEnd`]
+    End,
+    /// [`InteractionKind`]
+    Interaction,
+    /// [`LightTechnique`]
+    Technique,
+}
+
+impl Words {
+    /// Returns the words in the order of their numbers.
+    pub fn list(self) -> Vec<&'static str> {
+        match self {
+            Self::End => PathEnd::ALL.iter().map(|it| it.word()).collect(),
+            Self::Interaction => InteractionKind::ALL.iter().map(|it| it.word()).collect(),
+            Self::Technique => LightTechnique::ALL.iter().map(|it| it.word()).collect(),
+        }
+    }
+}
+
 impl Scale {
+    /// Returns the name of the scale.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Film(_) => "film",
+            Self::World(_) => "world",
+            Self::Radiance => "radiance",
+            Self::Throughput => "throughput",
+            Self::Count => "count",
+            Self::Class(_) => "class",
+            Self::Name => "name",
+        }
+    }
+
+    /// Returns the fine bin of a value; `None`: there is no value.
+    #[inline]
+    pub fn bin(self, scope: &Scope, value: Option<Value>) -> u8 {
+        match (self, value) {
+            (_, None) => 0,
+            (_, Some(Value::Word(index))) => index + 1,
+            (_, Some(Value::Name(name))) => name_bin(name),
+            (Self::Film(axis), Some(Value::Number(place))) => film_bin(place as u32, scope.film[axis]),
+            (Self::World(axis), Some(Value::Number(place))) => world_bin(place, scope.lower[axis], scope.upper[axis]),
+            (Self::Radiance, Some(Value::Number(value))) => radiance_bin(value as f32),
+            (Self::Throughput, Some(Value::Number(value))) => throughput_bin(value as f32),
+            (Self::Count | Self::Class(_) | Self::Name, Some(Value::Number(value))) => count_bin(value as u32),
+        }
+    }
+
+    /// Returns the lower edge of a fine bin; `None`: the bin stands for a word, a name or a missing value.
+    pub fn lower_edge(self, scope: &Scope, bin: u8) -> Option<f64> {
+        match self {
+            Self::Radiance => Some(radiance_edge(bin)),
+            Self::Throughput => Some(throughput_edge(bin)),
+            Self::Count => Some(f64::from(bin)),
+            Self::Film(axis) => Some(f64::from(scope.film[axis]) * f64::from(bin) / 64.0),
+            Self::World(axis) => {
+                let bin = f64::from(bin.checked_sub(1)?);
+                Some(scope.lower[axis] + (scope.upper[axis] - scope.lower[axis]) * bin / 63.0)
+            }
+            Self::Class(_) | Self::Name => None,
+        }
+    }
+
     /// Returns the coarse bin of a fine bin.
     #[inline]
     pub fn coarse(self, fine: u8) -> u8 {
         match self {
-            Self::Count | Self::Class => fine.min(COARSE_BINS as u8 - 1),
-            Self::Film | Self::World | Self::Radiance | Self::Throughput | Self::Name => {
+            Self::Count | Self::Class(_) => fine.min(COARSE_BINS as u8 - 1),
+            Self::Film(_) | Self::World(_) | Self::Radiance | Self::Throughput | Self::Name => {
                 (u32::from(fine) * COARSE_BINS as u32 / FINE_BINS as u32) as u8
             }
         }
     }
 }
 
-/// An attribute of a record.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Attribute {
-    /// Name of the attribute in tables and conditions.
-    pub name: &'static str,
-    /// Scale of its bins.
-    pub scale: Scale,
-}
-
-const fn attribute(name: &'static str, scale: Scale) -> Attribute {
-    Attribute { name, scale }
-}
-
-/// Attributes of a path, in the order of the axes of a parallel coordinates plot. `first` and `last` are its intersections, `light`
-/// is the light that contributed the most.
-pub const PATH_ATTRIBUTES: [Attribute; 20] = [
-    attribute("pixel.x", Scale::Film),
-    attribute("pixel.y", Scale::Film),
-    attribute("radiance.r", Scale::Radiance),
-    attribute("radiance.g", Scale::Radiance),
-    attribute("radiance.b", Scale::Radiance),
-    attribute("throughput.r", Scale::Throughput),
-    attribute("throughput.g", Scale::Throughput),
-    attribute("throughput.b", Scale::Throughput),
-    attribute("depth", Scale::Count),
-    attribute("end", Scale::Class),
-    attribute("first.x", Scale::World),
-    attribute("first.y", Scale::World),
-    attribute("first.z", Scale::World),
-    attribute("first.interaction", Scale::Class),
-    attribute("first.object", Scale::Name),
-    attribute("last.x", Scale::World),
-    attribute("last.y", Scale::World),
-    attribute("last.z", Scale::World),
-    attribute("light.radiance", Scale::Radiance),
-    attribute("light", Scale::Name),
-];
-
-/// Attributes of an intersection.
-pub const INTERSECTION_ATTRIBUTES: [Attribute; 10] = [
-    attribute("bounce", Scale::Count),
-    attribute("position.x", Scale::World),
-    attribute("position.y", Scale::World),
-    attribute("position.z", Scale::World),
-    attribute("radiance.r", Scale::Radiance),
-    attribute("radiance.g", Scale::Radiance),
-    attribute("radiance.b", Scale::Radiance),
-    attribute("object", Scale::Name),
-    attribute("material", Scale::Name),
-    attribute("interaction", Scale::Class),
-];
-
-/// Attributes of a light record.
-pub const LIGHT_ATTRIBUTES: [Attribute; 6] = [
-    attribute("radiance.r", Scale::Radiance),
-    attribute("radiance.g", Scale::Radiance),
-    attribute("radiance.b", Scale::Radiance),
-    attribute("light", Scale::Name),
-    attribute("occluder", Scale::Name),
-    attribute("found", Scale::Class),
-];
-
 /// Numbers of attributes of paths, intersections and lights.
 pub const ATTRIBUTE_COUNTS: [usize; 3] = [PATH_ATTRIBUTES.len(), INTERSECTION_ATTRIBUTES.len(), LIGHT_ATTRIBUTES.len()];
 /// Number of bins of all attributes.
 pub const ALL_BINS: usize = FINE_BINS * (ATTRIBUTE_COUNTS[0] + ATTRIBUTE_COUNTS[1] + ATTRIBUTE_COUNTS[2]);
 
-/// Returns the fine bins of a path.
-pub fn path_bins(scope: &Scope, path: &LightPath) -> [u8; PATH_ATTRIBUTES.len()] {
-    let [width, height] = scope.film;
-    let (x, y) = (path.key.pixel % width.max(1), path.key.pixel / width.max(1));
-    let [r, g, b] = path.radiance.map(radiance_bin);
-    let [tr, tg, tb] = path.throughput.map(throughput_bin);
-    let (first, last) = (path.intersections.first(), path.intersections.last());
-    let [fx, fy, fz] = first.map_or([0; 3], |it| world_bins(scope, it.position));
-    let [lx, ly, lz] = last.map_or([0; 3], |it| world_bins(scope, it.position));
-    let brightest = path.brightest_light();
-    [
-        film_bin(x, width),
-        film_bin(y, height),
-        r,
-        g,
-        b,
-        tr,
-        tg,
-        tb,
-        count_bin(path.depth),
-        path.end as u8 + 1,
-        fx,
-        fy,
-        fz,
-        first.map_or(0, |it| it.interaction as u8 + 1),
-        first.map_or(0, |it| name_bin(it.object)),
-        lx,
-        ly,
-        lz,
-        brightest.map_or(0, |it| radiance_bin(luminance(it.radiance))),
-        brightest.map_or(0, |it| name_bin(it.light)),
-    ]
-}
-
-/// Returns the fine bins of a path's intersections.
-pub fn intersection_bins<'a>(
-    scope: &'a Scope,
-    path: &'a LightPath,
-) -> impl Iterator<Item = [u8; INTERSECTION_ATTRIBUTES.len()]> + use<'a> {
-    path.intersections.iter().map(|it| {
-        let [x, y, z] = world_bins(scope, it.position);
-        let [r, g, b] = it.radiance.map(radiance_bin);
-        [count_bin(it.bounce), x, y, z, r, g, b, name_bin(it.object), name_bin(it.material), it.interaction as u8 + 1]
-    })
-}
-
-/// Returns the fine bins of a path's lights.
-pub fn light_bins(path: &LightPath) -> impl Iterator<Item = [u8; LIGHT_ATTRIBUTES.len()]> + use<'_> {
-    path.lights.iter().map(|it| {
-        let [r, g, b] = it.radiance.map(radiance_bin);
-        [r, g, b, name_bin(it.light), it.occluder.map_or(0, name_bin), it.technique as u8 + 1]
-    })
-}
-
 fn film_bin(place: u32, size: u32) -> u8 {
     (u64::from(place) * FINE_BINS as u64 / u64::from(size.max(1))).min(FINE_BINS as u64 - 1) as u8
 }
 
-/// Returns the fine bins of a position.
-pub fn world_bins(scope: &Scope, position: [f64; 3]) -> [u8; 3] {
-    std::array::from_fn(|axis| {
-        let (low, high) = (scope.lower[axis], scope.upper[axis]);
-        let part = (position[axis] - low) / (high - low);
-        // If the box has no extent, all points are in its first part: NaN becomes 0.
-        1 + (part * (FINE_BINS - 1) as f64).clamp(0.0, (FINE_BINS - 2) as f64) as u8
-    })
+/// Returns the fine bin of a coordinate in a box.
+#[inline]
+fn world_bin(position: f64, low: f64, high: f64) -> u8 {
+    let part = (position - low) / (high - low);
+    // If the box has no extent, all points are in its first part: NaN becomes 0.
+    1 + (part * (FINE_BINS - 1) as f64).clamp(0.0, (FINE_BINS - 2) as f64) as u8
 }
 
 /// Powers 2^0, 2^(1/4), 2^(1/2) and 2^(3/4), rounded to nearest.
@@ -284,9 +232,12 @@ mod tests {
     fn places_on_the_film_and_in_the_world_are_cut_into_equal_parts() {
         assert_eq!((film_bin(0, 512), film_bin(7, 512), film_bin(8, 512), film_bin(511, 512)), (0, 0, 1, 63));
         let scope = Scope { lower: [0.0; 3], upper: [63.0, 126.0, 0.0], ..Scope::default() };
-        assert_eq!(world_bins(&scope, [0.0, 0.0, 0.0]), [1, 1, 1], "a box without extent has one part");
-        assert_eq!(world_bins(&scope, [62.5, 125.9, 9.0]), [63, 63, 63]);
-        assert_eq!(world_bins(&scope, [-1.0, 2.0, 0.0]), [1, 2, 1]);
-        assert_eq!(world_bins(&scope, [1e9, 1.99, 0.0])[..2], [63, 1]);
+        let bins = |position: [f64; 3]| {
+            [0, 1, 2].map(|axis| Scale::World(axis).bin(&scope, Some(Value::Number(position[axis]))))
+        };
+        assert_eq!(bins([0.0, 0.0, 0.0]), [1, 1, 1], "a box without extent has one part");
+        assert_eq!(bins([62.5, 125.9, 9.0]), [63, 63, 63]);
+        assert_eq!(bins([-1.0, 2.0, 0.0]), [1, 2, 1]);
+        assert_eq!(bins([1e9, 1.99, 0.0])[..2], [63, 1]);
     }
 }

@@ -9,6 +9,7 @@
 //! with the share [`LightStatistics::share`]. Records of samples that turn out not to count are dropped. All samples that count and
 //! lie below the same threshold remain.
 
+use crate::attribute::{intersection_bins, light_bins, path_bins};
 use crate::pixels::{self, PixelSums};
 use crate::record::{LightPath, NameMap, Names, PathKey};
 use crate::schema;
@@ -195,9 +196,9 @@ impl SampleCounters {
                 }
             }
         }
-        add(paths, [schema::path_bins(scope, path)].into_iter());
-        add(intersections, schema::intersection_bins(scope, path));
-        add(lights, schema::light_bins(path));
+        add(paths, [path_bins(scope, path)].into_iter());
+        add(intersections, path.intersections.iter().map(|it| intersection_bins(scope, it)));
+        add(lights, path.lights.iter().map(|it| light_bins(scope, it)));
     }
 
     /// Adds histograms of other samples.

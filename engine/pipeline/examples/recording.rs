@@ -6,8 +6,8 @@
 //! With `without` or `with` as a fifth argument it renders once and only in that way, for counting instructions.
 
 use femc_film::{Rect, Tiling};
+use femc_pipeline::paths::attribute::path_bins;
 use femc_pipeline::paths::represent::{Distance, PathBins, Target, best_random_set, choose_representative};
-use femc_pipeline::paths::schema::path_bins;
 use femc_pipeline::paths::{LightStatistics, PathsError};
 use femc_pipeline::{
     Outputs, Prepared, RenderTask, SceneSource, Settings, StatisticsPlan, StopCondition, prepare_frame,

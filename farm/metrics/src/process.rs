@@ -24,7 +24,7 @@ pub fn write_process_metrics(page: &mut Page) {
     if let Some(most) = max_open_files() {
         page.gauge("process_max_fds", "Maximum number of open file descriptors.").count(most);
     }
-    let since_1970 = start_time().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+    let since_1970 = process_start_time().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
     let help = "Start time of the process, in seconds since 1970.";
     page.gauge("process_start_time_seconds", help).value(since_1970.as_secs_f64());
 }
@@ -50,9 +50,9 @@ fn cpu_seconds() -> Option<f64> {
     None
 }
 
-/// Returns the time of the first call. The server calls it when it begins, which is close to the start of the process; this works
-/// on every system.
-pub(crate) fn start_time() -> SystemTime {
+/// Returns the time of the first call. The server of the page calls it when it begins, which is close to the start of the process;
+/// this works on every system.
+pub fn process_start_time() -> SystemTime {
     static START: LazyLock<SystemTime> = LazyLock::new(SystemTime::now);
     *START
 }

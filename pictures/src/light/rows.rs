@@ -3,10 +3,10 @@
 
 use super::columns::{Columns, NO_RECORD};
 use femc_model::Digest;
+use femc_paths::attribute::{Attribute, INTERSECTION_ATTRIBUTES, LIGHT_ATTRIBUTES, PATH_ATTRIBUTES, Value};
 use femc_paths::histogram::Table;
-use femc_paths::record::luminance;
-use femc_paths::schema::{INTERSECTION_ATTRIBUTES, LIGHT_ATTRIBUTES, PATH_ATTRIBUTES};
-use femc_paths::{Intersection, LightPath, LightRecord, Name, RecordedPaths};
+use femc_paths::schema::Scale;
+use femc_paths::{LightPath, RecordedPaths};
 use femc_service::{EarlierRows, RowIdentity};
 use std::collections::HashMap;
 use std::ops::Range;
@@ -60,19 +60,19 @@ impl RowTable {
         for row in rows {
             let Row { path, number, .. } = row;
             let first_rows = [all.intersections.len(), all.lights.len()];
-            let intersections = (0u32..).zip(&path.intersections).map(|(index, it)| RecordValues {
-                values: source.intersection_values(it),
-                parent: index.checked_sub(1).unwrap_or(NO_RECORD),
-            });
-            all.intersections.extend(intersections);
-            let lights = path.lights.iter().map(|it| RecordValues {
-                values: source.light_values(it),
-                parent: path.parent(it).unwrap_or(NO_RECORD),
-            });
-            all.lights.extend(lights);
+            let intersections = (0u32..).zip(source.rows(&INTERSECTION_ATTRIBUTES, row));
+            all.intersections.extend(intersections.map(|(index, values)| {
+                let parent = index.checked_sub(1).unwrap_or(NO_RECORD);
+                RecordValues { values, parent }
+            }));
+            let lights = path.lights.iter().zip(source.rows(&LIGHT_ATTRIBUTES, row));
+            all.lights.extend(lights.map(|(it, values)| {
+                let parent = path.parent(it).unwrap_or(NO_RECORD);
+                RecordValues { values, parent }
+            }));
             let first_numbers = |number| [paths.intersections_of(number).start, paths.lights_of(number).start];
             all.paths.push(PathRow {
-                values: source.path_values(row),
+                values: source.rows(&PATH_ATTRIBUTES, row).concat().try_into().expect("one row for each path"),
                 frame: path.key.frame,
                 sample: path.key.sample,
                 number: number.unwrap_or(NO_RECORD),
@@ -203,53 +203,29 @@ struct ValueSource<'a> {
 }
 
 impl ValueSource<'_> {
-    fn name_value(&self, name: Name) -> f32 {
-        self.paths.names().number(name) as f32
+    /// Returns the value of an attribute. Missing positions are not a number, other missing values are 0, and words count from 1.
+    fn column_value(&self, attribute: &Attribute, value: Option<Value>) -> f32 {
+        match value {
+            Some(Value::Number(number)) => number as f32,
+            Some(Value::Word(index)) => f32::from(index + 1),
+            Some(Value::Name(name)) => self.paths.names().number(name) as f32,
+            None if matches!(attribute.scale, Scale::World(_)) => f32::NAN,
+            None => 0.0,
+        }
     }
 
-    /// Returns the attributes of a path, in the order of the schema. Positions without an intersection are not a number.
-    fn path_values(&self, row: &Row<'_>) -> [f32; PATH_ATTRIBUTES.len()] {
-        let path = row.path;
-        let width = self.paths.frames()[row.frame].scope.film[0].max(1);
-        let ([r, g, b], [tr, tg, tb]) = (path.radiance, path.throughput);
-        let (first, last) = (path.intersections.first(), path.intersections.last());
-        let position = |it: Option<&Intersection>| it.map_or([f32::NAN; 3], |it| it.position.map(|axis| axis as f32));
-        let ([fx, fy, fz], [lx, ly, lz]) = (position(first), position(last));
-        let brightest = path.brightest_light();
-        [
-            (path.key.pixel % width) as f32,
-            (path.key.pixel / width) as f32,
-            r,
-            g,
-            b,
-            tr,
-            tg,
-            tb,
-            path.depth as f32,
-            f32::from(path.end as u8 + 1),
-            fx,
-            fy,
-            fz,
-            first.map_or(0.0, |it| f32::from(it.interaction as u8 + 1)),
-            first.map_or(0.0, |it| self.name_value(it.object)),
-            lx,
-            ly,
-            lz,
-            brightest.map_or(0.0, |it| luminance(it.radiance)),
-            brightest.map_or(0.0, |it| self.name_value(it.light)),
-        ]
-    }
-
-    fn intersection_values(&self, it: &Intersection) -> [f32; INTERSECTION_ATTRIBUTES.len()] {
-        let ([x, y, z], [r, g, b]) = (it.position.map(|axis| axis as f32), it.radiance);
-        let (object, material) = (self.name_value(it.object), self.name_value(it.material));
-        [it.bounce as f32, x, y, z, r, g, b, object, material, f32::from(it.interaction as u8 + 1)]
-    }
-
-    fn light_values(&self, it: &LightRecord) -> [f32; LIGHT_ATTRIBUTES.len()] {
-        let [r, g, b] = it.radiance;
-        let occluder = it.occluder.map_or(0.0, |name| self.name_value(name));
-        [r, g, b, self.name_value(it.light), occluder, f32::from(it.technique as u8 + 1)]
+    /// Returns the values of all records of a path, one row per record, in the order of the schema.
+    fn rows<const N: usize>(&self, attributes: &[Attribute; N], row: &Row<'_>) -> Vec<[f32; N]> {
+        let scope = &self.paths.frames()[row.frame].scope;
+        let mut columns = attributes.each_ref().map(|it| (it, it.values(scope, row.path)));
+        let mut next = || {
+            let mut values = [0.0; N];
+            for (value, (attribute, column)) in values.iter_mut().zip(&mut columns) {
+                *value = self.column_value(attribute, column.next()?);
+            }
+            Some(values)
+        };
+        std::iter::from_fn(&mut next).collect()
     }
 }
 

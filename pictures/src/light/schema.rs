@@ -1,9 +1,10 @@
 //! Attributes, names and totals of recorded light, as JSON.
 
 use super::{RecordedLight, counts_by_table};
+use femc_paths::NameKind;
+use femc_paths::attribute::Attribute;
 use femc_paths::histogram::Table;
-use femc_paths::schema::{self, Attribute, FINE_BINS, Scale};
-use femc_paths::{InteractionKind, LightTechnique, NameKind, PathEnd};
+use femc_paths::schema::{self, FINE_BINS, Scale, Words};
 use serde_json::{Map, Value, json};
 
 /// Encodes the schema of recorded light.
@@ -14,7 +15,7 @@ pub fn encode_schema(light: &RecordedLight) -> Vec<u8> {
     // Frames of different films are shown on the greatest one.
     let film = films().fold([0, 0], |[width, height]: [u32; 2], own| [width.max(own[0]), height.max(own[1])]);
     let tables = Table::ALL.map(|table| {
-        let axes = table.attributes().iter().map(|attribute| describe_axis(table, *attribute)).collect();
+        let axes = table.attributes().iter().map(describe_axis).collect();
         (table.name().to_owned(), Value::Array(axes))
     });
     let edges = |edge: fn(u8) -> f64| (0..FINE_BINS as u8).map(edge).collect::<Vec<f64>>();
@@ -35,51 +36,19 @@ pub fn encode_schema(light: &RecordedLight) -> Vec<u8> {
         "tables": Map::from_iter(tables),
         "names": names.iter().map(|(_, text)| text.as_str()).collect::<Vec<_>>(),
         "kinds": names.iter().map(|(kind, _)| kind_word(*kind)).collect::<Vec<_>>(),
-        "words": { "end": end_words(), "interaction": interaction_words(), "found": technique_words() },
+        "words": { "end": Words::End.list(), "interaction": Words::Interaction.list(), "found": Words::Technique.list() },
         "radiance_edges": edges(schema::radiance_edge),
         "throughput_edges": edges(schema::throughput_edge),
     });
     schema.to_string().into_bytes()
 }
 
-fn describe_axis(table: Table, attribute: Attribute) -> Value {
-    let mut axis = json!({
-        "name": attribute.name,
-        "scale": scale_word(attribute.scale),
-        "field": field(table, attribute.name),
-    });
-    if attribute.scale == Scale::Class {
-        let words = match attribute.name {
-            "end" => end_words(),
-            "found" => technique_words(),
-            _ => interaction_words(),
-        };
-        axis["words"] = json!(words);
+fn describe_axis(attribute: &Attribute) -> Value {
+    let mut axis = json!({ "name": attribute.name, "scale": attribute.scale.word(), "field": attribute.field });
+    if let Scale::Class(words) = attribute.scale {
+        axis["words"] = json!(words.list());
     }
     axis
-}
-
-/// Returns the name of an attribute in conditions.
-fn field(table: Table, name: &str) -> String {
-    match (table, name) {
-        (Table::Paths, "light") => "brightest.light".to_owned(),
-        (Table::Paths, "light.radiance") => "brightest.radiance".to_owned(),
-        (Table::Paths, _) if name.starts_with("radiance.") || name.starts_with("throughput.") => format!("path.{name}"),
-        (Table::Lights, _) if name.starts_with("radiance.") => format!("light.{name}"),
-        _ => name.to_owned(),
-    }
-}
-
-fn scale_word(scale: Scale) -> &'static str {
-    match scale {
-        Scale::Film => "film",
-        Scale::World => "world",
-        Scale::Radiance => "radiance",
-        Scale::Throughput => "throughput",
-        Scale::Count => "count",
-        Scale::Class => "class",
-        Scale::Name => "name",
-    }
 }
 
 fn kind_word(kind: NameKind) -> &'static str {
@@ -89,16 +58,4 @@ fn kind_word(kind: NameKind) -> &'static str {
         NameKind::Medium => "medium",
         NameKind::Lamp => "light",
     }
-}
-
-fn end_words() -> Vec<&'static str> {
-    PathEnd::ALL.iter().map(|it| it.word()).collect()
-}
-
-fn interaction_words() -> Vec<&'static str> {
-    InteractionKind::ALL.iter().map(|it| it.word()).collect()
-}
-
-fn technique_words() -> Vec<&'static str> {
-    LightTechnique::ALL.iter().map(|it| it.word()).collect()
 }

@@ -6,9 +6,8 @@ use femc_pipeline::paths::histogram::{Counts, Histograms, Table};
 use femc_pipeline::paths::octree::{Octree, Root, Voxel};
 use femc_pipeline::paths::pixels::{Pixel, PixelMaps};
 use femc_pipeline::paths::query::Selection;
-use femc_pipeline::paths::schema::{Scale, radiance_edge, throughput_edge};
 use femc_pipeline::paths::statistics::IMAGE_BITS;
-use femc_pipeline::paths::{Intersection, LightPath, LightRecord, LightStatistics, Name, Scope};
+use femc_pipeline::paths::{Intersection, LightPath, LightRecord, LightStatistics, Name};
 
 /// A path that matches a query.
 pub struct Match<'a> {
@@ -216,8 +215,7 @@ pub fn bin_rows(set: &FrameSet) -> Vec<BinRow<'_>> {
         let histograms = sum_counts(set.frames.iter().map(of));
         for (attribute, counts) in table.attributes().iter().zip(&histograms) {
             for (bin, (samples, image)) in (0u8..).zip(counts.samples.iter().zip(&counts.image)) {
-                let lower =
-                    set.frames.first().and_then(|all| bin_lower(&all.scope, attribute.name, attribute.scale, bin));
+                let lower = set.frames.first().and_then(|all| attribute.scale.lower_edge(&all.scope, bin));
                 let (samples, image) = (*samples, *image);
                 rows.push(BinRow { file, table, attribute: attribute.name, bin, lower, samples, image });
             }
@@ -233,22 +231,6 @@ fn sum_counts(mut frames: impl Iterator<Item = Vec<Counts>>) -> Vec<Counts> {
         all.iter_mut().zip(&counts).for_each(|(all, counts)| all.merge(counts));
     }
     all
-}
-
-/// Returns the lower end of a bin; `None`: the bin stands for words, names or missing values.
-fn bin_lower(scope: &Scope, name: &str, scale: Scale, bin: u8) -> Option<f64> {
-    let axis = || "xyz".find(&name[name.len() - 1..]);
-    match scale {
-        Scale::Radiance => Some(radiance_edge(bin)),
-        Scale::Throughput => Some(throughput_edge(bin)),
-        Scale::Count => Some(f64::from(bin)),
-        Scale::Film => axis().map(|axis| f64::from(scope.film[axis]) * f64::from(bin) / 64.0),
-        Scale::World => {
-            let (axis, bin) = (axis()?, bin.checked_sub(1)?);
-            Some(scope.lower[axis] + (scope.upper[axis] - scope.lower[axis]) * f64::from(bin) / 63.0)
-        }
-        Scale::Class | Scale::Name => None,
-    }
 }
 
 /// Returns the columns of bins.

@@ -7,10 +7,11 @@ use crate::attempts::visible_cells;
 use crate::human;
 use crate::light::{BottleneckReport as Findings, bottleneck_table as table};
 use femc_film::Picture;
+use femc_pipeline::paths::LightStatistics;
+use femc_pipeline::paths::attribute::Attribute;
 use femc_pipeline::paths::histogram::{Counts, Histograms, Table};
 use femc_pipeline::paths::pixels::{Pixel, PixelMaps};
-use femc_pipeline::paths::schema::{Attribute, FINE_BINS, Scale, radiance_edge, throughput_edge};
-use femc_pipeline::paths::{InteractionKind, LightStatistics, LightTechnique, PathEnd};
+use femc_pipeline::paths::schema::{FINE_BINS, Scale, Words, radiance_edge, throughput_edge};
 use plotters::prelude::*;
 use std::path::PathBuf;
 
@@ -158,7 +159,7 @@ fn histogram(area: &Area<'_>, attribute: &Attribute, counts: &Counts) -> DrawRes
     // Leave out empty bins at the end.
     let last = samples.iter().rposition(|share| *share > 0.0).unwrap_or(0);
     let bins = match attribute.scale {
-        Scale::Count | Scale::Class => last + 1,
+        Scale::Count | Scale::Class(_) => last + 1,
         _ => FINE_BINS,
     };
     let most = image.iter().chain(&samples).copied().fold(0.0, f64::max) * 1.05;
@@ -172,7 +173,7 @@ fn histogram(area: &Area<'_>, attribute: &Attribute, counts: &Counts) -> DrawRes
         .configure_mesh()
         .disable_mesh()
         .label_style(("sans-serif", 10))
-        .x_labels(if attribute.scale == Scale::Class { bins } else { 5 })
+        .x_labels(if matches!(attribute.scale, Scale::Class(_)) { bins } else { 5 })
         .y_labels(3)
         .x_label_formatter(&|bin| label(attribute, *bin))
         .y_label_formatter(&|share| human::percent(*share))
@@ -193,8 +194,8 @@ fn label(attribute: &Attribute, place: f64) -> String {
         Scale::Radiance => power(radiance_edge(bin)),
         Scale::Throughput => power(throughput_edge(bin)),
         Scale::Count => bin.to_string(),
-        Scale::Film | Scale::World => human::percent(f64::from(bin) / FINE_BINS as f64),
-        Scale::Class => class(attribute.name, bin).to_owned(),
+        Scale::Film(_) | Scale::World(_) => human::percent(f64::from(bin) / FINE_BINS as f64),
+        Scale::Class(words) => class(words, bin).to_owned(),
         Scale::Name => String::new(),
     }
 }
@@ -204,14 +205,9 @@ fn power(edge: f64) -> String {
 }
 
 /// Returns the word of a bin of words.
-fn class(attribute: &str, bin: u8) -> &'static str {
+fn class(words: Words, bin: u8) -> &'static str {
     let Some(number) = bin.checked_sub(1).map(usize::from) else { return "none" };
-    let word = match attribute {
-        "end" => PathEnd::ALL.get(number).map(|it| it.word()),
-        "found" => LightTechnique::ALL.get(number).map(|it| it.word()),
-        _ => InteractionKind::ALL.get(number).map(|it| it.word()),
-    };
-    word.unwrap_or("")
+    words.list().get(number).copied().unwrap_or("")
 }
 
 #[cfg(test)]
@@ -226,9 +222,9 @@ mod tests {
         };
         assert!((0..100).all(|step| light(f64::from(step) / 100.0) < light(f64::from(step + 1) / 100.0)));
         assert_eq!(
-            (class("end", 0), class("end", 1), class("found", 2)),
-            ("none", "escaped", LightTechnique::ALL[1].word())
+            (class(Words::End, 0), class(Words::End, 1), class(Words::Technique, 2)),
+            ("none", "escaped", "met")
         );
-        assert_eq!(class("first.interaction", 3), InteractionKind::ALL[2].word());
+        assert_eq!(class(Words::Interaction, 3), "diffuse");
     }
 }

@@ -2,10 +2,11 @@
 //! comparison of texts. Terms that hold for a whole path are evaluated at most once for each path ([`PathFacts`]). So the work for a
 //! path is about the number of terms times the number of its intersections and lights, however the terms are nested.
 
-use super::{CompareOp, Condition, EqualityOp, NumberField, Quantity, Query, WordField, is_text_within};
-use crate::record::{
-    InteractionKind, Intersection, LightPath, LightRecord, LightTechnique, Name, Names, PathEnd, luminance,
-};
+use super::{CompareOp, Condition, EqualityOp, Quantity, Query, is_text_within};
+use crate::attribute::{Attribute, Getter, Value};
+use crate::histogram::Table;
+use crate::record::{Intersection, LightPath, LightRecord, Name, Names};
+use crate::schema::Scale;
 use crate::statistics::Scope;
 use std::cell::{Cell, OnceCell};
 
@@ -202,12 +203,10 @@ enum ResolvedCondition {
     And(Box<Self>, Box<Self>),
     Or(Box<Self>, Box<Self>),
     Not(Box<Self>),
-    Number(NumberField, CompareOp, f64),
-    Name(WordField, NameSet),
-    /// An interaction; `None`: no known word.
-    Interaction(WordField, Option<InteractionKind>),
-    Technique(Option<LightTechnique>),
-    End(Option<PathEnd>),
+    Number(&'static Attribute, CompareOp, f64),
+    Name(&'static Attribute, NameSet),
+    /// A word by its index; `None`: no known word.
+    Word(&'static Attribute, Option<u8>),
     Intersections(Quantity, FactNumber, Box<Self>),
     Lights(Quantity, FactNumber, Box<Self>),
     Sequence(Vec<NameSet>),
@@ -224,25 +223,15 @@ impl ResolvedCondition {
             Condition::And(a, b) => Self::And(inner(a), inner(b)),
             Condition::Or(a, b) => Self::Or(inner(a), inner(b)),
             Condition::Not(condition) => Self::Not(inner(condition)),
-            Condition::Number(field, op, value) => Self::Number(*field, *op, *value),
-            Condition::Word(field, EqualityOp::IsNot, value) => {
-                Self::Not(inner(&Condition::Word(*field, EqualityOp::Is, value.clone())))
+            Condition::Number(attribute, op, value) => Self::Number(attribute, *op, *value),
+            Condition::Word(attribute, EqualityOp::IsNot, value) => {
+                Self::Not(inner(&Condition::Word(attribute, EqualityOp::Is, value.clone())))
             }
-            Condition::Word(field, EqualityOp::Is, value) => match field {
-                WordField::Object
-                | WordField::Material
-                | WordField::Light
-                | WordField::Occluder
-                | WordField::FirstObject
-                | WordField::LastObject
-                | WordField::BrightestLight => Self::Name(*field, NameSet::new(names, value)),
-                WordField::Interaction | WordField::FirstInteraction | WordField::LastInteraction => {
-                    Self::Interaction(*field, InteractionKind::ALL.iter().find(|it| it.word() == value).copied())
+            Condition::Word(attribute, EqualityOp::Is, value) => match attribute.scale {
+                Scale::Class(words) => {
+                    Self::Word(attribute, (0u8..).zip(words.list()).find(|it| it.1 == value).map(|it| it.0))
                 }
-                WordField::Technique => {
-                    Self::Technique(LightTechnique::ALL.iter().find(|it| it.word() == value).copied())
-                }
-                WordField::End => Self::End(PathEnd::ALL.iter().find(|it| it.word() == value).copied()),
+                _ => Self::Name(attribute, NameSet::new(names, value)),
             },
             Condition::Intersections(quantity, condition) => {
                 Self::Intersections(*quantity, UNNUMBERED, inner(condition))
@@ -261,31 +250,11 @@ impl ResolvedCondition {
         match self {
             Self::And(a, b) | Self::Or(a, b) => a.is_of_path() && b.is_of_path(),
             Self::Not(condition) => condition.is_of_path(),
-            Self::Number(field, ..) => match field {
-                NumberField::PathRadiance(_)
-                | NumberField::PathThroughput(_)
-                | NumberField::Depth
-                | NumberField::Pixel(_)
-                | NumberField::Sample
-                | NumberField::FirstPosition(_)
-                | NumberField::LastPosition(_)
-                | NumberField::BrightestRadiance => true,
-                NumberField::Bounce
-                | NumberField::Position(_)
-                | NumberField::Radiance(_)
-                | NumberField::Throughput(_)
-                | NumberField::LightRadiance(_) => false,
-            },
-            Self::Name(field, _) | Self::Interaction(field, _) => matches!(
-                field,
-                WordField::FirstObject
-                    | WordField::FirstInteraction
-                    | WordField::LastObject
-                    | WordField::LastInteraction
-                    | WordField::BrightestLight
-            ),
-            Self::End(_) | Self::Sequence(_) | Self::InLasso(_) | Self::OfPath(..) => true,
-            Self::Technique(_) | Self::Intersections(..) | Self::Lights(..) | Self::InBox(_) => false,
+            Self::Number(attribute, ..) | Self::Name(attribute, _) | Self::Word(attribute, _) => {
+                attribute.table() == Table::Paths
+            }
+            Self::Sequence(_) | Self::InLasso(_) | Self::OfPath(..) => true,
+            Self::Intersections(..) | Self::Lights(..) | Self::InBox(_) => false,
         }
     }
 
@@ -352,18 +321,15 @@ impl ResolvedCondition {
             Self::And(a, b) => a.holds(context) && b.holds(context),
             Self::Or(a, b) => a.holds(context) || b.holds(context),
             Self::Not(condition) => !condition.holds(context),
-            Self::Number(field, op, value) => context.has_number(*field, |own| op.compare(own, *value)),
-            Self::Name(field, set) => context.has_name(*field, |name| set.contains(name)),
-            Self::Interaction(field, kind) => {
-                let own = match field {
-                    WordField::FirstInteraction => path.intersections.first(),
-                    WordField::LastInteraction => path.intersections.last(),
-                    _ => context.intersection(),
-                };
-                own.is_some_and(|it| Some(it.interaction) == *kind)
+            Self::Number(attribute, op, value) => {
+                context.has_value(attribute, |own| matches!(own, Value::Number(own) if op.compare(own, *value)))
             }
-            Self::Technique(technique) => context.lights().any(|light| Some(light.technique) == *technique),
-            Self::End(end) => Some(path.end) == *end,
+            Self::Name(attribute, set) => {
+                context.has_value(attribute, |own| matches!(own, Value::Name(own) if set.contains(own)))
+            }
+            Self::Word(attribute, word) => {
+                context.has_value(attribute, |own| matches!(own, Value::Word(own) if Some(own) == *word))
+            }
             Self::Intersections(_, _, condition) if context.is_alone => condition.holds(context),
             Self::Intersections(quantity, fact, condition) => context.facts.get(*fact, || {
                 quantity.holds(contexts(path).map(|index| condition.holds(&Context { index, light: None, ..*context })))
@@ -456,38 +422,12 @@ impl<'a> Context<'a> {
         [pixel % width, pixel / width]
     }
 
-    fn has_number(&self, field: NumberField, holds: impl Fn(f64) -> bool) -> bool {
-        let path = self.path;
-        let value = match field {
-            NumberField::LightRadiance(channel) => {
-                return self.lights().any(|it| holds(f64::from(it.radiance[channel])));
-            }
-            NumberField::Bounce => self.intersection().map(|it| f64::from(it.bounce)),
-            NumberField::Position(axis) => self.intersection().map(|it| it.position[axis]),
-            NumberField::Radiance(channel) => self.intersection().map(|it| f64::from(it.radiance[channel])),
-            NumberField::Throughput(channel) => self.intersection().map(|it| f64::from(it.throughput[channel])),
-            NumberField::PathRadiance(channel) => Some(f64::from(path.radiance[channel])),
-            NumberField::PathThroughput(channel) => Some(f64::from(path.throughput[channel])),
-            NumberField::Depth => Some(f64::from(path.depth)),
-            NumberField::Pixel(axis) => Some(f64::from(self.pixel()[axis])),
-            NumberField::Sample => Some(f64::from(path.key.sample)),
-            NumberField::FirstPosition(axis) => path.intersections.first().map(|it| it.position[axis]),
-            NumberField::LastPosition(axis) => path.intersections.last().map(|it| it.position[axis]),
-            NumberField::BrightestRadiance => path.brightest_light().map(|it| f64::from(luminance(it.radiance))),
-        };
-        value.is_some_and(holds)
-    }
-
-    fn has_name(&self, field: WordField, is: impl Fn(Name) -> bool) -> bool {
-        let path = self.path;
-        match field {
-            WordField::Material => self.intersection().is_some_and(|it| is(it.material)),
-            WordField::Light => self.lights().any(|it| is(it.light)),
-            WordField::Occluder => self.lights().any(|it| it.occluder.is_some_and(&is)),
-            WordField::FirstObject => path.intersections.first().is_some_and(|it| is(it.object)),
-            WordField::LastObject => path.intersections.last().is_some_and(|it| is(it.object)),
-            WordField::BrightestLight => path.brightest_light().is_some_and(|light| is(light.light)),
-            _ => self.intersection().is_some_and(|it| is(it.object)),
+    /// Checks whether the value of an attribute fulfills a predicate: of the path, of the intersection, or of any of the lights.
+    fn has_value(&self, attribute: &Attribute, holds: impl Fn(Value) -> bool) -> bool {
+        match attribute.getter {
+            Getter::Path(get) => get(self.scope, self.path).is_some_and(holds),
+            Getter::Intersection(get) => self.intersection().and_then(|it| get(self.scope, it)).is_some_and(holds),
+            Getter::Light(get) => self.lights().filter_map(|it| get(self.scope, it)).any(holds),
         }
     }
 }

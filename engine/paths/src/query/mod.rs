@@ -7,21 +7,8 @@
 //! radiance.g > 2 and bounce == 2 and (interaction == reflection or object == room.mirror)
 //! ```
 //!
-//! | name | of | value |
-//! | --- | --- | --- |
-//! | `bounce`, `position.x` `.y` `.z`, `radiance.r` `.g` `.b`, `throughput.r` `.g` `.b` | the intersection | number |
-//! | `object`, `material` | the intersection | name |
-//! | `interaction` | the intersection | a word of [`InteractionKind`] |
-//! | `light`, `occluder` | any light sampled there | name |
-//! | `light.radiance.r` `.g` `.b` | any of them | number |
-//! | `found` | any of them | a word of [`LightTechnique`] |
-//! | `path.radiance.r` `.g` `.b`, `path.throughput.r` `.g` `.b`, `depth`, `pixel.x`, `pixel.y`, `sample` | the path | number |
-//! | `end` | the path | a word of [`PathEnd`] |
-//! | `first.x` `.y` `.z`, `last.x` `.y` `.z` | the path: position of its first and last recorded intersection | number |
-//! | `first.object`, `last.object` | the path | name |
-//! | `first.interaction`, `last.interaction` | the path | a word of [`InteractionKind`] |
-//! | `brightest.radiance` | the path: luminance of its brightest light | number |
-//! | `brightest.light` | the path: lamp of that light | name |
+//! The names are the fields of the attributes ([`Attribute::all`](crate::attribute::Attribute::all)). A name of an intersection
+//! means this intersection, a name of a light any light sampled there.
 //!
 //! Numbers are compared with `==`, `!=`, `<`, `<=`, `>`, `>=`, words with the first two. A name matches an object and everything in
 //! it: `room` matches `room.wall`, too. A missing value equals nothing: `occluder != door` holds if nothing is in the way,
@@ -51,8 +38,7 @@ mod parse;
 
 pub use matcher::{Matcher, Selection};
 
-#[cfg(doc)]
-use crate::record::{InteractionKind, LightTechnique, PathEnd};
+use crate::attribute::Attribute;
 use crate::record::{Name, Names};
 use parse::{MAX_DEPTH, MAX_QUANTIFIERS, MAX_TOKENS};
 use std::fmt;
@@ -78,9 +64,9 @@ pub enum Condition {
     /// The condition does not hold.
     Not(Box<Self>),
     /// Comparison of a number.
-    Number(NumberField, CompareOp, f64),
+    Number(&'static Attribute, CompareOp, f64),
     /// Comparison of a word or a name.
-    Word(WordField, EqualityOp, String),
+    Word(&'static Attribute, EqualityOp, String),
     /// The condition holds at this many of the path's intersections.
     Intersections(Quantity, Box<Self>),
     /// The condition holds for this many of the path's lights.
@@ -128,66 +114,6 @@ pub enum EqualityOp {
     IsNot,
 }
 
-/// A number of a path, an intersection or a light.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum NumberField {
-    /// `bounce`
-    Bounce,
-    /// `position`, by axis
-    Position(usize),
-    /// `radiance`, by channel
-    Radiance(usize),
-    /// `throughput`, by channel
-    Throughput(usize),
-    /// `light.radiance`, by channel
-    LightRadiance(usize),
-    /// `path.radiance`, by channel
-    PathRadiance(usize),
-    /// `path.throughput`, by channel
-    PathThroughput(usize),
-    /// `depth`
-    Depth,
-    /// `pixel`, by axis
-    Pixel(usize),
-    /// `sample`
-    Sample,
-    /// `first`, by axis
-    FirstPosition(usize),
-    /// `last`, by axis
-    LastPosition(usize),
-    /// `brightest.radiance`
-    BrightestRadiance,
-}
-
-/// A word of a path, an intersection or a light.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum WordField {
-    /// `object`
-    Object,
-    /// `material`
-    Material,
-    /// `interaction`
-    Interaction,
-    /// `light`
-    Light,
-    /// `occluder`
-    Occluder,
-    /// `found`
-    Technique,
-    /// `end`
-    End,
-    /// `first.object`
-    FirstObject,
-    /// `first.interaction`
-    FirstInteraction,
-    /// `last.object`
-    LastObject,
-    /// `last.interaction`
-    LastInteraction,
-    /// `brightest.light`
-    BrightestLight,
-}
-
 /// Reason why a text is not a valid condition.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum QueryError {
@@ -202,7 +128,7 @@ pub enum QueryError {
         expected: &'static str,
     },
     /// Unknown name.
-    #[error("column {column}: unknown name {name:?}; known names: {}", KNOWN.join(", "))]
+    #[error("column {column}: unknown name {name:?}; known names: {}", known_names())]
     UnknownName {
         /// Column in the text, from 1.
         column: usize,
@@ -232,34 +158,11 @@ pub enum QueryError {
     TooManyQuantifiers,
 }
 
-/// Names in conditions, for error messages.
-const KNOWN: [&str; 25] = [
-    "bounce",
-    "position.x",
-    "radiance.r",
-    "throughput.r",
-    "object",
-    "material",
-    "interaction",
-    "light",
-    "occluder",
-    "light.radiance.r",
-    "found",
-    "path.radiance.r",
-    "path.throughput.r",
-    "depth",
-    "pixel.x",
-    "sample",
-    "end",
-    "first.x",
-    "first.object",
-    "first.interaction",
-    "last.x",
-    "last.object",
-    "last.interaction",
-    "brightest.radiance",
-    "brightest.light",
-];
+/// Returns the names in conditions for error messages, without the further axes and channels.
+fn known_names() -> String {
+    let is_first = |field: &&str| ![".y", ".z", ".g", ".b"].iter().any(|end| field.ends_with(end));
+    Attribute::all().map(|it| it.field).filter(is_first).collect::<Vec<_>>().join(", ")
+}
 
 impl Query {
     /// Returns the whole query as one condition; `None` accepts any path.
@@ -294,8 +197,8 @@ impl fmt::Display for Condition {
             Self::And(a, b) => write!(f, "{} and {}", Operand(a, is_or), Operand(b, is_and_or_or)),
             Self::Or(a, b) => write!(f, "{a} or {}", Operand(b, is_or)),
             Self::Not(inner) => write!(f, "not {}", Operand(inner, is_and_or_or)),
-            Self::Number(field, op, value) => write!(f, "{field} {op} {value}"),
-            Self::Word(field, op, value) => write!(f, "{field} {op} {}", Quoted(value)),
+            Self::Number(attribute, op, value) => write!(f, "{} {op} {value}", attribute.field),
+            Self::Word(attribute, op, value) => write!(f, "{} {op} {}", attribute.field, Quoted(value)),
             Self::Intersections(Quantity::Any, inner) => write!(f, "any({inner})"),
             Self::Intersections(Quantity::All, inner) => write!(f, "all({inner})"),
             Self::Lights(Quantity::Any, inner) => write!(f, "light({inner})"),
@@ -372,47 +275,6 @@ impl fmt::Display for EqualityOp {
         f.write_str(match self {
             Self::Is => "==",
             Self::IsNot => "!=",
-        })
-    }
-}
-
-impl fmt::Display for NumberField {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let (name, part) = match *self {
-            Self::Bounce => ("bounce", None),
-            Self::Depth => ("depth", None),
-            Self::Sample => ("sample", None),
-            Self::BrightestRadiance => ("brightest.radiance", None),
-            Self::Position(axis) => ("position", Some(["x", "y", "z"][axis])),
-            Self::FirstPosition(axis) => ("first", Some(["x", "y", "z"][axis])),
-            Self::LastPosition(axis) => ("last", Some(["x", "y", "z"][axis])),
-            Self::Pixel(axis) => ("pixel", Some(["x", "y"][axis])),
-            Self::Radiance(channel) => ("radiance", Some(["r", "g", "b"][channel])),
-            Self::Throughput(channel) => ("throughput", Some(["r", "g", "b"][channel])),
-            Self::LightRadiance(channel) => ("light.radiance", Some(["r", "g", "b"][channel])),
-            Self::PathRadiance(channel) => ("path.radiance", Some(["r", "g", "b"][channel])),
-            Self::PathThroughput(channel) => ("path.throughput", Some(["r", "g", "b"][channel])),
-        };
-        f.write_str(name)?;
-        part.map_or(Ok(()), |part| write!(f, ".{part}"))
-    }
-}
-
-impl fmt::Display for WordField {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Object => "object",
-            Self::Material => "material",
-            Self::Interaction => "interaction",
-            Self::Light => "light",
-            Self::Occluder => "occluder",
-            Self::Technique => "found",
-            Self::End => "end",
-            Self::FirstObject => "first.object",
-            Self::FirstInteraction => "first.interaction",
-            Self::LastObject => "last.object",
-            Self::LastInteraction => "last.interaction",
-            Self::BrightestLight => "brightest.light",
         })
     }
 }

@@ -1,7 +1,8 @@
 //! Parser of conditions.
 
-use super::{CompareOp, Condition, EqualityOp, NumberField, Quantity, QueryError, WordField};
-use crate::record::{InteractionKind, LightTechnique, PathEnd};
+use super::{CompareOp, Condition, EqualityOp, Quantity, QueryError};
+use crate::attribute::Attribute;
+use crate::schema::Scale;
 
 /// Maximum nesting depth of conditions.
 pub(super) const MAX_DEPTH: usize = 64;
@@ -9,69 +10,6 @@ pub(super) const MAX_DEPTH: usize = 64;
 pub(super) const MAX_TOKENS: usize = 2048;
 /// Maximum number of quantifiers of a condition.
 pub(super) const MAX_QUANTIFIERS: usize = 64;
-
-enum Field {
-    Number(NumberField),
-    Word(WordField),
-}
-
-fn parse_field(name: &str) -> Option<Field> {
-    let part = |prefix: &str, parts: &str| {
-        let rest = name.strip_prefix(prefix)?;
-        (rest.len() == 1).then(|| parts.find(rest)).flatten()
-    };
-    let number = match name {
-        "bounce" => Some(NumberField::Bounce),
-        "depth" => Some(NumberField::Depth),
-        "sample" => Some(NumberField::Sample),
-        "brightest.radiance" => Some(NumberField::BrightestRadiance),
-        _ => None,
-    };
-    let number = number
-        .or_else(|| part("position.", "xyz").map(NumberField::Position))
-        .or_else(|| part("radiance.", "rgb").map(NumberField::Radiance))
-        .or_else(|| part("throughput.", "rgb").map(NumberField::Throughput))
-        .or_else(|| part("light.radiance.", "rgb").map(NumberField::LightRadiance))
-        .or_else(|| part("path.radiance.", "rgb").map(NumberField::PathRadiance))
-        .or_else(|| part("path.throughput.", "rgb").map(NumberField::PathThroughput))
-        .or_else(|| part("pixel.", "xy").map(NumberField::Pixel))
-        .or_else(|| part("first.", "xyz").map(NumberField::FirstPosition))
-        .or_else(|| part("last.", "xyz").map(NumberField::LastPosition));
-    let word = match name {
-        "object" => Some(WordField::Object),
-        "material" => Some(WordField::Material),
-        "interaction" => Some(WordField::Interaction),
-        "light" => Some(WordField::Light),
-        "occluder" => Some(WordField::Occluder),
-        "found" => Some(WordField::Technique),
-        "end" => Some(WordField::End),
-        "first.object" => Some(WordField::FirstObject),
-        "first.interaction" => Some(WordField::FirstInteraction),
-        "last.object" => Some(WordField::LastObject),
-        "last.interaction" => Some(WordField::LastInteraction),
-        "brightest.light" => Some(WordField::BrightestLight),
-        _ => None,
-    };
-    number.map(Field::Number).or(word.map(Field::Word))
-}
-
-/// Returns the known words. It is empty for names, which may be anything.
-fn known_words(word: WordField) -> Vec<&'static str> {
-    match word {
-        WordField::Object
-        | WordField::Material
-        | WordField::Light
-        | WordField::Occluder
-        | WordField::FirstObject
-        | WordField::LastObject
-        | WordField::BrightestLight => Vec::new(),
-        WordField::Interaction | WordField::FirstInteraction | WordField::LastInteraction => {
-            InteractionKind::ALL.iter().map(|it| it.word()).collect()
-        }
-        WordField::Technique => LightTechnique::ALL.iter().map(|it| it.word()).collect(),
-        WordField::End => PathEnd::ALL.iter().map(|it| it.word()).collect(),
-    }
-}
 
 impl Condition {
     /// Parses a condition.
@@ -280,28 +218,31 @@ impl Parser {
         if !name.starts_with(char::is_alphabetic) {
             return Err(missing);
         }
-        let field = parse_field(&name).ok_or_else(|| QueryError::UnknownName { column, name: name.clone() })?;
+        let attribute =
+            Attribute::from_field(&name).ok_or_else(|| QueryError::UnknownName { column, name: name.clone() })?;
         let order = self.compare_op()?;
-        match field {
-            Field::Number(number) => Ok(Condition::Number(number, order, self.number()?)),
-            Field::Word(word) => {
-                let equality = match order {
-                    CompareOp::Equal => EqualityOp::Is,
-                    CompareOp::Unequal => EqualityOp::IsNot,
-                    _ => {
-                        self.at -= 1;
-                        return Err(self.expected("`==` or `!=`"));
-                    }
-                };
-                let column = self.tokens.get(self.at).map_or(0, |(column, _)| *column);
-                let value = self.name()?;
-                let words = known_words(word);
-                if !words.is_empty() && !words.contains(&value.as_str()) {
-                    return Err(QueryError::UnknownWord { column, name, word: value, words });
-                }
-                Ok(Condition::Word(word, equality, value))
+        // Names may be anything.
+        let words = match attribute.scale {
+            Scale::Class(words) => words.list(),
+            Scale::Name => Vec::new(),
+            Scale::Film(_) | Scale::World(_) | Scale::Radiance | Scale::Throughput | Scale::Count => {
+                return Ok(Condition::Number(attribute, order, self.number()?));
             }
+        };
+        let equality = match order {
+            CompareOp::Equal => EqualityOp::Is,
+            CompareOp::Unequal => EqualityOp::IsNot,
+            _ => {
+                self.at -= 1;
+                return Err(self.expected("`==` or `!=`"));
+            }
+        };
+        let column = self.tokens.get(self.at).map_or(0, |(column, _)| *column);
+        let value = self.name()?;
+        if !words.is_empty() && !words.contains(&value.as_str()) {
+            return Err(QueryError::UnknownWord { column, name, word: value, words });
         }
+        Ok(Condition::Word(attribute, equality, value))
     }
 
     fn compare_op(&mut self) -> Result<CompareOp, QueryError> {

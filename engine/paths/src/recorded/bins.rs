@@ -1,14 +1,14 @@
 //! Histograms of selected records, for single attributes and for chosen pairs.
 
-use super::categories::{OTHERS_BIN, for_each_name, name_axes};
+use super::categories::{OTHERS_BIN, name_axes, names_in};
 use super::{Bounds, RecordedFrame, RecordedPaths};
+use crate::attribute::{
+    Attribute, INTERSECTION_ATTRIBUTES, LIGHT_ATTRIBUTES, intersection_bins, light_bins, path_bins,
+};
 use crate::histogram::{Counts, Table};
 use crate::record::{LightPath, Name};
 use crate::represent::PathBins;
-use crate::schema::{
-    ATTRIBUTE_COUNTS, FINE_BINS, INTERSECTION_ATTRIBUTES, LIGHT_ATTRIBUTES, intersection_bins, light_bins, name_bin,
-    path_bins, world_bins,
-};
+use crate::schema::{ATTRIBUTE_COUNTS, FINE_BINS, Scale, name_bin};
 use crate::selection::{Cancelled, SelectedRecords, check_cancelled};
 use crate::statistics::{IMAGE_BITS, Scope};
 use std::borrow::Cow;
@@ -89,47 +89,42 @@ impl RecordBins {
             for number in frame.paths.clone() {
                 let path = &paths[number as usize];
                 let firsts = [number as usize, all.intersections.len(), all.lights.len()];
-                all.intersections.extend(intersection_bins(&frame.scope, path));
-                all.lights.extend(light_bins(path));
-                all.set_names(firsts, path, &category);
+                all.intersections.extend(path.intersections.iter().map(|it| intersection_bins(&frame.scope, it)));
+                all.lights.extend(path.lights.iter().map(|it| light_bins(&frame.scope, it)));
+                for (axis, (table, attribute, descriptor)) in name_axes().enumerate() {
+                    for (record, name) in (firsts[table as usize]..).zip(names_in(descriptor, path)) {
+                        all.row_mut(table, record)[attribute] = category(axis, name);
+                    }
+                }
             }
         }
         all
-    }
-
-    /// Replaces the bins of names of a path by categories.
-    /// - `firsts`: the numbers of the path, its first intersection and its first light.
-    fn set_names(&mut self, firsts: [usize; 3], path: &LightPath, category: impl Fn(usize, Name) -> u8) {
-        let axes: Vec<(Table, usize)> = name_axes().collect();
-        let mut next = [firsts; 6].map(|[path, intersection, light]| [path, intersection, light]);
-        for_each_name(path, |axis, name| {
-            let (table, attribute) = axes[axis];
-            let at = next[axis][table as usize];
-            next[axis][table as usize] += 1;
-            let bin = category(axis, name);
-            match table {
-                Table::Paths => self.paths[at][attribute] = bin,
-                Table::Intersections => self.intersections[at][attribute] = bin,
-                Table::Lights => self.lights[at][attribute] = bin,
-            }
-        });
     }
 
     /// Replaces the bins of positions by the bins of another box.
     fn with_bounds(&self, paths: &[LightPath], scope: &Scope) -> Self {
         let mut all = self.clone();
-        let mut positions = all.intersections.iter_mut();
-        for (bins, path) in all.paths.iter_mut().zip(paths) {
-            for (places, it) in [(10..13, path.intersections.first()), (15..18, path.intersections.last())] {
-                if let Some(it) = it {
-                    bins[places].copy_from_slice(&world_bins(scope, it.position));
+        let positions = |table: Table| {
+            let axes = table.attributes().iter().enumerate();
+            axes.filter(|(_, it)| matches!(it.scale, Scale::World(_))).collect::<Vec<(usize, &Attribute)>>()
+        };
+        for table in Table::ALL {
+            for (axis, attribute) in positions(table) {
+                let values = paths.iter().flat_map(|path| attribute.values(scope, path));
+                for (record, value) in values.enumerate() {
+                    all.row_mut(table, record)[axis] = attribute.scale.bin(scope, value);
                 }
-            }
-            for (it, bins) in path.intersections.iter().zip(&mut positions) {
-                bins[1..4].copy_from_slice(&world_bins(scope, it.position));
             }
         }
         all
+    }
+
+    fn row_mut(&mut self, table: Table, record: usize) -> &mut [u8] {
+        match table {
+            Table::Paths => &mut self.paths[record],
+            Table::Intersections => &mut self.intersections[record],
+            Table::Lights => &mut self.lights[record],
+        }
     }
 
     fn row(&self, table: Table, record: usize) -> &[u8] {

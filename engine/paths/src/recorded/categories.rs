@@ -1,8 +1,10 @@
 //! Categories of names: the most frequent names of an attribute have a bin of their own.
 
+use crate::attribute::{Attribute, Value};
 use crate::histogram::Table;
 use crate::record::{LightPath, Name, NameEntry, NameMap, Names};
 use crate::schema::{FINE_BINS, Scale};
+use crate::statistics::Scope;
 
 /// Maximum number of categories of an attribute.
 pub const MAX_CATEGORIES: usize = FINE_BINS - 2;
@@ -68,38 +70,29 @@ impl Categories {
     }
 }
 
-/// Number of attributes that are names.
-pub(super) const NAME_AXES: usize = 6;
-
-/// Calls `visit` for each name of a path: with the index of the attribute among all attributes that are names, and the name.
-pub(super) fn for_each_name(path: &LightPath, mut visit: impl FnMut(usize, Name)) {
-    visit(0, path.intersections.first().map_or(Name::NONE, |it| it.object));
-    visit(1, path.brightest_light().map_or(Name::NONE, |it| it.light));
-    for it in &path.intersections {
-        visit(2, it.object);
-        visit(3, it.material);
-    }
-    for it in &path.lights {
-        visit(4, it.light);
-        visit(5, it.occluder.unwrap_or_default());
-    }
-}
-
-/// Returns the tables and indices of the attributes that are names.
-pub(super) fn name_axes() -> impl Iterator<Item = (Table, usize)> {
+/// Returns the tables, indices and descriptors of the attributes that are names.
+pub(super) fn name_axes() -> impl Iterator<Item = (Table, usize, &'static Attribute)> {
     Table::ALL.into_iter().flat_map(|table| {
         let attributes = table.attributes().iter().enumerate();
-        attributes.filter(|(_, it)| it.scale == Scale::Name).map(move |(index, _)| (table, index))
+        attributes.filter(|(_, it)| it.scale == Scale::Name).map(move |(index, it)| (table, index, it))
     })
+}
+
+/// Returns the names of an attribute for the records of a path, in order; [`Name::NONE`] where there is none.
+pub(super) fn names_in(attribute: &Attribute, path: &LightPath) -> Vec<Name> {
+    // No name depends on the frame.
+    let scope = Scope::default();
+    let values = attribute.values(&scope, path);
+    values.map(|value| if let Some(Value::Name(name)) = value { name } else { Name::NONE }).collect()
 }
 
 /// Chooses the categories of each attribute that is a name. Names with equal numbers of records are in order of the table.
 pub(super) fn choose_categories(names: &NameTable, paths: &[LightPath]) -> Vec<Categories> {
-    let mut counts = vec![vec![0u64; names.entries.len() + 1]; NAME_AXES];
-    for path in paths {
-        for_each_name(path, |axis, name| counts[axis][names.number(name) as usize] += 1);
-    }
-    let choose = |((table, attribute), counts): ((Table, usize), Vec<u64>)| {
+    let choose = |(table, attribute, descriptor): (Table, usize, &Attribute)| {
+        let mut counts = vec![0u64; names.entries.len() + 1];
+        for name in paths.iter().flat_map(|path| names_in(descriptor, path)) {
+            counts[names.number(name) as usize] += 1;
+        }
         let mut ranked: Vec<u32> = (1..counts.len() as u32).filter(|number| counts[*number as usize] > 0).collect();
         ranked.sort_by_key(|number| std::cmp::Reverse(counts[*number as usize]));
         ranked.truncate(MAX_CATEGORIES);
@@ -108,5 +101,5 @@ pub(super) fn choose_categories(names: &NameTable, paths: &[LightPath]) -> Vec<C
         (1u8..).zip(&ranked).for_each(|(bin, number)| bins[*number as usize] = bin);
         Categories { table, attribute, names: ranked.into_iter().map(|number| number - 1).collect(), counts, bins }
     };
-    name_axes().zip(counts).map(choose).collect()
+    name_axes().map(choose).collect()
 }

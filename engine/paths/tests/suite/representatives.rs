@@ -2,8 +2,8 @@
 
 use crate::synthetic::{SEED, path, scope};
 use femc_paths::PathKey;
+use femc_paths::attribute::{PATH_ATTRIBUTES, path_bins};
 use femc_paths::represent::{Distance, PathBins, Target, best_random_set, choose_representative, rarest_paths};
-use femc_paths::schema::{PATH_ATTRIBUTES, path_bins};
 
 /// Returns the bins of about `samples` paths, in order of their hashes.
 fn bins(samples: u32) -> Vec<PathBins> {
@@ -66,7 +66,7 @@ fn of_few_candidates_all_are_taken_and_of_none_none() {
 
 #[test]
 fn the_rarest_are_those_that_are_alone_in_a_bin() {
-    let mut all = vec![[5u8; 20]; 100];
+    let mut all = vec![[5u8; PATH_ATTRIBUTES.len()]; 100];
     all[37][3] = 60;
     all[81][0] = 1;
     all[82][0] = 1;

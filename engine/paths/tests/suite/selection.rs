@@ -1,13 +1,14 @@
 //! Tests of selections of recorded paths. Expected values come from loops over the records.
 
 use crate::synthetic::{OBJECTS, merge_parts, path, scope, task, tasks, tiles};
+use femc_paths::attribute::{intersection_bins, light_bins, path_bins};
 use femc_paths::histogram::Table;
 use femc_paths::octree::Root;
 use femc_paths::query::{Condition, Query};
 use femc_paths::record::luminance;
 use femc_paths::recorded::{CountedSamples, HistogramRequest, OTHERS_BIN, PairKey, Weighting};
 use femc_paths::represent::{Target, choose_representative_within};
-use femc_paths::schema::{ATTRIBUTE_COUNTS, FINE_BINS, intersection_bins, light_bins, path_bins};
+use femc_paths::schema::{ATTRIBUTE_COUNTS, FINE_BINS};
 use femc_paths::selection::{BitMask, CancelCheck, Cancelled, SelectedRecords};
 use femc_paths::{
     FrameStatistics, InteractionKind, Intersection, LightPath, LightRecord, LightStatistics, LightTechnique, Name,
@@ -364,8 +365,8 @@ fn bins_are_those_of_the_schema_except_for_names() {
                 counts.for_each(|(counts, bin)| counts[usize::from(*bin)] += 1.0);
             };
             add(Table::Paths, &path_bins(&scope, path));
-            intersection_bins(&scope, path).for_each(|bins| add(Table::Intersections, &bins));
-            light_bins(path).for_each(|bins| add(Table::Lights, &bins));
+            path.intersections.iter().for_each(|it| add(Table::Intersections, &intersection_bins(&scope, it)));
+            path.lights.iter().for_each(|it| add(Table::Lights, &light_bins(&scope, it)));
         }
         for table in Table::ALL {
             for (axis, attribute) in table.attributes().iter().enumerate() {

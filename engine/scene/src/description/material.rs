@@ -195,3 +195,36 @@ impl Material {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Scene;
+
+    #[test]
+    fn digest_of_materials_is_pinned() {
+        let tinted = |amount| TintedScalar { amount, color: [0.5, 1.0, 0.25] };
+        let full = Material {
+            name: "full".into(),
+            location: Location::default(),
+            sides: Sides::One,
+            rd: tinted(0.1),
+            td: tinted(0.2),
+            rs: tinted(0.3),
+            rs_alpha: 0.4,
+            ts: tinted(0.15),
+            ts_alpha: 0.6,
+            ior: Some(Ior { re: 1.5, im: 0.25 }),
+            ed: tinted(700.0),
+            lobe: Some(8.0),
+            inside: Some(MediumId(9)),
+            map_rd: Some(ImageId(10)),
+            map_ed: Some(ImageId(11)),
+            map_n: Some(ImageId(12)),
+        };
+        let scene = Scene { materials: vec![full, Material::default()], ..Scene::default() };
+        // A new field changes this value. Any other change of it requires a new version of the canonical form.
+        let expected = "43342757a2c882157670e318d85a1a81ec78e43b909bb57f12777155d853e1a9";
+        assert_eq!(scene.digest().to_string(), expected);
+    }
+}

@@ -4,31 +4,59 @@
 //! A row has the name in histograms and columns, the name in conditions, the [`Scale`] with its unit and bins, the value, and a
 //! description.
 
-use crate::histogram::Table;
 use crate::record::{Intersection, LightPath, LightRecord, Name, luminance};
 use crate::schema::Scale::{self, Class, Count, Film, Name as Named, Radiance, Throughput, World};
-use crate::schema::Words;
+use crate::schema::{FINE_BINS, Value, Words};
 use crate::statistics::Scope;
 
-/// Value of an attribute.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Value {
-    /// A number in the unit of the scale.
-    Number(f64),
-    /// Index of a word among the [words](Words) of the scale.
-    Word(u8),
-    /// A name; [`Name::NONE`] counts as missing in bins.
-    Name(Name),
+/// A table of records.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Table {
+    /// Paths.
+    Paths,
+    /// Intersections of paths.
+    Intersections,
+    /// Lights of paths.
+    Lights,
+}
+
+impl Table {
+    /// All tables.
+    pub const ALL: [Self; 3] = [Self::Paths, Self::Intersections, Self::Lights];
+
+    /// Returns the name of the table.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Paths => "paths",
+            Self::Intersections => "intersections",
+            Self::Lights => "lights",
+        }
+    }
+
+    /// Returns the names of each pair of its attributes, in the order of [`Histograms::pairs`](crate::histogram::Histograms::pairs).
+    pub fn pairs(self) -> impl Iterator<Item = [&'static str; 2]> + use<> {
+        let attributes = self.attributes();
+        (0..attributes.len()).flat_map(move |a| attributes[a + 1..].iter().map(move |b| [attributes[a].name, b.name]))
+    }
+
+    /// Returns the attributes of the table.
+    pub fn attributes(self) -> &'static [Attribute] {
+        match self {
+            Self::Paths => &PATH_ATTRIBUTES,
+            Self::Intersections => &INTERSECTION_ATTRIBUTES,
+            Self::Lights => &LIGHT_ATTRIBUTES,
+        }
+    }
 }
 
 /// Function that reads the value from a record; `None`: the record lacks it.
 #[derive(Clone, Copy, Debug)]
 pub enum Getter {
-    /// Of a path. The scope has the width of the film.
+    /// Reads a path. The scope has the width of the film.
     Path(fn(&Scope, &LightPath) -> Option<Value>),
-    /// Of an intersection.
+    /// Reads an intersection.
     Intersection(fn(&Scope, &Intersection) -> Option<Value>),
-    /// Of a light.
+    /// Reads a light.
     Light(fn(&Scope, &LightRecord) -> Option<Value>),
 }
 
@@ -215,6 +243,11 @@ attributes! {
     "found", "found", Class(Words::Technique), Some(Value::Word(it.technique as u8)), "technique that found the light";
 }
 
+/// Numbers of attributes of paths, intersections and lights.
+pub const ATTRIBUTE_COUNTS: [usize; 3] = [PATH_ATTRIBUTES.len(), INTERSECTION_ATTRIBUTES.len(), LIGHT_ATTRIBUTES.len()];
+/// Number of bins of all attributes.
+pub const ALL_BINS: usize = FINE_BINS * (ATTRIBUTE_COUNTS[0] + ATTRIBUTE_COUNTS[1] + ATTRIBUTE_COUNTS[2]);
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -228,6 +261,15 @@ mod tests {
             let names: BTreeSet<&str> = table.attributes().iter().map(|it| it.name).collect();
             assert_eq!(names.len(), table.attributes().len());
             assert!(table.attributes().iter().all(|it| it.table() == table));
+        }
+    }
+
+    #[test]
+    fn every_fine_bin_has_a_coarse_one_and_none_is_empty() {
+        for attribute in Attribute::all() {
+            let coarse: Vec<u8> = (0..FINE_BINS as u8).map(|fine| attribute.scale.coarse(fine)).collect();
+            assert!(coarse.is_sorted() && coarse[0] == 0 && coarse[63] == 9, "{attribute:?}");
+            assert!(coarse.windows(2).all(|pair| pair[1] - pair[0] <= 1), "{attribute:?}");
         }
     }
 }

@@ -10,51 +10,10 @@
 //!   ([`LightStatistics::image_weight`]). If tiles have different numbers of samples, only this one shows what is visible in the
 //!   image.
 
-use crate::attribute::{
-    Attribute, INTERSECTION_ATTRIBUTES, LIGHT_ATTRIBUTES, PATH_ATTRIBUTES, intersection_bins, light_bins, path_bins,
-};
-use crate::schema::{ATTRIBUTE_COUNTS, FINE_BINS};
+pub use crate::attribute::Table;
+use crate::attribute::{ATTRIBUTE_COUNTS, LIGHT_ATTRIBUTES, intersection_bins, light_bins, path_bins};
+use crate::schema::FINE_BINS;
 use crate::statistics::{LightStatistics, image_weight};
-
-/// A table of records.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Table {
-    /// Paths.
-    Paths,
-    /// Intersections of paths.
-    Intersections,
-    /// Lights of paths.
-    Lights,
-}
-
-impl Table {
-    /// All tables.
-    pub const ALL: [Self; 3] = [Self::Paths, Self::Intersections, Self::Lights];
-
-    /// Returns the name of the table.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Paths => "paths",
-            Self::Intersections => "intersections",
-            Self::Lights => "lights",
-        }
-    }
-
-    /// Returns the names of each pair of its attributes, in the order of [`Histograms::pairs`].
-    pub fn pairs(self) -> impl Iterator<Item = [&'static str; 2]> + use<> {
-        let attributes = self.attributes();
-        (0..attributes.len()).flat_map(move |a| attributes[a + 1..].iter().map(move |b| [attributes[a].name, b.name]))
-    }
-
-    /// Returns the attributes of the table.
-    pub fn attributes(self) -> &'static [Attribute] {
-        match self {
-            Self::Paths => &PATH_ATTRIBUTES,
-            Self::Intersections => &INTERSECTION_ATTRIBUTES,
-            Self::Lights => &LIGHT_ATTRIBUTES,
-        }
-    }
-}
 
 /// Counts in bins, by samples and by image.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -11,7 +11,6 @@
 //! | [`Scale::Class`] | the number of the word, 0: none | the same |
 //! | [`Scale::Name`] | 0: none, else 1 + key mod 63: names may share a bin | `10 f / 64` |
 
-use crate::attribute::{INTERSECTION_ATTRIBUTES, LIGHT_ATTRIBUTES, PATH_ATTRIBUTES, Value};
 use crate::record::{InteractionKind, LightTechnique, Name, PathEnd};
 use crate::statistics::Scope;
 
@@ -39,6 +38,17 @@ pub enum Scale {
     Class(Words),
     /// A name.
     Name,
+}
+
+/// Value of an attribute.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Value {
+    /// A number in the unit of the scale.
+    Number(f64),
+    /// Index of a word among the [words](Words) of the scale.
+    Word(u8),
+    /// A name; [`Name::NONE`] counts as missing in bins.
+    Name(Name),
 }
 
 /// A small set of words.
@@ -118,11 +128,6 @@ impl Scale {
         }
     }
 }
-
-/// Numbers of attributes of paths, intersections and lights.
-pub const ATTRIBUTE_COUNTS: [usize; 3] = [PATH_ATTRIBUTES.len(), INTERSECTION_ATTRIBUTES.len(), LIGHT_ATTRIBUTES.len()];
-/// Number of bins of all attributes.
-pub const ALL_BINS: usize = FINE_BINS * (ATTRIBUTE_COUNTS[0] + ATTRIBUTE_COUNTS[1] + ATTRIBUTE_COUNTS[2]);
 
 fn film_bin(place: u32, size: u32) -> u8 {
     (u64::from(place) * FINE_BINS as u64 / u64::from(size.max(1))).min(FINE_BINS as u64 - 1) as u8
@@ -217,15 +222,6 @@ mod tests {
         assert_eq!((radiance_bin(1.0), throughput_bin(1.0)), (22, 49));
         assert_eq!((radiance_edge(2), throughput_edge(2)), (1.0 / 1024.0, f64::from(FOURTHS[1]) / 4096.0));
         assert_eq!(radiance_edge(63), f64::from(std::f32::consts::SQRT_2 * 1048576.0));
-    }
-
-    #[test]
-    fn every_fine_bin_has_a_coarse_one_and_none_is_empty() {
-        for attribute in PATH_ATTRIBUTES.iter().chain(&INTERSECTION_ATTRIBUTES).chain(&LIGHT_ATTRIBUTES) {
-            let coarse: Vec<u8> = (0..FINE_BINS as u8).map(|fine| attribute.scale.coarse(fine)).collect();
-            assert!(coarse.is_sorted() && coarse[0] == 0 && coarse[63] == 9, "{attribute:?}");
-            assert!(coarse.windows(2).all(|pair| pair[1] - pair[0] <= 1), "{attribute:?}");
-        }
     }
 
     #[test]

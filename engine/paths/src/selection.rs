@@ -4,7 +4,7 @@
 //! ([`RecordedPaths`]). A selection is exact over the recorded paths. Its counts, divided by the share of recorded samples, estimate
 //! counts of all samples.
 
-use crate::histogram::Table;
+use crate::attribute::Table;
 use crate::query::{Query, Selection};
 use crate::recorded::RecordedPaths;
 use crate::statistics::IMAGE_BITS;

@@ -9,7 +9,7 @@
 //! with the share [`LightStatistics::share`]. Records of samples that turn out not to count are dropped. All samples that count and
 //! lie below the same threshold remain.
 
-use crate::attribute::{intersection_bins, light_bins, path_bins};
+use crate::attribute::{ALL_BINS, ATTRIBUTE_COUNTS, intersection_bins, light_bins, path_bins};
 use crate::pixels::{self, PixelSums};
 use crate::record::{LightPath, NameMap, Names, PathKey};
 use crate::schema;
@@ -185,10 +185,10 @@ impl SampleCounters {
 
     /// Counts a path of the frame in the histograms of all attributes.
     pub fn count_bins(&mut self, scope: &Scope, path: &LightPath) {
-        self.bins.resize(schema::ALL_BINS, 0);
+        self.bins.resize(ALL_BINS, 0);
         let mut counts = self.bins.as_chunks_mut::<{ schema::FINE_BINS }>().0.iter_mut();
         let [paths, intersections, lights] =
-            schema::ATTRIBUTE_COUNTS.map(|axes| counts.by_ref().take(axes).collect::<Vec<_>>());
+            ATTRIBUTE_COUNTS.map(|axes| counts.by_ref().take(axes).collect::<Vec<_>>());
         fn add(mut counts: Vec<&mut [u64; schema::FINE_BINS]>, bins: impl Iterator<Item = impl AsRef<[u8]>>) {
             for bins in bins {
                 for (counts, bin) in counts.iter_mut().zip(bins.as_ref()) {
@@ -221,10 +221,10 @@ impl SampleCounters {
             let first = counts.next();
             first == expected.or(first) && counts.by_ref().take(axes - 1).all(|sum| Some(sum) == first)
         };
-        let [paths, intersections, lights] = schema::ATTRIBUTE_COUNTS;
+        let [paths, intersections, lights] = ATTRIBUTE_COUNTS;
         let has_bins = are_alike(paths, Some(ends)) && are_alike(intersections, None) && are_alike(lights, None);
         let are_there = if scope.has_full_histograms {
-            self.bins.len() == schema::ALL_BINS && has_bins || ends == 0 && self.bins.is_empty()
+            self.bins.len() == ALL_BINS && has_bins || ends == 0 && self.bins.is_empty()
         } else {
             self.bins.is_empty()
         };

@@ -74,8 +74,8 @@ struct GuideGroups {
 /// Guides of some groups of leaves.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct BlockGuides {
-    groups: Vec<Vec<u32>>,
-    guides: Vec<(f32, Vec<Lobe>)>,
+    pub(crate) groups: Vec<Vec<u32>>,
+    pub(crate) guides: Vec<(f32, Vec<Lobe>)>,
 }
 
 const ELEMENTS_MAGIC: &[u8; 8] = b"element2";

@@ -3,9 +3,9 @@
 
 use super::columns::{Columns, NO_RECORD};
 use femc_model::Digest;
-use femc_paths::attribute::{Attribute, INTERSECTION_ATTRIBUTES, LIGHT_ATTRIBUTES, PATH_ATTRIBUTES, Value};
+use femc_paths::attribute::{Attribute, INTERSECTION_ATTRIBUTES, LIGHT_ATTRIBUTES, PATH_ATTRIBUTES};
 use femc_paths::histogram::Table;
-use femc_paths::schema::Scale;
+use femc_paths::schema::{Scale, Value};
 use femc_paths::{LightPath, RecordedPaths};
 use femc_service::{EarlierRows, RowIdentity};
 use std::collections::HashMap;

@@ -3,7 +3,7 @@
 mod growth;
 
 use super::open_light;
-use femc_paths::schema::ATTRIBUTE_COUNTS;
+use femc_paths::attribute::ATTRIBUTE_COUNTS;
 use femc_paths::{
     FrameStatistics, InteractionKind, Intersection, LightPath, LightRecord, LightStatistics, LightTechnique, Name,
     NameKind, PathEnd, PathKey, PortionKey, SampleCounters, Scope,

@@ -35,6 +35,7 @@
 mod columns;
 mod records;
 
+use crate::attribute::ALL_BINS;
 use crate::pixels::{self, PixelSums};
 use crate::record::{Name, NameKind, Names};
 use crate::schema;
@@ -132,7 +133,7 @@ impl LightStatistics {
         if self.scope.has_full_histograms {
             let bins = |counters: &SampleCounters| {
                 // A portion without samples has bins of 0.
-                (0..schema::ALL_BINS).map(|bin| counters.bins.get(bin).copied().unwrap_or(0)).collect::<Vec<u64>>()
+                (0..ALL_BINS).map(|bin| counters.bins.get(bin).copied().unwrap_or(0)).collect::<Vec<u64>>()
             };
             put_table(&mut out, &self.portions.values().flat_map(bins).map(split_u64).collect::<Vec<_>>());
         }
@@ -269,8 +270,8 @@ fn read_portions(
         portions.insert(key, counters);
     }
     if scope.has_full_histograms {
-        let bins: Vec<[u32; 2]> = tables.read_table(portions.len().saturating_mul(schema::ALL_BINS))?;
-        for (counters, bins) in portions.values_mut().zip(bins.chunks(schema::ALL_BINS)) {
+        let bins: Vec<[u32; 2]> = tables.read_table(portions.len().saturating_mul(ALL_BINS))?;
+        for (counters, bins) in portions.values_mut().zip(bins.chunks(ALL_BINS)) {
             let own = bins.iter().copied().map(join_u64);
             counters.bins = if counters.ends.iter().all(|count| *count == 0) { Vec::new() } else { own.collect() };
             if counters.bins.is_empty() && bins.iter().any(|count| *count != [0; 2]) {

@@ -3,10 +3,9 @@
 //! path is about the number of terms times the number of its intersections and lights, however the terms are nested.
 
 use super::{CompareOp, Condition, EqualityOp, Quantity, Query, is_text_within};
-use crate::attribute::{Attribute, Getter, Value};
-use crate::histogram::Table;
+use crate::attribute::{Attribute, Getter, Table};
 use crate::record::{Intersection, LightPath, LightRecord, Name, Names};
-use crate::schema::Scale;
+use crate::schema::{Scale, Value};
 use crate::statistics::Scope;
 use std::cell::{Cell, OnceCell};
 

@@ -3,12 +3,12 @@
 use super::categories::{OTHERS_BIN, name_axes, names_in};
 use super::{Bounds, RecordedFrame, RecordedPaths};
 use crate::attribute::{
-    Attribute, INTERSECTION_ATTRIBUTES, LIGHT_ATTRIBUTES, intersection_bins, light_bins, path_bins,
+    ATTRIBUTE_COUNTS, Attribute, INTERSECTION_ATTRIBUTES, LIGHT_ATTRIBUTES, intersection_bins, light_bins, path_bins,
 };
 use crate::histogram::{Counts, Table};
 use crate::record::{LightPath, Name};
 use crate::represent::PathBins;
-use crate::schema::{ATTRIBUTE_COUNTS, FINE_BINS, Scale, name_bin};
+use crate::schema::{FINE_BINS, Scale, name_bin};
 use crate::selection::{Cancelled, SelectedRecords, check_cancelled};
 use crate::statistics::{IMAGE_BITS, Scope};
 use std::borrow::Cow;

@@ -1,9 +1,8 @@
 //! Categories of names: the most frequent names of an attribute have a bin of their own.
 
-use crate::attribute::{Attribute, Value};
-use crate::histogram::Table;
+use crate::attribute::{Attribute, Table};
 use crate::record::{LightPath, Name, NameEntry, NameMap, Names};
-use crate::schema::{FINE_BINS, Scale};
+use crate::schema::{FINE_BINS, Scale, Value};
 use crate::statistics::Scope;
 
 /// Maximum number of categories of an attribute.

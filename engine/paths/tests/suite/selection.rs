@@ -1,14 +1,14 @@
 //! Tests of selections of recorded paths. Expected values come from loops over the records.
 
 use crate::synthetic::{OBJECTS, merge_parts, path, scope, task, tasks, tiles};
-use femc_paths::attribute::{intersection_bins, light_bins, path_bins};
+use femc_paths::attribute::{ATTRIBUTE_COUNTS, intersection_bins, light_bins, path_bins};
 use femc_paths::histogram::Table;
 use femc_paths::octree::Root;
 use femc_paths::query::{Condition, Query};
 use femc_paths::record::luminance;
 use femc_paths::recorded::{CountedSamples, HistogramRequest, OTHERS_BIN, PairKey, Weighting};
 use femc_paths::represent::{Target, choose_representative_within};
-use femc_paths::schema::{ATTRIBUTE_COUNTS, FINE_BINS};
+use femc_paths::schema::FINE_BINS;
 use femc_paths::selection::{BitMask, CancelCheck, Cancelled, SelectedRecords};
 use femc_paths::{
     FrameStatistics, InteractionKind, Intersection, LightPath, LightRecord, LightStatistics, LightTechnique, Name,

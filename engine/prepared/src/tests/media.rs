@@ -182,6 +182,12 @@ fn glow_is_the_integral_of_emission_times_transmittance() {
     for (found, glow) in found.to_array().into_iter().zip([3.0, 2.0, 1.0]) {
         assert!((f64::from(found) / (glow * want) - 1.0).abs() < 1e-4, "{found}");
     }
+    // Dark fog of 2 m before it.
+    let mut behind = Media::new(vec![gray(0.1, 0.3), media.medium(0).clone()], false);
+    behind.fill_box(1, Affine3A::IDENTITY, Vec3A::ZERO, Vec3A::splat(4.0));
+    behind.fill_box(0, Affine3A::IDENTITY, Vec3A::new(0.0, 0.0, -2.0), Vec3A::new(4.0, 4.0, 0.0));
+    let dimmed = behind.emitted_radiance(&ray(&behind, Vec3A::new(1.0, 1.0, -2.0), Vec3A::Z, 5.0), 0.5);
+    assert!((f64::from(dimmed.x / found.x) - (-0.6f64).exp()).abs() < 1e-5, "{dimmed} {found}");
     // Glow that varies with the height is sampled at one point. The mean over the points is the integral.
     let mut valley = Media::new(vec![KernelMedium { glow: Rgb::ONE, ..valley_fog() }], false);
     valley.fill_everywhere(0);

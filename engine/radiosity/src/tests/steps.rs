@@ -3,6 +3,8 @@
 use super::{face, prepare};
 use crate::solve::SolverState;
 use crate::{BlockGuides, CastingState, RayHits, SolveOptions};
+use femc_field::Lobe;
+use femc_math::glam::Vec3A;
 use femc_prepared::Prepared;
 use std::sync::atomic::AtomicBool;
 
@@ -66,7 +68,12 @@ fn hits_and_guides_of_blocks_are_encoded_without_loss() {
         "a block is missing"
     );
     let after = before.apply_hits(&world, &OPTIONS, decoded, &CANCEL).unwrap().expect("all hits");
-    let guides = after.guides(&world, 0, 1);
+    let lobe = |x: f32| Lobe { target: Vec3A::new(x, 2.0, 3.0), axes: [Vec3A::X * x, Vec3A::Y], share: 0.1 * x };
+    let BlockGuides { mut groups, mut guides } = after.guides(&world, 0, 1);
+    assert!(!groups.is_empty() && groups.len() == guides.len());
+    groups.extend([vec![3, 5], vec![8]]);
+    guides.extend([(0.75, vec![lobe(1.0), lobe(2.0)]), (0.0, Vec::new())]);
+    let guides = BlockGuides { groups, guides };
     let bytes = guides.encode();
     assert_eq!(BlockGuides::decode(&bytes).unwrap(), guides);
     assert!((0..bytes.len()).all(|end| BlockGuides::decode(&bytes[..end]).is_err()));

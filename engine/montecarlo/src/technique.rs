@@ -24,10 +24,11 @@ pub(crate) fn mis_weight(single_technique: Option<MisTechnique>, own: MisTechniq
 mod tests {
     use super::*;
     use crate::square;
+    use femc_math::elementary::pow;
 
     #[test]
     fn weights_of_both_techniques_sum_to_one_for_all_densities() {
-        let densities = || (-40..=40).map(|exponent| 10f32.powf(0.25 * exponent as f32));
+        let densities = || (-40..=40).map(|exponent| pow(10.0, 0.25 * exponent as f32));
         for light in densities() {
             for scatter in densities() {
                 let weights = |only| {

@@ -2,6 +2,7 @@
 
 use femc_import::{Bundle, load_scene};
 use femc_math::color::luminance;
+use femc_math::elementary::double;
 use femc_montecarlo::{MisTechnique, PathSettings, PixelFilter, Tracer};
 use femc_prepared::{FrameSpec, Prepared, SceneSource, prepare_frame};
 use femc_stats::testing::{Moments, sidak};
@@ -116,7 +117,7 @@ f e f g h
 
 /// Returns the form factor from a point to a parallel rectangle with a corner above it; sides relative to the distance.
 fn corner_form_factor(a: f64, b: f64) -> f64 {
-    let part = |a: f64, b: f64| a / (1.0 + a * a).sqrt() * (b / (1.0 + a * a).sqrt()).atan();
+    let part = |a: f64, b: f64| a / (1.0 + a * a).sqrt() * double::atan(b / (1.0 + a * a).sqrt());
     (part(a, b) + part(b, a)) / TAU
 }
 
@@ -130,7 +131,7 @@ fn each_technique_finds_the_light_between_two_plates() {
 /// A lamp of 0.2 m in a pixel that is 0.8 m wide there. The camera samples it, and its rays hit it.
 #[test]
 fn each_technique_finds_a_lamp_that_fills_a_part_of_its_pixel() {
-    let fov = 2.0 * (0.4f64 / 2.0).atan() * 180.0 / PI;
+    let fov = 2.0 * double::atan(0.4 / 2.0) * 180.0 / PI;
     let text = format!(
         "camera pixel =\n origin 0 0 2\n target 0 0 0\n up 0 1 0\n fov {fov}\n film 1 1\n\
          m lamp =\n sides 2\n c\n ed 100\nv a =\n p -.13 -.1 0\nv b =\n p .07 -.1 0\nv c =\n p .07 .1 0\n\
@@ -172,5 +173,5 @@ fn absorbing_fog_dims_a_lamp_exponentially() {
     let scene = prepare(&format!("{fog}{PLATES}"), "lamp");
     let length = 1.0 / (3.0 / (9.0f64 + 0.36).sqrt());
     let seen = emitted(&scene);
-    assert!((seen / light / (-0.3 * length).exp() - 1.0).abs() < 1e-4, "{seen} of {light}");
+    assert!((seen / light / double::exp(-0.3 * length) - 1.0).abs() < 1e-4, "{seen} of {light}");
 }

@@ -5,6 +5,7 @@
     rust_2018_idioms,
     clippy::all,
     clippy::semicolon_if_nothing_returned,
+    clippy::too_many_lines,
     reason = "generated"
 )]
 

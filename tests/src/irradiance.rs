@@ -114,8 +114,7 @@ fn estimate_irradiance(
         let path = PathSettings { seed, max_depth: 0, single_technique: None };
         let mut tracer = Tracer::with_recorder(world, path, Recording::default());
         tracer.sample(0, sample, FilterAdapter(Filter::default()));
-        let straight =
-            |found: &LightTechnique| !matches!(found, LightTechnique::NextEvent | LightTechnique::Airlight(_));
+        let straight = |found: &LightTechnique| !matches!(found, LightTechnique::NextEvent | LightTechnique::Airlight);
         let parts = tracer.recorder.contributions.iter().map(|(part, _)| part);
         let value: f32 =
             parts.filter(|part| part.bounce > 0 || !straight(&part.technique)).map(|part| luminance(part.color)).sum();

@@ -77,6 +77,7 @@ impl<R: Recorder> Tracer<'_, R> {
                 throughput: Rgb::ONE,
                 bounce: 0,
                 technique: LightTechnique::CameraNextEvent,
+                medium: None,
                 light: Some(choice.light),
                 position: point.position,
             });

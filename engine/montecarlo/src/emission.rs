@@ -8,21 +8,15 @@ use crate::tracer::Tracer;
 use femc_geometry::Ray;
 use femc_math::Rgb;
 use femc_prepared::ShadingPoint;
+use femc_prepared::lights::EmitterPoint;
 
 impl<R> Tracer<'_, R> {
     /// Returns the emission of a surface that the path hit, weighted against the other techniques that could have found it.
     #[inline]
     pub(crate) fn emitter_hit(&self, ray: &Ray, point: &ShadingPoint, previous: &PreviousVertex) -> Rgb {
         let (scene, light) = (self.scene, point.light);
-        let radiance = scene.lights.radiance(
-            &scene.world,
-            &scene.textures,
-            light,
-            ray.time,
-            point.normal,
-            -ray.dir,
-            point.parametric,
-        );
+        let emitter = EmitterPoint { light, normal: point.normal, parametric: point.parametric };
+        let radiance = scene.lights.radiance(&scene.world, &scene.textures, &emitter, -ray.dir, ray.time);
         if radiance == Rgb::ZERO {
             return radiance;
         }

@@ -260,3 +260,191 @@ impl FogSampler<'_> {
         (pdf > 0.0 && phase > 0.0).then(|| DirectionSample { dir, pdf, phase_pdf: phase, weight: value / pdf })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::path_state::PathState;
+    use crate::test_scene::{center_path, prepare};
+    use femc_geometry::Ray;
+    use femc_math::color::luminance;
+    use femc_stats::testing::{Moments, pooled_test, sidak};
+
+    /// Probability of a false alarm over all statistical tests here.
+    const LEVEL: f64 = 1e-4;
+    /// Number of statistical tests here.
+    const TESTS: usize = 8;
+
+    /// Colored fog in a box, thinner fog around it whose density falls with height, and a lamp beside the camera's ray.
+    const SCENE: &str = "\
+medium ink =
+ c
+ cxy .5 .4
+ sigma_s .5
+ sigma_a .2
+ phase hg .5
+medium haze =
+ sigma_s .15
+ phase hg -.3
+ height -.2 .7
+mbox ink -1 -1 -1 1 1 1
+mglobal haze
+m lamp =
+ sides 2
+ c
+ ed 100
+v a =
+ p -.3 .2 1.5
+v b =
+ p .3 .2 1.5
+v c =
+ p .3 .8 1.5
+v d =
+ p -.3 .8 1.5
+m lamp
+f a b c d
+v e =
+ p -2 4 -2
+v f =
+ p 2 4 -2
+v g =
+ p 2 4 2
+v h =
+ p -2 4 2
+m wall =
+ sides 2
+ c
+ rd .5
+m wall
+f e f g h
+";
+
+    /// A path with its media, found up to the wall.
+    struct Fixture<'s> {
+        scene: &'s Prepared,
+        ray: FoggyRay,
+        direction_weights: LightWeights,
+        shadow: ShadowTester,
+        counters: TracerCounters,
+        t_end: f32,
+    }
+
+    impl<'s> Fixture<'s> {
+        fn new(scene: &'s Prepared) -> Self {
+            let path = center_path(scene, 0);
+            let t_end = scene.world.intersect(&path.ray).expect("the wall").t;
+            let mut ray = FoggyRay::default();
+            let PathState { ray: Ray { origin, dir, .. }, medium_stack, .. } = path;
+            assert!(scene.media.find_intervals(origin, dir, t_end, &medium_stack, &mut ray.media));
+            let mut fixture = Self {
+                scene,
+                ray,
+                direction_weights: LightWeights::default(),
+                shadow: ShadowTester::default(),
+                counters: TracerCounters::default(),
+                t_end,
+            };
+            fixture.sampler().weigh_lights(&path);
+            fixture
+        }
+
+        fn sampler(&mut self) -> FogSampler<'_> {
+            FogSampler {
+                scene: self.scene,
+                ray: &mut self.ray,
+                direction_weights: &mut self.direction_weights,
+                shadow: &mut self.shadow,
+                counters: &mut self.counters,
+                single_technique: None,
+            }
+        }
+
+        /// Tests the distances of events, some of them missing, against their density along the ray, 1/m.
+        fn assert_distances(&self, name: &str, distances: &[Option<f32>], pdf: impl Fn(&ScatterEvent) -> f32) {
+            const BINS: usize = 40;
+            const STEPS: usize = 64;
+            let (n, width) = (distances.len() as f64, self.t_end / BINS as f32);
+            let density = |t: f32| self.scene.media.event_at(&self.ray.media, t).map_or(0.0, |event| pdf(&event));
+            let mass = |bin: usize| {
+                let middle = |step: usize| (bin as f32 + (step as f32 + 0.5) / STEPS as f32) * width;
+                (0..STEPS).map(|step| f64::from(density(middle(step)))).sum::<f64>() * f64::from(width) / STEPS as f64
+            };
+            let mut expected: Vec<f64> = (0..BINS).map(mass).collect();
+            expected.push((1.0 - expected.iter().sum::<f64>()).max(0.0));
+            let mut observed = vec![0; BINS + 1];
+            for distance in distances {
+                observed[distance.map_or(BINS, |t| ((t / width) as usize).min(BINS - 1))] += 1;
+            }
+            let expected: Vec<f64> = expected.into_iter().map(|mass| mass * n).collect();
+            pooled_test(&expected, &observed).expect(sidak(LEVEL, TESTS), name);
+        }
+    }
+
+    #[test]
+    fn free_flights_follow_their_density_and_weigh_transmittance() {
+        let scene = prepare(SCENE);
+        let mut fixture = Fixture::new(&scene);
+        let (mut distances, mut through) = (Vec::new(), [Moments::default(); 3]);
+        for seed in 0..40_000 {
+            let mut path = center_path(&scene, seed);
+            let weight = match fixture.sampler().sample_collision(&mut path) {
+                FreeFlight::Collision(Collision { event, position }) => {
+                    assert!((path.ray.origin + path.ray.dir * event.t - position).length() < 1e-5);
+                    distances.push(Some(event.t));
+                    Rgb::ZERO
+                }
+                FreeFlight::Through { weight } => {
+                    distances.push(None);
+                    weight
+                }
+            };
+            through.iter_mut().zip(weight.to_array()).for_each(|(channel, weight)| channel.add(weight.into()));
+        }
+        fixture.assert_distances("free flights", &distances, |event| event.pdf);
+        for (channel, expected) in through.iter().zip(scene.media.transmittance(&fixture.ray.media).to_array()) {
+            let p = channel.p_value(expected.into());
+            assert!(p >= sidak(LEVEL, TESTS), "{channel:?} for {expected}: {p}");
+        }
+    }
+
+    /// Direct light in fog chooses a lamp and a distance. The density of both is the weight of the lamp when scattering hits it.
+    #[test]
+    fn airlight_distances_follow_the_density_that_weights_hit_lamps() {
+        let scene = prepare(SCENE);
+        let mut fixture = Fixture::new(&scene);
+        let mut distances = Vec::new();
+        for seed in 0..40_000 {
+            let mut path = center_path(&scene, seed);
+            let scattered = fixture.sampler().sample_airlight(&mut path);
+            distances.push(scattered.map(|scattered| {
+                assert_eq!(scattered.light, 0);
+                scattered.event.t
+            }));
+        }
+        fixture.assert_distances("airlight", &distances, |event| fixture.ray.airlight_pdf(&scene, 0, 0.5, event));
+    }
+
+    /// The inverse density of a direction has the mean 4 pi, its weight the mean 1: phase functions are normalized.
+    #[test]
+    fn directions_after_a_collision_have_their_density() {
+        let scene = prepare(SCENE);
+        let mut fixture = Fixture::new(&scene);
+        let event = scene.media.event_at(&fixture.ray.media, 2.5).expect("fog");
+        let (mut solid_angle, mut weight, mut phase) = (Moments::default(), Moments::default(), Moments::default());
+        for seed in 0..40_000 {
+            let mut path = center_path(&scene, seed);
+            let collision = Collision { event, position: path.ray.origin + path.ray.dir * event.t };
+            let scattered = fixture.sampler().sample_direction(&mut path, &collision).expect("a direction");
+            assert!((scattered.dir.length() - 1.0).abs() < 1e-4);
+            solid_angle.add(1.0 / f64::from(scattered.pdf));
+            weight.add(luminance(scattered.weight).into());
+            phase.add(f64::from(scattered.phase_pdf) / f64::from(scattered.pdf));
+        }
+        for (name, moments, expected) in
+            [("sphere", solid_angle, 4.0 * std::f64::consts::PI), ("weight", weight, 1.0), ("phase", phase, 1.0)]
+        {
+            let p = moments.p_value(expected);
+            assert!(p >= sidak(LEVEL, TESTS), "{name}: {moments:?} for {expected}: {p}");
+        }
+    }
+}

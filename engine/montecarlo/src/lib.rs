@@ -22,6 +22,8 @@ mod scatter;
 mod shadow;
 mod surface;
 mod technique;
+#[cfg(test)]
+mod test_scene;
 mod tracer;
 
 pub use first_hit::{FirstSurface, first_surface};

@@ -2,9 +2,9 @@
 
 use crate::dimensions as dim;
 use crate::fog::{Collision, FogSampler, FreeFlight, SingleScatterSample};
-use crate::path_state::{PathEnd, PathState, PreviousVertex, SegmentOrigin};
+use crate::path_state::{PathState, PreviousVertex, SegmentOrigin};
 use crate::record::{
-    Continuation, Contribution, LightTechnique, Recorder, Scatterer, Termination, Vertex, VertexLocation,
+    Continuation, Contribution, InteractionKind, LightTechnique, PathEnd, Recorder, Termination, Vertex, VertexLocation,
 };
 use crate::tracer::{PathSample, Tracer};
 use femc_geometry::{Ray, shadow_segment};
@@ -51,7 +51,8 @@ impl<R: Recorder> Tracer<'_, R> {
                 color,
                 throughput: path.throughput,
                 bounce: path.bounce,
-                technique: LightTechnique::Glow(fog.emitting_medium()),
+                technique: LightTechnique::Glow,
+                medium: Some(fog.emitting_medium()),
                 light: None,
                 position: ray.origin,
             }));
@@ -73,7 +74,8 @@ impl<R: Recorder> Tracer<'_, R> {
                         color,
                         throughput: path.throughput,
                         bounce: path.bounce,
-                        technique: LightTechnique::Airlight(fog.dominant_medium(&scattered.event)),
+                        technique: LightTechnique::Airlight,
+                        medium: Some(fog.dominant_medium(&scattered.event)),
                         light: Some(scattered.light),
                         position: ray.origin + ray.dir * scattered.event.t,
                     }));
@@ -96,10 +98,10 @@ impl<R: Recorder> Tracer<'_, R> {
         path: &mut PathState,
         collision: &Collision,
         out: &mut PathSample,
-    ) -> ControlFlow<PathEnd> {
+    ) -> ControlFlow<Termination> {
         path.awaits_first_surface = false;
         if self.settings.is_last(path.bounce) {
-            return ControlFlow::Break(path.end(Termination::Depth));
+            return ControlFlow::Break(path.end(PathEnd::Depth));
         }
         path.throughput *= collision.event.weight;
         let position = collision.position;
@@ -116,16 +118,12 @@ impl<R: Recorder> Tracer<'_, R> {
             let color = path.throughput * field.fog.mean_radiance(position);
             out.color += color;
             record!(recorder.contribution(|| Contribution::from_field(color, path.throughput, path.bounce, position)));
-            return ControlFlow::Break(path.end(Termination::Field));
+            return ControlFlow::Break(path.end(PathEnd::Field));
         }
         let Some(scattered) = fog.sample_direction(path, collision) else {
-            return ControlFlow::Break(path.end(Termination::Absorbed));
+            return ControlFlow::Break(path.end(PathEnd::Absorbed));
         };
-        record!(recorder.leave(Continuation::Scattered {
-            pdf: scattered.pdf,
-            scatterer: Scatterer::Phase,
-            is_guide_sample: false
-        }));
+        record!(recorder.leave(Continuation::unguided(InteractionKind::Volume)));
         path.throughput *= scattered.weight;
         std::mem::swap(&mut self.fog, &mut self.fog_before);
         let origin = SegmentOrigin::Medium { collision: *collision, phase_pdf: scattered.phase_pdf };

@@ -41,6 +41,7 @@ impl<R: Recorder> Tracer<'_, R> {
                 throughput: path.throughput,
                 bounce: path.bounce,
                 technique: LightTechnique::NextEvent,
+                medium: None,
                 light: Some(chosen.0),
                 position: surface.point.position,
             }));

@@ -2,7 +2,7 @@
 
 use crate::dimensions as dim;
 use crate::fog::Collision;
-use crate::record::Termination;
+use crate::record::{PathEnd, Termination};
 use femc_emission::PointContext;
 use femc_geometry::Ray;
 use femc_math::glam::Vec3A;
@@ -84,15 +84,6 @@ pub(crate) enum SegmentOrigin {
     },
 }
 
-/// End of a path.
-#[derive(Clone, Copy)]
-pub(crate) struct PathEnd {
-    /// Reason of the end.
-    pub termination: Termination,
-    /// Throughput at the end; 0 if nothing is left.
-    pub throughput: Rgb,
-}
-
 impl PathState {
     /// Creates the path of a camera ray.
     #[inline(always)]
@@ -122,7 +113,7 @@ impl PathState {
 
     /// Returns the end of the path with its current throughput.
     #[inline(always)]
-    pub fn end(&self, termination: Termination) -> PathEnd {
-        PathEnd { termination, throughput: self.throughput }
+    pub fn end(&self, end: PathEnd) -> Termination {
+        Termination { end, vertices: self.vertices, throughput: self.throughput }
     }
 }

@@ -3,10 +3,13 @@
 //! A sample is a function of seed, frame, pixel and number. It can be traced again at any time, this time with a recorder. The
 //! recorder `()` of ordinary rendering ignores everything. Events are passed as closures which it does not call, so computing them
 //! costs nothing.
+//!
+//! The kinds of events are those of recorded paths (`femc-paths`).
 
 use femc_geometry::Ray;
 use femc_math::Rgb;
 use femc_math::glam::Vec3A;
+pub use femc_paths::{InteractionKind, LightTechnique, PathEnd};
 use femc_prepared::camera::View;
 use femc_scattering::Bsdf;
 pub use femc_scattering::Transmitted;
@@ -57,10 +60,8 @@ pub trait Recorder {
     fn lobe_split(&mut self, _lobe_split: impl FnOnce() -> LobeSplit) {}
     /// Records a light contribution.
     fn contribution(&mut self, contribution: impl FnOnce() -> Contribution);
-    /// Records that the path stops.
-    /// - `vertices`: number of vertices of the path;
-    /// - `throughput`: throughput of the path; 0 if it stops because nothing is left.
-    fn terminate(&mut self, vertices: u32, termination: Termination, throughput: Rgb);
+    /// Records that the path ends.
+    fn terminate(&mut self, termination: Termination);
     /// Ends the sample.
     /// - `color`: radiance of the sample, cd/m2 by channel; `None`: the film rejects it.
     fn end_sample(&mut self, color: Option<Rgb>);
@@ -80,24 +81,20 @@ impl Recorder for () {
     #[inline(always)]
     fn contribution(&mut self, _: impl FnOnce() -> Contribution) {}
     #[inline(always)]
-    fn terminate(&mut self, _: u32, _: Termination, _: Rgb) {}
+    fn terminate(&mut self, _: Termination) {}
     #[inline(always)]
     fn end_sample(&mut self, _: Option<Rgb>) {}
 }
 
-/// Reason why a path stops.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Termination {
-    /// The path left the scene.
-    Escaped,
-    /// Nothing was scattered, or the scattered direction was not possible.
-    Absorbed,
-    /// Russian roulette.
-    Roulette,
-    /// The path reached the maximum number of segments.
-    Depth,
-    /// The path ended with the light of a field.
-    Field,
+/// End of a path.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Termination {
+    /// Reason of the end.
+    pub end: PathEnd,
+    /// Number of vertices of the path.
+    pub vertices: u32,
+    /// Throughput of the path; 0 if it ends because nothing is left.
+    pub throughput: Rgb,
 }
 
 /// Object or medium at a vertex.
@@ -130,21 +127,19 @@ pub struct Vertex {
 }
 
 /// Way in which a path leaves a vertex.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Continuation {
-    /// Straight through a clear surface. The path stays on its segment.
-    Straight,
-    /// Specular reflection, or refraction by glass.
-    Delta(Transmitted),
-    /// Scattering in one of many directions.
-    Scattered {
-        /// Density of the direction, 1/sr.
-        pdf: f32,
-        /// Kind of the scatterer.
-        scatterer: Scatterer,
-        /// Whether the direction was sampled from the guide of a first pass.
-        is_guide_sample: bool,
-    },
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Continuation {
+    /// Interaction there. The path stays on its segment only if it goes straight through a clear surface.
+    pub interaction: InteractionKind,
+    /// Whether the direction was sampled from the guide of a first pass.
+    pub is_guide_sample: bool,
+}
+
+impl Continuation {
+    /// Creates a continuation whose direction was not sampled from a guide.
+    pub(crate) fn unguided(interaction: InteractionKind) -> Self {
+        Self { interaction, is_guide_sample: false }
+    }
 }
 
 /// Lobes that scatter light from one direction into another at a surface.
@@ -195,34 +190,6 @@ impl LobeShares {
     }
 }
 
-/// Kind of a scatterer with many directions.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Scatterer {
-    /// A Lambertian lobe, reflected or transmitted.
-    Diffuse,
-    /// A lobe around a direction.
-    Glossy,
-    /// A phase function.
-    Phase,
-}
-
-/// Technique that found light.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum LightTechnique {
-    /// A point on a lamp was sampled from the camera.
-    CameraNextEvent,
-    /// The path hit a lamp.
-    EmitterHit,
-    /// A point on a lamp was sampled from a surface, the latest vertex.
-    NextEvent,
-    /// A lamp was sampled for the segment, with a distance by its light that this medium scatters.
-    Airlight(u16),
-    /// This medium on the segment emits light.
-    Glow(u16),
-    /// The path ended at its latest vertex with the light of a field.
-    Field,
-}
-
 /// Light contribution to a sample.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Contribution {
@@ -234,6 +201,8 @@ pub struct Contribution {
     pub bounce: u32,
     /// Technique that found the light.
     pub technique: LightTechnique,
+    /// Index of the medium that scattered the light of a lamp into the segment, or that emits.
+    pub medium: Option<u16>,
     /// Index of the light. `None`: an emitting medium, a field, or no light could be chosen.
     pub light: Option<u32>,
     /// Point on the lamp, if it was hit or sampled from the camera. The segment's start, if a medium emits. Else the point that the
@@ -244,7 +213,7 @@ pub struct Contribution {
 impl Contribution {
     /// Creates the contribution of a field at a path's latest vertex.
     pub(crate) fn from_field(color: Rgb, throughput: Rgb, bounce: u32, position: Vec3A) -> Self {
-        Self { color, throughput, bounce, technique: LightTechnique::Field, light: None, position }
+        Self { color, throughput, bounce, technique: LightTechnique::Field, medium: None, light: None, position }
     }
 }
 
@@ -255,6 +224,13 @@ pub struct Step {
     pub vertex: Vertex,
     /// Way in which the path left. `None`: the path ended there.
     pub continuation: Option<Continuation>,
+}
+
+impl Step {
+    /// Returns the interaction with which the path continued.
+    pub fn interaction(&self) -> InteractionKind {
+        self.continuation.map_or(InteractionKind::Absorbed, |continuation| continuation.interaction)
+    }
 }
 
 /// Recorder that keeps all events of one sample until the next sample begins.
@@ -292,7 +268,7 @@ impl Recorder for Recording {
 
     fn occluded(&mut self, _: impl FnOnce() -> Ray) {}
 
-    fn terminate(&mut self, _: u32, _: Termination, _: Rgb) {}
+    fn terminate(&mut self, _: Termination) {}
 
     fn end_sample(&mut self, _: Option<Rgb>) {}
 }
@@ -301,7 +277,7 @@ impl Recording {
     /// Returns the vertex from which a path with this number of vertices reached a lamp: the last one that it did not go straight
     /// through. `None`: it came from the camera.
     pub fn last_scattering(&self, vertices: usize) -> Option<&Step> {
-        self.steps[..vertices].iter().rev().find(|step| step.continuation != Some(Continuation::Straight))
+        self.steps[..vertices].iter().rev().find(|step| step.interaction() != InteractionKind::Straight)
     }
 }
 
@@ -358,9 +334,9 @@ impl<A: Recorder, B: Recorder> Recorder for RecorderPair<A, B> {
         record_both(self, contribution, |it, found| it.contribution(|| found), |it, found| it.contribution(|| found));
     }
 
-    fn terminate(&mut self, vertices: u32, termination: Termination, throughput: Rgb) {
-        self.first.terminate(vertices, termination, throughput);
-        self.second.terminate(vertices, termination, throughput);
+    fn terminate(&mut self, termination: Termination) {
+        self.first.terminate(termination);
+        self.second.terminate(termination);
     }
 
     fn end_sample(&mut self, color: Option<Rgb>) {

@@ -1,9 +1,10 @@
 //! Russian roulette.
 
 use crate::dimensions as dim;
-use crate::path_state::{PathEnd, PathState};
-use crate::record::Termination;
+use crate::path_state::PathState;
+use crate::record::{PathEnd, Termination};
 use crate::square;
+use femc_math::Rgb;
 use std::ops::ControlFlow;
 
 /// Number of rays after which Russian roulette may end a path.
@@ -34,12 +35,12 @@ impl PathState {
     /// not. The field may be wrong, so the survival probability is at least [`RR_MIN_SURVIVAL`] times that by the weight.
     /// - `survival`: light that the field expects of the path from here on, relative to that from the first vertex on.
     #[inline(always)]
-    pub fn roulette<const MEDIA: bool>(&mut self, survival: Option<f32>) -> ControlFlow<PathEnd> {
+    pub fn roulette<const MEDIA: bool>(&mut self, survival: Option<f32>) -> ControlFlow<Termination> {
         if self.survives::<MEDIA>(survival) {
             return ControlFlow::Continue(());
         }
         let is_left = self.throughput.max_element() > 0.0;
-        ControlFlow::Break(self.end(if is_left { Termination::Roulette } else { Termination::Absorbed }))
+        ControlFlow::Break(self.end(if is_left { PathEnd::Roulette } else { PathEnd::Absorbed }))
     }
 
     /// Performs Russian roulette as [`Self::roulette`] does, and returns whether the path continues.
@@ -53,12 +54,17 @@ impl PathState {
             return true;
         };
         self.stream.seek(self.base + dim::ROULETTE);
-        if self.stream.next_1d() >= q {
-            return false;
-        }
-        self.throughput /= q;
+        let Some(throughput) = survivor_throughput(self.throughput, q, self.stream.next_1d()) else { return false };
+        self.throughput = throughput;
         true
     }
+}
+
+/// Returns the throughput of a path that survives with probability `q`; `None`: it ends. `u` is in [0, 1).
+#[inline(always)]
+fn survivor_throughput(throughput: Rgb, q: f32, u: f32) -> Option<Rgb> {
+    // A probability that is NaN must reach the film as a bad sample.
+    if u >= q { None } else { Some(throughput / q) }
 }
 
 /// Returns the survival probability of a path. `None`: the path is too short for roulette.
@@ -78,4 +84,79 @@ fn survival_probability<const MEDIA: bool>(rays: u32, weight: f32, survival: Opt
         q *= if rays > VERY_LONG_PATH { square(long_survival) } else { long_survival };
     }
     Some(q)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const RAYS: [u32; 10] = [1, 3, 4, 5, 100, 128, 129, 1000, 65_536, 65_537];
+    const WEIGHTS: [f32; 7] = [0.02, 0.1, 0.2, 0.25, 0.5, 0.8, 3.0];
+    const SURVIVALS: [Option<f32>; 6] = [None, Some(0.0), Some(0.1), Some(0.7), Some(1.0), Some(30.0)];
+
+    fn probability(has_media: bool, rays: u32, weight: f32, survival: Option<f32>) -> Option<f32> {
+        if has_media {
+            survival_probability::<true>(rays, weight, survival)
+        } else {
+            survival_probability::<false>(rays, weight, survival)
+        }
+    }
+
+    /// Brute force over the random number: the mean throughput after the roulette is the throughput before.
+    #[test]
+    fn mean_throughput_is_unchanged() {
+        const N: u32 = 1 << 14;
+        let before = Rgb::new(0.3, 0.02, 0.9);
+        for has_media in [false, true] {
+            for (rays, weight) in RAYS.into_iter().flat_map(|rays| WEIGHTS.map(|weight| (rays, weight))) {
+                for survival in SURVIVALS {
+                    let Some(q) = probability(has_media, rays, weight, survival) else { continue };
+                    let after = |k: u32| survivor_throughput(before, q, (k as f32 + 0.5) / N as f32);
+                    let sum: f64 = (0..N).filter_map(after).map(|after| f64::from(after.y)).sum();
+                    let ratio = sum / f64::from(N) / f64::from(before.y);
+                    // The number of survivors is q N, rounded.
+                    let tolerance = 0.5 / f64::from(q * N as f32) + 1e-6;
+                    assert!((ratio - 1.0).abs() < tolerance, "{rays} {weight} {survival:?}: {ratio}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn short_paths_survive_and_heavy_ones_until_they_are_long() {
+        for has_media in [false, true] {
+            assert_eq!(probability(has_media, RR_MIN_RAYS - 1, 1e-9, Some(0.0)), None);
+            for rays in RR_MIN_RAYS..=LONG_PATH {
+                assert_eq!(probability(has_media, rays, 1.0, None), Some(1.0));
+            }
+        }
+        assert_eq!(probability(false, 4, 0.5 * RR_THRESHOLD, None), Some(0.5));
+        assert_eq!(probability(true, 4, 0.5 * RR_THRESHOLD_IN_MEDIA, None), Some(0.5));
+    }
+
+    /// The probability of having `n` rays is `LONG_PATH / n`, and falls with the square after `VERY_LONG_PATH`.
+    #[test]
+    fn long_paths_without_loss_end_as_documented() {
+        let reach =
+            |n: u32| (2..=n).filter_map(|rays| probability(true, rays, 1.0, None)).map(f64::from).product::<f64>();
+        for n in [LONG_PATH, 2 * LONG_PATH, 1000, VERY_LONG_PATH] {
+            let expected = f64::from(LONG_PATH) / f64::from(n);
+            assert!((reach(n) / expected - 1.0).abs() < 1e-3, "{n}: {} for {expected}", reach(n));
+        }
+        let (once, twice) = (reach(VERY_LONG_PATH), reach(2 * VERY_LONG_PATH));
+        assert!((twice / once - 0.25).abs() < 1e-2, "{}", twice / once);
+    }
+
+    #[test]
+    fn the_probability_by_a_field_stays_between_its_bounds() {
+        for (rays, weight) in [4, 100].into_iter().flat_map(|rays| WEIGHTS.map(|weight| (rays, weight))) {
+            let by_weight = probability(false, rays, weight, None).expect("a path that may end");
+            for survival in SURVIVALS.into_iter().flatten() {
+                let q = probability(false, rays, weight, Some(survival)).expect("a path that may end");
+                assert!(q >= RR_MIN_SURVIVAL * by_weight && q <= 1.0, "{weight} {survival}: {q}");
+                let is_between = (RR_MIN_SURVIVAL * by_weight..=1.0).contains(&survival);
+                assert!(!is_between || q == survival, "{weight} {survival}: {q}");
+            }
+        }
+    }
 }

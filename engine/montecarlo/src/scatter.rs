@@ -2,8 +2,10 @@
 
 use crate::dimensions as dim;
 use crate::guided::{DirectionSampler, GuidedSample};
-use crate::path_state::{PathEnd, PathState, PreviousVertex, SegmentOrigin};
-use crate::record::{Continuation, Contribution, LobeSplit, Recorder, Scatterer, Termination, Vertex, VertexLocation};
+use crate::path_state::{PathState, PreviousVertex, SegmentOrigin};
+use crate::record::{
+    Continuation, Contribution, InteractionKind, LobeSplit, PathEnd, Recorder, Termination, Vertex, VertexLocation,
+};
 use crate::surface::SurfaceInteraction;
 use crate::tracer::{PathSample, Tracer};
 use femc_emission::PointContext;
@@ -48,7 +50,7 @@ impl<R: Recorder> Tracer<'_, R> {
         path: &mut PathState,
         surface: &SurfaceInteraction<'_>,
         out: &mut PathSample,
-    ) -> ControlFlow<PathEnd> {
+    ) -> ControlFlow<Termination> {
         let &SurfaceInteraction { hit, ref point, ref bsdf, ref frame, wo, .. } = surface;
         path.vertices += 1;
         record!(self.recorder.vertex(|| Vertex {
@@ -97,7 +99,7 @@ impl<R: Recorder> Tracer<'_, R> {
         directions: &DirectionSampler<'_>,
         light_context: &PointContext,
         survival: Option<f32>,
-    ) -> ControlFlow<PathEnd> {
+    ) -> ControlFlow<Termination> {
         let point = &surface.point;
         path.stream.seek(path.base + dim::LOBE);
         let choice = path.stream.next_1d();
@@ -106,19 +108,19 @@ impl<R: Recorder> Tracer<'_, R> {
             directions.sample(path.stream.next_2d(), choice)
         else {
             let is_field = self.field.is_some();
-            return ControlFlow::Break(path.end(if is_field { Termination::Field } else { Termination::Absorbed }));
+            return ControlFlow::Break(path.end(if is_field { PathEnd::Field } else { PathEnd::Absorbed }));
         };
         path.throughput *= scattered.weight;
         path.roulette_scale *= pdf_ratio;
         let is_delta = scattered.lobe == LobeKind::Delta;
         if is_delta && scattered.transmitted == Transmitted::Yes && surface.crossing != Crossing::Scatter {
-            record!(self.recorder.leave(Continuation::Straight));
+            record!(self.recorder.leave(Continuation::unguided(InteractionKind::Straight)));
             path.continue_straight(surface);
             return path.roulette::<MEDIA>(None);
         }
         let wi = surface.frame.to_world(scattered.wi);
         if !surface.sides_agree(scattered.wi, wi) {
-            return ControlFlow::Break(path.end(Termination::Absorbed));
+            return ControlFlow::Break(path.end(PathEnd::Absorbed));
         }
         if scattered.eta != 1.0 {
             path.roulette_scale *= scattered.eta * scattered.eta;
@@ -127,12 +129,16 @@ impl<R: Recorder> Tracer<'_, R> {
             surface.cross_boundary(&mut path.medium_stack);
         }
         let origin = if is_delta {
-            record!(self.recorder.leave(Continuation::Delta(scattered.transmitted)));
+            record!(self.recorder.leave(Continuation::unguided(match scattered.transmitted {
+                Transmitted::No => InteractionKind::Reflection,
+                Transmitted::Yes => InteractionKind::Refraction,
+            })));
             SegmentOrigin::Delta
         } else {
-            let scatterer = if scattered.lobe == LobeKind::Glossy { Scatterer::Glossy } else { Scatterer::Diffuse };
+            let is_glossy = scattered.lobe == LobeKind::Glossy;
+            let interaction = if is_glossy { InteractionKind::Glossy } else { InteractionKind::Diffuse };
             record!(self.recorder.lobe_split(|| LobeSplit::new(&surface.bsdf, surface.wo, scattered.wi)));
-            record!(self.recorder.leave(Continuation::Scattered { pdf: scattered.pdf, scatterer, is_guide_sample }));
+            record!(self.recorder.leave(Continuation { interaction, is_guide_sample }));
             SegmentOrigin::Surface { light_context: *light_context, pdf: scattered.pdf }
         };
         path.previous = PreviousVertex { position: point.position, origin };

@@ -120,3 +120,142 @@ pub(crate) fn cross_boundary(medium_stack: &mut MediumStack, material: &KernelMa
         if from_back { medium_stack.remove(medium) } else { medium_stack.push(medium) }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::test_scene::prepare;
+
+    /// Two balls of different media that overlap along the x axis, a ball of a third medium within the second, and a
+    /// triangle above whose shading normals are tilted.
+    const SCENE: &str = "\
+medium a =
+ sigma_s .1
+medium b =
+ sigma_s .2
+medium c =
+ sigma_s .3
+m glass =
+ sides 1
+ ts 1 0
+ inside a
+m ice =
+ sides 1
+ ts 1 0
+ inside b
+m jelly =
+ sides 1
+ ts 1 0
+ inside c
+m wall =
+ sides 2
+ c
+ rd .5
+v p =
+ p -.5 0 0
+m glass
+sph p 1
+v q =
+ p .5 0 0
+m ice
+sph q 1
+v r =
+ p .9 0 0
+m jelly
+sph r .2
+m wall
+v s =
+ p -1 -1 3
+ n .6 0 .8
+v t =
+ p 1 -1 3
+ n .6 0 .8
+v u =
+ p 0 1 3
+ n .6 0 .8
+f s t u
+";
+
+    fn interaction<'s>(scene: &'s Prepared, ray: &Ray) -> SurfaceInteraction<'s> {
+        let hit = scene.world.intersect(ray).expect("a surface");
+        SurfaceInteraction::new(scene, ray, hit, scene.shading_point(ray, &hit))
+    }
+
+    /// Returns directions that cover the sphere evenly.
+    fn directions() -> impl Iterator<Item = Vec3A> {
+        const N: usize = 500;
+        (0..N).map(|k| {
+            let z = 1.0 - 2.0 * (k as f32 + 0.5) / N as f32;
+            let (sin, cos) = femc_math::elementary::sin_cos(2.399_963_2 * k as f32);
+            let radius = (1.0 - z * z).sqrt();
+            Vec3A::new(radius * cos, radius * sin, z)
+        })
+    }
+
+    /// Returns a ray from a point of the world.
+    fn ray(scene: &Prepared, origin: [f32; 3], dir: [f32; 3]) -> Ray {
+        let origin = Vec3A::from(origin) - scene.origin.as_vec3a();
+        Ray { origin, dir: Vec3A::from(dir).normalize(), t_max: f32::INFINITY, time: 0.5 }
+    }
+
+    #[test]
+    fn sides_agree_where_both_normals_see_a_direction_alike() {
+        let scene = prepare(SCENE);
+        let rays = [
+            ray(&scene, [-4.0, 0.0, 0.1], [1.0, 0.0, 0.0]),
+            ray(&scene, [-1.0, 0.0, 0.1], [-1.0, 0.2, 0.0]),
+            ray(&scene, [0.0, -0.2, 4.0], [0.1, 0.0, -1.0]),
+            ray(&scene, [0.0, -0.2, 2.0], [0.1, 0.0, 1.0]),
+        ];
+        for ray in rays {
+            let surface = interaction(&scene, &ray);
+            let SurfaceInteraction { point, frame, .. } = &surface;
+            let mut disagree = 0;
+            for dir in directions() {
+                let (geometric, shading) = (point.normal.dot(dir), point.shading_normal.dot(dir));
+                let agree = surface.sides_agree(frame.to_local(dir), dir);
+                if geometric.abs() > 1e-3 && shading.abs() > 1e-3 {
+                    assert_eq!(agree, (geometric > 0.0) == (shading > 0.0), "{ray:?} {dir}");
+                    assert_eq!(surface.leaves_front(dir), geometric > 0.0);
+                }
+                disagree += usize::from(!agree);
+            }
+            assert_eq!(disagree > 10, point.normal.dot(point.shading_normal) < 0.99, "{ray:?}: {disagree}");
+            assert!(surface.wo.z > 0.0 || surface.material.orientation == Orientation::Front, "{ray:?}");
+        }
+    }
+
+    /// Media between the surfaces along the x axis: none, a, a and b, b, b and c, b, none, and back.
+    #[test]
+    fn media_change_at_each_boundary_and_end_as_they_began() {
+        let scene = prepare(SCENE);
+        let medium = |name: &str| scene.scene.media.iter().position(|it| it.name == name).expect("a medium") as u16;
+        let [a, b, c] = ["a", "b", "c"].map(medium);
+        let forth: [&[u16]; 7] = [&[], &[a], &[a, b], &[b], &[b, c], &[b], &[]];
+        // On the way back, b is entered before a is.
+        let back: [&[u16]; 7] = [&[], &[b], &[b, c], &[b], &[b, a], &[a], &[]];
+        for (start, dir, expected) in [(-4.0, 1.0, forth), (4.0, -1.0, back)] {
+            let mut stack = MediumStack::default();
+            let mut ray = ray(&scene, [start, 0.01, 0.02], [dir, 0.0, 0.0]);
+            for (number, media) in expected.into_iter().enumerate() {
+                assert_eq!(stack.iter().collect::<Vec<_>>(), media, "{dir}: after {number} surfaces");
+                if number + 1 < expected.len() {
+                    let surface = interaction(&scene, &ray);
+                    surface.cross_boundary(&mut stack);
+                    ray = surface.ray_behind(&ray);
+                }
+            }
+            assert!(scene.world.intersect(&ray).is_none());
+        }
+    }
+
+    #[test]
+    fn leaving_a_medium_that_was_not_entered_changes_nothing() {
+        let scene = prepare(SCENE);
+        let inside = interaction(&scene, &ray(&scene, [1.3, 0.0, 0.0], [1.0, 0.0, 0.0]));
+        assert!(inside.back && inside.material.interior_medium.is_some());
+        let mut stack = scene.camera_medium_stack;
+        inside.cross_boundary(&mut stack);
+        assert_eq!(stack.iter().count(), 0);
+    }
+}

@@ -3,8 +3,8 @@
 use crate::camera_next_event::{CAMERA_NEXT_EVENTS, CameraSample};
 use crate::dimensions as dim;
 use crate::fog::FoggyRay;
-use crate::path_state::{PathEnd, PathState, SegmentOrigin};
-use crate::record::{Contribution, LightTechnique, RecordLevel, Recorder, Termination};
+use crate::path_state::{PathState, SegmentOrigin};
+use crate::record::{Contribution, LightTechnique, PathEnd, RecordLevel, Recorder, Termination};
 use crate::shadow::ShadowTester;
 use crate::surface::SurfaceInteraction;
 use crate::technique::MisTechnique;
@@ -186,8 +186,8 @@ impl<'a, R: Recorder> Tracer<'a, R> {
     fn trace<const MEDIA: bool, const RECORD_ALL: bool>(&mut self, mut path: PathState) -> PathSample {
         let mut out = PathSample { color: Rgb::ZERO, albedo: Rgb::ZERO, depth: f32::INFINITY };
         loop {
-            if let ControlFlow::Break(end) = self.trace_ray::<MEDIA, RECORD_ALL>(&mut path, &mut out) {
-                self.recorder.terminate(path.vertices, end.termination, end.throughput);
+            if let ControlFlow::Break(termination) = self.trace_ray::<MEDIA, RECORD_ALL>(&mut path, &mut out) {
+                self.recorder.terminate(termination);
                 break;
             }
         }
@@ -204,7 +204,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
         &mut self,
         path: &mut PathState,
         out: &mut PathSample,
-    ) -> ControlFlow<PathEnd> {
+    ) -> ControlFlow<Termination> {
         let scene = self.scene;
         path.begin_ray();
         self.counters.rays += 1;
@@ -216,7 +216,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                 return self.scatter_in_medium::<RECORD_ALL>(path, &collision, out);
             }
         }
-        let Some(hit) = hit else { return ControlFlow::Break(path.end(Termination::Escaped)) };
+        let Some(hit) = hit else { return ControlFlow::Break(path.end(PathEnd::Escaped)) };
         let point = scene.shading_point(&path.ray, &hit);
         if point.light != NONE {
             let color = path.throughput * self.emitter_hit(&path.ray, &point, &path.previous);
@@ -226,6 +226,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                 throughput: path.throughput,
                 bounce: path.bounce,
                 technique: LightTechnique::EmitterHit,
+                medium: None,
                 light: Some(point.light),
                 position: point.position,
             }));
@@ -242,9 +243,10 @@ impl<'a, R: Recorder> Tracer<'a, R> {
             let before = path.throughput;
             path.throughput *= surface.crossing.straight_through();
             path.continue_straight(&surface);
-            return path.roulette::<MEDIA>(None).map_break(|end| PathEnd {
-                termination: if is_last { Termination::Depth } else { end.termination },
+            return path.roulette::<MEDIA>(None).map_break(|termination| Termination {
+                end: if is_last { PathEnd::Depth } else { termination.end },
                 throughput: before,
+                ..termination
             });
         }
         self.scatter_at_surface::<MEDIA, RECORD_ALL>(path, &surface, out)

@@ -17,7 +17,9 @@ use femc_film::Rect;
 use femc_geometry::Ray;
 use femc_math::Rgb;
 use femc_math::color::luminance;
-use femc_montecarlo::record::{Continuation, Contribution, LightTechnique, RecordLevel, Recorder, Scatterer, Vertex};
+use femc_montecarlo::record::{
+    Continuation, Contribution, InteractionKind, LightTechnique, RecordLevel, Recorder, Termination, Vertex,
+};
 use femc_prepared::{PrepareError, Prepared, SceneSource};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
@@ -365,8 +367,7 @@ impl Recorder for PixelNoise {
     fn vertex(&mut self, _: impl FnOnce() -> Vertex) {}
 
     fn leave(&mut self, continuation: Continuation) {
-        self.diffuse_bounces +=
-            u32::from(matches!(continuation, Continuation::Scattered { scatterer: Scatterer::Diffuse, .. }));
+        self.diffuse_bounces += u32::from(continuation.interaction == InteractionKind::Diffuse);
     }
 
     fn occluded(&mut self, _: impl FnOnce() -> Ray) {}
@@ -380,7 +381,7 @@ impl Recorder for PixelNoise {
         }
     }
 
-    fn terminate(&mut self, _: u32, _: femc_montecarlo::record::Termination, _: Rgb) {}
+    fn terminate(&mut self, _: Termination) {}
 
     fn end_sample(&mut self, color: Option<Rgb>) {
         let Some(all) = color.map(|color| f64::from(luminance(color))) else { return };

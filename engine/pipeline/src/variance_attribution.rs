@@ -10,7 +10,7 @@ use crate::settings::Settings;
 use femc_film::Rect;
 use femc_math::Rgb;
 pub use femc_math::color::luminance;
-use femc_montecarlo::record::{Continuation, Contribution, LightTechnique, Recording, Step, VertexLocation};
+use femc_montecarlo::record::{Contribution, InteractionKind, LightTechnique, Recording, Step, VertexLocation};
 use femc_prepared::Prepared;
 use femc_prepared::names::LampName;
 use femc_scene::ObjectId;
@@ -105,21 +105,23 @@ impl ContributionOrigin {
     ) -> Self {
         let source = recording.last_scattering(vertices);
         let before = source.map_or(LastScatterer::Camera, |step| scatterer(prepared, step.vertex.location));
+        let in_medium = contribution.medium.map_or(before, LastScatterer::Medium);
         let (kind, last_scatterer) = match contribution.technique {
             LightTechnique::CameraNextEvent => (ContributionKind::CameraNextEvent, LastScatterer::Camera),
-            LightTechnique::EmitterHit => match source.map(|step| step.continuation) {
+            LightTechnique::EmitterHit => match source.map(Step::interaction) {
                 None => (ContributionKind::CameraHit, LastScatterer::Camera),
-                Some(Some(Continuation::Delta(_))) => (ContributionKind::SpecularHit, before),
+                Some(InteractionKind::Reflection | InteractionKind::Refraction) => {
+                    (ContributionKind::SpecularHit, before)
+                }
                 Some(_) => (ContributionKind::ScatteredHit, before),
             },
             LightTechnique::NextEvent => (ContributionKind::NextEvent, before),
-            LightTechnique::Airlight(medium) => (ContributionKind::Airlight, LastScatterer::Medium(medium)),
-            LightTechnique::Glow(medium) => (ContributionKind::Glow, LastScatterer::Medium(medium)),
+            LightTechnique::Airlight => (ContributionKind::Airlight, in_medium),
+            LightTechnique::Glow => (ContributionKind::Glow, in_medium),
             LightTechnique::Field => (ContributionKind::Field, before),
         };
         let lamp = contribution.light.and_then(|light| lamps.lamp_of_light.get(light as usize).copied());
-        let guided =
-            |step: &Step| matches!(step.continuation, Some(Continuation::Scattered { is_guide_sample: true, .. }));
+        let guided = |step: &Step| step.continuation.is_some_and(|continuation| continuation.is_guide_sample);
         // The direction in which the path leaves a vertex does not affect a lamp that was sampled there.
         let left = vertices.saturating_sub(usize::from(matches!(
             contribution.technique,

@@ -53,6 +53,17 @@ impl Default for LightInstance {
     }
 }
 
+/// A point on the surface of a light, prepared frame.
+#[derive(Clone, Copy, Debug)]
+pub struct EmitterPoint {
+    /// Index of the light.
+    pub light: u32,
+    /// Geometric normal, unit, on the front side.
+    pub normal: Vec3A,
+    /// Parametric coordinates on the light's primitive.
+    pub parametric: [f32; 2],
+}
+
 impl Lights {
     /// Combines lights with their entries (same length and order) in `world`.
     /// - `extinction`: extinction of the media at a point of the prepared frame, 1/m.
@@ -262,17 +273,15 @@ impl Lights {
         )
     }
 
-    /// Returns the radiance, cd/m2, that the light emits in `dir` (unit, away from it) from a point with `normal`.
+    /// Returns the radiance, cd/m2, that a light emits from a point in `dir` (unit, away from it).
     #[inline]
     pub fn radiance(
         &self,
         world: &World,
         textures: &[Texture],
-        light: u32,
-        time: f32,
-        normal: Vec3A,
+        &EmitterPoint { light, normal, parametric }: &EmitterPoint,
         dir: Vec3A,
-        parametric: [f32; 2],
+        time: f32,
     ) -> Rgb {
         let instance = &self.instances[light as usize];
         let source = &self.lights[light as usize];

@@ -6,6 +6,7 @@ use femc_field::{Cell, Form, Leaf, NONE, Side, Surface, SurfaceSpot};
 use femc_math::Rgb;
 use femc_math::color::luminance;
 use femc_math::glam::{Vec2, Vec3A};
+use femc_prepared::lights::EmitterPoint;
 use femc_prepared::{KernelMaterial, Prepared};
 use std::f32::consts::FRAC_1_PI;
 
@@ -125,8 +126,8 @@ impl<'a> SolutionView<'a> {
         });
         let front = if side == Side::Back { -spot.normal } else { spot.normal };
         let Prepared { lights, world, textures, .. } = self.prepared;
-        let light = group.first_light + emitter;
-        finite_or_zero(lights.radiance(world, textures, light, SHUTTER_TIME, front, spot.normal, parametric))
+        let point = EmitterPoint { light: group.first_light + emitter, normal: front, parametric };
+        finite_or_zero(lights.radiance(world, textures, &point, spot.normal, SHUTTER_TIME))
     }
 
     /// Returns the totals over all leaves.

@@ -32,7 +32,7 @@ impl Scheduler {
         if !job.is_some_and(|job| is_valid_result(job, &task.stage, size.units, &result)) {
             let message = "the result does not fit the task".to_owned();
             let refusal = Refusal::Invalid { field: "result".into(), message: message.clone() };
-            return self.reject_result(worker, task, epoch, Failure::Panicked { message }, refusal, now, out);
+            return self.reject_result(worker, (task, epoch), Failure::Panicked { message }, refusal, now, out);
         }
         let round = job.and_then(|job| job.unfinished.get(&task.stage.frame)).map_or(0, |progress| progress.round);
         let fact = Fact::Done { task, end, epoch, leased: granted, result: Box::new(result) };
@@ -79,37 +79,28 @@ impl Scheduler {
         out: &mut Vec<Command>,
     ) {
         self.record_message(worker, now);
-        self.end_failed_attempt(worker, task, epoch, failure, Command::Accept { worker, task, epoch }, now, out);
+        self.end_failed_attempt(worker, (task, epoch), failure, Command::Accept { worker, task, epoch }, now, out);
     }
 
     /// Counts an invalid result as a failure, and refuses the worker's report.
     pub(crate) fn reject_result(
         &mut self,
         worker: WorkerId,
-        task: TaskKey,
-        epoch: Epoch,
+        (task, epoch): LeaseKey,
         failure: Failure,
         refusal: Refusal,
         now: Tick,
         out: &mut Vec<Command>,
     ) {
         self.record_message(worker, now);
-        self.end_failed_attempt(
-            worker,
-            task,
-            epoch,
-            failure,
-            Command::Refuse { worker, task, epoch, refusal },
-            now,
-            out,
-        );
+        let answer = Command::Refuse { worker, task, epoch, refusal };
+        self.end_failed_attempt(worker, (task, epoch), failure, answer, now, out);
     }
 
     fn end_failed_attempt(
         &mut self,
         worker: WorkerId,
-        task: TaskKey,
-        epoch: Epoch,
+        (task, epoch): LeaseKey,
         failure: Failure,
         answer: Command,
         now: Tick,

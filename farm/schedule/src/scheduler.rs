@@ -179,7 +179,7 @@ impl Scheduler {
             }
             Event::ArtifactMissing { worker, task, epoch, artifact, message } => {
                 let (failure, refusal) = (Failure::Store { message }, Refusal::NoSuchArtifact { digest: artifact });
-                self.reject_result(worker, task, epoch, failure, refusal, now, out);
+                self.reject_result(worker, (task, epoch), failure, refusal, now, out);
             }
             Event::Failed { worker, task, epoch, failure } => {
                 self.handle_failed(worker, task, epoch, failure, now, out);

@@ -194,7 +194,7 @@ impl Recorder for FeatureRecorder<'_> {
 
     fn contribution(&mut self, _: impl FnOnce() -> Contribution) {}
 
-    fn terminate(&mut self, _: u32, _: Termination, _: Rgb) {}
+    fn terminate(&mut self, _: Termination) {}
 
     fn end_sample(&mut self, color: Option<Rgb>) {
         // Samples that the film rejects do not count here either.

@@ -14,8 +14,8 @@ use femc_layers::{DEAD_STATE, EventKind, LabelOffset, LayerSetIndex, NO_LAYERS, 
 use femc_math::Rgb;
 use femc_math::sampler::replicate_of;
 use femc_montecarlo::record::{
-    Continuation, Contribution, LightTechnique, LobeShares, LobeSplit, RecordLevel, Recorder, Scatterer, Termination,
-    Transmitted, Vertex, VertexLocation,
+    Continuation, Contribution, InteractionKind, LightTechnique, LobeShares, LobeSplit, RecordLevel, Recorder,
+    Termination, Transmitted, Vertex, VertexLocation,
 };
 use femc_prepared::Prepared;
 
@@ -298,12 +298,13 @@ impl Recorder for LayerRecorder<'_> {
 
     #[inline]
     fn leave(&mut self, continuation: Continuation) {
-        let event = match continuation {
-            Continuation::Straight => return,
-            Continuation::Delta(Transmitted::No) => self.labels.symbol(EventKind::ReflectedSpecular),
-            Continuation::Delta(Transmitted::Yes) => self.labels.symbol(EventKind::TransmittedSpecular),
-            Continuation::Scattered { scatterer: Scatterer::Phase, .. } => self.labels.symbol(EventKind::Volume),
-            Continuation::Scattered { scatterer: Scatterer::Diffuse | Scatterer::Glossy, .. } => {
+        let event = match continuation.interaction {
+            // A path continues neither after absorption nor at an emitter.
+            InteractionKind::Straight | InteractionKind::Absorbed | InteractionKind::Emission => return,
+            InteractionKind::Reflection => self.labels.symbol(EventKind::ReflectedSpecular),
+            InteractionKind::Refraction => self.labels.symbol(EventKind::TransmittedSpecular),
+            InteractionKind::Volume => self.labels.symbol(EventKind::Volume),
+            InteractionKind::Diffuse | InteractionKind::Glossy => {
                 let [diffuse, glossy] = lobes(self.labels, self.split.transmitted);
                 match self.split.lobes {
                     LobeShares::Diffuse => diffuse,
@@ -322,27 +323,24 @@ impl Recorder for LayerRecorder<'_> {
 
     #[inline]
     fn contribution(&mut self, contribution: impl FnOnce() -> Contribution) {
-        let Contribution { color, technique: found, light, .. } = contribution();
+        let Contribution { color, technique, medium, light, .. } = contribution();
         if color == Rgb::ZERO {
             return;
         }
         let lamp = self.plan.lamp(light).symbol(EventKind::Light);
-        match found {
+        let medium = medium.map_or(self.plan.plain, |medium| self.plan.medium(medium));
+        match technique {
             // The field ends paths only with the method `fem`, which has no layers.
             LightTechnique::CameraNextEvent | LightTechnique::EmitterHit | LightTechnique::Field => {
                 self.notes.note_light(color, Symbol::NONE, lamp);
             }
             LightTechnique::NextEvent => self.note_scattered_light(color, lamp),
-            LightTechnique::Airlight(medium) => {
-                self.notes.note_light(color, self.plan.medium(medium).symbol(EventKind::Volume), lamp);
-            }
-            LightTechnique::Glow(medium) => {
-                self.notes.note_light(color, Symbol::NONE, self.plan.medium(medium).symbol(EventKind::Object));
-            }
+            LightTechnique::Airlight => self.notes.note_light(color, medium.symbol(EventKind::Volume), lamp),
+            LightTechnique::Glow => self.notes.note_light(color, Symbol::NONE, medium.symbol(EventKind::Object)),
         }
     }
 
-    fn terminate(&mut self, _: u32, _: Termination, _: Rgb) {}
+    fn terminate(&mut self, _: Termination) {}
 
     #[inline]
     fn end_sample(&mut self, color: Option<Rgb>) {

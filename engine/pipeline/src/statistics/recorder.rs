@@ -7,8 +7,7 @@ use femc_math::Rgb;
 use femc_math::color::luminance;
 use femc_math::hash::HashPrefix;
 use femc_montecarlo::record::{
-    Continuation, Contribution, LightTechnique as TracedTechnique, RecordLevel, Recorder, Scatterer, Termination,
-    Transmitted, Vertex, VertexLocation,
+    Continuation, Contribution, RecordLevel, Recorder, Step, Termination, Vertex, VertexLocation,
 };
 use femc_paths::pixels::PixelSums;
 use femc_paths::record::{MAX_INTERSECTIONS, MAX_LIGHTS};
@@ -37,9 +36,8 @@ pub(crate) struct PathRecorder<'a> {
     is_wanted: bool,
     /// Current pixel.
     current_pixel: Option<u32>,
-    depth: u32,
-    stop: (Termination, Rgb),
-    steps: Vec<(Vertex, Option<Continuation>)>,
+    termination: Termination,
+    steps: Vec<Step>,
     lights: Vec<RecordedLight>,
     occluder: Option<Name>,
 }
@@ -57,8 +55,7 @@ impl<'a> PathRecorder<'a> {
             is_recorded: false,
             is_wanted: false,
             current_pixel: None,
-            depth: 0,
-            stop: (Termination::Escaped, Rgb::ZERO),
+            termination: Termination { end: PathEnd::Escaped, vertices: 0, throughput: Rgb::ZERO },
             steps: Vec::new(),
             lights: Vec::new(),
             occluder: None,
@@ -102,27 +99,27 @@ impl<'a> PathRecorder<'a> {
     }
 
     fn path(&self, color: Rgb) -> LightPath {
-        let (stop, throughput) = self.stop;
+        let Termination { end, vertices, throughput } = self.termination;
         let mut path = LightPath {
             key: self.key,
             radiance: color.to_array(),
             throughput: throughput.to_array(),
-            depth: self.depth,
-            end: path_end(stop),
-            intersections: self.steps.iter().map(|(vertex, leaving)| self.intersection(vertex, *leaving)).collect(),
+            depth: vertices,
+            end,
+            intersections: self.steps.iter().map(|step| self.intersection(step)).collect(),
             lights: self.lights.iter().map(|looked| self.recorded_light(looked)).collect(),
         };
         // The emission of a vertex is reported before the vertex itself.
         let own = |index: usize| {
             let before =
                 self.lights.iter().rev().skip_while(|light| light.1 > index).take_while(|light| light.1 == index);
-            let met = before.map(|light| &light.0).find(|found| found.technique == TracedTechnique::EmitterHit);
-            met.filter(|found| found.position == self.steps[index].0.position)
+            let met = before.map(|light| &light.0).find(|found| found.technique == LightTechnique::EmitterHit);
+            met.filter(|found| found.position == self.steps[index].vertex.position)
         };
         let sent = path.outgoing_radiance(|index| own(index).is_some());
         path.intersections.iter_mut().zip(sent).for_each(|(it, sent)| it.radiance = sent);
         // The path has left all its vertices except the last.
-        if let (Some(last), Some((_, None))) = (path.intersections.last_mut(), self.steps.last())
+        if let (Some(last), Some(Step { continuation: None, .. })) = (path.intersections.last_mut(), self.steps.last())
             && own(self.steps.len() - 1).is_some_and(|own| own.color != Rgb::ZERO)
         {
             last.interaction = InteractionKind::Emission;
@@ -133,38 +130,23 @@ impl<'a> PathRecorder<'a> {
     }
 
     fn recorded_light(&self, (contribution, vertices, occluder): &RecordedLight) -> LightRecord {
-        let light = match (contribution.technique, contribution.light) {
-            (TracedTechnique::Glow(medium), None) => self.names.medium(medium),
-            (_, light) => light.map_or(Name::NONE, |light| self.names.lamp(light)),
-        };
-        let (technique, medium) = match contribution.technique {
-            TracedTechnique::CameraNextEvent => (LightTechnique::CameraNextEvent, Name::NONE),
-            TracedTechnique::EmitterHit => (LightTechnique::EmitterHit, Name::NONE),
-            TracedTechnique::NextEvent => (LightTechnique::NextEvent, Name::NONE),
-            TracedTechnique::Airlight(medium) => (LightTechnique::Airlight, self.names.medium(medium)),
-            TracedTechnique::Glow(_) => (LightTechnique::Glow, Name::NONE),
-            TracedTechnique::Field => (LightTechnique::Field, Name::NONE),
+        let &Contribution { technique, light, .. } = contribution;
+        let medium = contribution.medium.map_or(Name::NONE, |medium| self.names.medium(medium));
+        let (light, medium) = match technique {
+            LightTechnique::Glow => (medium, Name::NONE),
+            _ => (light.map_or(Name::NONE, |light| self.names.lamp(light)), medium),
         };
         let (vertex, radiance) = (*vertices as u32, contribution.color.to_array());
         LightRecord { vertex, light, medium, radiance, occluder: *occluder, technique }
     }
 
-    fn intersection(&self, vertex: &Vertex, leaving: Option<Continuation>) -> Intersection {
-        let names = self.names;
+    fn intersection(&self, step: &Step) -> Intersection {
+        let (names, vertex) = (self.names, &step.vertex);
         let (object, material) = match vertex.location {
             VertexLocation::Surface { instance, primitive, material } => {
                 (names.object(names.prepared.object_of(instance, primitive)), names.material(material))
             }
             VertexLocation::Medium(medium) => (Name::NONE, names.medium(medium)),
-        };
-        let interaction = match leaving {
-            None => InteractionKind::Absorbed,
-            Some(Continuation::Straight) => InteractionKind::Straight,
-            Some(Continuation::Delta(Transmitted::No)) => InteractionKind::Reflection,
-            Some(Continuation::Delta(Transmitted::Yes)) => InteractionKind::Refraction,
-            Some(Continuation::Scattered { scatterer: Scatterer::Diffuse, .. }) => InteractionKind::Diffuse,
-            Some(Continuation::Scattered { scatterer: Scatterer::Glossy, .. }) => InteractionKind::Glossy,
-            Some(Continuation::Scattered { scatterer: Scatterer::Phase, .. }) => InteractionKind::Volume,
         };
         Intersection {
             bounce: vertex.bounce,
@@ -173,23 +155,13 @@ impl<'a> PathRecorder<'a> {
             throughput: vertex.throughput.to_array(),
             object,
             material,
-            interaction,
+            interaction: step.interaction(),
         }
     }
 }
 
 /// Maximum number of clear surfaces to pass in the search for an occluder.
 const MAX_CLEAR_SURFACES: usize = 256;
-
-fn path_end(stop: Termination) -> PathEnd {
-    match stop {
-        Termination::Escaped => PathEnd::Escaped,
-        Termination::Absorbed => PathEnd::Absorbed,
-        Termination::Roulette => PathEnd::Roulette,
-        Termination::Depth => PathEnd::Depth,
-        Termination::Field => PathEnd::Field,
-    }
-}
 
 impl Recorder for PathRecorder<'_> {
     #[inline(always)]
@@ -211,12 +183,12 @@ impl Recorder for PathRecorder<'_> {
     }
 
     fn vertex(&mut self, vertex: impl FnOnce() -> Vertex) {
-        self.steps.push((vertex(), None));
+        self.steps.push(Step { vertex: vertex(), continuation: None });
     }
 
     fn leave(&mut self, continuation: Continuation) {
         if let Some(last) = self.steps.last_mut() {
-            last.1 = Some(continuation);
+            last.continuation = Some(continuation);
         }
     }
 
@@ -226,15 +198,15 @@ impl Recorder for PathRecorder<'_> {
 
     fn contribution(&mut self, contribution: impl FnOnce() -> Contribution) {
         let (contribution, occluder) = (contribution(), self.occluder.take());
-        let is_drawn = matches!(contribution.technique, TracedTechnique::NextEvent | TracedTechnique::Airlight(_));
+        let is_drawn = matches!(contribution.technique, LightTechnique::NextEvent | LightTechnique::Airlight);
         if contribution.color != Rgb::ZERO || is_drawn && contribution.light.is_some() {
             self.lights.push((contribution, self.steps.len(), occluder));
         }
     }
 
     #[inline]
-    fn terminate(&mut self, vertices: u32, termination: Termination, throughput: Rgb) {
-        (self.depth, self.stop) = (vertices, (termination, throughput));
+    fn terminate(&mut self, termination: Termination) {
+        self.termination = termination;
     }
 
     #[inline(always)]
@@ -245,15 +217,15 @@ impl Recorder for PathRecorder<'_> {
             counters.invalid += 1;
             return;
         };
-        let (stop, throughput) = self.stop;
+        let Termination { end, vertices, throughput } = self.termination;
         let luminance = luminance(color);
-        counters.count(luminance, self.depth, path_end(stop));
+        counters.count(luminance, vertices, end);
         let greatest = throughput.max_element().max(0.0);
         if let Some(pixel) = self.recorded.pixels[half].last_mut() {
-            pixel.count(luminance, greatest, self.depth);
+            pixel.count(luminance, greatest, vertices);
         }
         self.recorded.bright.offer(luminance, self.hash, self.key);
-        if self.depth >= DEEP_PATH_DEPTH {
+        if vertices >= DEEP_PATH_DEPTH {
             self.recorded.deep.offer(greatest, self.hash, self.key);
         }
         if self.is_wanted {

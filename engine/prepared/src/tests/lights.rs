@@ -2,6 +2,7 @@
 
 use super::midpoints;
 use crate::compile::NONE;
+use crate::lights::EmitterPoint;
 use crate::{FrameSpec, Prepared, SceneSource, prepare_frame};
 use femc_emission::LightWeights;
 use femc_import::{Bundle, load_scene};
@@ -65,8 +66,8 @@ fn radiance_is_emittance_over_pi_on_the_sides_that_emit() {
     let prepared = prepare(LAMPS);
     let radiance = |center: [f64; 3], normal: Vec3A, dir: Vec3A| {
         let light = light_at(&prepared, DVec3::from_array(center));
-        let lights = &prepared.lights;
-        let value = lights.radiance(&prepared.world, &prepared.textures, light, SHUTTER, normal, dir, [0.2; 2]);
+        let (lights, point) = (&prepared.lights, EmitterPoint { light, normal, parametric: [0.2; 2] });
+        let value = lights.radiance(&prepared.world, &prepared.textures, &point, dir, SHUTTER);
         f64::from(luminance(value))
     };
     let down = Vec3A::new(0.6, 0.0, -0.8);

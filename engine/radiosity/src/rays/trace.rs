@@ -12,6 +12,7 @@ use femc_geometry::{Ray, offset_origin};
 use femc_math::color::luminance;
 use femc_math::glam::{Vec2, Vec3A};
 use femc_math::{Frame, Rgb, warp};
+use femc_prepared::lights::EmitterPoint;
 use femc_prepared::media::{DistanceSample, MediumStack};
 use femc_prepared::{Crossing, Orientation};
 use femc_scattering::{LobeKind, Transmitted};
@@ -127,9 +128,9 @@ pub(super) fn trace_ray(
         let is_back = point.normal.dot(ray.dir) > 0.0;
         if is_bent && point.light != NONE {
             // Light that arrives without a change of direction is covered by the links with lamps.
-            let (lights, world) = (&prepared.lights, &prepared.world);
-            let lamp = (point.light, SHUTTER_TIME, point.normal, -ray.dir, point.parametric);
-            let radiance = lights.radiance(world, &prepared.textures, lamp.0, lamp.1, lamp.2, lamp.3, lamp.4);
+            let (lights, world, textures) = (&prepared.lights, &prepared.world, &prepared.textures);
+            let lamp = EmitterPoint { light: point.light, normal: point.normal, parametric: point.parametric };
+            let radiance = lights.radiance(world, textures, &lamp, -ray.dir, SHUTTER_TIME);
             if radiance != Rgb::ZERO {
                 return RayHit { share: share * PI * luminance(radiance), target: target(way), ..nothing };
             }

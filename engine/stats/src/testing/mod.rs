@@ -7,7 +7,7 @@ pub mod gamma;
 pub mod variants;
 pub mod ztest;
 
-pub use chi2::{Chi2, sphere_test};
+pub use chi2::{Chi2, pooled_test, sphere_test};
 pub use variants::assert_covers;
 pub use ztest::{Moments, z_test};
 

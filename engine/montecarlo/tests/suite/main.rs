@@ -1,0 +1,3 @@
+//! Tests of the path loop through its public interface.
+
+mod analytic;

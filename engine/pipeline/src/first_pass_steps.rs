@@ -49,8 +49,7 @@ fn count_group_surfaces(scene: &Scene, group: usize, known: &mut [Option<u64>]) 
 
 /// Returns the number of blocks of a job's first pass, from its graph; 1: it is one task, or there is none.
 pub fn planned_first_pass_blocks(graph: &Graph) -> u32 {
-    let blocks = graph.stages.iter().filter(|stage| stage.kind == StageKind::FirstPassBlock);
-    blocks.map(StageTemplate::tasks).max().unwrap_or(1)
+    graph.stage_of_kind(StageKind::FirstPassRays).map_or(1, |(_, stage)| stage.tasks())
 }
 
 /// Returns the graph of a job with its first pass split into `blocks` blocks. A job without a first pass stays unchanged.
@@ -70,38 +69,31 @@ pub fn split_first_pass(graph: Graph, method: Method, blocks: u32) -> Graph {
 }
 
 fn first_pass_stages(method: Method, blocks: u32) -> Vec<StageTemplate> {
-    let of =
-        |kind, tasks, outputs: &[Role]| StageTemplate::new(kind, Scope::Content, TaskSizes::even(tasks, 1), outputs);
-    let one = |outputs: &[Role]| of(StageKind::FirstPass, 1, outputs);
-    let block = |outputs: &[Role]| of(StageKind::FirstPassBlock, blocks, outputs);
-    let mut all = vec![one(&[Role::Elements, Role::Links])];
-    // Stages that make the latest elements and guides.
-    let (mut elements, mut guides) = (0, None);
+    let step = |kind, tasks, role| StageTemplate::new(kind, Scope::Content, TaskSizes::even(tasks, 1), &[role]);
+    let one = |kind| step(kind, 1, Role::SolverState);
+    let block = |kind| step(kind, blocks, Role::SolverState);
+    let read = |stage: StageTemplate, from: &[u16]| {
+        from.iter().fold(stage, |stage, &number| stage.with_input(number, Role::SolverState, Reach::All))
+    };
+    let has_guides = solver_options(method).guides;
+    let mut all = vec![one(StageKind::FirstPassStart)];
+    // Stages that made the latest elements, the links, and the latest guides.
+    let mut latest = vec![0];
     for round in 1..=ROUNDS {
-        let begin = |stage: StageTemplate| {
-            let stage = stage.with_input(elements, Role::Elements, Reach::All).with_input(0, Role::Links, Reach::All);
-            if let Some(guides) = guides { stage.with_input(guides, Role::Guides, Reach::All) } else { stage }
-        };
         let rays = all.len() as u16;
-        let is_end = round == ROUNDS && !solver_options(method).guides;
-        let settle = begin(one(if is_end { &[Role::Field] } else { &[Role::Elements] }));
-        all.push(begin(block(&[Role::Rays])));
-        all.push(settle.with_input(rays, Role::Rays, Reach::All));
-        if is_end {
+        all.push(read(block(StageKind::FirstPassRays), &latest));
+        latest.push(rays);
+        if round == ROUNDS && !has_guides {
             break;
         }
-        elements = rays + 1;
-        if !solver_options(method).guides {
-            continue;
-        }
-        guides = Some(rays + 2);
-        let guide = block(&[Role::Guides]).with_input(elements, Role::Elements, Reach::All);
-        all.push(guide.with_input(0, Role::Links, Reach::All).with_input(rays, Role::Rays, Reach::All));
-        if round == ROUNDS {
-            let end = one(&[Role::Field]).with_input(elements, Role::Elements, Reach::All);
-            all.push(end.with_input(0, Role::Links, Reach::All).with_input(rays + 2, Role::Guides, Reach::All));
+        all.push(read(one(StageKind::FirstPassSolve), &latest));
+        latest = vec![rays + 1, 0];
+        if has_guides {
+            all.push(read(block(StageKind::FirstPassGuides), &[rays + 1, 0, rays]));
+            latest.push(rays + 2);
         }
     }
+    all.push(read(step(StageKind::FirstPassFinish, 1, Role::Field), &latest));
     all
 }
 
@@ -138,7 +130,7 @@ pub fn apply_first_pass_hits(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{job_graph, tiles_per_group};
+    use crate::{StepDecodeError, job_graph, tiles_per_group};
     use femc_film::Tiling;
     use femc_graph::{Round, tag};
 
@@ -154,7 +146,7 @@ mod tests {
                 );
                 let cut = split_first_pass(whole.clone(), method, 7);
                 assert_eq!((planned_first_pass_blocks(&cut), cut.stages.len()), (7, whole.stages.len() - 1 + count));
-                assert!(cut.stages.iter().all(|stage| stage.tags == [tag::FIRST_PASS, tag::FIRST_PASS_BLOCKS]));
+                assert!(cut.stages.iter().all(|stage| stage.tags == [tag::FIRST_PASS, tag::TASK_KINDS]));
                 let cut = cut.stages;
                 for (number, stage) in cut.iter().enumerate() {
                     for need in &stage.needs {
@@ -261,12 +253,23 @@ m gray\nf a b c d\nf e f g h\nsph i 0.3\nm bright\nsph j 0.2\n";
         assert!(SolverState::decode(&other, &others, &links).is_err());
         assert!(SolverState::decode(&one, &elements, &links_of_others).is_err());
         assert!(SolverState::decode(&one, &links, &links).is_err() && RayHits::decode(&guides).is_err());
-        assert!(small.with_hits(vec![RayHits::decode(&rays).unwrap()]).is_err());
+        assert!(small.clone().with_hits(vec![RayHits::decode(&rays).unwrap()]).is_err());
         for cut in [1, 2, 9, 101, usize::MAX] {
             let of = |bytes: &[u8]| bytes[..bytes.len().saturating_sub(cut)].to_vec();
             assert!(SolverState::decode(&one, &of(&elements), &links).is_err());
             assert!(SolverState::decode(&one, &elements, &of(&links)).is_err());
             assert!(RayHits::decode(&of(&rays)).is_err() && BlockGuides::decode(&of(&guides)).is_err());
+        }
+        let start = small.encode_start();
+        assert_eq!(SolverState::split_start(&start), Ok((&others[..], &links_of_others[..])));
+        assert!(SolverState::split_start(&start[..7]).is_err() && SolverState::split_start(&start[..99]).is_err());
+        for bytes in [elements, rays, guides] {
+            let mut other = bytes;
+            other[8] += 1;
+            let error = SolverState::decode(&one, &other, &links).unwrap_err();
+            assert_eq!(error, StepDecodeError::Version(2));
+            assert!(error.to_string().contains("has version 2, and this program reads only version 1"), "{error}");
+            assert_eq!(RayHits::decode(&other).unwrap_err(), error);
         }
     }
 

@@ -92,6 +92,7 @@ mod tests {
 
     #[test]
     fn steps_of_a_first_pass_get_their_kinds_and_share_one_role() {
+        use StageKind::{FirstPassFinish, FirstPassGuides, FirstPassRays, FirstPassSolve, FirstPassStart, Render};
         let read = |template: StageTemplate, from: &[(u16, Role)]| {
             from.iter().fold(template, |template, &(number, role)| template.with_input(number, role, Reach::All))
         };
@@ -108,11 +109,10 @@ mod tests {
                 stage(StageKind::FirstPass, &[Role::Field]),
                 &[(2, Role::Elements), (0, Role::Links), (3, Role::Guides)],
             ),
-            read(stage(StageKind::Render, &[Role::Tile]), &[(4, Role::Field)]),
+            read(stage(Render, &[Role::Tile]), &[(4, Role::Field)]),
         ];
         let graph = Graph { stages }.updated();
         let kinds: Vec<StageKind> = graph.stages.iter().map(|stage| stage.kind).collect();
-        use StageKind::{FirstPassFinish, FirstPassGuides, FirstPassRays, FirstPassSolve, FirstPassStart, Render};
         assert_eq!(kinds, [FirstPassStart, FirstPassRays, FirstPassSolve, FirstPassGuides, FirstPassFinish, Render]);
         let needs = |number: usize| -> Vec<(u16, Role)> {
             graph.stages[number].needs.iter().map(|need| (need.stage, need.role)).collect()

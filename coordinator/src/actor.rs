@@ -4,21 +4,18 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use femc_fault::{Point, pass_point, pass_point_async};
-use femc_model::{
-    Digest, Failure, FromWorker, JobId, JobStatus, Month, OwnerUsage, Refusal, TaskFilter, TaskPage, TaskUsage, Tick,
-    ToWorker, WorkerId, WorkerList, WorkerStatus,
-};
-use femc_proto::{AttemptPage, Backup, Call, ChangeScope, Changes, JobList, JobShape, References, Reply, Session};
-use femc_queue::{Batch, Note, Queue, QueueError, Remedy};
-use femc_schedule::{Command, Event, Fact, RequestId, Roster, Scheduler, SnapshotError};
+use femc_model::{Digest, Failure, FromWorker, JobId, Month, Refusal, Tick, ToWorker, WorkerId};
+use femc_proto::{Call, Reply, Session};
+use femc_queue::{Batch, Queue, Remedy};
+use femc_schedule::{Command, Event, Fact, RequestId, Roster, Scheduler};
 use femc_store::Store;
 use jiff::Timestamp;
 use jiff::tz::TimeZone;
-use tokio::sync::{mpsc, oneshot, watch};
+use tokio::sync::{mpsc, oneshot};
 use tokio::time::Instant;
 
 use crate::announce::Announcer;
-use crate::attempts::{self, EndedAttempts};
+use crate::attempts::EndedAttempts;
 use crate::clock::Clock;
 use crate::config::{Config, CoordinatorError};
 use crate::disks::Disks;
@@ -27,10 +24,10 @@ use crate::execute::WatchedJob;
 use crate::full_log::{ActorInputs, PendingBatch};
 use crate::janitor::Janitor;
 use crate::metrics::{CurrentFigures, Metrics};
+use crate::queries::Query;
+use crate::roster::ROSTER_SUBJECT;
 use crate::session::{self, WorkerSession};
-
-/// Subject of the note with the roster of workers. Other subjects are job numbers, which begin with 1.
-pub const ROSTER_SUBJECT: u64 = 0;
+use crate::worker_events::{artifact_missing, take_log, take_usage, to_event};
 
 /// Event from the reader of a session.
 #[derive(Debug)]
@@ -48,29 +45,6 @@ pub(crate) enum SessionEvent {
 pub(crate) enum PendingReply {
     Submit(Reply<JobId>),
     Control(Reply<()>),
-}
-
-/// A call whose answer changes nothing. It is answered when all earlier facts are durable.
-#[derive(Debug)]
-enum Query {
-    List(Reply<JobList>),
-    Changes(ChangeScope, Reply<Changes>),
-    Status(JobId, Reply<JobStatus>),
-    Watch(JobId, Reply<watch::Receiver<JobStatus>>),
-    Parts(JobId, Reply<Vec<femc_model::FrameParts>>),
-    Producer(JobId, Digest, Reply<Option<femc_model::TaskKey>>),
-    Frames(JobId, Reply<Vec<femc_model::FrameRecord>>),
-    Logs(JobId, Tick, Reply<Vec<femc_model::LogRecord>>),
-    Shape(JobId, Reply<JobShape>),
-    FrameTable(JobId, Reply<Vec<femc_model::FrameStatus>>),
-    Tasks(JobId, TaskFilter, u64, usize, Reply<TaskPage>),
-    Attempts(JobId, u64, Reply<AttemptPage>),
-    Workers(Reply<WorkerList>),
-    Usage(Reply<Vec<OwnerUsage>>),
-    Drained(Result<Vec<WorkerId>, Refusal>, Reply<Vec<WorkerId>>),
-    Done(Reply<()>),
-    References(Reply<References>),
-    Backup(Reply<Backup>),
 }
 
 /// State of the actor: the shell around the scheduler.
@@ -101,12 +75,12 @@ pub(crate) struct Actor<Q> {
     /// Roster of known workers, connected or not.
     pub(crate) roster: Roster,
     /// Whether the roster has changed since its last note.
-    is_roster_dirty: bool,
+    pub(crate) is_roster_dirty: bool,
     /// Time of the next roster note, if workers are connected.
     next_roster_note: Instant,
     /// Events raised while commands were executed, such as broken sessions.
     pub(crate) follow_up_events: VecDeque<Event>,
-    queries: Vec<Query>,
+    pub(crate) queries: Vec<Query>,
     /// Received heartbeats without an answer, with their numbers.
     heartbeats: Vec<(WorkerId, u64)>,
     numbers: u64,
@@ -478,109 +452,6 @@ impl<Q: Queue> Actor<Q> {
         self.send_to_worker(worker, ToWorker::Renewed { heartbeat, leases, intake });
     }
 
-    async fn answer_queries(&mut self) -> Result<(), CoordinatorError> {
-        let now = self.clock.now();
-        // The send fails if the caller has disconnected. This is ignored.
-        for question in std::mem::take(&mut self.queries) {
-            match question {
-                Query::List(reply) => {
-                    let jobs = self.scheduler.jobs(now).into_iter();
-                    let jobs = jobs.map(|status| self.targets.fill(&self.scheduler, status)).collect();
-                    let warnings = self.disks.warnings();
-                    drop(reply.send(Ok(JobList { jobs, warnings })));
-                }
-                Query::Changes(news, reply) => drop(reply.send(Ok(self.changes(news)))),
-                Query::Status(job, reply) => {
-                    drop(reply.send(self.targets.status(&self.scheduler, job, now)));
-                }
-                Query::Watch(job, reply) => drop(reply.send(self.watch(job))),
-                Query::Parts(job, reply) => drop(reply.send(self.scheduler.partial_frames(job))),
-                Query::Producer(job, digest, reply) => drop(reply.send(self.scheduler.producer(job, &digest))),
-                Query::Frames(job, reply) => drop(reply.send(self.scheduler.frames(job))),
-                Query::Logs(job, since, reply) => drop(reply.send(self.scheduler.logs(job, since))),
-                Query::Shape(job, reply) => drop(reply.send(self.shape(job))),
-                Query::FrameTable(job, reply) => drop(reply.send(self.scheduler.frame_table(job))),
-                Query::Tasks(job, filter, from, count, reply) => {
-                    drop(reply.send(self.scheduler.tasks(job, filter, from, count, now)));
-                }
-                Query::Attempts(job, from, reply) => {
-                    let page = match self.queue.notes(job.0, from).await {
-                        Ok(page) => Ok(attempts::decode_page(page)),
-                        Err(error) if error.remedy() == Remedy::Reopen => return Err(error.into()),
-                        // Notes are stored beside the log. The log works without them.
-                        Err(error) => {
-                            Err(Refusal::Unavailable { message: format!("cannot read the attempts: {error}") })
-                        }
-                    };
-                    drop(reply.send(page));
-                }
-                Query::Drained(answer, reply) => drop(reply.send(answer)),
-                Query::Done(reply) => drop(reply.send(Ok(()))),
-                Query::Workers(reply) => drop(reply.send(Ok(self.all_workers()))),
-                Query::Usage(reply) => drop(reply.send(Ok(self.scheduler.usage_by_owner()))),
-                Query::References(reply) => drop(reply.send(Ok(self.references()))),
-                Query::Backup(reply) => {
-                    let copied = self.queue.copy().await;
-                    let backup = copied.map(|log| Backup { log, references: self.references() });
-                    drop(reply.send(backup.map_err(|error| backup_refusal(&error))));
-                }
-            }
-        }
-        Ok(())
-    }
-
-    /// Returns the connected and the disconnected workers.
-    fn all_workers(&self) -> WorkerList {
-        let there = self.connected_workers();
-        let offline = self.roster.offline(&there);
-        WorkerList { connected: there, offline }
-    }
-
-    /// Returns the connected workers, with the counts of earlier sessions.
-    fn connected_workers(&self) -> Vec<WorkerStatus> {
-        let mut there = self.scheduler.workers(self.clock.now());
-        self.roster.add_earlier(&mut there);
-        there
-    }
-
-    /// Updates the roster from the connected workers. The next commit makes it durable.
-    fn update_roster(&mut self) {
-        let now = self.clock.now();
-        // Without a date, the time of contact is not known.
-        let Some(zero) = self.scheduler.config().clock_zero else { return };
-        self.roster.observe(&self.connected_workers(), zero.saturating_add(now.0));
-        self.is_roster_dirty = true;
-    }
-
-    fn roster_note(&self) -> Result<Note, SnapshotError> {
-        Ok(Note { subject: ROSTER_SUBJECT, bytes: self.roster.encode()? })
-    }
-
-    /// Writes the final roster note, with the latest contacts.
-    async fn save_roster(&mut self) {
-        self.update_roster();
-        let Ok(note) = self.roster_note() else { return };
-        let batch = Batch { notes: &[note], forgotten: &[ROSTER_SUBJECT], ..Batch::default() };
-        if let Err(error) = self.queue.append(batch).await {
-            tracing::warn!(%error, "cannot save the last contacts of workers");
-        }
-    }
-
-    /// Returns the changes for a feed.
-    fn changes(&mut self, scope: ChangeScope) -> Changes {
-        let now = self.clock.now();
-        let touched = self.changed_since_feed.replace(BTreeSet::new()).filter(|_| scope == ChangeScope::Changes);
-        let is_wanted = |job| touched.as_ref().is_none_or(|touched| touched.contains(&job));
-        let (jobs, there) = self.scheduler.changed_jobs(is_wanted, now);
-        let jobs = jobs.into_iter().map(|status| self.targets.fill(&self.scheduler, status)).collect();
-        Changes { jobs, existing_jobs: there, workers: self.all_workers(), warnings: self.disks.warnings() }
-    }
-
-    pub(crate) fn references(&self) -> References {
-        let ledger = self.scheduler.ledger();
-        References { artifacts: ledger.references(), scenes: ledger.scenes() }
-    }
-
     /// Does periodic work: updates watchers, removes unneeded artifacts, makes snapshots.
     async fn run_maintenance(
         &mut self,
@@ -617,65 +488,4 @@ impl<Q: Queue> Actor<Q> {
         }
         Ok(())
     }
-}
-
-/// Converts a failed copy of the log to a refusal. The log itself is unchanged.
-fn backup_refusal(error: &QueueError) -> Refusal {
-    match error {
-        QueueError::NoCopy { .. } => Refusal::Invalid { field: "backup".into(), message: error.to_string() },
-        error => Refusal::Unavailable { message: format!("cannot copy the log: {error}") },
-    }
-}
-
-/// Takes the log out of a worker's report.
-fn take_log(worker: WorkerId, message: &mut FromWorker) -> Option<Event> {
-    match message {
-        FromWorker::Completed { task, epoch, log, .. } | FromWorker::Failed { task, epoch, log, .. } => {
-            let (task, epoch) = (*task, *epoch);
-            log.take().map(|log| Event::Logged { worker, task, epoch, log })
-        }
-        FromWorker::Register(_) | FromWorker::Heartbeat { .. } | FromWorker::Draining | FromWorker::Available => None,
-    }
-}
-
-/// Takes the usage of leases out of a worker's message: of a reported lease, or of revoked leases.
-fn take_usage(message: &mut FromWorker) -> impl Iterator<Item = TaskUsage> + use<> {
-    let (reported, others) = match message {
-        FromWorker::Heartbeat { usage, .. } => (None, std::mem::take(usage)),
-        FromWorker::Completed { task, epoch, usage, .. } | FromWorker::Failed { task, epoch, usage, .. } => {
-            let (task, epoch) = (*task, *epoch);
-            (usage.map(|usage| TaskUsage { task, epoch, usage }), Vec::new())
-        }
-        FromWorker::Register(_) | FromWorker::Draining | FromWorker::Available => (None, Vec::new()),
-    };
-    reported.into_iter().chain(others)
-}
-
-/// Makes the event of a completion whose artifact is missing.
-fn artifact_missing(worker: WorkerId, report: &FromWorker, artifact: Digest, message: String) -> Option<Event> {
-    let FromWorker::Completed { task, epoch, .. } = report else { return None };
-    let (task, epoch) = (*task, *epoch);
-    tracing::warn!(job = task.job.0, %task, worker = worker.0, message, "result rejected: artifact missing or damaged");
-    Some(Event::ArtifactMissing { worker, task, epoch, artifact, message })
-}
-
-/// Converts a worker's message to an event of the scheduler.
-fn to_event(worker: WorkerId, message: FromWorker) -> Option<Event> {
-    Some(match message {
-        FromWorker::Heartbeat { tasks, .. } => Event::Heartbeat { worker, tasks },
-        FromWorker::Completed { task, epoch, result, .. } => Event::Completed { worker, task, epoch, result },
-        FromWorker::Failed { task, epoch, failure, .. } => {
-            match failure {
-                Failure::Cancelled => {
-                    tracing::debug!(job = task.job.0, %task, worker = worker.0, "task given back");
-                }
-                _ => tracing::warn!(job = task.job.0, %task, worker = worker.0, %failure, "task failed"),
-            }
-            Event::Failed { worker, task, epoch, failure }
-        }
-        FromWorker::Draining => Event::Draining { worker },
-        FromWorker::Available => Event::Available { worker },
-        // A session has one registration, which has been processed before.
-        FromWorker::Register(_) => return None,
-    })
 }

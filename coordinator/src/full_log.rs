@@ -12,8 +12,9 @@ use femc_schedule::Command;
 use tokio::sync::{mpsc, watch};
 use tokio::time::Duration;
 
-use crate::actor::{Actor, PendingReply, ROSTER_SUBJECT, SessionEvent};
+use crate::actor::{Actor, PendingReply, SessionEvent};
 use crate::config::CoordinatorError;
+use crate::roster::ROSTER_SUBJECT;
 
 /// Inputs of the actor: calls, and the stop signal.
 #[derive(Debug)]

@@ -20,10 +20,12 @@ mod full_log;
 mod janitor;
 mod leadership;
 mod metrics;
+mod queries;
+mod roster;
 mod session;
 mod start;
+mod worker_events;
 
-pub use actor::ROSTER_SUBJECT;
 pub use announce::{KeyError, NotifyConfig, NotifyKey, PrefixError, UrlPrefix};
 pub use clock::TimeSource;
 pub use config::{ArtifactStorage, Config, CoordinatorError, Exposure, LogStorage};
@@ -33,4 +35,5 @@ pub use femc_proto::{
 pub use femc_queue::{Database, LossPolicy, Postgres, QueueError};
 pub use leadership::Leadership;
 pub use metrics::Metrics;
+pub use roster::ROSTER_SUBJECT;
 pub use start::{Coordinator, Handle};

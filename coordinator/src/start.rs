@@ -17,11 +17,12 @@ use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 use tokio_stream::Stream;
 
-use crate::actor::{Actor, ROSTER_SUBJECT};
+use crate::actor::Actor;
 use crate::any_queue::AnyQueue;
 use crate::config::{ArtifactStorage, Config, CoordinatorError, Exposure, LogStorage};
 use crate::full_log::ActorInputs;
 use crate::leadership::{self, Leadership};
+use crate::roster::ROSTER_SUBJECT;
 
 /// Future that completes when the server must stop.
 type StopSignal = Pin<Box<dyn Future<Output = ()> + Send>>;

@@ -99,10 +99,17 @@ fn begin_fault(
     medium: &FaultyMedium,
     now: Duration,
 ) -> Option<Duration> {
-    let fired = |what| shared.lock().count_fault(what);
+    let fired = |what, pause: Option<Duration>| {
+        shared.lock().count_fault(what);
+        pause
+    };
+    let plan_crash = |writes, point| {
+        shared.lock().planned_crash = Some((writes, point));
+        None
+    };
     match fault {
         Fault::WorkerDies(host, pause) => {
-            kill(sim, shared, worker_name(host), now).then(|| fired("worker died"));
+            kill(sim, shared, worker_name(host), now).then(|| fired("worker died", None));
             Some(pause)
         }
         Fault::LoneWorkerFails(host, pause) => {
@@ -110,29 +117,19 @@ fn begin_fault(
                 kill(sim, shared, worker_name(other), now);
             }
             shared.lock().failing_worker = Some(host);
-            fired("lone worker sick");
-            Some(pause)
+            fired("lone worker sick", Some(pause))
         }
         Fault::CoordinatorDies(pause) => {
             let leader = shared.lock().leader;
-            kill(sim, shared, coordinator_name(leader), now).then(|| fired("coordinator died"));
+            kill(sim, shared, coordinator_name(leader), now).then(|| fired("coordinator died", None));
             Some(pause)
         }
-        Fault::DiesBeforeWrite(writes) => {
-            shared.lock().planned_crash = Some((writes, CrashPoint::Before));
-            None
-        }
-        Fault::DiesAfterWrite(writes) => {
-            shared.lock().planned_crash = Some((writes, CrashPoint::After));
-            None
-        }
-        Fault::TornWrite(writes) => {
-            shared.lock().planned_crash = Some((writes, CrashPoint::Within));
-            None
-        }
+        Fault::DiesBeforeWrite(writes) => plan_crash(writes, CrashPoint::Before),
+        Fault::DiesAfterWrite(writes) => plan_crash(writes, CrashPoint::After),
+        Fault::TornWrite(writes) => plan_crash(writes, CrashPoint::Within),
         Fault::ArtifactDamaged(harm) => {
             let robbed = draw_artifact(shared).is_some_and(|artifact| damage_artifact(shared, medium, &artifact, harm));
-            robbed.then(|| fired(harm.name()));
+            robbed.then(|| fired(harm.name(), None));
             None
         }
         Fault::LeaderChanges => {
@@ -143,38 +140,32 @@ fn begin_fault(
         }
         Fault::WorkerPartitioned(host, pause) => {
             disconnect(sim, shared, worker_name(host));
-            fired("worker cut off");
-            Some(pause)
+            fired("worker cut off", Some(pause))
         }
         Fault::WorkerMute(host, pause) => {
             sim.partition_oneway(worker_name(host), SWITCH);
             shared.lock().reachability.disconnect(worker_name(host));
-            fired("worker mute");
-            Some(pause)
+            fired("worker mute", Some(pause))
         }
         Fault::CoordinatorPartitioned(pause) => {
             (0..COORDINATORS).for_each(|host| disconnect(sim, shared, coordinator_name(host)));
-            fired("coordinator cut off");
-            Some(pause)
+            fired("coordinator cut off", Some(pause))
         }
         Fault::WorkerFreezes(host, pause) => {
             sim.hold(worker_name(host), SWITCH);
-            fired("worker frozen");
-            Some(pause)
+            fired("worker frozen", Some(pause))
         }
         Fault::CoordinatorFreezes(pause) => {
             (0..COORDINATORS).for_each(|host| sim.hold(coordinator_name(host), SWITCH));
-            fired("coordinator frozen");
-            Some(pause)
+            fired("coordinator frozen", Some(pause))
         }
         Fault::SlowNetwork(most, pause) => {
             sim.set_max_message_latency(most);
-            fired("slow network");
-            Some(pause)
+            fired("slow network", Some(pause))
         }
         Fault::SceneDamaged(harm) => {
             let scene = shared.lock().disk.ledger().ok().and_then(|ledger| ledger.scenes().first().copied());
-            scene.is_some_and(|scene| damage_artifact(shared, medium, &scene, harm)).then(|| fired("scene lost"));
+            scene.is_some_and(|scene| damage_artifact(shared, medium, &scene, harm)).then(|| fired("scene lost", None));
             None
         }
         Fault::LogFull(writes) => {
@@ -183,18 +174,15 @@ fn begin_fault(
         }
         Fault::StoreFull(pause) => {
             medium.change_faults(|troubles| troubles.full = true);
-            fired("store full");
-            Some(pause)
+            fired("store full", Some(pause))
         }
         Fault::StoreUnavailable(pause) => {
             medium.change_faults(|troubles| troubles.unavailable = true);
-            fired("store away");
-            Some(pause)
+            fired("store away", Some(pause))
         }
         Fault::StoreSlow(most, pause) => {
             medium.change_faults(|troubles| troubles.delay = most);
-            fired("store slow");
-            Some(pause)
+            fired("store slow", Some(pause))
         }
         Fault::UploadTorn(others, thousandths) => {
             medium.change_faults(|troubles| troubles.torn_upload = Some((others, thousandths)));
@@ -206,21 +194,18 @@ fn begin_fault(
         }
         Fault::ClockJumps(host, jump) => {
             shared.lock().clocks[host].ahead += jump;
-            fired(if jump > 0 { "clock jumped ahead" } else { "clock jumped back" });
-            None
+            fired(if jump > 0 { "clock jumped ahead" } else { "clock jumped back" }, None)
         }
         Fault::ClockDrifts(host, drift) => {
             shared.lock().clocks[host].drift = drift;
-            fired("clock drifts");
-            None
+            fired("clock drifts", None)
         }
         Fault::LogLost => {
             for host in 0..COORDINATORS {
                 kill(sim, shared, coordinator_name(host), now);
             }
             shared.lock().lose_log();
-            fired("log lost");
-            Some(Duration::from_secs(1))
+            fired("log lost", Some(Duration::from_secs(1)))
         }
     }
 }

@@ -2,7 +2,6 @@
 
 use std::collections::BTreeMap;
 use std::num::{NonZeroU32, NonZeroU64};
-use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::sync::{Arc, LazyLock};
 
 use anyhow::Context as _;
@@ -232,8 +231,9 @@ fn render_tiled_job(
         let tiling = Tiling::new(FILM[0], FILM[1], edge)?;
         let mut frame = Frame::new(tiling);
         for rect in tiling.rects() {
-            let (cancel, samples) = (AtomicBool::new(false), AtomicU64::new(0));
-            let tile = femc_pipeline::render_tile(&prepared, &settings, rect, 0..spp, &cancel, &samples)?.tile;
+            let tile = femc_pipeline::RenderTask::new(&prepared, &settings, rect, 0..spp)
+                .render(femc_pipeline::Outputs::default())?
+                .tile;
             frame.insert(tile)?;
         }
         digests.push(pixel_digest(&frame.resolve().color).to_string());

@@ -81,7 +81,7 @@ fn main() -> Result<ExitCode, Box<dyn Error>> {
         println!();
     }
     println!(
-        "noise of a frame's mean {:.3} %, of its change {:.3} %; changes differ from the true ones by {worst:.2} standard errors at most, {:.2} rms",
+        "{count} frames; noise of a frame's mean {:.3} %, of its change {:.3} %; changes differ from the true ones by {worst:.2} standard errors at most, {:.2} rms",
         100.0 * noise.sqrt(),
         100.0 * (2.0 * noise).sqrt(),
         squares.sqrt()

@@ -4,13 +4,12 @@ use crate::reference::Reference;
 use femc_film::tile::NONE_HELD;
 use femc_film::{FrameError, FrameImage, Rect, SamplingState, Tile, TileErrors, Tiling, TimedProgress};
 use femc_pipeline::{
-    PlanError, Prepared, RenderError, RenderedFrame, RoundEnd, RoundVerdict, SceneSource, Settings, StopCondition,
-    plan_job, prepare_frame, render_rounds, render_tile,
+    Outputs, PlanError, Prepared, RenderError, RenderTask, RenderedFrame, RoundEnd, RoundVerdict, SceneSource,
+    Settings, StopCondition, plan_job, prepare_frame, render_rounds,
 };
 use femc_scene::Scene;
 use std::ops::Range;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64};
 
 /// Rule that ends a tile's samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -75,9 +74,8 @@ impl Experiment {
     /// If it cannot be rendered; this is for tests only.
     pub fn render_seed(&self, seed: u64, rule: Rule) -> SeedImage {
         let settings = Settings { seed, ..self.settings.clone() };
-        let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
         let rendered = render_by_rule(&settings, &self.rounds, self.tiling, rule, |rect, samples| {
-            Ok(render_tile(&self.prepared, &settings, rect, samples, &cancel, &progress)?.tile)
+            Ok(RenderTask::new(&self.prepared, &settings, rect, samples).render(Outputs::default())?.tile)
         });
         let image = rendered.frame.resolve();
         let drawn: u64 = (self.tiling.rects().enumerate())

@@ -17,10 +17,9 @@ pub mod two_rooms;
 
 use femc_film::{Frame, FrameImage};
 use femc_import::{Bundle, load_scene};
-use femc_pipeline::{SceneSource, Settings, StopCondition, plan_job, prepare_frame, render_tile};
+use femc_pipeline::{Outputs, RenderTask, SceneSource, Settings, StopCondition, plan_job, prepare_frame};
 use femc_scene::Scene;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64};
 
 /// Creates a scene from the text of one file.
 pub fn parse_scene(text: &str) -> Arc<Scene> {
@@ -45,11 +44,10 @@ pub fn render_frame(scene: &Arc<Scene>, settings: &Settings, frame: u32) -> Fram
     let plan = plan_job(scene, settings, Some(&[frame])).unwrap_or_else(|error| panic!("{error}"));
     let prepared = prepare_frame(&SceneSource::new(scene.clone()), settings, frame, None)
         .unwrap_or_else(|error| panic!("{error}"));
-    let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
     let mut film = Frame::new(plan.tiling);
     let StopCondition::Spp(spp) = settings.stop else { panic!("tests render a fixed number of samples") };
     for rect in plan.tiling.rects() {
-        let done = render_tile(&prepared, settings, rect, 0..spp, &cancel, &progress);
+        let done = RenderTask::new(&prepared, settings, rect, 0..spp).render(Outputs::default());
         let tile = done.unwrap_or_else(|error| panic!("{error}")).tile;
         film.insert(tile).unwrap_or_else(|error| panic!("{error}"));
     }

@@ -5,7 +5,6 @@
 use std::future::pending;
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::time::Instant;
 
 use femc_coordinator::{ArtifactStorage, Config, Coordinator, LogStorage};
@@ -37,8 +36,11 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     let prepared = femc_pipeline::prepare_frame(&femc_pipeline::SceneSource::new(scene.clone()), &settings, 1, None)?;
     let mut frame = Frame::new(Tiling::new(side, side, plan.tiling.edge)?);
     for rect in plan.tiling.rects() {
-        let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
-        frame.insert(femc_pipeline::render_tile(&prepared, &settings, rect, 0..spp, &cancel, &progress)?.tile)?;
+        frame.insert(
+            femc_pipeline::RenderTask::new(&prepared, &settings, rect, 0..spp)
+                .render(femc_pipeline::Outputs::default())?
+                .tile,
+        )?;
     }
     let samples = frame.resolve().samples.len();
     let (direct, direct_processor) = (begun.elapsed(), processor() - before);

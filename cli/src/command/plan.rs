@@ -17,7 +17,7 @@ use serde::Serialize;
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64};
+use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 /// Show what would run: stages, tasks, estimated cost, and why stages are left out
@@ -266,10 +266,8 @@ fn render_blocks(resolved: &ResolvedRequest, prepared: &Prepared, round: u32) ->
         let x = (width.saturating_sub(TRIAL_BLOCK) as u64 * u64::from(i) / u64::from(across.max(2) - 1)) as u32;
         let y = (height.saturating_sub(TRIAL_BLOCK) as u64 * u64::from(j) / u64::from(down.max(2) - 1)) as u32;
         let rect = femc_film::Rect { x, y, width: TRIAL_BLOCK.min(width - x), height: TRIAL_BLOCK.min(height - y) };
-        let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
-        let rendered =
-            femc_pipeline::render_tile(prepared, &resolved.settings, rect, round..round + 1, &cancel, &progress);
-        samples += rendered.map_or(0, |_| rect.area());
+        let task = femc_pipeline::RenderTask::new(prepared, &resolved.settings, rect, round..round + 1);
+        samples += task.render(femc_pipeline::Outputs::default()).map_or(0, |_| rect.area());
     }
     samples
 }

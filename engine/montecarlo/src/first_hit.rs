@@ -5,8 +5,8 @@
 //! it in the others, as for light paths. The random number of this decision is the one that chooses the lobe of a path there.
 
 use crate::dimensions as dim;
-use crate::path::{bsdf_at, local_wo};
-use femc_geometry::{Hit, Ray, offset_origin};
+use crate::surface::SurfaceInteraction;
+use femc_geometry::{Hit, Ray};
 use femc_math::color::luminance;
 use femc_math::glam::Vec3A;
 use femc_math::{Rgb, SampleStream};
@@ -34,13 +34,9 @@ pub fn first_surface(scene: &Prepared, ray: &Ray, mut stream: SampleStream) -> O
     let mut ray = *ray;
     for number in 0..MAX_SURFACES {
         let hit = scene.world.intersect(&ray)?;
-        let point = scene.shading_point(&ray, &hit);
-        let material = &scene.materials[point.material as usize];
-        let back = point.normal.dot(ray.dir) > 0.0;
-        let crossing = material.crossing[usize::from(back)];
-        let bsdf = bsdf_at(scene, material, &point);
-        let (frame, wo) = local_wo(material, &point, ray.dir);
-        let all = bsdf.albedo(wo);
+        let surface = SurfaceInteraction::new(scene, &ray, hit, scene.shading_point(&ray, &hit));
+        let SurfaceInteraction { point, crossing, frame, .. } = surface;
+        let all = surface.bsdf.albedo(surface.wo);
         let is_seen = match crossing {
             Crossing::Scatter => true,
             Crossing::Null { .. } => false,
@@ -54,7 +50,7 @@ pub fn first_surface(scene: &Prepared, ray: &Ray, mut stream: SampleStream) -> O
             let albedo = (all - crossing.straight_through()).max(Rgb::ZERO);
             return Some(FirstSurface { hit, point, normal, albedo });
         }
-        ray.origin = offset_origin(point.position, point.error, point.normal, ray.dir);
+        ray = surface.ray_behind(&ray);
     }
     None
 }

@@ -7,14 +7,16 @@
 //! Directions after an event are sampled from the phase function or toward a light, with the density of the mixture of both.
 
 use crate::dimensions as dim;
-use crate::path::{TracerCounters, square};
+use crate::path_state::PathState;
 use crate::shadow::ShadowTester;
+use crate::square;
 use crate::technique::{MisTechnique, mis_weight};
+use crate::tracer::TracerCounters;
 use femc_emission::{DeltaKind, DirectionContext, LightWeights, SegmentContext};
+use femc_math::Rgb;
 use femc_math::glam::Vec3A;
-use femc_math::{Rgb, SampleStream};
 use femc_prepared::Prepared;
-use femc_prepared::media::{DistanceSample, MediaRay, MediumStack, ScatterEvent};
+use femc_prepared::media::{DistanceSample, MediaRay, ScatterEvent};
 use femc_prepared::single_scatter::{MediumSegment, SingleScatterSampler};
 
 /// Share of the directions after an event that are sampled from the phase function.
@@ -26,23 +28,6 @@ const MAX_GUIDED_SEGMENTS: u32 = 24;
 /// Number of angles at which the lights are evaluated, for a camera ray, whose light counts most, and for later ones.
 const ANGLES_FROM_CAMERA: u32 = 6;
 const ANGLES: u32 = 3;
-
-/// The current segment of the path.
-#[derive(Clone, Copy)]
-pub struct Segment<'a> {
-    /// Start, m.
-    pub origin: Vec3A,
-    /// Unit direction.
-    pub dir: Vec3A,
-    /// Time in the shutter.
-    pub time: f32,
-    /// Closed objects that contain the segment's start.
-    pub medium_stack: &'a MediumStack,
-    /// Index of the segment, 0: the camera's.
-    pub bounce: u32,
-    /// First random dimension of the segment.
-    pub base: u32,
-}
 
 /// The media of a ray, and the weights of the lights for it.
 #[derive(Default)]
@@ -61,6 +46,17 @@ pub struct Collision {
     pub event: ScatterEvent,
     /// Position, m.
     pub position: Vec3A,
+}
+
+/// Outcome of sampling the distance of the next collision on a ray.
+pub enum FreeFlight {
+    /// The path collides before the end of the ray.
+    Collision(Collision),
+    /// The path reaches the end of the ray.
+    Through {
+        /// Transmittance of the ray, divided by the probability of no collision.
+        weight: Rgb,
+    },
 }
 
 /// A direction sampled after an event.
@@ -118,11 +114,11 @@ fn airlight_distances(
     SingleScatterSampler::new(&scene.lights, &scene.world, &stretch, light, time)
 }
 
-/// Sampler of the media of one segment, which the caller has intersected.
-pub struct FogSampler<'a, 's> {
+/// Sampler of the media on the current ray of a path. The caller has found their intervals.
+pub struct FogSampler<'a> {
     /// The scene.
-    pub scene: &'s Prepared,
-    /// Media of the segment.
+    pub scene: &'a Prepared,
+    /// Media of the ray.
     pub ray: &'a mut FoggyRay,
     /// Weights of lights for directions.
     pub direction_weights: &'a mut LightWeights,
@@ -134,29 +130,31 @@ pub struct FogSampler<'a, 's> {
     pub single_technique: Option<MisTechnique>,
 }
 
-impl FogSampler<'_, '_> {
+impl FogSampler<'_> {
     /// Returns the radiance that the media of the segment emit.
-    pub fn glow(&mut self, segment: &Segment<'_>, stream: &mut SampleStream) -> Rgb {
+    pub fn glow(&mut self, path: &mut PathState) -> Rgb {
         if !self.scene.media.glows() {
             return Rgb::ZERO;
         }
-        stream.seek(segment.base + dim::GLOW);
-        self.scene.media.emitted_radiance(&self.ray.media, stream.next_1d())
+        path.stream.seek(path.base + dim::GLOW);
+        self.scene.media.emitted_radiance(&self.ray.media, path.stream.next_1d())
     }
 
-    /// Samples the distance of the next event. `Err`: no event on the segment, with the weight of the transmission.
-    pub fn sample_collision(&mut self, segment: &Segment<'_>, stream: &mut SampleStream) -> Result<Collision, Rgb> {
-        stream.seek(segment.base + dim::DISTANCE);
-        let [u, channel] = stream.next_2d();
-        stream.seek(segment.base + dim::DISTANCE_FINE);
-        match self.scene.media.sample_distance(&self.ray.media, dim::uniform_48([u, stream.next_1d()]), channel) {
-            DistanceSample::Through { weight } => Err(weight),
-            DistanceSample::Scatter(event) => Ok(Collision { event, position: segment.origin + segment.dir * event.t }),
+    /// Samples the distance of the next collision.
+    pub fn sample_collision(&mut self, path: &mut PathState) -> FreeFlight {
+        path.stream.seek(path.base + dim::DISTANCE);
+        let [u, channel] = path.stream.next_2d();
+        path.stream.seek(path.base + dim::DISTANCE_FINE);
+        match self.scene.media.sample_distance(&self.ray.media, dim::uniform_48([u, path.stream.next_1d()]), channel) {
+            DistanceSample::Through { weight } => FreeFlight::Through { weight },
+            DistanceSample::Scatter(event) => {
+                FreeFlight::Collision(Collision { event, position: path.ray.origin + path.ray.dir * event.t })
+            }
         }
     }
 
     /// Weighs the lights for the segment. Call it before [`Self::sample_airlight`] and [`FoggyRay::airlight_pdf`].
-    pub fn weigh_lights(&mut self, segment: &Segment<'_>) {
+    pub fn weigh_lights(&mut self, path: &PathState) {
         let scene = self.scene;
         self.ray.light_context = None;
         if scene.lights.is_empty() {
@@ -164,33 +162,33 @@ impl FogSampler<'_, '_> {
         }
         let Some(range) = scene.media.scattering_range(&self.ray.media) else { return };
         let fog = scene.media.mean_properties(&self.ray.media, range);
-        let angles = if segment.bounce == 0 { ANGLES_FROM_CAMERA } else { ANGLES };
-        let light_context = scene.lights.segment_context(segment.origin, segment.dir, range, fog, angles);
+        let angles = if path.bounce == 0 { ANGLES_FROM_CAMERA } else { ANGLES };
+        let light_context = scene.lights.segment_context(path.ray.origin, path.ray.dir, range, fog, angles);
         scene.lights.weigh(&light_context, &mut self.ray.light_weights);
         self.ray.light_context = Some(light_context);
     }
 
     /// Samples single scattering on the segment with a light and a distance for it (way 1).
-    pub fn sample_airlight(&mut self, segment: &Segment<'_>, stream: &mut SampleStream) -> Option<SingleScatterSample> {
+    pub fn sample_airlight(&mut self, path: &mut PathState) -> Option<SingleScatterSample> {
         let scene = self.scene;
         let light_context = self.ray.light_context?;
-        stream.seek(segment.base + dim::AIRLIGHT_LIGHT);
-        let choice = dim::uniform_48(stream.next_2d());
+        path.stream.seek(path.base + dim::AIRLIGHT_LIGHT);
+        let choice = dim::uniform_48(path.stream.next_2d());
         let (light, probability) = scene.lights.choose(&self.ray.light_weights, &light_context, choice)?;
-        let distances = airlight_distances(scene, self.ray, &light_context, light, segment.time)?;
-        stream.seek(segment.base + dim::AIRLIGHT);
-        let u = stream.next_1d();
-        stream.seek(segment.base + dim::AIRLIGHT_CHANNEL);
-        let (event, density) = distances.sample(&scene.media, &self.ray.media, u, stream.next_1d())?;
-        let position = segment.origin + segment.dir * event.t;
-        stream.seek(segment.base + dim::AIRLIGHT_POINT);
-        let point = stream.next_2d();
-        let sample = scene.lights.sample_light(&scene.world, &scene.textures, light, position, segment.time, point)?;
+        let distances = airlight_distances(scene, self.ray, &light_context, light, path.ray.time)?;
+        path.stream.seek(path.base + dim::AIRLIGHT);
+        let u = path.stream.next_1d();
+        path.stream.seek(path.base + dim::AIRLIGHT_CHANNEL);
+        let (event, density) = distances.sample(&scene.media, &self.ray.media, u, path.stream.next_1d())?;
+        let position = path.ray.origin + path.ray.dir * event.t;
+        path.stream.seek(path.base + dim::AIRLIGHT_POINT);
+        let point = path.stream.next_2d();
+        let sample = scene.lights.sample_light(&scene.world, &scene.textures, light, position, path.ray.time, point)?;
         let nothing = SingleScatterSample { color: Rgb::ZERO, light, event };
         if sample.radiance == Rgb::ZERO {
             return Some(nothing);
         }
-        let (phase, phase_pdf) = scene.media.phase(&self.ray.media, &event, -segment.dir, sample.dir);
+        let (phase, phase_pdf) = scene.media.phase(&self.ray.media, &event, -path.ray.dir, sample.dir);
         let pdf = density * probability * sample.pdf;
         let by_scattering = if sample.delta == DeltaKind::Position { 0.0 } else { square(event.pdf * phase_pdf / pdf) };
         let weight = mis_weight(self.single_technique, MisTechnique::Light, by_scattering);
@@ -199,7 +197,7 @@ impl FogSampler<'_, '_> {
         }
         let from = (position, Vec3A::ZERO, Vec3A::ZERO);
         let visibility =
-            self.shadow.visibility::<true>(scene, from, &sample, segment.time, segment.medium_stack, self.counters);
+            self.shadow.visibility::<true>(scene, from, &sample, path.ray.time, &path.medium_stack, self.counters);
         Some(SingleScatterSample {
             color: event.weight * phase * sample.radiance * visibility * (weight / pdf),
             ..nothing
@@ -217,52 +215,42 @@ impl FogSampler<'_, '_> {
     }
 
     /// Returns the context of an event for sampling directions toward lights. `None` if there are no lights.
-    fn direction_context(
-        &self,
-        segment: &Segment<'_>,
-        position: Vec3A,
-        event: &ScatterEvent,
-    ) -> Option<DirectionContext> {
+    fn direction_context(&self, path: &PathState, position: Vec3A, event: &ScatterEvent) -> Option<DirectionContext> {
         let (extinction, phase) = self.scene.media.event_properties(&self.ray.media, event);
         (!self.scene.lights.sampler().is_empty()).then_some(DirectionContext {
             position,
-            wo: -segment.dir,
+            wo: -path.ray.dir,
             extinction,
             phase,
         })
     }
 
     /// Samples the direction after an event.
-    pub fn sample_direction(
-        &mut self,
-        segment: &Segment<'_>,
-        collision: &Collision,
-        stream: &mut SampleStream,
-    ) -> Option<DirectionSample> {
+    pub fn sample_direction(&mut self, path: &mut PathState, collision: &Collision) -> Option<DirectionSample> {
         let scene = self.scene;
         let (media, event, many) = (&scene.media, &collision.event, scene.lights.sampler());
-        stream.seek(segment.base + dim::LOBE);
-        let mut choice = stream.next_1d();
-        stream.seek(segment.base + dim::DIRECTION);
-        let u = stream.next_2d();
-        let from = (segment.bounce < MAX_GUIDED_SEGMENTS)
-            .then(|| self.direction_context(segment, collision.position, event))
+        path.stream.seek(path.base + dim::LOBE);
+        let mut choice = path.stream.next_1d();
+        path.stream.seek(path.base + dim::DIRECTION);
+        let u = path.stream.next_2d();
+        let from = (path.bounce < MAX_GUIDED_SEGMENTS)
+            .then(|| self.direction_context(path, collision.position, event))
             .flatten();
         let mut toward_light = None;
         if let Some(from) = &from {
             many.weigh_directions(from, self.direction_weights);
             if choice >= PHASE_SHARE {
                 choice = (choice - PHASE_SHARE) / (1.0 - PHASE_SHARE);
-                stream.seek(segment.base + dim::LIGHT_DIRECTION);
+                path.stream.seek(path.base + dim::LIGHT_DIRECTION);
                 toward_light =
-                    many.sample_direction(from, self.direction_weights, dim::uniform_48(stream.next_2d()), u);
+                    many.sample_direction(from, self.direction_weights, dim::uniform_48(path.stream.next_2d()), u);
             } else {
                 choice /= PHASE_SHARE;
             }
         }
-        let by_phase = || media.sample_phase(&self.ray.media, event, choice).sample(-segment.dir, u).wi;
+        let by_phase = || media.sample_phase(&self.ray.media, event, choice).sample(-path.ray.dir, u).wi;
         let dir = toward_light.unwrap_or_else(by_phase);
-        let (value, phase) = media.phase(&self.ray.media, event, -segment.dir, dir);
+        let (value, phase) = media.phase(&self.ray.media, event, -path.ray.dir, dir);
         let pdf = match &from {
             None => phase,
             Some(from) => {

@@ -4,12 +4,11 @@
 //! (one-sample multiple importance sampling with the balance heuristic, \[pharr2023\]). The BSDF always has a share, so the mean is
 //! correct for any guide.
 
+use crate::surface::SurfaceInteraction;
 use femc_field::{Directions, Field, Side};
-use femc_geometry::Hit;
 use femc_math::color::luminance;
 use femc_math::glam::Vec3A;
 use femc_math::{Frame, Rgb};
-use femc_prepared::ShadingPoint;
 use femc_scattering::{Bsdf, BsdfSample, LobeKind, Transmitted};
 
 /// Sampler of directions at a vertex.
@@ -41,14 +40,14 @@ impl<'a> DirectionSampler<'a> {
     }
 
     /// Adds a field's guide.
-    pub fn with_guide(mut self, field: &'a Field, (hit, point, back): (&Hit, &ShadingPoint, bool)) -> Self {
+    pub fn with_guide(mut self, field: &'a Field, surface: &SurfaceInteraction<'_>) -> Self {
         // The guide has no data about glossy lobes.
         let diffuse = luminance(self.bsdf.lambertian(self.wo).0);
-        let side = if back { Side::Back } else { Side::Front };
+        let side = if surface.back { Side::Back } else { Side::Front };
         if diffuse <= 0.0 {
             return self;
         }
-        let Some(guided) = field.guide_at(hit, side, point.position) else { return self };
+        let Some(guided) = field.guide_at(&surface.hit, side, surface.point.position) else { return self };
         let albedo = self.bsdf.albedo(self.wo);
         self.light_ahead = albedo * guided.light;
         self.guide = guided.directions.and_then(|directions| {

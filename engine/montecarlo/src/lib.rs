@@ -5,16 +5,31 @@
 //! (media or none) and chosen once per tile.
 #![deny(missing_docs)]
 
+#[macro_use]
+pub mod record;
+
+mod camera_next_event;
 mod dimensions;
+mod emission;
 mod first_hit;
 mod fog;
 mod guided;
-mod path;
-pub mod record;
+mod medium;
+mod next_event;
+mod path_state;
+mod roulette;
+mod scatter;
 mod shadow;
+mod surface;
 mod technique;
+mod tracer;
 
 pub use first_hit::{FirstSurface, first_surface};
-pub use path::{PathSample, PathSettings, PixelFilter, Tracer, TracerCounters};
 pub use record::{Recorder, Recording};
 pub use technique::MisTechnique;
+pub use tracer::{PathSample, PathSettings, PixelFilter, Tracer, TracerCounters};
+
+#[inline]
+fn square(x: f32) -> f32 {
+    x * x
+}

@@ -11,6 +11,15 @@ use femc_prepared::camera::View;
 use femc_scattering::Bsdf;
 pub use femc_scattering::Transmitted;
 
+/// Calls a recorder with an event of the path, if it receives all events of this sample ([`RecordLevel::All`]).
+macro_rules! record {
+    ($object:ident $(.$member:ident)+ ($($arguments:tt)*)) => {
+        if RECORD_ALL {
+            $object $(.$member)+ ($($arguments)*);
+        }
+    };
+}
+
 /// Events of a sample that a recorder receives.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RecordLevel {
@@ -89,14 +98,6 @@ pub enum Termination {
     Depth,
     /// The path ended with the light of a field.
     Field,
-}
-
-impl Termination {
-    /// Returns the reason for a path that ended by roulette or because nothing is left.
-    #[inline]
-    pub(crate) fn from_throughput(throughput: Rgb) -> Self {
-        if throughput.max_element() > 0.0 { Self::Roulette } else { Self::Absorbed }
-    }
 }
 
 /// Object or medium at a vertex.
@@ -238,6 +239,13 @@ pub struct Contribution {
     /// Point on the lamp, if it was hit or sampled from the camera. The segment's start, if a medium emits. Else the point that the
     /// light illuminates. Prepared frame, m.
     pub position: Vec3A,
+}
+
+impl Contribution {
+    /// Creates the contribution of a field at a path's latest vertex.
+    pub(crate) fn from_field(color: Rgb, throughput: Rgb, bounce: u32, position: Vec3A) -> Self {
+        Self { color, throughput, bounce, technique: LightTechnique::Field, light: None, position }
+    }
 }
 
 /// A vertex, and the way in which the path left it.

@@ -1,6 +1,7 @@
 //! Visibility and transmittance between a point and a light.
 
-use crate::path::{TracerCounters, cross_boundary};
+use crate::surface::cross_boundary;
+use crate::tracer::TracerCounters;
 use femc_emission::LightSample;
 use femc_geometry::{Ray, shadow_segment};
 use femc_math::Rgb;

@@ -7,11 +7,10 @@
 use femc_film::Frame;
 use femc_film::exr::{Provenance, encode};
 use femc_math::elementary::{self, double};
-use femc_pipeline::{BUILD, SceneSource, Settings, StopCondition, plan_job, prepare_frame, render_tile};
+use femc_pipeline::{BUILD, Outputs, RenderTask, SceneSource, Settings, StopCondition, plan_job, prepare_frame};
 use std::error::Error;
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64};
 
 type RenderCase = (&'static str, &'static str, [u32; 2], u32, &'static [u32]);
 
@@ -52,12 +51,11 @@ fn render_frames(file: &str, camera: &str, size: [u32; 2], spp: u32, frames: &[u
         ..Settings::default()
     };
     let (source, plan) = (SceneSource::new(scene.clone()), plan_job(&scene, &settings, Some(frames))?);
-    let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
     for &frame in frames {
         let prepared = prepare_frame(&source, &settings, frame, None)?;
         let (mut film, mut sums) = (Frame::new(plan.tiling), blake3::Hasher::new());
         for rect in plan.tiling.rects() {
-            let tile = render_tile(&prepared, &settings, rect, 0..spp, &cancel, &progress)?.tile;
+            let tile = RenderTask::new(&prepared, &settings, rect, 0..spp).render(Outputs::default())?.tile;
             sums.update(&tile.encode());
             film.insert(tile)?;
         }

@@ -10,12 +10,11 @@ use femc_pipeline::paths::represent::{Distance, PathBins, Target, best_random_se
 use femc_pipeline::paths::schema::path_bins;
 use femc_pipeline::paths::{LightStatistics, PathsError};
 use femc_pipeline::{
-    Prepared, SceneSource, Settings, StatisticsPlan, StopCondition, prepare_frame, render_tile, render_with_statistics,
+    Outputs, Prepared, RenderTask, SceneSource, Settings, StatisticsPlan, StopCondition, prepare_frame,
 };
 use std::error::Error;
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::time::Instant;
 
 /// Number of paths of a representative set.
@@ -99,16 +98,11 @@ fn render_encoded(
     rect: Rect,
     with: bool,
 ) -> Result<EncodedTile, Box<dyn Error>> {
-    let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
     let StopCondition::Spp(spp) = settings.stop else { return Err("samples are not counted".into()) };
-    if !with {
-        let done = render_tile(prepared, settings, rect, 0..spp, &cancel, &progress)?;
-        return Ok((done.tile.encode(), None));
-    }
-    let plan = StatisticsPlan::new(prepared, settings, EDGE);
-    let (done, statistics) = render_with_statistics(prepared, settings, &plan, rect, 0..spp, &cancel, &progress)?;
-    let part = statistics.encode();
-    Ok((done.tile.encode(), Some(part)))
+    let plan = with.then(|| StatisticsPlan::new(prepared, settings, EDGE));
+    let outputs = Outputs { statistics: plan.as_ref(), ..Outputs::default() };
+    let done = RenderTask::new(prepared, settings, rect, 0..spp).render(outputs)?;
+    Ok((done.tile.encode(), done.statistics.map(|part| part.encode())))
 }
 
 /// Unites the tiles as the last task of a frame does.

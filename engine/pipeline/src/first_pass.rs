@@ -1,6 +1,7 @@
 //! The first pass as a separate task: the inputs of its solution, and the solution as bytes.
 
-use crate::render::{RenderError, frame_spec};
+use crate::preparation::frame_spec;
+use crate::render::RenderError;
 use crate::settings::{Method, Settings};
 use femc_field::{Field, SolveStatistics};
 use femc_prepared::{PrepareError, Prepared, SceneSource};

@@ -1,6 +1,7 @@
 //! Rendering of a frame in the caller's process, without a farm: round by round, with the farm's decision rules.
 
-use crate::render::{RenderError, render_tile};
+use crate::outputs::Outputs;
+use crate::render::{RenderError, RenderTask};
 use crate::round::RoundVerdict;
 use crate::settings::Settings;
 use femc_film::{ErrorStatistics, FilmError, Frame, Rect, SamplingState, Tile, TileErrors, Tiling};
@@ -37,7 +38,7 @@ pub struct RoundEnd<'a> {
 /// - `tiling`, `rounds`: values of the frame's plan;
 /// - `seconds`: returns the seconds since the frame's beginning from the rays traced so far, only for
 ///   [`StopCondition::Time`](crate::StopCondition::Time);
-/// - `cancel`, `progress`: as for [`render_tile`].
+/// - `cancel`, `progress`: as in a [`RenderTask`].
 /// - errors: cancelled, or the plan does not belong to these settings.
 pub fn render_frame(
     prepared: &Prepared,
@@ -48,7 +49,10 @@ pub fn render_frame(
     cancel: &AtomicBool,
     progress: &AtomicU64,
 ) -> Result<RenderedFrame, RenderError> {
-    let draw = |rect, samples| Ok(render_tile(prepared, settings, rect, samples, cancel, progress)?.tile);
+    let draw = |rect, samples| {
+        let task = RenderTask { prepared, settings, rect, samples, cancel: Some(cancel), progress: Some(progress) };
+        Ok(task.render(Outputs::default())?.tile)
+    };
     render_rounds(tiling, rounds, draw, |end| settings.verdict(end.tiles, end.before, seconds(end.rays), end.next))
 }
 

@@ -11,8 +11,10 @@ mod first_pass_steps;
 mod in_process;
 mod layers;
 pub mod method_choice;
+mod outputs;
 pub mod pilot;
 mod plan;
+mod preparation;
 mod render;
 pub mod replay;
 mod round;
@@ -40,10 +42,12 @@ pub use first_pass_steps::{
 pub use in_process::{RenderedFrame, RoundEnd, render_frame, render_rounds};
 pub use layers::{
     DarkLayer, FeaturePlan, LayerPlan, cryptomatte_collisions, dark_layers, feature_channels, feature_layout,
-    feature_mattes, lamp_labels, render_with_aovs, render_with_layers,
+    feature_mattes, lamp_labels,
 };
+pub use outputs::Outputs;
 pub use plan::{FIRST_PASS_FEATURE, OmittedFeature, Plan, PlanError, plan_job};
-pub use render::{FilterAdapter, RenderError, RenderedTile, frame_key, prepare_frame, prepare_world, render_tile};
+pub use preparation::{frame_key, prepare_frame, prepare_world};
+pub use render::{FilterAdapter, RenderError, RenderTask, RenderedTile};
 /// Name of the engine build. Two programs with the same name compute the same bits for the same job (`build.rs` defines the name,
 /// `tests/builds` compares).
 pub const BUILD: &str = env!("FEMC_ENGINE");
@@ -52,4 +56,4 @@ pub use femc_paths as paths;
 pub use round::{RoundVerdict, UNLIT_SPP};
 pub use settings::{Method, Settings, SettingsError, StopCondition};
 pub use stage::{job_graph, tiles_per_group, with_layers, with_statistics};
-pub use statistics::{StatisticsPlan, render_with_statistics};
+pub use statistics::StatisticsPlan;

@@ -10,7 +10,8 @@ use crate::first_pass::first_pass_key;
 use crate::first_pass_steps::{count_surfaces, first_pass_blocks};
 use crate::pilot;
 use crate::plan::Plan;
-use crate::render::{RenderError, frame_key, prepare_frame, render_rows};
+use crate::preparation::{frame_key, prepare_frame};
+use crate::render::{RenderError, RenderTask};
 use crate::settings::{Method, Settings, StopCondition};
 use femc_film::Rect;
 use femc_geometry::Ray;
@@ -20,7 +21,6 @@ use femc_montecarlo::record::{Continuation, Contribution, LightTechnique, Record
 use femc_prepared::{PrepareError, Prepared, SceneSource};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
-use std::sync::atomic::{AtomicBool, AtomicU64};
 
 /// Number of samples of each pixel of the pilot, to measure the variance.
 const VARIANCE_PILOT_SPP: u32 = 32;
@@ -237,9 +237,8 @@ impl PilotSamples {
     fn trace(prepared: &Prepared, settings: &Settings) -> Result<Self, RenderError> {
         let [width, height] = prepared.camera.film;
         let whole = Rect { x: 0, y: 0, width, height };
-        let (never, progress) = (AtomicBool::new(false), AtomicU64::new(0));
-        let (rendered, noise) =
-            render_rows(prepared, settings, whole, 0..VARIANCE_PILOT_SPP, &never, &progress, PixelNoise::default)?;
+        let task = RenderTask::new(prepared, settings, whole, 0..VARIANCE_PILOT_SPP);
+        let (rendered, noise) = task.render_rows(PixelNoise::default)?;
         let samples = whole.area() * u64::from(VARIANCE_PILOT_SPP);
         let rays =
             (rendered.rays + rendered.shadow_rays) as f64 + RAYS_PER_GUIDED_VERTEX * rendered.guided_vertices as f64;

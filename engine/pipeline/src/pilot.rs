@@ -4,12 +4,12 @@
 //! of the samples that its blocks need is about that of the frame's. It is an estimate, not a bound.
 
 use crate::in_process::render_rounds;
-use crate::render::{RenderError, render_tile};
+use crate::outputs::Outputs;
+use crate::render::{RenderError, RenderTask};
 use crate::round::RoundVerdict;
 use crate::settings::{Settings, StopCondition};
 use femc_film::{TileErrors, Tiling};
 use femc_prepared::Prepared;
-use std::sync::atomic::{AtomicBool, AtomicU64};
 
 /// Approximate number of pixels of a pilot: 15 blocks.
 pub(crate) const PIXELS: f64 = 3840.0;
@@ -42,9 +42,8 @@ pub fn estimate_samples(
     let tiling = Tiling::new(width, height, EDGE)?;
     let rounds = settings.rounds();
     let last = rounds.last().copied().unwrap_or(1);
-    let (never, progress) = (AtomicBool::new(false), AtomicU64::new(0));
     let draw = |rect, samples| -> Result<_, RenderError> {
-        Ok(render_tile(prepared, settings, rect, samples, &never, &progress)?.tile)
+        Ok(RenderTask::new(prepared, settings, rect, samples).render(Outputs::default())?.tile)
     };
     let mut likely = 0.0;
     render_rounds(tiling, &rounds, draw, |end| {

@@ -1,10 +1,10 @@
 //! Replay of samples of a finished frame. A sample is a function of the settings, so data that was not recorded during rendering
 //! can be computed afterwards.
 
-use crate::render::{FilterAdapter, film_sample};
-use crate::settings::{Method, Settings, StopCondition};
+use crate::render::{FilterAdapter, film_sample, frame_tracer};
+use crate::settings::{Settings, StopCondition};
 use femc_math::Rgb;
-use femc_montecarlo::{PathSettings, Recorder, Recording, Tracer};
+use femc_montecarlo::{Recorder, Recording, Tracer};
 use femc_prepared::Prepared;
 use std::ops::Range;
 
@@ -25,13 +25,7 @@ impl<'a> Replay<'a> {
 impl<'a, R: Recorder> Replay<'a, R> {
     /// Creates a replay with another recorder.
     pub fn with_recorder(prepared: &'a Prepared, settings: &'a Settings, recorder: R) -> Self {
-        let path = PathSettings { seed: settings.seed, max_depth: settings.max_depth, single_technique: None };
-        let mut tracer = Tracer::with_recorder(prepared, path, recorder);
-        match (settings.method, prepared.field.as_deref()) {
-            (Method::Fem, Some(field)) => tracer = tracer.with_field(field),
-            (Method::Femc, Some(field)) => tracer = tracer.with_guide(field),
-            _ => (),
-        }
+        let tracer = frame_tracer(prepared, settings, recorder);
         Self { tracer, settings, width: prepared.camera.film[0] }
     }
 

@@ -4,7 +4,7 @@ use crate::texture::Texture;
 use femc_math::Rgb;
 use femc_math::glam::{Vec2, Vec3A};
 use femc_scattering::{Bsdf, MaterialParameters, Sides as KernelSides};
-use femc_scene::{Material, Sides, TintedScalar};
+use femc_scene::{Material, ScatteringPart, Sides, TintedScalar};
 
 /// Effect of a surface on light that hits it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -91,9 +91,9 @@ impl KernelMaterial {
             && material.ior.is_some_and(|i| i.re == 1.0 && i.im == 0.0)
             && material.ts_alpha == 0.0
             && material.ts.amount > 0.0
-            && material.rd.amount == 0.0
-            && material.td.amount == 0.0
-            && material.rs.amount == 0.0;
+            && ScatteringPart::ALL
+                .iter()
+                .all(|part| *part == ScatteringPart::SpecularTransmission || part.fraction(material).amount == 0.0);
         let bsdf = Bsdf::from_parameters(&parameters);
         let tint = bsdf.straight_through();
         let crossing_if_hit = if tint == Rgb::ZERO { Crossing::Scatter } else { Crossing::Clear { tint } };

@@ -15,7 +15,7 @@ pub use aims::Aims;
 use crate::arena::Arena;
 use crate::element::{Element, ElementKind};
 use crate::gather::{ElementLights, FROM_ELEMENTS, FROM_LAMPS};
-use crate::scene::{SHUTTER_TIME, Scene, diffuse_albedos};
+use crate::scene::{MEAN_DIRECTION, SHUTTER_TIME, Scene};
 use crate::visibility::{RandomNumbers, VisibilityTester};
 use aims::Aim;
 use femc_field::{NONE, SurfaceSpot};
@@ -597,7 +597,7 @@ fn trace_ray(
             let normal = if is_back && towards_viewer { -point.normal } else { point.normal };
             let (frame, delta) = (Frame::from_normal(normal), material.bsdf.without_lambertian());
             let wo = frame.to_local(-ray.dir);
-            let (reflected, transmitted) = diffuse_albedos(&material.bsdf);
+            let (reflected, transmitted) = material.bsdf.diffuse_albedos(MEAN_DIRECTION);
             let [sent, passed] = [reflected + transmitted, delta.albedo(wo)].map(luminance);
             specular_probability = if passed > 0.0 { passed / (passed + sent) } else { 0.0 };
             if numbers.next() < specular_probability {

@@ -5,7 +5,7 @@ use femc_geometry::Ray;
 use femc_math::Rgb;
 use femc_math::glam::Vec3A;
 use femc_prepared::{Orientation, Prepared};
-use femc_scattering::{Bsdf, Sides};
+use femc_scattering::Sides;
 
 /// Time of the shutter. Moving objects are at their position in the middle of the shutter interval.
 pub const SHUTTER_TIME: f32 = 0.5;
@@ -55,7 +55,8 @@ impl Lamp {
 
 impl<'a> Scene<'a> {
     pub fn new(prepared: &'a Prepared) -> Self {
-        let albedos: Vec<_> = prepared.materials.iter().map(|material| diffuse_albedos(&material.bsdf)).collect();
+        let albedos: Vec<_> =
+            prepared.materials.iter().map(|material| material.bsdf.diffuse_albedos(MEAN_DIRECTION)).collect();
         let mut surfaces = Vec::new();
         let mut sides = Vec::with_capacity(prepared.instances.len());
         for (instance, group) in prepared.instances.iter().enumerate() {
@@ -123,18 +124,6 @@ impl<'a> Scene<'a> {
 
 /// Direction halfway between the normal and grazing, by solid angle.
 pub const MEAN_DIRECTION: Vec3A = Vec3A::new(0.866_025_4, 0.0, 0.5);
-
-/// Returns the diffuse reflectance and transmittance, including glossy reflection. Mirrors and clear solids contribute nothing.
-pub fn diffuse_albedos(bsdf: &Bsdf) -> (Rgb, Rgb) {
-    let wo = MEAN_DIRECTION;
-    match bsdf {
-        Bsdf::Black | Bsdf::Mirror(_) | Bsdf::Dielectric(_) => (Rgb::ZERO, Rgb::ZERO),
-        Bsdf::Diffuse(diffuse) => (diffuse.rd, Rgb::ZERO),
-        Bsdf::Opaque(opaque) if opaque.is_smooth() => (opaque.rd, Rgb::ZERO),
-        Bsdf::Opaque(_) => (bsdf.albedo(wo), Rgb::ZERO),
-        Bsdf::Sheet(sheet) => (sheet.rd, sheet.td),
-    }
-}
 
 /// Number of free paths beyond the surfaces to which the fog is extended.
 const FAR_FREE_PATHS: f32 = 2.0;

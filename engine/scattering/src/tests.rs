@@ -1,5 +1,6 @@
 //! Tests of the laws that every member obeys. Random numbers are hashes of fixed keys. Levels are divided by the number of tests.
 
+use crate::bsdf::Example;
 use crate::fresnel::dielectric;
 use crate::{Bsdf, LobeKind, MaterialParameters, Phase, Sides, Transmitted};
 use femc_math::glam::{DVec3, Vec3A};
@@ -8,13 +9,11 @@ use femc_math::{Frame, Rgb, warp};
 use femc_stats::testing::chi2::Cells;
 use femc_stats::testing::{assert_covers, sidak, sphere_test};
 
-mod energy;
-
 /// Chance of a false alarm of one whole test function.
 const LEVEL: f64 = 1e-3;
 
 /// Returns a uniform number in [0, 1) from a key.
-fn uniform(key: &[u64]) -> f32 {
+pub(crate) fn uniform(key: &[u64]) -> f32 {
     unit_f32((combine(key) >> 32) as u32)
 }
 
@@ -28,56 +27,8 @@ fn gray(x: f32) -> Rgb {
 
 /// Returns every member, at several roughnesses, with colors that differ by channel, and the index of the inside.
 fn members() -> Vec<(String, Bsdf, f32)> {
-    let p = MaterialParameters::default();
-    let warm = Rgb::new(0.5, 0.4, 0.2);
-    let mut list = vec![
-        ("diffuse".to_string(), MaterialParameters { rd: Rgb::new(0.9, 0.5, 0.1), ..p }, 1.0),
-        ("one-sided diffuse".to_string(), MaterialParameters { rd: warm, sides: Sides::One, ..p }, 1.0),
-        ("mirror".to_string(), MaterialParameters { rs: warm, ..p }, 1.0),
-        ("smooth plastic".to_string(), MaterialParameters { rd: warm, rs: gray(0.5), ior: Some((1.5, 0.0)), ..p }, 1.0),
-        ("translucent".to_string(), MaterialParameters { rd: gray(0.3), td: warm, ..p }, 1.0),
-        ("clear sheet".to_string(), MaterialParameters { rs: gray(0.1), ts: gray(0.8), ..p }, 1.0),
-        ("glass".to_string(), MaterialParameters { ts: gray(1.0), ior: Some((1.5, 0.0)), sides: Sides::One, ..p }, 1.5),
-        (
-            "milky glass".to_string(),
-            MaterialParameters {
-                ts: warm,
-                rd: gray(0.2),
-                td: gray(0.3),
-                ior: Some((1.5, 0.0)),
-                sides: Sides::One,
-                ..p
-            },
-            1.5,
-        ),
-    ];
-    for alpha in [0.02f32, 0.1, 0.4, 1.0] {
-        let mut add = |name: &str, p: MaterialParameters, n: f32| list.push((format!("{name} {alpha}"), p, n));
-        add("gloss", MaterialParameters { rs: warm, rs_alpha: alpha, ..p }, 1.0);
-        add("floor", MaterialParameters { rd: warm, rs: gray(0.5), rs_alpha: alpha, ..p }, 1.0);
-        let ior = Some((1.5, 0.0));
-        add("plastic", MaterialParameters { rd: warm, rs: gray(0.5), rs_alpha: alpha, ior, ..p }, 1.0);
-        add("silver", MaterialParameters { rs: gray(1.0), rs_alpha: alpha, ior: Some((0.15, 3.6)), ..p }, 1.0);
-        let sheet = MaterialParameters {
-            rd: gray(0.1),
-            td: gray(0.15),
-            rs: warm * 0.5,
-            ts: gray(0.4),
-            rs_alpha: alpha,
-            ts_alpha: 0.5 * alpha,
-            ..p
-        };
-        add("sheet", sheet, 1.0);
-        let waxed = MaterialParameters { rd: gray(0.3), td: gray(0.3), rs: gray(0.4), rs_alpha: alpha, ior, ..p };
-        add("waxed sheet", waxed, 1.0);
-        let solid = MaterialParameters { ts: warm * 2.0, ts_alpha: alpha, ior, sides: Sides::One, ..p };
-        add("rough glass", solid, 1.5);
-        let bubble = MaterialParameters { ior: Some((0.75, 0.0)), rd: gray(0.0), td: gray(0.0), ..solid };
-        add("rough bubble", bubble, 0.75);
-        let frosted = MaterialParameters { ts: warm, rd: gray(0.2), td: gray(0.3), ..solid };
-        add("frosted glass", frosted, 1.5);
-    }
-    list.into_iter().map(|(name, p, n)| (name, Bsdf::from_parameters(&p), n)).collect()
+    let bsdf = |it: Example| (it.name, Bsdf::from_parameters(&it.parameters), it.inside);
+    Example::all().into_iter().map(bsdf).collect()
 }
 
 /// Returns viewing directions on both sides, from the pole to grazing.
@@ -226,7 +177,7 @@ fn reciprocity_holds() {
 
 /// Returns the mean weight of `n^3` stratified samples with the square of the index removed, which is the directional albedo, and
 /// an upper bound of its standard error.
-fn furnace(bsdf: &Bsdf, wo: Vec3A, key: u64, n: u64) -> (Rgb, f32) {
+pub(crate) fn furnace(bsdf: &Bsdf, wo: Vec3A, key: u64, n: u64) -> (Rgb, f32) {
     let (mut sum, mut sum2) = (DVec3::ZERO, 0.0f64);
     for i in 0..n * n * n {
         let jitter = [0, 1, 2].map(|d| uniform(&[key, i, d]));

@@ -3,7 +3,7 @@
 //! An answer holds for the whole clip: a scalar that varies counts with its largest key, and an object that is hidden now but shown
 //! at some time counts as shown.
 
-use crate::description::{Camera, Material, MediumId, Scene};
+use crate::description::{Camera, Material, MediumId, ScatteringPart, Scene};
 use std::collections::BTreeSet;
 
 /// Features that the renderer needs; they select its kernel.
@@ -152,12 +152,15 @@ impl Scene {
     }
 
     fn gloss_unused_reason(&self, shown: &[&Material]) -> Option<String> {
+        let specular = || ScatteringPart::ALL.into_iter().filter(|part| part.roughness_name().is_some());
         let shines = |material: &&Material| {
             let entity = format!("material.{}", material.name);
-            self.max_over_time(&entity, "rs", material.rs.amount) > 0.0
-                || self.max_over_time(&entity, "ts", material.ts.amount) > 0.0
+            specular().any(|part| self.max_over_time(&entity, part.name(), part.fraction(material).amount) > 0.0)
         };
-        (!shown.iter().any(shines)).then(|| "no surface that is shown has `rs` or `ts` above 0".into())
+        (!shown.iter().any(shines)).then(|| {
+            let names: Vec<String> = specular().map(|part| format!("`{}`", part.name())).collect();
+            format!("no surface that is shown has {} above 0", names.join(" or "))
+        })
     }
 
     fn motion_unused_reason(&self, camera: &Camera) -> Option<String> {

@@ -133,7 +133,7 @@ fn failures_and_refusals_cross_the_wire_also_as_statuses() {
 }
 
 #[test]
-fn the_words_of_a_session_cross_the_wire() {
+fn messages_of_a_worker_cross_the_wire() {
     let registration = Registration {
         name: "w".into(),
         instance: u64::MAX,
@@ -211,7 +211,11 @@ fn the_words_of_a_session_cross_the_wire() {
     }
     let endless = wire::Usage::from(ResourceUsage { cpu: f64::NAN, ..usage() });
     assert_eq!(ResourceUsage::try_from(endless), Err(ConvertError::Range { field: "seconds" }));
+}
 
+#[test]
+fn messages_to_a_worker_cross_the_wire() {
+    let (render, image, epoch) = (task(StageKind::Render), task(StageKind::Image), Epoch::new(3, 9));
     let output = Output { role: Role::Pixels, artifact: artifact() };
     let inputs = vec![Input { need: u16::MAX, frame: Stage::JOB_FRAME, item: 9, output }; 2];
     for (more, copy_of) in [(NextRound::Possible, None), (NextRound::Impossible, Some(Epoch::new(2, 8)))] {
@@ -258,7 +262,7 @@ fn the_words_of_a_session_cross_the_wire() {
 }
 
 #[test]
-fn statuses_cross_the_wire() {
+fn statuses_of_jobs_cross_the_wire() {
     use JobState::*;
     let frame = FrameProgress {
         frame: 3,
@@ -329,6 +333,10 @@ fn statuses_cross_the_wire() {
         };
         assert_round_trip::<JobStatus, wire::JobStatus>(status);
     }
+}
+
+#[test]
+fn workers_and_frames_cross_the_wire() {
     let tasks = vec![task(StageKind::Render)];
     let (name, tags) = ("w".to_owned(), vec!["lab".to_owned()]);
     let intake = Intake::Open;

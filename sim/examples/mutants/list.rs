@@ -13,14 +13,17 @@ use rand::seq::SliceRandom as _;
 use serde::Deserialize;
 
 /// Source files that are mutated.
-const FILES: [&str; 9] = [
+const FILES: [&str; 12] = [
     "farm/schedule/src/**/*.rs",
     "farm/queue/src/**/*.rs",
     "farm/store/src/**/*.rs",
     "coordinator/src/session.rs",
     "coordinator/src/janitor.rs",
     "coordinator/src/actor.rs",
-    "worker/src/outbox.rs",
+    "coordinator/src/queries.rs",
+    "coordinator/src/roster.rs",
+    "coordinator/src/worker_events.rs",
+    "worker/src/outbox/*.rs",
     "worker/src/claims.rs",
     "worker/src/session.rs",
 ];

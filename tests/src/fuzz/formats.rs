@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64};
+use std::sync::atomic::AtomicBool;
 
 use bytes::Bytes;
 use femc_field::{FogCell, FogLine, FogTree};
@@ -24,9 +24,8 @@ use femc_pipeline::paths::histogram::{Histograms, Table};
 use femc_pipeline::paths::{FrameStatistics, LightStatistics};
 use femc_pipeline::radiosity::SolveOptions;
 use femc_pipeline::{
-    BlockGuides, Field, Layer, LayerPlan, Prepared, Preset, RayHits, SceneSource, Settings, Side, SolverState,
-    StatisticsPlan, StopCondition, encode_solution, prepare_world, render_with_layers, render_with_statistics,
-    solve_first_pass,
+    BlockGuides, Field, Layer, LayerPlan, Outputs, Prepared, Preset, RayHits, RenderTask, SceneSource, Settings, Side,
+    SolverState, StatisticsPlan, StopCondition, encode_solution, prepare_world, solve_first_pass,
 };
 use femc_schedule::{Fact, Ledger, decode_attempts, encode_attempts};
 use femc_stylize::{Brushwork, ChannelImage, Example};
@@ -230,8 +229,9 @@ fn layers() -> Vec<Target> {
     let prepared = prepare_world(&SceneSource::new(crate::parse_scene(FLOOR)), &settings, 1, None).expect("a frame");
     let (plan, rect) =
         (LayerPlan::new(&prepared, &settings).expect("a plan"), Rect { x: 4, y: 0, width: 4, height: 4 });
-    let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
-    let tile = render_with_layers(&prepared, &settings, &plan, None, rect, 0..3, &cancel, &progress).expect("a tile").1;
+    let task = RenderTask::new(&prepared, &settings, rect, 0..3);
+    let rendered = task.render(Outputs { layers: Some(&plan), ..Outputs::default() }).expect("a tile");
+    let tile = rendered.aovs.light.expect("layers");
     let tiling = Tiling::new(8, 4, 4).expect("a tiling");
     let mut piece = LayerPiece::new(tiling, 1);
     piece.put(&tile, NONE_HELD).expect("its place");
@@ -489,9 +489,9 @@ fn statistics(frame: u32, full_statistics: bool) -> LightStatistics {
     let prepared =
         prepare_world(&SceneSource::new(crate::parse_scene(FLOOR)), &settings, frame, None).expect("a frame");
     let (plan, rect) = (StatisticsPlan::new(&prepared, &settings, 4), Rect { x: 4, y: 0, width: 4, height: 4 });
-    let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
-    let rendered = render_with_statistics(&prepared, &settings, &plan, rect, 0..3, &cancel, &progress);
-    rendered.expect("a tile").1
+    let task = RenderTask::new(&prepared, &settings, rect, 0..3);
+    let rendered = task.render(Outputs { statistics: Some(&plan), ..Outputs::default() });
+    rendered.expect("a tile").statistics.expect("statistics")
 }
 
 fn statistics_targets([bytes, header, inside]: [&'static str; 3], statistics: &LightStatistics) -> Vec<Target> {

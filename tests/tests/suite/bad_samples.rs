@@ -3,12 +3,11 @@
 use femc_film::{BadKind, Frame};
 use femc_math::Rgb;
 use femc_math::color::LUMINANCE_WEIGHTS;
-use femc_pipeline::{SceneSource, Settings, StopCondition, plan_job, prepare_frame, render_tile};
+use femc_pipeline::{Outputs, RenderTask, SceneSource, Settings, StopCondition, plan_job, prepare_frame};
 use femc_prepared::Prepared;
 use femc_scattering::Bsdf;
 use femc_tests::parse_scene;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64};
 
 /// A furnace with a ball in it. Samples that hit the ball are made bad.
 const FURNACE: &str = "camera main =\n origin 0 0 0\n target 1 0 0\n fov 60\n film 8 8\n\
@@ -24,10 +23,9 @@ fn render(plant: impl FnOnce(&mut Prepared)) -> Frame {
     let mut prepared =
         prepare_frame(&SceneSource::new(scene.clone()), &settings, 1, None).unwrap_or_else(|error| panic!("{error}"));
     plant(&mut prepared);
-    let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
     let mut film = Frame::new(plan.tiling);
     for rect in plan.tiling.rects() {
-        let done = render_tile(&prepared, &settings, rect, 0..64, &cancel, &progress);
+        let done = RenderTask::new(&prepared, &settings, rect, 0..64).render(Outputs::default());
         film.insert(done.unwrap_or_else(|error| panic!("{error}")).tile).unwrap_or_else(|error| panic!("{error}"));
     }
     film

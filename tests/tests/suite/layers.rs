@@ -4,12 +4,11 @@ use femc_film::tile::NONE_HELD;
 use femc_film::{FrameImage, Image, LayerImage, LayerPiece, Rect, Tiling};
 use femc_math::color::LUMINANCE_WEIGHTS;
 use femc_pipeline::{
-    Layer, LayerPlan, Method, Preset, SceneSource, Settings, StopCondition, prepare_frame, render_with_layers,
+    Layer, LayerPlan, Method, Outputs, Preset, RenderTask, SceneSource, Settings, StopCondition, prepare_frame,
 };
 use femc_tests::brute::{BruteForceTracer, Scatterer};
 use femc_tests::reference::{Comparison, Reference, rooms_folder};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64};
 
 /// Probability of a false alarm in one comparison.
 const LEVEL: f64 = 1e-4;
@@ -70,10 +69,11 @@ fn render_layers(name: &str, method: Method) -> Vec<FrameImage> {
         Settings { stop: StopCondition::Spp(SPP), seed: 12, method, layers: layers(), ..Settings::default() };
     let prepared = prepare_frame(&SceneSource::new(Arc::new(scene)), &settings, 1, None).unwrap();
     let film @ [width, height] = prepared.camera.film;
-    let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
     let plan = LayerPlan::new(&prepared, &settings).unwrap();
     let rect = Rect { x: 0, y: 0, width, height };
-    let (_, tile, _) = render_with_layers(&prepared, &settings, &plan, None, rect, 0..SPP, &cancel, &progress).unwrap();
+    let task = RenderTask::new(&prepared, &settings, rect, 0..SPP);
+    let rendered = task.render(Outputs { layers: Some(&plan), ..Outputs::default() }).unwrap();
+    let tile = rendered.aovs.light.unwrap();
     let mut piece = LayerPiece::new(Tiling::new(width, height, 64).unwrap(), 0);
     piece.put(&tile, NONE_HELD).unwrap();
     let mut images = LayerImage::black(settings.layers.iter().map(|layer| layer.name.clone()), width, height);

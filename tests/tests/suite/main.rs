@@ -13,6 +13,7 @@ mod materials;
 mod modules;
 mod pairs;
 mod parts;
+mod proofs;
 mod references;
 mod stress;
 mod techniques;

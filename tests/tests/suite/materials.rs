@@ -5,13 +5,15 @@ use femc_math::Rgb;
 use femc_math::color::LUMINANCE_WEIGHTS;
 use femc_math::glam::Vec3A;
 use femc_pipeline::radiosity::{SolveOptions, VerifyError, solve};
-use femc_pipeline::{Method, Prepared, SceneSource, Settings, StopCondition, plan_job, prepare_frame, render_tile};
+use femc_pipeline::{
+    Method, Outputs, Prepared, RenderTask, SceneSource, Settings, StopCondition, plan_job, prepare_frame,
+};
 use femc_prepared::KernelMaterial;
 use femc_tests::parse_scene;
 use femc_tests::rng::Rng;
 use std::fmt::Write as _;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64};
+use std::sync::atomic::AtomicBool;
 
 /// Draws a number in [0, 1).
 fn unit(rng: &mut Rng) -> f64 {
@@ -111,9 +113,9 @@ fn room(material: &str) -> String {
 fn render_frame(prepared: &Prepared, settings: &Settings) -> Frame {
     let StopCondition::Spp(spp) = settings.stop else { panic!("a fixed number of samples") };
     let plan = plan_job(&prepared.scene, settings, Some(&[1])).unwrap_or_else(|error| panic!("{error}"));
-    let (cancel, progress, mut film) = (AtomicBool::new(false), AtomicU64::new(0), Frame::new(plan.tiling));
+    let mut film = Frame::new(plan.tiling);
     for rect in plan.tiling.rects() {
-        let done = render_tile(prepared, settings, rect, 0..spp, &cancel, &progress);
+        let done = RenderTask::new(prepared, settings, rect, 0..spp).render(Outputs::default());
         film.insert(done.unwrap_or_else(|error| panic!("{error}")).tile).unwrap_or_else(|error| panic!("{error}"));
     }
     film

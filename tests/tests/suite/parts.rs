@@ -8,6 +8,7 @@ type Names = BTreeSet<String>;
 /// A line of `tests/parts` with its groups expanded.
 struct Part {
     name: String,
+    counts: String,
     triggers: Names,
     exemptions: Names,
     command: String,
@@ -22,8 +23,8 @@ fn parts() -> Vec<Part> {
             groups.insert(group, words);
             continue;
         }
-        let cells: Vec<&str> = line.splitn(5, '|').map(str::trim).collect();
-        let [name, minutes, due, without, command] = cells[..] else { panic!("a line of five columns: {line}") };
+        let cells: Vec<&str> = line.splitn(6, '|').map(str::trim).collect();
+        let [name, minutes, counts, due, without, command] = cells[..] else { panic!("a line of six columns: {line}") };
         assert!(minutes.parse::<u32>().is_ok_and(|minutes| minutes > 0), "{name}: {minutes} minutes");
         let words = |list: &str| -> Names {
             let mut words = Names::new();
@@ -36,6 +37,7 @@ fn parts() -> Vec<Part> {
         };
         parts.push(Part {
             name: name.into(),
+            counts: counts.into(),
             triggers: words(due),
             exemptions: words(without),
             command: command.into(),
@@ -81,6 +83,21 @@ fn every_crate_makes_some_part_due() {
     let idle: Vec<_> = members.values().map(|member| &member.folder).filter(|folder| !due.contains(*folder)).collect();
     let idle: Vec<_> = idle.into_iter().filter(|folder| !OTHERS.contains(&folder.as_str())).collect();
     assert!(idle.is_empty(), "{idle:?}");
+}
+
+#[test]
+fn a_part_of_tests_counts_tests() {
+    for part in parts() {
+        let is_of_tests = part.command.contains("suite ") || part.command.contains("cargo test");
+        assert_eq!(part.counts == "tests", is_of_tests, "{}: it counts {}", part.name, part.counts);
+        assert!(!part.counts.is_empty(), "{}: it counts nothing, which is `-`", part.name);
+    }
+}
+
+#[test]
+fn the_gate_checks_the_results_of_the_parts() {
+    let gate = std::fs::read_to_string(root().join(".ci/run")).expect(".ci/run");
+    assert!(gate.lines().any(|line| line == "tests/all --check"), ".ci/run does not check tests/proofs.tsv");
 }
 
 #[test]

@@ -2,10 +2,9 @@
 
 use femc_film::{Frame, FrameImage, pixel_digest};
 use femc_math::glam::DVec3;
-use femc_pipeline::{Prepared, SceneSource, Settings, StopCondition, plan_job, prepare_frame, render_tile};
+use femc_pipeline::{Outputs, Prepared, RenderTask, SceneSource, Settings, StopCondition, plan_job, prepare_frame};
 use femc_tests::parse_scene;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64};
 
 const ROOM: &str = "camera main =\n origin 0.2 0 0\n target 1 0 0\n fov 60\n film 16 16\n\
     medium fog =\n sigma_s .2\nmedium_everywhere\n\
@@ -31,8 +30,7 @@ fn render(prepared: &Prepared, settings: &Settings) -> FrameImage {
     let plan = plan_job(&prepared.scene, settings, Some(&[1])).unwrap_or_else(|error| panic!("{error}"));
     let mut film = Frame::new(plan.tiling);
     for rect in plan.tiling.rects() {
-        let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
-        let done = render_tile(prepared, settings, rect, 0..4, &cancel, &progress);
+        let done = RenderTask::new(prepared, settings, rect, 0..4).render(Outputs::default());
         film.insert(done.unwrap_or_else(|error| panic!("{error}")).tile).unwrap_or_else(|error| panic!("{error}"));
     }
     film.resolve()

@@ -24,6 +24,7 @@ const only = args[0] ?? '';
 if (shotsAt) mkdirSync(shotsAt, { recursive: true });
 
 let failures = 0;
+let steps = 0;
 const claim = (holds, what) => {
   if (!holds) throw new Error(what);
 };
@@ -82,6 +83,7 @@ async function step(name, run) {
   // The steps of light have a farm of their own: `run light:` makes only these.
   if (!name.includes(only) && (!name.startsWith('begin') || only.startsWith('light:'))) return;
   const began = Date.now();
+  steps++;
   try {
     await run();
     const seen = faults.splice(0);
@@ -729,5 +731,5 @@ await secured.end();
 
 await light({ step, open, claim, equal, accessible, browser, shotsAt, current: (page) => (current = page) });
 await browser.close();
-console.log(failures ? `${failures} steps failed` : 'all steps passed');
+console.log(`${steps} steps, ${failures} failed`);
 process.exit(failures ? 1 : 0);

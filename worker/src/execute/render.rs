@@ -4,7 +4,7 @@ use std::sync::atomic::Ordering;
 
 use femc_film::Rect;
 use femc_model::{Failure, Phase, Role, StageTemplate, TaskSpec, TileRect};
-use femc_pipeline::{FeaturePlan, RenderError, StatisticsPlan, render_tile, render_with_aovs, render_with_statistics};
+use femc_pipeline::{FeaturePlan, Outputs, RenderError, RenderTask, StatisticsPlan};
 
 use super::{Product, Tools, settings_failure};
 use crate::clock::Stopwatch;
@@ -27,33 +27,29 @@ pub(crate) fn render(task: &Task, stage: &StageTemplate, tools: &Tools) -> Resul
     task.set_phase(Phase::Working);
     let watch = Stopwatch::start();
     let (settings, range) = (&loaded.settings, samples.clone());
-    let (cancel, units) = (&task.cancel, &task.units);
+    let (cancel, progress) = (Some(&task.cancel), Some(&task.units));
     let rendered = tools.install(task, || {
         let makes = |role| stage.outputs.contains(&role);
         let statistics = makes(Role::Paths).then(|| StatisticsPlan::new(&prepared, settings, grid.tile));
-        let outcome = match (makes(Role::Layers), &statistics) {
-            (true, of) => {
-                let light = tools.cache.layers(&loaded, key.stage.frame, &prepared)?;
-                let features = FeaturePlan::from_settings(&prepared, settings).map_err(settings_failure)?;
-                let plans = (light.as_deref(), features.as_ref());
-                render_with_aovs(&prepared, settings, plans, of.as_ref(), rect, range, cancel, units)
-                    .map(|(rendered, beside, of)| (rendered, of, Some(beside)))
-            }
-            (false, Some(of)) => render_with_statistics(&prepared, settings, of, rect, range, cancel, units)
-                .map(|(rendered, of)| (rendered, Some(of), None)),
-            (false, None) => {
-                render_tile(&prepared, settings, rect, range, cancel, units).map(|rendered| (rendered, None, None))
-            }
-        };
-        let made = outcome.map(|(rendered, statistics, layers)| {
-            let (statistics, layers) = (statistics.map(|it| it.encode()), layers.map(|it| it.encode()));
-            let (rays, shadow_rays, bad) = (rendered.rays, rendered.shadow_rays, rendered.tile.bad_samples().total());
-            task.account.rays.store(rays + shadow_rays, Ordering::Relaxed);
-            tracing::debug!(?rect, ?samples, rays, shadow_rays, bad, seconds = watch.seconds(), "rendered");
-            let thumbnail =
-                stage.outputs.contains(&Role::Thumbnail).then(|| rendered.tile.thumbnail().encode_thumbnail());
-            (bad, rendered.tile.encode(), thumbnail, statistics, layers)
-        });
+        let (mut light, mut features) = (None, None);
+        if makes(Role::Layers) {
+            light = tools.cache.layers(&loaded, key.stage.frame, &prepared)?;
+            features = FeaturePlan::from_settings(&prepared, settings).map_err(settings_failure)?;
+        }
+        let outputs =
+            Outputs { layers: light.as_deref(), features: features.as_ref(), statistics: statistics.as_ref() };
+        let made = RenderTask { prepared: &prepared, settings, rect, samples: range, cancel, progress }
+            .render(outputs)
+            .map(|rendered| {
+                let layers = makes(Role::Layers).then(|| rendered.aovs.encode());
+                let statistics = rendered.statistics.map(|it| it.encode());
+                let (rays, shadow_rays) = (rendered.rays, rendered.shadow_rays);
+                let bad = rendered.tile.bad_samples().total();
+                task.account.rays.store(rays + shadow_rays, Ordering::Relaxed);
+                tracing::debug!(?rect, ?samples, rays, shadow_rays, bad, seconds = watch.seconds(), "rendered");
+                let thumbnail = makes(Role::Thumbnail).then(|| rendered.tile.thumbnail().encode_thumbnail());
+                (bad, rendered.tile.encode(), thumbnail, statistics, layers)
+            });
         made.map_err(|error| match error {
             RenderError::Cancelled => Failure::Cancelled,
             error @ (RenderError::Film(_) | RenderError::Untrusted(_)) => settings_failure(error),

@@ -12,7 +12,7 @@ fn have_tags(graph: &Graph, tags: &[&str]) -> bool {
 }
 
 #[test]
-fn planned_graphs_can_be_run_and_require_the_tags_of_their_kinds() {
+fn planned_graphs_are_valid_and_have_the_tags_of_their_kinds() {
     for film in [[1, 1], [16, 12], [100, 50], [640, 512]] {
         for rounds in [&[4][..], &[4, 8, 16]] {
             for fan in [1, 3, 4, 1000].map(|fan| NonZeroU32::new(fan).unwrap()) {

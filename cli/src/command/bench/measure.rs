@@ -85,9 +85,11 @@ impl BenchScene {
         let (across, down) = (WARM_UP.min(width), WARM_UP.min(height));
         let (x, y) = ((width - across) / 2, (height - down) / 2);
         let rect = femc_film::Rect { x, y, width: across, height: down };
-        let progress = AtomicU64::new(0);
-        pool.install(|| femc_pipeline::render_tile(&prepared, settings, rect, 0..1, cancel, &progress))
-            .map_err(map_render_error)?;
+        let task = femc_pipeline::RenderTask {
+            cancel: Some(cancel),
+            ..femc_pipeline::RenderTask::new(&prepared, settings, rect, 0..1)
+        };
+        pool.install(|| task.render(femc_pipeline::Outputs::default())).map_err(map_render_error)?;
         Ok(PreparedScene { scene: self, prepared, first_passes: Vec::new(), pool, cancel })
     }
 }

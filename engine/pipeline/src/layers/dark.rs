@@ -10,7 +10,7 @@ use femc_layers::{
 };
 use femc_scattering::microfacet::SMOOTH_ALPHA;
 use femc_scene::objects::hidden_objects;
-use femc_scene::{Material, MediumId, ObjectId, Scene, Sides};
+use femc_scene::{Material, MediumId, ObjectId, ScatteringPart, Scene, Sides};
 use std::collections::BTreeSet;
 use std::fmt;
 
@@ -205,29 +205,32 @@ fn scattering_kinds(scene: &Scene, material: &Material) -> Vec<EventKind> {
     let of = format!("material.{}.", material.name);
     let varies = |field: &str| scene.varies.iter().any(|vary| vary.selector.strip_prefix(&of) == Some(field));
     let present = |field: &str, now: f64| largest_value(scene, material, field, now) > 0.0;
-    let (rd, td) = (present("rd", material.rd.amount), present("td", material.td.amount));
-    let (rs, ts) = (present("rs", material.rs.amount), present("ts", material.ts.amount));
-    // Whether the surface is rough at some time, and whether it is smooth at some time.
-    let roughness = |field: &str, now: f64| {
-        let is_rough = now as f32 > SMOOTH_ALPHA;
-        if varies(field) { [true, true] } else { [is_rough, !is_rough] }
+    let is_present = |part: ScatteringPart| present(part.name(), part.fraction(material).amount);
+    // Whether a specular part is rough at some time, and whether it is smooth at some time.
+    let roughness = |part: ScatteringPart| {
+        part.roughness_name().zip(part.roughness(material)).map(|(field, now)| {
+            let is_rough = now as f32 > SMOOTH_ALPHA;
+            if varies(field) { [true, true] } else { [is_rough, !is_rough] }
+        })
     };
-    let [rs_rough, rs_smooth] = roughness("rs_alpha", material.rs_alpha);
-    let [ts_rough, ts_smooth] = roughness("ts_alpha", material.ts_alpha);
     // A solid reflects the light that it does not refract, with the same roughness. A sheet transmits light straight through, which
     // is not an event.
     let may_change = ["sides", "ir", "ir.im"].into_iter().any(varies);
     let is_solid = material.sides == Sides::One && material.ior.is_some();
-    let may_be_solid = (is_solid || may_change && material.ior.is_some()) && ts;
-    let may_be_sheet =
-        !is_solid || may_change || material.ior.is_some_and(|ior| ior.im > 0.0 || ior.re as f32 == 1.0) || !ts;
-    let possible = [
-        (RD, rd),
-        (TD, td),
-        (RG, may_be_sheet && rs && rs_rough || may_be_solid && ts_rough),
-        (RS, may_be_sheet && rs && rs_smooth || may_be_solid && ts_smooth),
-        (TG, ts && ts_rough),
-        (TS, may_be_solid && ts_smooth),
-    ];
-    possible.into_iter().filter_map(|(kind, may_be)| may_be.then_some(kind)).collect()
+    let refracted = ScatteringPart::SpecularTransmission;
+    let may_be_solid = (is_solid || may_change && material.ior.is_some()) && is_present(refracted);
+    let may_be_sheet = !is_solid
+        || may_change
+        || material.ior.is_some_and(|ior| ior.im > 0.0 || ior.re as f32 == 1.0)
+        || !is_present(refracted);
+    let kinds = |part: ScatteringPart| match (roughness(part), part.is_transmitted()) {
+        (None, false) => vec![(RD, true)],
+        (None, true) => vec![(TD, true)],
+        (Some([rough, smooth]), false) => vec![(RG, may_be_sheet && rough), (RS, may_be_sheet && smooth)],
+        (Some([rough, smooth]), true) => vec![(TG, rough), (TS, may_be_solid && smooth)],
+    };
+    let of_parts = ScatteringPart::ALL.into_iter().filter(|part| is_present(*part)).flat_map(kinds);
+    let [rough, smooth] = roughness(refracted).unwrap_or_default();
+    let of_boundary = [(RG, may_be_solid && rough), (RS, may_be_solid && smooth)];
+    of_parts.chain(of_boundary).filter_map(|(kind, may_be)| may_be.then_some(kind)).collect()
 }

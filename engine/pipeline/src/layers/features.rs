@@ -4,24 +4,19 @@
 //! sample, and fog or mirrors of the path do not affect it. Without features no recorder receives camera rays, and there is no
 //! cost.
 
-use super::recorder::LayerRecorder;
-use super::{LayerPlan, render_recorded};
-use crate::render::{RenderError, RenderedTile, frame_spec};
+use crate::preparation::frame_spec;
+use crate::render::RenderTask;
 use crate::settings::Settings;
-use crate::statistics::StatisticsPlan;
 use femc_film::features::RANKS;
-use femc_film::{AovTile, FeatureLayout, FeatureSums, FeatureTile, Rect};
+use femc_film::{FeatureLayout, FeatureSums, FeatureTile, FilmError};
 use femc_geometry::Ray;
 use femc_layers::{Feature, cryptomatte};
 use femc_math::{Rgb, SampleStream};
 use femc_montecarlo::first_surface;
-use femc_montecarlo::record::{Continuation, Contribution, RecordLevel, Recorder, RecorderPair, Termination, Vertex};
-use femc_paths::LightStatistics;
+use femc_montecarlo::record::{Continuation, Contribution, RecordLevel, Recorder, Termination, Vertex};
 use femc_prepared::camera::View;
 use femc_prepared::{NextFrame, PrepareError, Prepared};
 use femc_scene::Scene;
-use std::ops::Range;
-use std::sync::atomic::{AtomicBool, AtomicU64};
 
 /// The features requested for a frame.
 #[derive(Clone, Debug)]
@@ -60,6 +55,16 @@ impl FeaturePlan {
     /// Returns the layout of a pixel.
     pub fn layout(&self) -> FeatureLayout {
         feature_layout(&self.features)
+    }
+
+    /// Creates the features of a tile from the recorders, in order.
+    pub(crate) fn tile(
+        &self,
+        task: &RenderTask<'_>,
+        recorders: Vec<FeatureRecorder<'_>>,
+    ) -> Result<FeatureTile, FilmError> {
+        let sums = FeatureSums::concat(self.layout(), recorders.into_iter().map(|recorder| recorder.sums));
+        FeatureTile::new(task.rect, task.samples.clone(), sums)
     }
 }
 
@@ -114,7 +119,7 @@ pub fn feature_channels<'a>(features: impl IntoIterator<Item = &'a Feature> + Cl
 }
 
 /// Recorder that sums the features of the pixels that a tracer renders one after the other.
-struct FeatureRecorder<'a> {
+pub(crate) struct FeatureRecorder<'a> {
     plan: &'a FeaturePlan,
     prepared: &'a Prepared,
     sums: FeatureSums,
@@ -127,7 +132,7 @@ struct FeatureRecorder<'a> {
 }
 
 impl<'a> FeatureRecorder<'a> {
-    fn new(plan: &'a FeaturePlan, prepared: &'a Prepared) -> Self {
+    pub(crate) fn new(plan: &'a FeaturePlan, prepared: &'a Prepared) -> Self {
         let sums = FeatureSums::new(plan.layout());
         let (values, ids) = (Vec::new(), Vec::new());
         Self { plan, prepared, sums, current_pixel: None, key: [0; 2], values, ids, has_hit: false }
@@ -195,51 +200,6 @@ impl Recorder for FeatureRecorder<'_> {
         // Samples that the film rejects do not count here either.
         if color.is_some() {
             self.sums.add(self.has_hit.then_some((&self.values, &self.ids)));
-        }
-    }
-}
-
-/// Renders samples of a tile as [`render_tile`](crate::render_tile) does, to the bit, together with layers of the light, features
-/// or both, and with light statistics.
-pub fn render_with_aovs(
-    prepared: &Prepared,
-    settings: &Settings,
-    (light, features): (Option<&LayerPlan>, Option<&FeaturePlan>),
-    statistics: Option<&StatisticsPlan>,
-    rect: Rect,
-    samples: Range<u32>,
-    cancel: &AtomicBool,
-    progress: &AtomicU64,
-) -> Result<(RenderedTile, AovTile, Option<LightStatistics>), RenderError> {
-    let of_light = |plan| move || LayerRecorder::new(plan, prepared);
-    let of_features = |plan| move || FeatureRecorder::new(plan, prepared);
-    let range = samples.clone();
-    let tile = |plan: &FeaturePlan, recorders: Vec<FeatureRecorder<'_>>| {
-        let sums = FeatureSums::concat(plan.layout(), recorders.into_iter().map(|recorder| recorder.sums));
-        FeatureTile::new(rect, range.clone(), sums)
-    };
-    let task = (prepared, settings, statistics, rect, samples, cancel, progress);
-    match (light, features) {
-        (Some(light), Some(features)) => {
-            let (of_light, of_features) = (of_light(light), of_features(features));
-            let (rendered, both, statistics) = render_recorded(task, || RecorderPair::new(of_light(), of_features()))?;
-            let (first, second) = both.into_iter().map(|both| (both.first, both.second)).unzip();
-            let (light, features) = (light.tile(rect, range.clone(), first)?, tile(features, second)?);
-            Ok((rendered, AovTile { light: Some(light), features: Some(features) }, statistics))
-        }
-        (Some(light), None) => {
-            let (rendered, recorders, statistics) = render_recorded(task, of_light(light))?;
-            let light = light.tile(rect, range.clone(), recorders)?;
-            Ok((rendered, AovTile { light: Some(light), features: None }, statistics))
-        }
-        (None, Some(features)) => {
-            let (rendered, recorders, statistics) = render_recorded(task, of_features(features))?;
-            let features = tile(features, recorders)?;
-            Ok((rendered, AovTile { light: None, features: Some(features) }, statistics))
-        }
-        (None, None) => {
-            let (rendered, _, statistics) = render_recorded(task, || ())?;
-            Ok((rendered, AovTile { light: None, features: None }, statistics))
         }
     }
 }

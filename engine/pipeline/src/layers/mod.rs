@@ -16,23 +16,20 @@ mod id_collisions;
 mod recorder;
 
 pub use dark::{DarkLayer, dark_layers};
-pub use features::{FeaturePlan, feature_channels, feature_layout, feature_mattes, render_with_aovs};
+pub(crate) use features::FeatureRecorder;
+pub use features::{FeaturePlan, feature_channels, feature_layout, feature_mattes};
 pub use id_collisions::cryptomatte_collisions;
 
-use crate::render::{RenderError, RenderedTile, render_rows};
+use crate::render::RenderTask;
 use crate::settings::Settings;
-use crate::statistics::{StatisticsPlan, render_with_statistics_and_recorder};
 use femc_film::tile::HALVES;
-use femc_film::{FilmError, LayerSetLight, LayerTile, LightSums, Rect};
+use femc_film::{FilmError, LayerSetLight, LayerTile, LightSums};
 use femc_layers::{Automaton, LabelOffset, LabelSet, Layer, LayerError, Vocabulary, parse_layers};
-use femc_montecarlo::Recorder;
-use femc_paths::LightStatistics;
 use femc_prepared::Prepared;
 use femc_scene::{LampKind, ObjectId, Scene};
-use recorder::{FinishedPixels, LayerRecorder};
+use recorder::FinishedPixels;
+pub(crate) use recorder::LayerRecorder;
 use std::collections::BTreeSet;
-use std::ops::Range;
-use std::sync::atomic::{AtomicBool, AtomicU64};
 
 /// The layers of a frame, compiled for its scene.
 #[derive(Clone, Debug)]
@@ -103,10 +100,14 @@ impl LayerPlan {
     }
 
     /// Creates the layers of a tile from the recorders, in order.
-    fn tile(&self, rect: Rect, samples: Range<u32>, recorders: Vec<LayerRecorder<'_>>) -> Result<LayerTile, FilmError> {
+    pub(crate) fn tile(
+        &self,
+        task: &RenderTask<'_>,
+        recorders: Vec<LayerRecorder<'_>>,
+    ) -> Result<LayerTile, FilmError> {
         let runs = recorders.into_iter().map(LayerRecorder::finish).collect();
         let (counts, light) = concat_pixels(runs, &self.automaton);
-        LayerTile::new(rect, samples, self.count as u32, counts, light)
+        LayerTile::new(task.rect, task.samples.clone(), self.count as u32, counts, light)
     }
 
     #[inline]
@@ -191,45 +192,6 @@ pub(crate) fn check_labels(scene: &Scene, layers: &[Layer]) -> Result<(), LayerE
         }
     }
     Ok(())
-}
-
-/// Renders samples of a tile as [`render_tile`](crate::render_tile) does, to the bit, with its layers, and with light statistics if
-/// requested.
-pub fn render_with_layers(
-    prepared: &Prepared,
-    settings: &Settings,
-    plan: &LayerPlan,
-    statistics: Option<&StatisticsPlan>,
-    rect: Rect,
-    samples: Range<u32>,
-    cancel: &AtomicBool,
-    progress: &AtomicU64,
-) -> Result<(RenderedTile, LayerTile, Option<LightStatistics>), RenderError> {
-    let task = (prepared, settings, statistics, rect, samples.clone(), cancel, progress);
-    let (rendered, recorders, statistics) = render_recorded(task, || LayerRecorder::new(plan, prepared))?;
-    Ok((rendered, plan.tile(rect, samples, recorders)?, statistics))
-}
-
-/// Arguments of rendering: frame, settings, statistics, pixels, samples, cancellation flag, and counter of finished samples.
-type RenderArguments<'a> =
-    (&'a Prepared, &'a Settings, Option<&'a StatisticsPlan>, Rect, Range<u32>, &'a AtomicBool, &'a AtomicU64);
-
-/// Renders samples of a tile with recorders of some kind, and returns the recorders in order, too.
-fn render_recorded<R: Recorder + Send>(
-    (prepared, settings, statistics, rect, samples, cancel, progress): RenderArguments<'_>,
-    recorder: impl Fn() -> R + Sync,
-) -> Result<(RenderedTile, Vec<R>, Option<LightStatistics>), RenderError> {
-    match statistics {
-        None => {
-            let (rendered, all) = render_rows(prepared, settings, rect, samples, cancel, progress, recorder)?;
-            Ok((rendered, all, None))
-        }
-        Some(of) => {
-            let (rendered, statistics, all) =
-                render_with_statistics_and_recorder(prepared, settings, of, rect, samples, cancel, progress, recorder)?;
-            Ok((rendered, all, Some(statistics)))
-        }
-    }
 }
 
 /// Concatenates the pixels of several runs of rows.

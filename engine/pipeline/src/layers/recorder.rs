@@ -20,7 +20,7 @@ use femc_montecarlo::record::{
 use femc_prepared::Prepared;
 
 /// Recorder that sums the layers of the pixels that a tracer renders one after the other.
-pub(super) struct LayerRecorder<'a> {
+pub(crate) struct LayerRecorder<'a> {
     plan: &'a LayerPlan,
     prepared: &'a Prepared,
     finished: FinishedPixels,
@@ -88,7 +88,7 @@ struct PathStates {
 }
 
 impl<'a> LayerRecorder<'a> {
-    pub(super) fn new(plan: &'a LayerPlan, prepared: &'a Prepared) -> Self {
+    pub(crate) fn new(plan: &'a LayerPlan, prepared: &'a Prepared) -> Self {
         let sets = plan.automaton.layer_sets().len();
         Self {
             plan,

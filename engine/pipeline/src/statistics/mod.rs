@@ -12,19 +12,15 @@ mod names;
 mod recorded;
 mod recorder;
 
-use crate::render::{RenderError, RenderedTile, render_rows};
+use crate::render::RenderTask;
 use crate::replay::Replay;
 use crate::settings::Settings;
-use femc_film::Rect;
-use femc_montecarlo::Recorder;
-use femc_montecarlo::record::RecorderPair;
-use femc_paths::{LightPath, LightStatistics, PortionKey, SampleCounters, Scope};
+use femc_paths::{LightPath, LightStatistics, PathKey, PortionKey, SampleCounters, Scope};
 use femc_prepared::Prepared;
 use names::SceneNames;
 use recorded::{RecordedSamples, TopKeys};
 use recorder::PathRecorder;
 use std::ops::Range;
-use std::sync::atomic::{AtomicBool, AtomicU64};
 
 /// Number of records that a frame keeps: 16 for each of the 5,000 of a representative set.
 const RECORDS_PER_FRAME: u32 = 16 * 5000;
@@ -93,70 +89,64 @@ fn snap_bounds(lower: [f64; 3], upper: [f64; 3]) -> ([f64; 3], [f64; 3]) {
     (lower.map(|x| (x / step).floor() * step), upper.map(|x| (x / step).ceil() * step))
 }
 
-/// Renders samples of a tile as [`render_tile`](crate::render_tile) does, to the bit, and returns their statistics.
-pub fn render_with_statistics(
-    prepared: &Prepared,
-    settings: &Settings,
-    plan: &StatisticsPlan,
-    rect: Rect,
-    samples: Range<u32>,
-    cancel: &AtomicBool,
-    progress: &AtomicU64,
-) -> Result<(RenderedTile, LightStatistics), RenderError> {
-    let outcome = render_with_statistics_and_recorder(prepared, settings, plan, rect, samples, cancel, progress, || ());
-    outcome.map(|(rendered, statistics, _)| (rendered, statistics))
+/// Recording of the statistics of a task.
+pub(crate) struct StatisticsRecording<'a> {
+    task: &'a RenderTask<'a>,
+    plan: &'a StatisticsPlan,
+    names: SceneNames<'a>,
+    statistics: LightStatistics,
 }
 
-/// Renders samples with statistics and with recorders of another kind. Returns these in order, too.
-pub(crate) fn render_with_statistics_and_recorder<R: Recorder + Send>(
-    prepared: &Prepared,
-    settings: &Settings,
-    plan: &StatisticsPlan,
-    rect: Rect,
-    samples: Range<u32>,
-    cancel: &AtomicBool,
-    progress: &AtomicU64,
-    other: impl Fn() -> R + Sync,
-) -> Result<(RenderedTile, LightStatistics, Vec<R>), RenderError> {
-    let names = SceneNames::new(prepared);
-    let mut statistics = LightStatistics::new(plan.scope, plan.share(settings, &samples));
-    // Samples that are traced again are counted already.
-    let again = Scope { has_full_histograms: false, ..plan.scope };
-    let recorder = || RecorderPair::new(PathRecorder::new(&names, statistics.threshold, plan.scope), other());
-    let (rendered, heard) = render_rows(prepared, settings, rect, samples.clone(), cancel, progress, recorder)?;
-    let mut all = RecordedSamples::new();
-    let mut others = Vec::with_capacity(heard.len());
-    for RecorderPair { first, second, .. } in heard {
-        all.merge(first.recorded);
-        others.push(second);
+impl<'a> StatisticsRecording<'a> {
+    /// Begins a recording without samples.
+    pub(crate) fn new(task: &'a RenderTask<'a>, plan: &'a StatisticsPlan) -> Self {
+        let statistics = LightStatistics::new(plan.scope, plan.share(task.settings, &task.samples));
+        Self { task, plan, names: SceneNames::new(task.prepared), statistics }
     }
-    let corner = rect.y * plan.scope.film[0] + rect.x;
-    let tile = plan.scope.tile_of(corner);
-    for ((half, counters), pixels) in (0..).zip(all.counters).zip(all.pixels) {
-        let portion = PortionKey { tile, half, begin: samples.start, end: samples.end };
-        statistics.portions.insert(portion, SampleCounters { pixels, ..counters });
+
+    /// Creates a recorder for some samples of the task.
+    pub(crate) fn recorder(&self) -> PathRecorder<'_> {
+        PathRecorder::new(&self.names, self.statistics.threshold, self.plan.scope)
     }
-    let order = |path: LightPath| ((path.key.hash(plan.scope.seed), path.key), path);
-    statistics.paths.extend(all.paths.drain(..).map(order));
-    // All samples that are traced again are recorded.
-    let mut replay = Replay::with_recorder(prepared, settings, PathRecorder::new(&names, u64::MAX, again));
-    let [bright, deep] = [all.bright, all.deep].map(TopKeys::keys);
-    let width = plan.scope.film[0];
-    for key in bright.iter().chain(&deep) {
-        let _ = replay.sample((key.pixel % width, key.pixel / width), key.sample);
-    }
-    let again = replay.into_recorder().recorded;
-    for path in again.paths {
-        let (key, path) = order(path);
-        if bright.contains(&path.key) {
-            statistics.brightest.insert(key, path.clone());
+
+    /// Returns the statistics of the task, from the data of its recorders in order.
+    pub(crate) fn finish(mut self, recorded: Vec<RecordedSamples>) -> LightStatistics {
+        let (task, scope) = (self.task, self.plan.scope);
+        let mut all = RecordedSamples::new();
+        recorded.into_iter().for_each(|part| all.merge(part));
+        let corner = task.rect.y * scope.film[0] + task.rect.x;
+        let tile = scope.tile_of(corner);
+        for ((half, counters), pixels) in (0..).zip(all.counters).zip(all.pixels) {
+            let portion = PortionKey { tile, half, begin: task.samples.start, end: task.samples.end };
+            self.statistics.portions.insert(portion, SampleCounters { pixels, ..counters });
         }
-        if deep.contains(&path.key) {
-            statistics.deepest.insert(key, path);
+        let order = |path: LightPath| ((path.key.hash(scope.seed), path.key), path);
+        self.statistics.paths.extend(all.paths.drain(..).map(order));
+        let [bright, deep] = [all.bright, all.deep].map(TopKeys::keys);
+        for path in self.trace_again(bright.iter().chain(&deep)) {
+            let (key, path) = order(path);
+            if bright.contains(&path.key) {
+                self.statistics.brightest.insert(key, path.clone());
+            }
+            if deep.contains(&path.key) {
+                self.statistics.deepest.insert(key, path);
+            }
         }
+        // Settling the statistics drops names that no record uses.
+        self.statistics.names = self.names.used_names();
+        self.statistics.trim();
+        self.statistics
     }
-    // Settling the statistics drops names that no record uses.
-    statistics.names = names.used_names();
-    statistics.trim();
-    Ok((rendered, statistics, others))
+
+    /// Traces samples again, and returns their paths. The samples are counted already.
+    fn trace_again<'k>(&self, keys: impl Iterator<Item = &'k PathKey>) -> Vec<LightPath> {
+        let scope = Scope { has_full_histograms: false, ..self.plan.scope };
+        let recorder = PathRecorder::new(&self.names, u64::MAX, scope);
+        let mut replay = Replay::with_recorder(self.task.prepared, self.task.settings, recorder);
+        let width = scope.film[0];
+        for key in keys {
+            let _ = replay.sample((key.pixel % width, key.pixel / width), key.sample);
+        }
+        replay.into_recorder().recorded.paths
+    }
 }

@@ -7,7 +7,7 @@ use std::cmp::Reverse;
 use std::collections::{BTreeSet, BinaryHeap};
 
 /// Data recorded of some samples.
-pub(super) struct RecordedSamples {
+pub(crate) struct RecordedSamples {
     pub(super) counters: [SampleCounters; 2],
     /// Sums of the pixels of each half, in the order of rendering: row by row.
     pub(super) pixels: [Vec<PixelSums>; 2],

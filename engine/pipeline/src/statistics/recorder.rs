@@ -21,11 +21,11 @@ use femc_paths::{
 type RecordedLight = (Contribution, usize, Option<Name>);
 
 /// Recorder that keeps the requested data of samples.
-pub(super) struct PathRecorder<'a> {
+pub(crate) struct PathRecorder<'a> {
     names: &'a SceneNames<'a>,
     threshold: u64,
     scope: Scope,
-    pub(super) recorded: RecordedSamples,
+    pub(crate) recorded: RecordedSamples,
     // State of the current sample:
     key: PathKey,
     hash: u64,

@@ -5,13 +5,11 @@ use femc_film::{AovPiece, AovTile, FeatureImage, Rect, Tiling};
 use femc_import::{Bundle, load_scene};
 use femc_math::elementary::double;
 use femc_pipeline::{
-    Feature, FeaturePlan, Layer, LayerPlan, Method, Prepared, SceneSource, Settings, StatisticsPlan, StopCondition,
-    cryptomatte, feature_channels, feature_layout, frame_key, plan_job, prepare_frame, render_tile, render_with_aovs,
-    render_with_layers,
+    Feature, FeaturePlan, Layer, LayerPlan, Method, Outputs, Prepared, RenderTask, SceneSource, Settings,
+    StatisticsPlan, StopCondition, cryptomatte, feature_channels, feature_layout, frame_key, plan_job, prepare_frame,
 };
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64};
 
 /// A camera 4 m above the ground that looks down on 4 m x 4 m of it: 0.5 m a pixel; x points right, y up.
 const DOWN: &str =
@@ -47,9 +45,9 @@ fn tile(prepared: &Prepared, settings: &Settings) -> AovTile {
     let light = LayerPlan::new(prepared, settings).unwrap();
     let light = (!settings.layers.is_empty()).then_some(&light);
     let features = FeaturePlan::from_settings(prepared, settings).unwrap();
-    let (rect, cancel) = (Rect { x: 0, y: 0, width, height }, AtomicBool::new(false));
-    let plans = (light, features.as_ref());
-    render_with_aovs(prepared, settings, plans, None, rect, 0..spp, &cancel, &AtomicU64::new(0)).unwrap().1
+    let outputs = Outputs { layers: light, features: features.as_ref(), statistics: None };
+    let rect = Rect { x: 0, y: 0, width, height };
+    RenderTask::new(prepared, settings, rect, 0..spp).render(outputs).unwrap().aovs
 }
 
 /// Returns the features of a frame by channel.
@@ -139,23 +137,23 @@ fn features_samples_layers_and_statistics_are_independent() {
     let both = Settings { layers: vec![Layer::new("direct", "C[RTV]?[LOB]")], ..only.clone() };
     let light = Settings { features: BTreeSet::new(), ..both.clone() };
     let prepared = world(&text, &both, 1);
-    let (rect, cancel, progress) =
-        (Rect { x: 0, y: 0, width: 8, height: 8 }, AtomicBool::new(false), AtomicU64::new(0));
+    let rect = Rect { x: 0, y: 0, width: 8, height: 8 };
     let plans = (LayerPlan::new(&prepared, &both).unwrap(), FeaturePlan::from_settings(&prepared, &both).unwrap());
     assert!(FeaturePlan::from_settings(&prepared, &light).unwrap().is_none());
     let statistics = StatisticsPlan::new(&prepared, &both, 64);
-    let picture = render_tile(&prepared, &both, rect, 0..8, &cancel, &progress).unwrap().tile;
-    let layers = render_with_layers(&prepared, &light, &plans.0, None, rect, 0..8, &cancel, &progress).unwrap().1;
+    let task = RenderTask::new(&prepared, &both, rect, 0..8);
+    let picture = task.render(Outputs::default()).unwrap().tile;
+    let only_layers = Outputs { layers: Some(&plans.0), ..Outputs::default() };
+    let layers = RenderTask { settings: &light, ..task.clone() }.render(only_layers).unwrap().aovs.light;
     let mut seen = Vec::new();
     for light in [None, Some(&plans.0)] {
         for of in [None, Some(&statistics)] {
-            let plans = (light, plans.1.as_ref());
-            let (rendered, beside, paths) =
-                render_with_aovs(&prepared, &both, plans, of, rect, 0..8, &cancel, &progress).unwrap();
+            let outputs = Outputs { layers: light, features: plans.1.as_ref(), statistics: of };
+            let rendered = task.render(outputs).unwrap();
             assert!(rendered.tile == picture);
-            assert_eq!(beside.light, light.map(|_| layers.clone()));
-            assert_eq!(paths.is_some(), of.is_some());
-            seen.push(beside.features.unwrap());
+            assert_eq!(rendered.aovs.light, light.and(layers.clone()));
+            assert_eq!(rendered.statistics.is_some(), of.is_some());
+            seen.push(rendered.aovs.features.unwrap());
         }
     }
     assert!(seen.iter().all(|features| *features == seen[0]));

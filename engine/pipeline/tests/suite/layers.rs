@@ -4,13 +4,12 @@ use femc_film::tile::NONE_HELD;
 use femc_film::{FilmError, Frame, FrameImage, LayerImage, LayerPiece, Rect, Tiling};
 use femc_import::{Bundle, load_scene};
 use femc_pipeline::{
-    Layer, LayerPlan, Method, Prepared, Preset, SceneSource, Settings, StatisticsPlan, StopCondition, lamp_labels,
-    plan_job, prepare_frame, render_tile, render_with_layers, render_with_statistics,
+    Layer, LayerPlan, Method, Outputs, Prepared, Preset, RenderTask, SceneSource, Settings, StatisticsPlan,
+    StopCondition, lamp_labels, plan_job, prepare_frame,
 };
 use femc_scene::Scene;
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64};
 
 /// A floor that is matte and glossy, a mirror ball, a plate of colored glass, a sheet that transmits diffusely, two lamps, thin
 /// fog.
@@ -121,11 +120,10 @@ pub fn layers_with_light(text: &str, settings: &Settings, frame: u32) -> Vec<boo
     let prepared = prepare_frame(&source, settings, frame, None).unwrap();
     let [width, height] = prepared.camera.film;
     let (tiling, rect) = (Tiling::new(width, height, 64).unwrap(), Rect { x: 0, y: 0, width, height });
-    let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
     let plan = LayerPlan::new(&prepared, settings).unwrap();
     let StopCondition::Spp(samples) = settings.stop else { panic!("a number of samples") };
-    let (_, layers, _) =
-        render_with_layers(&prepared, settings, &plan, None, rect, 0..samples, &cancel, &progress).unwrap();
+    let task = RenderTask::new(&prepared, settings, rect, 0..samples);
+    let layers = task.render(Outputs { layers: Some(&plan), ..Outputs::default() }).unwrap().aovs.light.unwrap();
     let mut piece = LayerPiece::new(tiling, 0);
     piece.put(&layers, NONE_HELD).unwrap();
     let mut images = LayerImage::black(settings.layers.iter().map(|layer| layer.name.clone()), width, height);
@@ -141,19 +139,22 @@ fn lamps(prepared: &Prepared) -> Vec<String> {
 fn rendered(prepared: &Prepared, settings: &Settings) -> Result<(FrameImage, Vec<LayerImage>), FilmError> {
     let [width, height] = prepared.camera.film;
     let (tiling, rect) = (Tiling::new(width, height, 64)?, Rect { x: 0, y: 0, width, height });
-    let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
     let plan = LayerPlan::new(prepared, settings).unwrap();
-    let (tile, layers, none) =
-        render_with_layers(prepared, settings, &plan, None, rect, 0..8, &cancel, &progress).unwrap();
-    let plain = render_tile(prepared, settings, rect, 0..8, &cancel, &progress).unwrap();
-    assert!(tile.tile == plain.tile && none.is_none(), "layers change no sample");
+    let task = RenderTask::new(prepared, settings, rect, 0..8);
+    let layered = task.render(Outputs { layers: Some(&plan), ..Outputs::default() }).unwrap();
+    let plain = task.render(Outputs::default()).unwrap();
+    assert!(layered.tile == plain.tile && layered.statistics.is_none(), "layers change no sample");
     let statistics = StatisticsPlan::new(prepared, settings, 64);
-    let with_all =
-        render_with_layers(prepared, settings, &plan, Some(&statistics), rect, 0..8, &cancel, &progress).unwrap();
-    let alone = render_with_statistics(prepared, settings, &statistics, rect, 0..8, &cancel, &progress).unwrap();
-    assert!(with_all.1 == layers && with_all.2 == Some(alone.1), "layers and statistics know nothing of each other");
+    let statistics = Outputs { statistics: Some(&statistics), ..Outputs::default() };
+    let all = task.render(Outputs { layers: Some(&plan), ..statistics }).unwrap();
+    let alone = task.render(statistics).unwrap();
+    assert!(
+        all.aovs == layered.aovs && all.statistics == alone.statistics && alone.statistics.is_some(),
+        "layers and statistics are independent"
+    );
+    let layers = layered.aovs.light.unwrap();
     let mut frame = Frame::new(tiling);
-    frame.insert(tile.tile)?;
+    frame.insert(layered.tile)?;
     let mut piece = LayerPiece::new(tiling, 0);
     piece.put(&layers, NONE_HELD)?;
     let mut images = LayerImage::black(settings.layers.iter().map(|layer| layer.name.clone()), width, height);

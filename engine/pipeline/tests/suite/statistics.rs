@@ -7,12 +7,11 @@ use femc_pipeline::paths::histogram::{Histograms, Table};
 use femc_pipeline::paths::{InteractionKind, LightPath, LightStatistics, LightTechnique, Name, NameKind, PathEnd};
 use femc_pipeline::replay::Replay;
 use femc_pipeline::{
-    Prepared, SceneSource, Settings, StatisticsPlan, StopCondition, prepare_frame, render_tile, render_with_statistics,
+    Outputs, Prepared, RenderTask, SceneSource, Settings, StatisticsPlan, StopCondition, prepare_frame,
 };
 use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64};
 
 /// A room with a mirror ball and a plate above a white floor. The plate hides the lamp from a part of the floor.
 const ROOM: &str = "\
@@ -93,11 +92,11 @@ fn render_tile_statistics(
     rect: Rect,
     samples: Range<u32>,
 ) -> (Vec<u8>, LightStatistics) {
-    let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
     let plan = StatisticsPlan::new(prepared, settings, 8);
-    let done = render_with_statistics(prepared, settings, &plan, rect, samples, &cancel, &progress);
-    let (rendered, statistics) = done.unwrap_or_else(|e| panic!("{e}"));
-    (rendered.tile.encode(), statistics)
+    let outputs = Outputs { statistics: Some(&plan), ..Outputs::default() };
+    let rendered = RenderTask::new(prepared, settings, rect, samples).render(outputs);
+    let rendered = rendered.unwrap_or_else(|e| panic!("{e}"));
+    (rendered.tile.encode(), rendered.statistics.expect("statistics"))
 }
 
 /// Returns the statistics of a frame, rendered tile by tile in tasks that end at these samples.
@@ -119,9 +118,8 @@ fn frame_statistics(prepared: &Prepared, settings: &Settings, ends: &[u32]) -> L
 fn statistics_change_no_bit_of_a_tile_and_hold_all_laws() {
     for text in [ROOM.to_owned(), format!("{FOG}{ROOM}")] {
         let (settings, prepared) = (settings(), prepared(&text, &settings()));
-        let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
         for rect in tiling(&prepared).rects() {
-            let alone = render_tile(&prepared, &settings, rect, 0..8, &cancel, &progress).unwrap().tile;
+            let alone = RenderTask::new(&prepared, &settings, rect, 0..8).render(Outputs::default()).unwrap().tile;
             let (tile, statistics) = render_tile_statistics(&prepared, &settings, rect, 0..8);
             assert!(tile == alone.encode());
             assert_eq!(statistics.samples(), rect.area() * 8);
@@ -231,10 +229,9 @@ fn a_sample_that_the_film_refuses_is_in_no_statistic() {
     // The film accepts radiance up to 1.1e12 cd/m2.
     let (settings, text) = (settings(), ROOM.replace("ed 500", "ed 5e13"));
     let prepared = prepared(&text, &settings);
-    let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
     let mut refused = 0;
     for rect in tiling(&prepared).rects() {
-        let alone = render_tile(&prepared, &settings, rect, 0..8, &cancel, &progress).unwrap().tile;
+        let alone = RenderTask::new(&prepared, &settings, rect, 0..8).render(Outputs::default()).unwrap().tile;
         let (_, statistics) = render_tile_statistics(&prepared, &settings, rect, 0..8);
         assert_eq!(statistics.totals().invalid, alone.bad_samples().total());
         refused += alone.bad_samples().total();

@@ -7,6 +7,8 @@
 //! `f_t = td T(o) T(i) n_o^2 / (pi (1 - F_mean outside))` with T = 1 - F.
 
 use super::{BsdfSample, LobeKind, Transmitted, flip_to_side};
+#[cfg(test)]
+use super::{Example, MaterialParameters, Sides, WARM};
 use crate::Fresnel;
 use crate::fresnel::{Interface, dielectric};
 use crate::microfacet::{
@@ -247,4 +249,26 @@ impl Dielectric {
 #[inline]
 fn refract(wo: Vec3A, h: Vec3A, o_h: f32, eta: f32, interface: Interface) -> Vec3A {
     (h * (o_h / eta - interface.cos_transmitted) - wo / eta).normalize()
+}
+
+/// Materials of this member, for the tests of the laws.
+#[cfg(test)]
+pub(super) fn examples() -> Vec<Example> {
+    let gray = Rgb::splat;
+    let solid =
+        |index: f32| MaterialParameters { ior: Some((index, 0.0)), sides: Sides::One, ..MaterialParameters::default() };
+    let glass = solid(1.5);
+    let milky = MaterialParameters { ts: WARM, rd: gray(0.2), td: gray(0.3), ..glass };
+    let smooth =
+        [Example::solid("glass", MaterialParameters { ts: gray(1.0), ..glass }), Example::solid("milky glass", milky)];
+    let rough = |ts_alpha: f32| {
+        let ts = WARM * 2.0;
+        [
+            ("rough glass", MaterialParameters { ts, ts_alpha, ..glass }),
+            ("rough bubble", MaterialParameters { ts, ts_alpha, ..solid(0.75) }),
+            ("frosted glass", MaterialParameters { ts_alpha, ..milky }),
+        ]
+        .map(|(name, p)| Example::solid(&format!("{name} {ts_alpha}"), p))
+    };
+    smooth.into_iter().chain(Example::ROUGHNESSES.into_iter().flat_map(rough)).collect()
 }

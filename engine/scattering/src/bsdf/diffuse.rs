@@ -1,6 +1,8 @@
 //! Lambertian reflection: `f = rd / pi` on one or both sides.
 
 use super::{BsdfSample, LobeKind, Sides, Transmitted};
+#[cfg(test)]
+use super::{Example, MaterialParameters, WARM};
 use femc_math::{Rgb, glam::Vec3A, warp};
 use std::f32::consts::FRAC_1_PI;
 
@@ -43,4 +45,14 @@ impl Diffuse {
             eta: 1.0,
         })
     }
+}
+
+/// Materials of this member, for the tests of the laws.
+#[cfg(test)]
+pub(super) fn examples() -> Vec<Example> {
+    let p = MaterialParameters::default();
+    vec![
+        Example::new("diffuse", MaterialParameters { rd: Rgb::new(0.9, 0.5, 0.1), ..p }),
+        Example::new("one-sided diffuse", MaterialParameters { rd: WARM, sides: Sides::One, ..p }),
+    ]
 }

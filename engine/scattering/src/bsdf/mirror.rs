@@ -1,6 +1,8 @@
 //! A perfect mirror: `rs F(cos)` times a delta at the mirror direction.
 
 use super::{BsdfSample, LobeKind, Sides, Transmitted};
+#[cfg(test)]
+use super::{Example, MaterialParameters, WARM};
 use crate::Fresnel;
 use femc_math::{Rgb, glam::Vec3A};
 
@@ -34,4 +36,10 @@ impl Mirror {
     pub fn albedo(&self, wo: Vec3A) -> Rgb {
         self.rs * self.fresnel.eval(wo.z.abs())
     }
+}
+
+/// Materials of this member, for the tests of the laws.
+#[cfg(test)]
+pub(super) fn examples() -> Vec<Example> {
+    vec![Example::new("mirror", MaterialParameters { rs: WARM, ..MaterialParameters::default() })]
 }

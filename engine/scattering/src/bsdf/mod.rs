@@ -231,6 +231,18 @@ impl Bsdf {
         }
     }
 
+    /// Returns the diffuse reflectance and transmittance for a method that knows only diffuse surfaces. Glossy reflection counts as
+    /// diffuse, with its albedo toward `wo`. Mirrors and clear solids contribute nothing.
+    pub fn diffuse_albedos(&self, wo: Vec3A) -> (Rgb, Rgb) {
+        match self {
+            Self::Black | Self::Mirror(_) | Self::Dielectric(_) => (Rgb::ZERO, Rgb::ZERO),
+            Self::Diffuse(b) => (b.rd, Rgb::ZERO),
+            Self::Opaque(b) if b.is_smooth() => (b.rd, Rgb::ZERO),
+            Self::Opaque(b) => (b.albedo(wo), Rgb::ZERO),
+            Self::Sheet(b) => (b.rd, b.td),
+        }
+    }
+
     /// Removes the Lambertian parts. The boundary of a clear solid stays unchanged.
     pub fn without_lambertian(&self) -> Self {
         match *self {
@@ -372,6 +384,44 @@ impl Bsdf {
             Self::Sheet(b) => b.albedo(wo),
             Self::Dielectric(b) => b.albedo(wo),
         }
+    }
+}
+
+/// A material for the tests of the laws.
+#[cfg(test)]
+#[derive(Clone, Debug)]
+pub(crate) struct Example {
+    /// Name; it ends with the roughness of a rough material.
+    pub(crate) name: String,
+    pub(crate) parameters: MaterialParameters,
+    /// Index of the inside; 1 for surfaces that do not refract.
+    pub(crate) inside: f32,
+}
+
+/// Color that differs by channel.
+#[cfg(test)]
+const WARM: Rgb = Rgb::new(0.5, 0.4, 0.2);
+
+#[cfg(test)]
+impl Example {
+    const ROUGHNESSES: [f32; 4] = [0.02, 0.1, 0.4, 1.0];
+
+    fn new(name: &str, parameters: MaterialParameters) -> Self {
+        Self { name: name.to_owned(), parameters, inside: 1.0 }
+    }
+
+    fn rough(name: &str, alpha: f32, parameters: MaterialParameters) -> Self {
+        Self::new(&format!("{name} {alpha}"), parameters)
+    }
+
+    fn solid(name: &str, parameters: MaterialParameters) -> Self {
+        Self { inside: parameters.ior.map_or(1.0, |(index, _)| index), ..Self::new(name, parameters) }
+    }
+
+    /// Returns the examples of all members.
+    pub(crate) fn all() -> Vec<Self> {
+        [diffuse::examples(), mirror::examples(), opaque::examples(), sheet::examples(), dielectric::examples()]
+            .concat()
     }
 }
 

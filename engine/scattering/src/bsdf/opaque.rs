@@ -4,6 +4,8 @@
 //! One of the two lobes is picked in proportion to its largest albedo channel at `wo`; `pdf` is the mixture's.
 
 use super::{BsdfSample, LobeKind, Sides, Transmitted, coat::Coat, flip_to_side};
+#[cfg(test)]
+use super::{Example, MaterialParameters, WARM};
 use crate::microfacet::{SMOOTH_ALPHA, reflect, reflection_lobe, sample_visible_normal};
 use femc_math::{Rgb, color::luminance, glam::Vec3A, warp};
 use std::f32::consts::FRAC_1_PI;
@@ -119,4 +121,27 @@ impl Opaque {
         let cos = wo.z.abs();
         self.coat.reflectance(cos) + self.rd * self.coat.transmitted(cos)
     }
+}
+
+/// Materials of this member, for the tests of the laws.
+#[cfg(test)]
+pub(super) fn examples() -> Vec<Example> {
+    let p = MaterialParameters::default();
+    let plastic = MaterialParameters { rd: WARM, rs: Rgb::splat(0.5), ior: Some((1.5, 0.0)), ..p };
+    let rough = |rs_alpha: f32| {
+        [
+            Example::rough("gloss", rs_alpha, MaterialParameters { rs: WARM, rs_alpha, ..p }),
+            Example::rough("floor", rs_alpha, MaterialParameters { ior: None, rs_alpha, ..plastic }),
+            Example::rough("plastic", rs_alpha, MaterialParameters { rs_alpha, ..plastic }),
+            Example::rough(
+                "silver",
+                rs_alpha,
+                MaterialParameters { rs: Rgb::ONE, rs_alpha, ior: Some((0.15, 3.6)), ..p },
+            ),
+        ]
+    };
+    [Example::new("smooth plastic", plastic)]
+        .into_iter()
+        .chain(Example::ROUGHNESSES.into_iter().flat_map(rough))
+        .collect()
 }

@@ -5,6 +5,8 @@
 //! surface. Its diffuse parts share the light that the specular part leaves, equally from both sides.
 
 use super::{BsdfSample, LobeKind, Sides, Transmitted, coat::Coat, flip_to_side};
+#[cfg(test)]
+use super::{Example, MaterialParameters, WARM};
 use crate::microfacet::{SMOOTH_ALPHA, reflect, reflection_lobe, sample_visible_normal};
 use femc_math::{Rgb, glam::Vec3A, warp};
 use std::f32::consts::FRAC_1_PI;
@@ -142,4 +144,30 @@ impl Sheet {
         let cos = wo.z.abs();
         self.coat.reflectance(cos) + self.ts + (self.rd + self.td) * self.coat.transmitted(cos)
     }
+}
+
+/// Materials of this member, for the tests of the laws.
+#[cfg(test)]
+pub(super) fn examples() -> Vec<Example> {
+    let p = MaterialParameters::default();
+    let gray = Rgb::splat;
+    let smooth = [
+        Example::new("translucent", MaterialParameters { rd: gray(0.3), td: WARM, ..p }),
+        Example::new("clear sheet", MaterialParameters { rs: gray(0.1), ts: gray(0.8), ..p }),
+    ];
+    let rough = |rs_alpha: f32| {
+        let sheet = MaterialParameters {
+            rd: gray(0.1),
+            td: gray(0.15),
+            rs: WARM * 0.5,
+            ts: gray(0.4),
+            rs_alpha,
+            ts_alpha: 0.5 * rs_alpha,
+            ..p
+        };
+        let ior = Some((1.5, 0.0));
+        let waxed = MaterialParameters { rd: gray(0.3), td: gray(0.3), rs: gray(0.4), rs_alpha, ior, ..p };
+        [Example::rough("sheet", rs_alpha, sheet), Example::rough("waxed sheet", rs_alpha, waxed)]
+    };
+    smooth.into_iter().chain(Example::ROUGHNESSES.into_iter().flat_map(rough)).collect()
 }

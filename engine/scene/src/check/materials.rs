@@ -4,7 +4,7 @@ use super::{Faults, Scope};
 use crate::{
     FaultKind::{EnergyGain, OutOfGamut, Scale},
     Severity::{Error, Note, Warning},
-    description::Material,
+    description::{Material, ScatteringPart},
 };
 
 /// Emittance above that of the sun's surface, lm/m2.
@@ -33,7 +33,7 @@ fn check_energy(material: &Material, faults: &mut Faults) {
     let sum = material.reflectance_sum();
     if sum > Material::SUM_LIMIT {
         let message =
-            format!("{} returns {sum:.4} times the light that it receives (rd + td + rs + ts)", title(material));
+            format!("{} returns {sum:.4} times the light that it receives ({})", title(material), ScatteringPart::SUM);
         faults.add(Error, EnergyGain, material.location, message, "reduce these values");
         return;
     }
@@ -55,9 +55,8 @@ fn check_energy(material: &Material, faults: &mut Faults) {
 }
 
 fn check_gamut(material: &Material, faults: &mut Faults) {
-    let quantities =
-        [("rd", &material.rd), ("td", &material.td), ("rs", &material.rs), ("ts", &material.ts), ("ed", &material.ed)];
-    for (name, tinted) in quantities.into_iter().filter(|(_, tinted)| tinted.amount > 0.0) {
+    let parts = ScatteringPart::ALL.map(|part| (part.name(), part.fraction(material)));
+    for (name, tinted) in parts.into_iter().chain([("ed", &material.ed)]).filter(|(_, tinted)| tinted.amount > 0.0) {
         if let Some(channel) = tinted.color.iter().position(|value| *value < -1e-3) {
             let message = format!(
                 "the color of `{name}` of {} is outside Rec.709: {} = {:.3}",

@@ -83,14 +83,100 @@ pub struct Material {
     pub map_n: Option<ImageId>,
 }
 
+/// A part of a material's scattering: a fraction of the light. Scene files, selectors, checks and layers know the parts from here.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ScatteringPart {
+    /// `rd`
+    DiffuseReflection,
+    /// `td`
+    DiffuseTransmission,
+    /// `rs`
+    SpecularReflection,
+    /// `ts`
+    SpecularTransmission,
+}
+
+impl ScatteringPart {
+    /// All parts.
+    pub const ALL: [Self; 4] =
+        [Self::DiffuseReflection, Self::DiffuseTransmission, Self::SpecularReflection, Self::SpecularTransmission];
+    /// Sum of the parts, for messages.
+    pub const SUM: &str = "rd + td + rs + ts";
+
+    /// Returns the name of the fraction in scene files and selectors.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::DiffuseReflection => "rd",
+            Self::DiffuseTransmission => "td",
+            Self::SpecularReflection => "rs",
+            Self::SpecularTransmission => "ts",
+        }
+    }
+
+    /// Returns the name of the roughness in selectors; `None`: the part is diffuse.
+    pub fn roughness_name(self) -> Option<&'static str> {
+        match self {
+            Self::DiffuseReflection | Self::DiffuseTransmission => None,
+            Self::SpecularReflection => Some("rs_alpha"),
+            Self::SpecularTransmission => Some("ts_alpha"),
+        }
+    }
+
+    /// Returns whether the part leaves the surface on its other side.
+    pub fn is_transmitted(self) -> bool {
+        match self {
+            Self::DiffuseReflection | Self::SpecularReflection => false,
+            Self::DiffuseTransmission | Self::SpecularTransmission => true,
+        }
+    }
+
+    /// Returns the fraction of the light.
+    pub fn fraction(self, material: &Material) -> &TintedScalar {
+        match self {
+            Self::DiffuseReflection => &material.rd,
+            Self::DiffuseTransmission => &material.td,
+            Self::SpecularReflection => &material.rs,
+            Self::SpecularTransmission => &material.ts,
+        }
+    }
+
+    /// Returns the fraction of the light, for a change.
+    pub fn fraction_mut(self, material: &mut Material) -> &mut TintedScalar {
+        match self {
+            Self::DiffuseReflection => &mut material.rd,
+            Self::DiffuseTransmission => &mut material.td,
+            Self::SpecularReflection => &mut material.rs,
+            Self::SpecularTransmission => &mut material.ts,
+        }
+    }
+
+    /// Returns the GGX roughness, for a change; `None`: the part is diffuse.
+    pub fn roughness_mut(self, material: &mut Material) -> Option<&mut f64> {
+        match self {
+            Self::DiffuseReflection | Self::DiffuseTransmission => None,
+            Self::SpecularReflection => Some(&mut material.rs_alpha),
+            Self::SpecularTransmission => Some(&mut material.ts_alpha),
+        }
+    }
+
+    /// Returns the GGX roughness; `None`: the part is diffuse.
+    pub fn roughness(self, material: &Material) -> Option<f64> {
+        match self {
+            Self::DiffuseReflection | Self::DiffuseTransmission => None,
+            Self::SpecularReflection => Some(material.rs_alpha),
+            Self::SpecularTransmission => Some(material.ts_alpha),
+        }
+    }
+}
+
 impl Material {
     /// Maximum of [`Self::reflectance_sum`]: 1 plus a tolerance for rounded decimals.
     pub const SUM_LIMIT: f64 = 1.0 + 1e-4;
 
-    /// Returns the share of equal-energy light that the surface reflects and transmits in total, photometrically: rd + td + rs +
-    /// ts, each times the luminance of its color.
+    /// Returns the share of equal-energy light that the surface reflects and transmits in total, photometrically: the sum of its
+    /// [parts](ScatteringPart), each times the luminance of its color.
     pub fn reflectance_sum(&self) -> f64 {
-        [&self.rd, &self.td, &self.rs, &self.ts].into_iter().map(TintedScalar::photometric_amount).sum()
+        ScatteringPart::ALL.iter().map(|part| part.fraction(self).photometric_amount()).sum()
     }
 
     /// Returns the share of a channel's light (0 red, 1 green, 2 blue) that all parts of the material demand together. The renderer

@@ -1,7 +1,8 @@
 //! Scalars of materials, media and cameras: their names, their storage and the range of each.
 
 use super::Constraint;
-use crate::description::{Camera, Density, Ior, Material, Medium, Phase, Sides, TintedScalar};
+use crate::description::{Camera, Density, Ior, Material, Medium, Phase, ScatteringPart, Sides, TintedScalar};
+use std::sync::LazyLock;
 
 /// Maximum width and height of the film, pixels; the limit of textures.
 const FILM_LIMIT: u32 = 32768;
@@ -9,31 +10,22 @@ const FILM_LIMIT: u32 = 32768;
 /// A tinted quantity of a material.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Quantity {
-    Rd,
-    Td,
-    Rs,
-    Ts,
-    Ed,
+    Part(ScatteringPart),
+    Emittance,
 }
 
 impl Quantity {
     fn get(self, material: &Material) -> &TintedScalar {
         match self {
-            Self::Rd => &material.rd,
-            Self::Td => &material.td,
-            Self::Rs => &material.rs,
-            Self::Ts => &material.ts,
-            Self::Ed => &material.ed,
+            Self::Part(part) => part.fraction(material),
+            Self::Emittance => &material.ed,
         }
     }
 
     fn get_mut(self, material: &mut Material) -> &mut TintedScalar {
         match self {
-            Self::Rd => &mut material.rd,
-            Self::Td => &mut material.td,
-            Self::Rs => &mut material.rs,
-            Self::Ts => &mut material.ts,
-            Self::Ed => &mut material.ed,
+            Self::Part(part) => part.fraction_mut(material),
+            Self::Emittance => &mut material.ed,
         }
     }
 }
@@ -43,53 +35,44 @@ impl Quantity {
 pub(super) enum MaterialField {
     Amount(Quantity),
     Channel(Quantity, usize),
-    ReflectionRoughness,
-    TransmissionRoughness,
+    Roughness(ScatteringPart),
     IorReal,
     IorImaginary,
     Lobe,
     Sides,
 }
 
-use MaterialField::{Amount, Channel};
-use Quantity::{Ed, Rd, Rs, Td, Ts};
-
 impl MaterialField {
-    pub(super) const ALL: [(&'static str, Self); 26] = [
-        ("rd", Amount(Rd)),
-        ("rd.r", Channel(Rd, 0)),
-        ("rd.g", Channel(Rd, 1)),
-        ("rd.b", Channel(Rd, 2)),
-        ("td", Amount(Td)),
-        ("td.r", Channel(Td, 0)),
-        ("td.g", Channel(Td, 1)),
-        ("td.b", Channel(Td, 2)),
-        ("rs", Amount(Rs)),
-        ("rs.r", Channel(Rs, 0)),
-        ("rs.g", Channel(Rs, 1)),
-        ("rs.b", Channel(Rs, 2)),
-        ("rs_alpha", Self::ReflectionRoughness),
-        ("ts", Amount(Ts)),
-        ("ts.r", Channel(Ts, 0)),
-        ("ts.g", Channel(Ts, 1)),
-        ("ts.b", Channel(Ts, 2)),
-        ("ts_alpha", Self::TransmissionRoughness),
-        ("ed", Amount(Ed)),
-        ("ed.r", Channel(Ed, 0)),
-        ("ed.g", Channel(Ed, 1)),
-        ("ed.b", Channel(Ed, 2)),
-        ("ir", Self::IorReal),
-        ("ir.im", Self::IorImaginary),
-        ("lobe", Self::Lobe),
-        ("sides", Self::Sides),
-    ];
+    /// Returns all fields with their names, in the order of messages.
+    pub(super) fn all() -> &'static [(String, Self)] {
+        static ALL: LazyLock<Vec<(String, MaterialField)>> = LazyLock::new(|| {
+            let tinted = |name: &str, quantity: Quantity| {
+                let channel = |(axis, letter)| (format!("{name}.{letter}"), MaterialField::Channel(quantity, axis));
+                let channels = ["r", "g", "b"].into_iter().enumerate().map(channel);
+                std::iter::once((name.to_owned(), MaterialField::Amount(quantity))).chain(channels).collect::<Vec<_>>()
+            };
+            let of_part = |part: ScatteringPart| {
+                let roughness = part.roughness_name().map(|name| (name.to_owned(), MaterialField::Roughness(part)));
+                tinted(part.name(), Quantity::Part(part)).into_iter().chain(roughness)
+            };
+            let others = [
+                ("ir", MaterialField::IorReal),
+                ("ir.im", MaterialField::IorImaginary),
+                ("lobe", MaterialField::Lobe),
+                ("sides", MaterialField::Sides),
+            ];
+            let parts = ScatteringPart::ALL.into_iter().flat_map(of_part);
+            let emittance = tinted("ed", Quantity::Emittance);
+            parts.chain(emittance).chain(others.map(|(name, field)| (name.to_owned(), field))).collect()
+        });
+        &ALL
+    }
 
     pub(super) fn read(self, material: &Material) -> Option<f64> {
         match self {
-            Amount(quantity) => Some(quantity.get(material).amount),
-            Channel(quantity, channel) => Some(quantity.get(material).color[channel]),
-            Self::ReflectionRoughness => Some(material.rs_alpha),
-            Self::TransmissionRoughness => Some(material.ts_alpha),
+            Self::Amount(quantity) => Some(quantity.get(material).amount),
+            Self::Channel(quantity, channel) => Some(quantity.get(material).color[channel]),
+            Self::Roughness(part) => part.roughness(material),
             Self::IorReal => material.ior.map(|ior| ior.re),
             Self::IorImaginary => material.ior.map(|ior| ior.im),
             Self::Lobe => Some(material.lobe.unwrap_or(0.0)),
@@ -99,10 +82,13 @@ impl MaterialField {
 
     pub(super) fn write(self, material: &mut Material, value: f64) {
         match self {
-            Amount(quantity) => quantity.get_mut(material).amount = value,
-            Channel(quantity, channel) => quantity.get_mut(material).color[channel] = value,
-            Self::ReflectionRoughness => material.rs_alpha = value,
-            Self::TransmissionRoughness => material.ts_alpha = value,
+            Self::Amount(quantity) => quantity.get_mut(material).amount = value,
+            Self::Channel(quantity, channel) => quantity.get_mut(material).color[channel] = value,
+            Self::Roughness(part) => {
+                if let Some(roughness) = part.roughness_mut(material) {
+                    *roughness = value;
+                }
+            }
             Self::IorReal => material.ior = material.ior.map(|ior| Ior { re: value, ..ior }),
             Self::IorImaginary => material.ior = material.ior.map(|ior| Ior { im: value, ..ior }),
             Self::Lobe => material.lobe = (value != 0.0).then_some(value),
@@ -112,11 +98,11 @@ impl MaterialField {
 
     pub(super) fn check_value(self, value: f64) -> Result<(), Constraint> {
         match self {
-            Amount(Ed) | Self::ReflectionRoughness | Self::TransmissionRoughness | Self::IorImaginary | Self::Lobe => {
+            Self::Amount(Quantity::Emittance) | Self::Roughness(_) | Self::IorImaginary | Self::Lobe => {
                 not_negative(value)
             }
-            Amount(Rd | Td | Rs | Ts) => within(value, 0.0, 1.0),
-            Channel(..) => finite(value),
+            Self::Amount(Quantity::Part(_)) => within(value, 0.0, 1.0),
+            Self::Channel(..) => finite(value),
             Self::IorReal => positive(value),
             Self::Sides => either(value, 1, 2),
         }

@@ -2,8 +2,8 @@
 //!
 //! | selector | scalar |
 //! | --- | --- |
-//! | `material.NAME.rd\|td\|rs\|ts\|ed` | the amount; `.r`, `.g`, `.b` after it: the color's channels |
-//! | `material.NAME.rs_alpha\|ts_alpha` | GGX roughness |
+//! | `material.NAME.PART`, `.ed` | the amount of a [`ScatteringPart`], the emittance; `.r`, `.g`, `.b` after it: the color's channels |
+//! | `material.NAME.PART_alpha` | GGX roughness of a specular part |
 //! | `material.NAME.ir`, `.ir.im` | index of refraction, if the material has one |
 //! | `material.NAME.lobe` | exponent of the emission lobe; 0 = Lambertian |
 //! | `material.NAME.sides` | 1 or 2 |
@@ -24,7 +24,9 @@ mod field;
 mod nearest;
 mod slot;
 
-use crate::description::{Camera, Clip, Luminaire, Material, Medium, MotionPath, Object, Photometry, Scene};
+use crate::description::{
+    Camera, Clip, Luminaire, Material, Medium, MotionPath, Object, Photometry, ScatteringPart, Scene,
+};
 use slot::Slot;
 use std::fmt;
 
@@ -91,7 +93,7 @@ pub enum Constraint {
     #[error("it must be a whole number from 1 to {0}")]
     Count(u32),
     /// [`Material::reflectance_sum`] would exceed 1.
-    #[error("rd + td + rs + ts, each times its color, would be {0}, more than 1")]
+    #[error("{sum}, each times its color, would be {0}, more than 1", sum = ScatteringPart::SUM)]
     Energy(f64),
     /// The shutter would close before it opens.
     #[error("the shutter would close before it opens")]

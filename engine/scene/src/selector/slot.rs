@@ -159,7 +159,7 @@ pub(super) fn resolve(view: &ScalarsView<'_>, selector: &str) -> Vec<Slot> {
     let Some((kind, rest)) = selector.split_once('.') else { return slots };
     match kind {
         "material" => {
-            for (index, field) in matches(view.materials.iter().map(|m| &*m.name), rest, &MaterialField::ALL) {
+            for (index, field) in matches(view.materials.iter().map(|m| &*m.name), rest, MaterialField::all()) {
                 slots.push(Slot::Material(index, field));
             }
         }
@@ -197,10 +197,14 @@ pub(super) fn resolve(view: &ScalarsView<'_>, selector: &str) -> Vec<Slot> {
 }
 
 /// Returns the entities and fields that `rest` = "NAME.field" names.
-fn matches<'a, F: Copy>(names: impl Iterator<Item = &'a str>, rest: &str, fields: &[(&str, F)]) -> Vec<(usize, F)> {
+fn matches<'a, N: AsRef<str>, F: Copy>(
+    names: impl Iterator<Item = &'a str>,
+    rest: &str,
+    fields: &[(N, F)],
+) -> Vec<(usize, F)> {
     let field_of = |name: &str| {
         let field = rest.strip_prefix(name)?.strip_prefix('.')?;
-        fields.iter().find(|(known, _)| *known == field).map(|(_, field)| *field)
+        fields.iter().find(|(known, _)| known.as_ref() == field).map(|(_, field)| *field)
     };
     let named = names.enumerate().filter(|(_, name)| !name.is_empty());
     named.filter_map(|(index, name)| Some((index, field_of(name)?))).collect()
@@ -251,7 +255,7 @@ pub(super) fn names(view: &ScalarsView<'_>) -> Vec<String> {
         CameraField::ALL.iter().for_each(|(field, _)| add(format!("camera.{}.{field}", camera.name)));
     }
     for material in view.materials.iter().filter(|material| !material.name.is_empty()) {
-        let has = MaterialField::ALL.iter().filter(|(_, field)| field.read(material).is_some());
+        let has = MaterialField::all().iter().filter(|(_, field)| field.read(material).is_some());
         has.for_each(|(field, _)| add(format!("material.{}.{field}", material.name)));
     }
     for medium in view.media {

@@ -5,7 +5,7 @@
 //! front, because a viewer behind it looks through it.
 
 use super::{Hit, Ray, Scope, SplitMix64};
-use crate::description::{Material, MaterialId, RegionBounds, Scene, Sides};
+use crate::description::{Material, MaterialId, RegionBounds, ScatteringPart, Scene, Sides};
 use femc_math::glam::DVec3;
 
 /// Maximum number of surfaces that pass or reflect one ray.
@@ -65,32 +65,41 @@ impl SurfaceEffect {
 
 fn effect_on_side(scene: &Scene, material: &Material, is_front: bool) -> SurfaceEffect {
     let entity = format!("material.{}", material.name);
-    let some = |field: &str, amount: f64| scene.max_over_time(&entity, field, amount) > 0.0;
-    let (rd, td) = (some("rd", material.rd.amount), some("td", material.td.amount));
-    let (rs, ts) = (some("rs", material.rs.amount), some("ts", material.ts.amount));
-    let rough = |field: &str, alpha: f64| scene.max_over_time(&entity, field, alpha) > SMOOTH;
-    let (rough_rs, rough_ts) = (rough("rs_alpha", material.rs_alpha), rough("ts_alpha", material.ts_alpha));
+    let largest = |field: &str, now: f64| scene.max_over_time(&entity, field, now);
+    let is_present = |part: &ScatteringPart| largest(part.name(), part.fraction(material).amount) > 0.0;
+    let is_diffuse = |part: &ScatteringPart| part.roughness_name().is_none();
+    // Whether the part scatters into a range of directions.
+    let spreads = |part: &ScatteringPart| {
+        let roughness = part.roughness_name().zip(part.roughness(material));
+        roughness.is_none_or(|(field, alpha)| largest(field, alpha) > SMOOTH)
+    };
+    let parts: Vec<ScatteringPart> = ScatteringPart::ALL.into_iter().filter(is_present).collect();
+    let any = |of: &dyn Fn(&ScatteringPart) -> bool| parts.iter().any(of);
     let index = material.ior.filter(|ior| ior.im == 0.0).map(|ior| (ior.re - 1.0).abs());
     let is_one_sided = material.sides == Sides::One;
     if is_one_sided && material.ior.is_none() && !is_front {
         return SurfaceEffect::default();
     }
-    let diffuse = rd || td;
-    if let (true, true, Some(away)) = (is_one_sided, ts, index) {
+    let refracted = ScatteringPart::SpecularTransmission;
+    if let (true, true, Some(away)) = (is_one_sided, parts.contains(&refracted), index) {
         // If the index is close to 1 but not exactly 1, the boundary is smooth even with a roughness.
-        let is_rough = rough_ts && (away == 0.0 || away >= MATCHED);
-        let scatters = diffuse || is_rough;
+        let is_rough = spreads(&refracted) && (away == 0.0 || away >= MATCHED);
         let passes = away < MATCHED && !is_rough;
-        return SurfaceEffect { scatters, transmits: td || is_rough, passes, refracts: !passes, mirrors: false };
+        return SurfaceEffect {
+            scatters: any(&is_diffuse) || is_rough,
+            transmits: any(&|part| is_diffuse(part) && part.is_transmitted()) || is_rough,
+            passes,
+            refracts: !passes,
+            mirrors: false,
+        };
     }
-    let scatters = diffuse || (rs && rough_rs) || (ts && rough_ts);
     let is_seen_through = is_one_sided && material.ior.is_none();
     SurfaceEffect {
-        scatters,
-        transmits: td || (ts && rough_ts),
-        passes: (ts && !rough_ts) || is_seen_through,
+        scatters: any(&spreads),
+        transmits: any(&|part| spreads(part) && part.is_transmitted()),
+        passes: any(&|part| !spreads(part) && part.is_transmitted()) || is_seen_through,
         refracts: false,
-        mirrors: rs && !rough_rs,
+        mirrors: any(&|part| !spreads(part) && !part.is_transmitted()),
     }
 }
 

@@ -3,7 +3,7 @@
 use super::light_transport::SurfaceEffect;
 use super::tree::{Bounds, BoxTree};
 use crate::{
-    description::{Facing, Location, Luminaire, Material, MaterialId, ObjectId, Scene, Shape},
+    description::{Facing, Location, Luminaire, Material, MaterialId, ObjectId, ScatteringPart, Scene, Shape},
     objects::hidden_objects,
 };
 use femc_math::{Transform, glam::DVec3};
@@ -70,8 +70,9 @@ pub(crate) struct PlacedLuminaire<'a> {
 /// Returns whether some light passes through a material at some time.
 fn lets_through(scene: &Scene, material: &Material) -> bool {
     let entity = format!("material.{}", material.name);
-    let largest = |field, amount| scene.max_over_time(&entity, field, amount) > 0.0;
-    largest("td", material.td.amount) || largest("ts", material.ts.amount)
+    let is_present =
+        |part: &ScatteringPart| scene.max_over_time(&entity, part.name(), part.fraction(material).amount) > 0.0;
+    ScatteringPart::ALL.iter().filter(|part| part.is_transmitted()).any(is_present)
 }
 
 /// The scene, prepared for the checks.

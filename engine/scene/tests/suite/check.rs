@@ -40,216 +40,214 @@ fn a_sound_scene_has_no_fault() {
 }
 
 /// Each case breaks one thing in the correct scene; exactly this fault must be found.
+/// A change of a sound scene that makes it faulty.
+type Change = fn(&mut Scene);
+
+/// Kinds, severities and lines of the faults that a change makes.
+type ExpectedFaults = &'static [(K, S, u32)];
+
+/// One fault of each kind.
+const CASES: [(&str, Change, ExpectedFaults); 36] = [
+    (
+        "a face without area",
+        |s| add_face(&mut s.groups[0], &[[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [0.5, 0.0, 1.0]], 0, 20),
+        &[(K::DegenerateSurface, S::Warning, 20)],
+    ),
+    (
+        "a face without triangles",
+        |s| add_face(&mut s.groups[0], &[[0.0; 3], [1.0; 3]], 0, 20),
+        &[(K::DegenerateSurface, S::Warning, 20)],
+    ),
+    (
+        "a ring without width",
+        |s| add_quadric(s, Shape::Ring { center: DVec3::Z, normal: DVec3::Z, inner: 1.0, outer: 1.0 }, 0, 20),
+        &[(K::DegenerateSurface, S::Warning, 20)],
+    ),
+    (
+        "a bent face",
+        |s| {
+            add_face(&mut s.groups[0], &[[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 1.2], [0.0, 1.0, 1.0]], 0, 20);
+        },
+        &[(K::NonPlanarFace, S::Warning, 20)],
+    ),
+    (
+        "a rug in the floor",
+        |s| add_face(&mut s.groups[0], &[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0]], 0, 20),
+        &[(K::OverlappingFaces, S::Warning, 20)],
+    ),
+    (
+        "a box on the floor",
+        |s| add_box(&mut s.groups[0], [0.0; 3], [1.0; 3], 0, 20),
+        &[(K::OverlappingFaces, S::Note, 20)],
+    ),
+    (
+        "a copy in the same place",
+        |s| {
+            s.groups.push(Group::default());
+            add_face(&mut s.groups[1], &[[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 1.0]], 0, 20);
+            let place = Instance { group: GroupId(1), motion: Motion::default() };
+            s.groups[0].instances = vec![place.clone(), place];
+        },
+        &[(K::OverlappingFaces, S::Warning, 20)],
+    ),
+    (
+        "a sphere in a sphere's place",
+        |s| {
+            let shape = Shape::Sphere { center: DVec3::Z, radius: 0.2, facing: Facing::Outward };
+            add_quadric(s, shape, 0, 20);
+            add_quadric(s, shape, 1, 21);
+            add_quadric(s, Shape::Sphere { center: DVec3::Z, radius: 0.1, facing: Facing::Outward }, 0, 22);
+        },
+        &[(K::OverlappingFaces, S::Warning, 21)],
+    ),
+    ("an unused material", |s| s.materials.push(material("wood", 20)), &[(K::UnusedName, S::Note, 20)]),
+    (
+        "an unused path",
+        |s| s.paths = vec![path("p", 20, Interpolation::Linear, &[(0.0, pose(0.0, 0.0, 0.0, 0.0))])],
+        &[(K::UnusedName, S::Note, 20)],
+    ),
+    ("two cameras of one name", |s| s.cameras.push(camera("main", 20)), &[(K::DuplicateName, S::Warning, 20)]),
+    (
+        "a selector of nothing",
+        |s| {
+            s.clip = Some(CLIP);
+            s.varies = vec![vary("material.flor.rd", &[(0.0, 0.5)])];
+        },
+        &[(K::BadSelector, S::Error, 30)],
+    ),
+    (
+        "a vary out of range",
+        |s| {
+            s.clip = Some(CLIP);
+            s.varies = vec![vary("material.floor.rd", &[(0.0, 0.5), (1.0, 1.5)])];
+        },
+        &[(K::BadSelector, S::Error, 30)],
+    ),
+    (
+        "a vary of the clip",
+        |s| {
+            s.clip = Some(CLIP);
+            s.varies = vec![vary("time.fps", &[(0.0, 10.0)])];
+        },
+        &[(K::BadSelector, S::Error, 30)],
+    ),
+    (
+        "a vary without a clip",
+        |s| s.varies = vec![vary("material.floor.rd", &[(0.0, 0.5), (1.0, 0.6)])],
+        &[(K::Animation, S::Warning, 30)],
+    ),
+    ("more than all light", |s| s.materials[0].rs = tinted(0.6), &[(K::EnergyGain, S::Error, 1)]),
+    ("more than all blue light", |s| s.materials[0].rd.color = [0.5, 0.8, 3.0], &[(K::EnergyGain, S::Warning, 1)]),
+    ("a color out of gamut", |s| s.materials[1].ed.color = [2.0, 0.9, -0.1], &[(K::OutOfGamut, S::Note, 2)]),
+    ("a lamp like no other", |s| s.materials[1].ed.amount = 1e12, &[(K::Scale, S::Warning, 2)]),
+    ("a medium without bounds", |s| s.media = vec![medium("fog", 20)], &[(K::MediumWithoutBounds, S::Warning, 20)]),
+    (
+        "a box without volume",
+        |s| {
+            fill_with_medium(s, medium("fog", 4));
+            s.regions[0].bounds =
+                RegionBounds::Box { min: DVec3::ZERO, max: DVec3::new(1.0, -1.0, 1.0), to_world: Transform::IDENTITY };
+        },
+        &[(K::MediumWithoutBounds, S::Warning, 5)],
+    ),
+    (
+        "a wall of fog",
+        |s| fill_with_medium(s, Medium { sigma_s: 100.0, ..medium("fog", 4) }),
+        &[(K::OpticalDepth, S::Warning, 3)],
+    ),
+    (
+        "no fog to speak of",
+        |s| fill_with_medium(s, Medium { sigma_s: 1e-12, ..medium("fog", 4) }),
+        &[(K::OpticalDepth, S::Note, 4)],
+    ),
+    (
+        "a medium inside two sides",
+        |s| {
+            fill_with_medium(s, medium("fog", 4));
+            s.materials[0].inside = Some(MediumId(0));
+        },
+        &[(K::OpenBoundary, S::Warning, 1)],
+    ),
+    (
+        "a pane of solid glass",
+        |s| {
+            s.materials.push(glass(8));
+            add_face(&mut s.groups[0], &[[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 1.0]], 2, 20);
+        },
+        &[(K::OpenBoundary, S::Warning, 20)],
+    ),
+    (
+        "an open glass pipe",
+        |s| {
+            s.materials.push(glass(8));
+            add_quadric(
+                s,
+                Shape::Cone {
+                    start: DVec3::Z,
+                    end: DVec3::Z * 1.5,
+                    start_radius: 0.2,
+                    end_radius: 0.2,
+                    facing: Facing::Outward,
+                },
+                2,
+                20,
+            );
+        },
+        &[(K::OpenBoundary, S::Warning, 20)],
+    ),
+    (
+        "a camera in a glass ball",
+        |s| {
+            s.materials.push(glass(8));
+            add_quadric(
+                s,
+                Shape::Sphere { center: DVec3::new(0.0, -5.0, 1.0), radius: 0.5, facing: Facing::Outward },
+                2,
+                20,
+            );
+        },
+        &[(K::Camera, S::Note, 3)],
+    ),
+    (
+        "a black lamp",
+        |s| s.materials[1].ed.color = [0.0; 3],
+        &[(K::LightsNothing, S::Warning, 1), (K::LightsNothing, S::Warning, 2)],
+    ),
+    ("no lamp", |s| s.materials[1].ed.amount = 0.0, &[(K::LightsNothing, S::Warning, 1)]),
+    ("a lobe of nothing", |s| s.materials[0].lobe = Some(3.0), &[(K::LightsNothing, S::Note, 1)]),
+    (
+        "a lamp against a ceiling",
+        |s| {
+            add_face(
+                &mut s.groups[0],
+                &[[-1.0, -1.0, 1.9999], [1.0, -1.0, 1.9999], [1.0, 1.0, 1.9999], [-1.0, 1.0, 1.9999]],
+                0,
+                20,
+            );
+        },
+        &[(K::LightsNothing, S::Warning, 11)],
+    ),
+    (
+        "a scene in light years",
+        |s| {
+            s.groups[0].vertices.iter_mut().for_each(|v| v.position *= 1e16);
+            s.cameras[0].origin *= 1e16;
+        },
+        &[(K::Scale, S::Warning, 1)],
+    ),
+    ("a camera on the moon", |s| s.cameras[0].origin.z = 3.8e8, &[(K::Scale, S::Warning, 3)]),
+    ("no camera", |s| s.cameras.clear(), &[(K::Camera, S::Warning, 1)]),
+    (
+        "a camera upside on",
+        |s| s.cameras[0].up = s.cameras[0].target - s.cameras[0].origin,
+        &[(K::Camera, S::Error, 3)],
+    ),
+    ("a shutter of a still", |s| s.cameras[0].shutter_close = 0.5, &[(K::Camera, S::Warning, 3)]),
+];
+
 #[test]
 fn each_fault_is_found_once_at_its_line() {
-    type Change = fn(&mut Scene);
-    type ExpectedFaults = &'static [(K, S, u32)];
-    let table: [(&str, Change, ExpectedFaults); 36] = [
-        (
-            "a face without area",
-            |s| add_face(&mut s.groups[0], &[[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [0.5, 0.0, 1.0]], 0, 20),
-            &[(K::DegenerateSurface, S::Warning, 20)],
-        ),
-        (
-            "a face without triangles",
-            |s| add_face(&mut s.groups[0], &[[0.0; 3], [1.0; 3]], 0, 20),
-            &[(K::DegenerateSurface, S::Warning, 20)],
-        ),
-        (
-            "a ring without width",
-            |s| add_quadric(s, Shape::Ring { center: DVec3::Z, normal: DVec3::Z, inner: 1.0, outer: 1.0 }, 0, 20),
-            &[(K::DegenerateSurface, S::Warning, 20)],
-        ),
-        (
-            "a bent face",
-            |s| {
-                add_face(
-                    &mut s.groups[0],
-                    &[[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 1.2], [0.0, 1.0, 1.0]],
-                    0,
-                    20,
-                );
-            },
-            &[(K::NonPlanarFace, S::Warning, 20)],
-        ),
-        (
-            "a rug in the floor",
-            |s| add_face(&mut s.groups[0], &[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0]], 0, 20),
-            &[(K::OverlappingFaces, S::Warning, 20)],
-        ),
-        (
-            "a box on the floor",
-            |s| add_box(&mut s.groups[0], [0.0; 3], [1.0; 3], 0, 20),
-            &[(K::OverlappingFaces, S::Note, 20)],
-        ),
-        (
-            "a copy in the same place",
-            |s| {
-                s.groups.push(Group::default());
-                add_face(&mut s.groups[1], &[[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 1.0]], 0, 20);
-                let place = Instance { group: GroupId(1), motion: Motion::default() };
-                s.groups[0].instances = vec![place.clone(), place];
-            },
-            &[(K::OverlappingFaces, S::Warning, 20)],
-        ),
-        (
-            "a sphere in a sphere's place",
-            |s| {
-                let shape = Shape::Sphere { center: DVec3::Z, radius: 0.2, facing: Facing::Outward };
-                add_quadric(s, shape, 0, 20);
-                add_quadric(s, shape, 1, 21);
-                add_quadric(s, Shape::Sphere { center: DVec3::Z, radius: 0.1, facing: Facing::Outward }, 0, 22);
-            },
-            &[(K::OverlappingFaces, S::Warning, 21)],
-        ),
-        ("an unused material", |s| s.materials.push(material("wood", 20)), &[(K::UnusedName, S::Note, 20)]),
-        (
-            "an unused path",
-            |s| s.paths = vec![path("p", 20, Interpolation::Linear, &[(0.0, pose(0.0, 0.0, 0.0, 0.0))])],
-            &[(K::UnusedName, S::Note, 20)],
-        ),
-        ("two cameras of one name", |s| s.cameras.push(camera("main", 20)), &[(K::DuplicateName, S::Warning, 20)]),
-        (
-            "a selector of nothing",
-            |s| {
-                s.clip = Some(CLIP);
-                s.varies = vec![vary("material.flor.rd", &[(0.0, 0.5)])];
-            },
-            &[(K::BadSelector, S::Error, 30)],
-        ),
-        (
-            "a vary out of range",
-            |s| {
-                s.clip = Some(CLIP);
-                s.varies = vec![vary("material.floor.rd", &[(0.0, 0.5), (1.0, 1.5)])];
-            },
-            &[(K::BadSelector, S::Error, 30)],
-        ),
-        (
-            "a vary of the clip",
-            |s| {
-                s.clip = Some(CLIP);
-                s.varies = vec![vary("time.fps", &[(0.0, 10.0)])];
-            },
-            &[(K::BadSelector, S::Error, 30)],
-        ),
-        (
-            "a vary without a clip",
-            |s| s.varies = vec![vary("material.floor.rd", &[(0.0, 0.5), (1.0, 0.6)])],
-            &[(K::Animation, S::Warning, 30)],
-        ),
-        ("more than all light", |s| s.materials[0].rs = tinted(0.6), &[(K::EnergyGain, S::Error, 1)]),
-        ("more than all blue light", |s| s.materials[0].rd.color = [0.5, 0.8, 3.0], &[(K::EnergyGain, S::Warning, 1)]),
-        ("a color out of gamut", |s| s.materials[1].ed.color = [2.0, 0.9, -0.1], &[(K::OutOfGamut, S::Note, 2)]),
-        ("a lamp like no other", |s| s.materials[1].ed.amount = 1e12, &[(K::Scale, S::Warning, 2)]),
-        ("a medium without bounds", |s| s.media = vec![medium("fog", 20)], &[(K::MediumWithoutBounds, S::Warning, 20)]),
-        (
-            "a box without volume",
-            |s| {
-                fill_with_medium(s, medium("fog", 4));
-                s.regions[0].bounds = RegionBounds::Box {
-                    min: DVec3::ZERO,
-                    max: DVec3::new(1.0, -1.0, 1.0),
-                    to_world: Transform::IDENTITY,
-                };
-            },
-            &[(K::MediumWithoutBounds, S::Warning, 5)],
-        ),
-        (
-            "a wall of fog",
-            |s| fill_with_medium(s, Medium { sigma_s: 100.0, ..medium("fog", 4) }),
-            &[(K::OpticalDepth, S::Warning, 3)],
-        ),
-        (
-            "no fog to speak of",
-            |s| fill_with_medium(s, Medium { sigma_s: 1e-12, ..medium("fog", 4) }),
-            &[(K::OpticalDepth, S::Note, 4)],
-        ),
-        (
-            "a medium inside two sides",
-            |s| {
-                fill_with_medium(s, medium("fog", 4));
-                s.materials[0].inside = Some(MediumId(0));
-            },
-            &[(K::OpenBoundary, S::Warning, 1)],
-        ),
-        (
-            "a pane of solid glass",
-            |s| {
-                s.materials.push(glass(8));
-                add_face(&mut s.groups[0], &[[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 1.0]], 2, 20);
-            },
-            &[(K::OpenBoundary, S::Warning, 20)],
-        ),
-        (
-            "an open glass pipe",
-            |s| {
-                s.materials.push(glass(8));
-                add_quadric(
-                    s,
-                    Shape::Cone {
-                        start: DVec3::Z,
-                        end: DVec3::Z * 1.5,
-                        start_radius: 0.2,
-                        end_radius: 0.2,
-                        facing: Facing::Outward,
-                    },
-                    2,
-                    20,
-                );
-            },
-            &[(K::OpenBoundary, S::Warning, 20)],
-        ),
-        (
-            "a camera in a glass ball",
-            |s| {
-                s.materials.push(glass(8));
-                add_quadric(
-                    s,
-                    Shape::Sphere { center: DVec3::new(0.0, -5.0, 1.0), radius: 0.5, facing: Facing::Outward },
-                    2,
-                    20,
-                );
-            },
-            &[(K::Camera, S::Note, 3)],
-        ),
-        (
-            "a black lamp",
-            |s| s.materials[1].ed.color = [0.0; 3],
-            &[(K::LightsNothing, S::Warning, 1), (K::LightsNothing, S::Warning, 2)],
-        ),
-        ("no lamp", |s| s.materials[1].ed.amount = 0.0, &[(K::LightsNothing, S::Warning, 1)]),
-        ("a lobe of nothing", |s| s.materials[0].lobe = Some(3.0), &[(K::LightsNothing, S::Note, 1)]),
-        (
-            "a lamp against a ceiling",
-            |s| {
-                add_face(
-                    &mut s.groups[0],
-                    &[[-1.0, -1.0, 1.9999], [1.0, -1.0, 1.9999], [1.0, 1.0, 1.9999], [-1.0, 1.0, 1.9999]],
-                    0,
-                    20,
-                );
-            },
-            &[(K::LightsNothing, S::Warning, 11)],
-        ),
-        (
-            "a scene in light years",
-            |s| {
-                s.groups[0].vertices.iter_mut().for_each(|v| v.position *= 1e16);
-                s.cameras[0].origin *= 1e16;
-            },
-            &[(K::Scale, S::Warning, 1)],
-        ),
-        ("a camera on the moon", |s| s.cameras[0].origin.z = 3.8e8, &[(K::Scale, S::Warning, 3)]),
-        ("no camera", |s| s.cameras.clear(), &[(K::Camera, S::Warning, 1)]),
-        (
-            "a camera upside on",
-            |s| s.cameras[0].up = s.cameras[0].target - s.cameras[0].origin,
-            &[(K::Camera, S::Error, 3)],
-        ),
-        ("a shutter of a still", |s| s.cameras[0].shutter_close = 0.5, &[(K::Camera, S::Warning, 3)]),
-    ];
-    for (what, change, expected) in table {
+    for (what, change, expected) in CASES {
         let mut scene = lit_floor();
         change(&mut scene);
         assert_eq!(fault_lines(&scene), expected, "{what}: {:#?}", check_scene(&scene));

@@ -11,7 +11,7 @@ use super::{
     table::ContextChange,
 };
 use crate::WarningKind;
-use femc_scene::{Ior, Location, Material, MaterialId, Sides, TintedScalar};
+use femc_scene::{Ior, Location, Material, MaterialId, ScatteringPart, Sides, TintedScalar};
 
 /// Tolerance of the sum of the reflectances, for decimal fractions that add up to 1.
 const SUM_TOLERANCE: f64 = 1e-6;
@@ -56,13 +56,12 @@ impl Reader<'_> {
             return entry;
         }
         let mut material = state.material.clone();
-        let sum = [material.rd, material.td, material.rs, material.ts].iter().map(returned_luminance).sum::<f64>();
+        let parts = ScatteringPart::ALL.iter();
+        let sum = parts.clone().map(|part| returned_luminance(part.fraction(&material))).sum::<f64>();
         if sum > 1.0 + SUM_TOLERANCE {
             let at = self.position(state.reflectance_at);
             let name = if material.name.is_empty() { "(unnamed)".into() } else { material.name.clone() };
-            for tinted in [&mut material.rd, &mut material.td, &mut material.rs, &mut material.ts] {
-                tinted.amount /= sum;
-            }
+            parts.for_each(|part| part.fraction_mut(&mut material).amount /= sum);
             self.warnings.push(at, WarningKind::TooBright { material: name, sum });
         }
         let id = self.material_entry(material);
@@ -113,9 +112,9 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// Reads `rd r`, `td t`, `rs r a` or `ts t a`.
-    pub(super) fn reflectance(&mut self, entity: &[u8], args: &Args<'_>) -> Result<()> {
-        let specular = matches!(entity, b"rs" | b"ts");
+    /// Reads a fraction, and the roughness of a specular part: `rd r`, `td t`, `rs r a` or `ts t a`.
+    pub(super) fn reflectance(&mut self, part: ScatteringPart, args: &Args<'_>) -> Result<()> {
+        let specular = part.roughness_name().is_some();
         if specular {
             args.check_count(2..=2, "a fraction and a roughness")?;
         } else {
@@ -126,11 +125,9 @@ impl Reader<'_> {
         let alpha = if specular { unit(1, "roughness")? } else { 0.0 };
         let tinted = self.used_color().tint(amount);
         let material = self.current_material_mut();
-        match entity {
-            b"rd" => material.rd = tinted,
-            b"td" => material.td = tinted,
-            b"rs" => (material.rs, material.rs_alpha) = (tinted, alpha),
-            _ => (material.ts, material.ts_alpha) = (tinted, alpha),
+        *part.fraction_mut(material) = tinted;
+        if let Some(roughness) = part.roughness_mut(material) {
+            *roughness = alpha;
         }
         self.materials.current_mut().reflectance_at = args.location();
         Ok(())

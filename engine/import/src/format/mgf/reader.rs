@@ -20,7 +20,8 @@ use crate::{
     warning::Warnings,
 };
 use femc_scene::{
-    Camera, Group, GroupId, ImageId, Location, MaterialId, MediumId, ObjectId, PathId, PhotometryId, Scene,
+    Camera, Group, GroupId, ImageId, Location, MaterialId, MediumId, ObjectId, PathId, PhotometryId, ScatteringPart,
+    Scene,
 };
 use std::{
     collections::{BTreeMap, HashMap, HashSet},
@@ -184,7 +185,6 @@ impl<'f> Reader<'f> {
             b"crgb" => self.crgb(args),
             b"m" => self.m(args),
             b"sides" => self.sides(args),
-            b"rd" | b"td" | b"rs" | b"ts" => self.reflectance(entity, args),
             b"ir" => self.ir(args),
             b"ed" => self.ed(args),
             b"lobe" => self.lobe(args),
@@ -213,6 +213,9 @@ impl<'f> Reader<'f> {
             b"key" => self.key(args),
             b"vary" => self.vary(args),
             _ => {
+                if let Some(part) = ScatteringPart::ALL.into_iter().find(|part| part.name().as_bytes() == entity) {
+                    return self.reflectance(part, args);
+                }
                 let name = args.entity();
                 if self.reported_unknown.insert(name.clone().into_owned()) {
                     self.warn(args, WarningKind::UnknownEntity { name: name.into_owned() });

@@ -1,0 +1,150 @@
+//! Media that a path crosses: emission, single scattering, and collisions.
+
+use crate::dimensions as dim;
+use crate::fog::{Collision, FogSampler, FreeFlight, SingleScatterSample};
+use crate::path_state::{PathEnd, PathState, PreviousVertex, SegmentOrigin};
+use crate::record::{
+    Continuation, Contribution, LightTechnique, Recorder, Scatterer, Termination, Vertex, VertexLocation,
+};
+use crate::tracer::{PathSample, Tracer};
+use femc_geometry::{Ray, shadow_segment};
+use femc_math::Rgb;
+use femc_math::glam::Vec3A;
+use femc_prepared::Prepared;
+use std::ops::ControlFlow;
+
+impl<R: Recorder> Tracer<'_, R> {
+    /// Returns the sampler of the media of the current ray, and the recorder.
+    #[inline(always)]
+    fn fog_sampler(&mut self) -> (FogSampler<'_>, &mut R) {
+        let fog = FogSampler {
+            scene: self.scene,
+            ray: &mut self.fog,
+            direction_weights: &mut self.direction_weights,
+            shadow: &mut self.shadow,
+            counters: &mut self.counters,
+            single_technique: self.settings.single_technique,
+        };
+        (fog, &mut self.recorder)
+    }
+
+    /// Adds the light that the media of the current ray emit, and the light of lamps that they scatter once into it. Then samples
+    /// the distance of the next collision. `None`: the path reaches the end of the ray.
+    /// - `t_hit`: distance of the surface at the end of the ray, m.
+    #[inline(always)]
+    pub(crate) fn cross_media<const RECORD_ALL: bool>(
+        &mut self,
+        path: &mut PathState,
+        t_hit: f32,
+        out: &mut PathSample,
+    ) -> Option<Collision> {
+        let (scene, ray) = (self.scene, path.ray);
+        if !scene.media.find_intervals(ray.origin, ray.dir, t_hit, &path.medium_stack, &mut self.fog.media) {
+            return None;
+        }
+        let is_last = self.settings.is_last(path.bounce);
+        let (mut fog, recorder) = self.fog_sampler();
+        let color = path.throughput * fog.glow(path);
+        out.color += color;
+        if color != Rgb::ZERO {
+            record!(recorder.contribution(|| Contribution {
+                color,
+                throughput: path.throughput,
+                bounce: path.bounce,
+                technique: LightTechnique::Glow(fog.emitting_medium()),
+                light: None,
+                position: ray.origin,
+            }));
+        }
+        if !is_last {
+            fog.weigh_lights(path);
+            if let Some(scattered) = fog.sample_airlight(path) {
+                if RECORD_ALL
+                    && R::WANTS_OCCLUDERS
+                    && scattered.color == Rgb::ZERO
+                    && let Some(shadow) = airlight_shadow_ray(scene, path, &scattered)
+                {
+                    record!(recorder.occluded(|| shadow));
+                }
+                let color = path.throughput * scattered.color;
+                out.color += color;
+                if R::WANTS_ZERO_LIGHT || color != Rgb::ZERO {
+                    record!(recorder.contribution(|| Contribution {
+                        color,
+                        throughput: path.throughput,
+                        bounce: path.bounce,
+                        technique: LightTechnique::Airlight(fog.dominant_medium(&scattered.event)),
+                        light: Some(scattered.light),
+                        position: ray.origin + ray.dir * scattered.event.t,
+                    }));
+                }
+            }
+        }
+        match fog.sample_collision(path) {
+            FreeFlight::Collision(collision) => Some(collision),
+            FreeFlight::Through { weight } => {
+                path.throughput *= weight;
+                None
+            }
+        }
+    }
+
+    /// Scatters the path at a collision, or ends it there.
+    #[inline(always)]
+    pub(crate) fn scatter_in_medium<const RECORD_ALL: bool>(
+        &mut self,
+        path: &mut PathState,
+        collision: &Collision,
+        out: &mut PathSample,
+    ) -> ControlFlow<PathEnd> {
+        path.awaits_first_surface = false;
+        if self.settings.is_last(path.bounce) {
+            return ControlFlow::Break(path.end(Termination::Depth));
+        }
+        path.throughput *= collision.event.weight;
+        let position = collision.position;
+        path.vertices += 1;
+        let field = self.field;
+        let (mut fog, recorder) = self.fog_sampler();
+        record!(recorder.vertex(|| Vertex {
+            location: VertexLocation::Medium(fog.dominant_medium(&collision.event)),
+            position,
+            bounce: path.bounce,
+            throughput: path.throughput,
+        }));
+        if let Some(field) = field {
+            let color = path.throughput * field.fog.mean_radiance(position);
+            out.color += color;
+            record!(recorder.contribution(|| Contribution::from_field(color, path.throughput, path.bounce, position)));
+            return ControlFlow::Break(path.end(Termination::Field));
+        }
+        let Some(scattered) = fog.sample_direction(path, collision) else {
+            return ControlFlow::Break(path.end(Termination::Absorbed));
+        };
+        record!(recorder.leave(Continuation::Scattered {
+            pdf: scattered.pdf,
+            scatterer: Scatterer::Phase,
+            is_guide_sample: false
+        }));
+        path.throughput *= scattered.weight;
+        std::mem::swap(&mut self.fog, &mut self.fog_before);
+        let origin = SegmentOrigin::Medium { collision: *collision, phase_pdf: scattered.phase_pdf };
+        path.previous = PreviousVertex { position, origin };
+        path.ray = Ray { origin: position, dir: scattered.dir, t_max: f32::INFINITY, time: path.ray.time };
+        path.bounce += 1;
+        path.roulette_scale *= scattered.pdf / scattered.phase_pdf;
+        path.roulette::<true>(None)
+    }
+}
+
+/// Returns the ray from a point in fog to the point that was sampled on a lamp, for a sample without light. `None`: the lamp emits
+/// nothing toward the point.
+#[cold]
+fn airlight_shadow_ray(scene: &Prepared, path: &mut PathState, scattered: &SingleScatterSample) -> Option<Ray> {
+    let position = path.ray.origin + path.ray.dir * scattered.event.t;
+    path.stream.seek(path.base + dim::AIRLIGHT_POINT);
+    let (light, time, u) = (scattered.light, path.ray.time, path.stream.next_2d());
+    let point = scene.lights.sample_light(&scene.world, &scene.textures, light, position, time, u)?;
+    let lamp = (point.position, point.error, point.normal);
+    (point.radiance != Rgb::ZERO).then(|| shadow_segment((position, Vec3A::ZERO, Vec3A::ZERO), lamp, time))
+}

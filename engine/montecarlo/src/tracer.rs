@@ -1,0 +1,252 @@
+//! Tracer: camera samples, and the loop over the rays of a path.
+
+use crate::camera_next_event::{CAMERA_NEXT_EVENTS, CameraSample};
+use crate::dimensions as dim;
+use crate::fog::FoggyRay;
+use crate::path_state::{PathEnd, PathState, SegmentOrigin};
+use crate::record::{Contribution, LightTechnique, RecordLevel, Recorder, Termination};
+use crate::shadow::ShadowTester;
+use crate::surface::SurfaceInteraction;
+use crate::technique::MisTechnique;
+use femc_emission::LightWeights;
+use femc_field::Field;
+use femc_math::{Rgb, SampleStream};
+use femc_prepared::compile::NONE;
+use femc_prepared::{Crossing, Prepared};
+use std::ops::ControlFlow;
+
+/// Settings of paths.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PathSettings {
+    /// Key of the random streams.
+    pub seed: u64,
+    /// Maximum path length in segments (1: directly visible light only); 0: unlimited.
+    pub max_depth: u32,
+    /// Only technique to use where there are several, for tests. `None`: all techniques, combined.
+    pub single_technique: Option<MisTechnique>,
+}
+
+impl PathSettings {
+    /// Checks whether a segment is the last of its path: nothing may scatter at its end.
+    #[inline(always)]
+    pub(crate) fn is_last(&self, bounce: u32) -> bool {
+        self.max_depth != 0 && bounce + 1 >= self.max_depth
+    }
+}
+
+/// Work done by a tracer.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct TracerCounters {
+    /// Number of closest-hit rays.
+    pub rays: u64,
+    /// Number of shadow rays.
+    pub shadow_rays: u64,
+    /// Number of path segments.
+    pub segments: u64,
+    /// Number of vertices at which a guide samples a share of the directions.
+    pub guided: u64,
+}
+
+/// The result of one camera sample.
+#[derive(Clone, Copy, Debug)]
+pub struct PathSample {
+    /// Radiance, cd/m2. It is not checked; the film rejects values that are not finite.
+    pub color: Rgb,
+    /// Reflectance at the first surface.
+    pub albedo: Rgb,
+    /// Distance of the first surface along the view axis, m; infinite if there is none.
+    pub depth: f32,
+}
+
+/// Distribution of the samples of a pixel on the film.
+pub trait PixelFilter: Copy {
+    /// Returns the offset from the pixel's center, pixels, for `u` in [0, 1)^2.
+    fn sample(self, u: [f32; 2]) -> [f32; 2];
+    /// Returns the density of [`Self::sample`], 1/pixel2.
+    fn density(self, offset: [f32; 2]) -> f32;
+}
+
+/// Tracer of the samples of one frame on one thread.
+/// - `R`: recorder of the paths; `()` records nothing.
+pub struct Tracer<'a, R = ()> {
+    pub(crate) scene: &'a Prepared,
+    pub(crate) settings: PathSettings,
+    /// Media of the current segment, and of the segment before the latest vertex.
+    pub(crate) fog: FoggyRay,
+    pub(crate) fog_before: FoggyRay,
+    /// Weights of the lights for the latest surface, and for directions from a point in fog.
+    pub(crate) surface_weights: LightWeights,
+    pub(crate) direction_weights: LightWeights,
+    pub(crate) shadow: ShadowTester,
+    /// Source of all light except that of emitters, in place of longer paths.
+    pub(crate) field: Option<&'a Field>,
+    /// Field that guides directions, in addition to the BSDF.
+    pub(crate) guide: Option<&'a Field>,
+    /// Work done so far.
+    pub counters: TracerCounters,
+    /// Recorder of the paths.
+    pub recorder: R,
+}
+
+impl<'a> Tracer<'a> {
+    /// Creates a tracer of `scene`.
+    pub fn new(scene: &'a Prepared, settings: PathSettings) -> Self {
+        Self::with_recorder(scene, settings, ())
+    }
+}
+
+impl<'a, R: Recorder> Tracer<'a, R> {
+    /// Creates a tracer of `scene` that reports its paths to `recorder`. The samples are identical to the bit to those without a
+    /// recorder.
+    pub fn with_recorder(scene: &'a Prepared, settings: PathSettings, recorder: R) -> Self {
+        Self {
+            scene,
+            settings,
+            fog: FoggyRay::default(),
+            fog_before: FoggyRay::default(),
+            surface_weights: LightWeights::default(),
+            direction_weights: LightWeights::default(),
+            shadow: ShadowTester::default(),
+            field: None,
+            guide: None,
+            counters: TracerCounters::default(),
+            recorder,
+        }
+    }
+
+    /// Ends paths with the light of a field where they are scattered diffusely, or in fog. Paths continue only from mirrors, glossy
+    /// and clear surfaces. The samples then have the errors of the field.
+    pub fn with_field(mut self, field: &'a Field) -> Self {
+        self.field = Some(field);
+        // Light of sources must be sampled: where the path ends, nothing else could find it.
+        self.settings.single_technique = Some(MisTechnique::Light);
+        self
+    }
+
+    /// Samples directions at surfaces also from the guide of a field. The mean of the samples is unchanged for any field.
+    pub fn with_guide(mut self, field: &'a Field) -> Self {
+        self.guide = Some(field);
+        self
+    }
+
+    /// Computes sample `sample` of `pixel` (row-major index in the whole film).
+    #[inline(always)]
+    pub fn sample(&mut self, pixel: u32, sample: u32, filter: impl PixelFilter) -> PathSample {
+        let record_level = self.recorder.begin_sample(pixel, sample);
+        let mut stream = SampleStream::new(self.settings.seed, self.scene.frame, pixel, sample);
+        stream.seek(dim::FILM);
+        let offset = filter.sample(stream.next_2d());
+        stream.seek(dim::LENS);
+        let lens = stream.next_2d();
+        stream.seek(dim::TIME);
+        let time = stream.next_1d();
+        let view = self.scene.camera.view(lens, time);
+        let center = self.scene.camera.center(pixel);
+        let film_position = [center[0] + offset[0], center[1] + offset[1]];
+        let ray = view.ray(film_position);
+        if R::WANTS_CAMERA_RAYS {
+            self.recorder.camera_ray(&view, lens, &ray);
+        }
+        let mut origin = SegmentOrigin::Delta;
+        let mut camera_light = Rgb::ZERO;
+        if let Some(emitters) = self.scene.camera_emitters.get(pixel) {
+            origin = SegmentOrigin::Camera {
+                pixel,
+                film_position,
+                film_pdf: filter.density(offset),
+                solid_angle: view.solid_angle(film_position),
+            };
+            stream.seek(dim::CAMERA_EMITTER);
+            let choice = stream.next_1d();
+            stream.seek(dim::CAMERA_EMITTER_POINT);
+            let point = stream.next_2d();
+            let from = CameraSample { emitters, view: &view, time, center, filter, record_level };
+            for part in 0..CAMERA_NEXT_EVENTS {
+                let number = (choice + part as f32 / CAMERA_NEXT_EVENTS as f32).fract();
+                // One quarter of the square for each point.
+                let point = [0, 1].map(|axis| 0.5 * (point[axis] + (part >> axis & 1) as f32));
+                camera_light += self.sample_camera_emitter(&from, number, point);
+            }
+        }
+        let path = PathState::new(ray, origin, self.scene.camera_medium_stack, stream);
+        // Recorders that only receive the end do not slow the path down.
+        let mut out = match (self.scene.media.is_empty(), record_level) {
+            (true, RecordLevel::End) => self.trace::<false, false>(path),
+            (false, RecordLevel::End) => self.trace::<true, false>(path),
+            (true, RecordLevel::All) => self.trace::<false, true>(path),
+            (false, RecordLevel::All) => self.trace::<true, true>(path),
+        };
+        out.color += camera_light;
+        out
+    }
+
+    /// Traces a path to its end.
+    /// - `MEDIA`: whether the scene has media;
+    /// - `RECORD_ALL`: whether the recorder receives all events of this sample ([`RecordLevel::All`]).
+    fn trace<const MEDIA: bool, const RECORD_ALL: bool>(&mut self, mut path: PathState) -> PathSample {
+        let mut out = PathSample { color: Rgb::ZERO, albedo: Rgb::ZERO, depth: f32::INFINITY };
+        loop {
+            if let ControlFlow::Break(end) = self.trace_ray::<MEDIA, RECORD_ALL>(&mut path, &mut out) {
+                self.recorder.terminate(path.vertices, end.termination, end.throughput);
+                break;
+            }
+        }
+        // A path with an invalid throughput that found no light afterwards would look dark. The film must count it as a bad sample.
+        if !path.throughput.is_finite() {
+            out.color = Rgb::NAN;
+        }
+        out
+    }
+
+    /// Traces the next ray of a path to a collision or a surface, and scatters it there.
+    #[inline(always)]
+    fn trace_ray<const MEDIA: bool, const RECORD_ALL: bool>(
+        &mut self,
+        path: &mut PathState,
+        out: &mut PathSample,
+    ) -> ControlFlow<PathEnd> {
+        let scene = self.scene;
+        path.begin_ray();
+        self.counters.rays += 1;
+        self.counters.segments += 1;
+        let hit = scene.world.intersect(&path.ray);
+        if MEDIA {
+            let t_hit = hit.as_ref().map_or(f32::INFINITY, |hit| hit.t);
+            if let Some(collision) = self.cross_media::<RECORD_ALL>(path, t_hit, out) {
+                return self.scatter_in_medium::<RECORD_ALL>(path, &collision, out);
+            }
+        }
+        let Some(hit) = hit else { return ControlFlow::Break(path.end(Termination::Escaped)) };
+        let point = scene.shading_point(&path.ray, &hit);
+        if point.light != NONE {
+            let color = path.throughput * self.emitter_hit(&path.ray, &point, &path.previous);
+            out.color += color;
+            record!(self.recorder.contribution(|| Contribution {
+                color,
+                throughput: path.throughput,
+                bounce: path.bounce,
+                technique: LightTechnique::EmitterHit,
+                light: Some(point.light),
+                position: point.position,
+            }));
+        }
+        let surface = SurfaceInteraction::new(scene, &path.ray, hit, point);
+        let is_null = matches!(surface.crossing, Crossing::Null { .. });
+        if path.awaits_first_surface && !is_null {
+            path.awaits_first_surface = false;
+            out.depth = scene.camera.depth(point.position, path.ray.time);
+            out.albedo = path.throughput * surface.bsdf.albedo(surface.wo);
+        }
+        let is_last = self.settings.is_last(path.bounce);
+        if is_last || is_null {
+            let before = path.throughput;
+            path.throughput *= surface.crossing.straight_through();
+            path.continue_straight(&surface);
+            return path.roulette::<MEDIA>(None).map_break(|end| PathEnd {
+                termination: if is_last { Termination::Depth } else { end.termination },
+                throughput: before,
+            });
+        }
+        self.scatter_at_surface::<MEDIA, RECORD_ALL>(path, &surface, out)
+    }
+}

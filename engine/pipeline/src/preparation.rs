@@ -1,0 +1,52 @@
+//! Preparation of frames.
+
+use crate::first_pass::{first_pass_world, scale_field, solve_first_pass};
+use crate::settings::Settings;
+use femc_layers::Feature;
+use femc_prepared::{FrameSpec, PrepareError, Prepared, SceneSource};
+use femc_scene::FrameKey;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+/// Prepares frame `frame` (from 1) of `source`, which has the overrides applied, for rendering. Solves its first pass if the method
+/// has one. `previous`: any other frame; common parts are shared.
+pub fn prepare_frame(
+    source: &SceneSource,
+    settings: &Settings,
+    frame: u32,
+    previous: Option<&Prepared>,
+) -> Result<Prepared, PrepareError> {
+    let mut prepared = prepare_world(source, settings, frame, previous)?;
+    if settings.method.has_first_pass() && prepared.field.is_none() {
+        let world = first_pass_world(source, settings, frame, Some(&prepared))?;
+        let solution = solve_first_pass(&world, settings.method, &AtomicBool::new(false));
+        let solution = solution.map_err(|error| PrepareError::FirstPass { reason: error.to_string() })?;
+        prepared.field = Some(scale_field(Arc::new(solution.field), prepared.brightness));
+    }
+    Ok(prepared)
+}
+
+/// Prepares a frame as [`prepare_frame`] does, but without the first pass: [`solve_first_pass`](crate::solve_first_pass()) solves
+/// it, [`attach_first_pass`](crate::attach_first_pass) applies a solution.
+pub fn prepare_world(
+    source: &SceneSource,
+    settings: &Settings,
+    frame: u32,
+    previous: Option<&Prepared>,
+) -> Result<Prepared, PrepareError> {
+    femc_prepared::prepare_frame(source, &frame_spec(settings, frame), previous)
+}
+
+/// Returns the key of the inputs from which [`prepare_frame`] makes the frame, including the next frame if the frame has motion
+/// vectors.
+pub fn frame_key(source: &SceneSource, settings: &Settings, frame: u32) -> Result<FrameKey, PrepareError> {
+    let key = femc_prepared::frame_key(source, &frame_spec(settings, frame))?;
+    if !settings.features.contains(&Feature::Motion) || frame >= source.scene().frame_count() {
+        return Ok(key);
+    }
+    Ok(key.with_next(&femc_prepared::frame_key(source, &frame_spec(settings, frame + 1))?))
+}
+
+pub(crate) fn frame_spec(settings: &Settings, frame: u32) -> FrameSpec {
+    FrameSpec { camera: settings.camera.clone(), size: settings.size, frame, filter_radius: settings.filter.radius() }
+}

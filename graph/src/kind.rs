@@ -150,7 +150,9 @@ impl StageKind {
             log,
             tags,
         };
-        let step = |name, unit, log| row(name, unit, Compute, false, Affinity::Inputs, log, &[tag::FIRST_PASS, tag::TASK_KINDS]);
+        let step = |name, unit, log| {
+            row(name, unit, Compute, false, Affinity::Inputs, log, &[tag::FIRST_PASS, tag::TASK_KINDS])
+        };
         let split = |name, lane| row(name, "inputs", lane, false, Affinity::Inputs, Report, &[tag::TASK_KINDS]);
         match self {
             Self::Render => row("render", "pixel samples", Compute, true, Affinity::Frame, Report, &[]),

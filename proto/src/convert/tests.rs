@@ -524,7 +524,7 @@ fn two_labels_of_one_name_are_refused() {
 }
 
 #[test]
-fn kinds_and_roles_of_earlier_versions_are_replaced_when_they_are_read() {
+fn earlier_kinds_and_roles_are_replaced() {
     let stage = |kind, outputs: &[Role]| StageTemplate::new(kind, Scope::Content, TaskSizes::even(1, 1), outputs);
     let start = stage(StageKind::FirstPass, &[Role::Elements, Role::Links]);
     let rays = stage(StageKind::FirstPassBlock, &[Role::Rays]).with_input(0, Role::Elements, Reach::All).with_input(

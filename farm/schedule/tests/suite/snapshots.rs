@@ -188,7 +188,7 @@ fn version_11_log_continues_with_the_present_kinds_and_roles() {
             ));
             complete_as_graph(&mut farm, 2, &held);
         }
-        done.sort_by_key(|(is_shared, number, ..)| (!is_shared, *number));
+        done.sort_by_key(|(is_shared, number, kind, index, _)| (!is_shared, *number, *kind, *index));
         let of_frames = |number, kind, index| (false, number, kind, index, vec![]);
         use StageKind::{EncodePicture, EncodeSheet, FirstPassFinish, FirstPassRays, Image, Render};
         assert_eq!(
@@ -199,8 +199,8 @@ fn version_11_log_continues_with_the_present_kinds_and_roles() {
                 (true, 2, FirstPassFinish, 0, vec![(0, 0), (0, 0), (1, 0), (1, 1)]),
                 of_frames(3, Render, 0),
                 of_frames(3, Render, 1),
-                of_frames(4, EncodePicture, 0),
                 of_frames(4, Image, 0),
+                of_frames(4, EncodePicture, 0),
                 of_frames(5, EncodeSheet, 0),
             ]
         );

@@ -10,7 +10,7 @@ use crate::tag;
 pub enum StageKind {
     /// Renders samples of a tile.
     Render,
-    /// Combines outputs of one role.
+    /// Unites the tiles of a group.
     Reduce,
     /// Measures a frame and writes its image.
     Image,
@@ -18,15 +18,38 @@ pub enum StageKind {
     Drill,
     /// Decides from the errors of a frame's tiles whether another round follows, and how many samples each tile gets in it.
     Decide,
-    /// Tone-maps frames with one exposure, and makes a contact sheet or a clip of them.
+    /// Kind of earlier versions for [`StageKind::EncodePicture`], [`StageKind::EncodeSheet`] and [`StageKind::EncodeClip`].
     Encode,
-    /// Solves the first pass once for all frames of one shared content, before their samples. If the first pass is divided into
-    /// blocks, this kind is the part that one task does for all blocks.
+    /// Solves the first pass once for all frames of one shared content, before their samples.
     FirstPass,
-    /// Computes one block of a first pass.
+    /// Kind of earlier versions for [`StageKind::FirstPassRays`] and [`StageKind::FirstPassGuides`].
     FirstPassBlock,
     /// Paints a frame in a style, from its layers and the painting of the preceding frame.
     Paint,
+    /// Creates the elements and links of a first pass in blocks.
+    FirstPassStart,
+    /// Casts the rays of one block of a first pass.
+    FirstPassRays,
+    /// Solves a first pass again, corrected by the rays of all blocks.
+    FirstPassSolve,
+    /// Computes the guides of one block of a first pass.
+    FirstPassGuides,
+    /// Makes the light of a first pass in blocks from its last state.
+    FirstPassFinish,
+    /// Counts the luminance levels of a group of tiles.
+    CountLevels,
+    /// Adds up luminance levels of groups of tiles, or of frames.
+    ReduceLevels,
+    /// Combines the path statistics of a group of tiles.
+    ReducePaths,
+    /// Unites and resolves the layers of a group of tiles.
+    ReduceLayers,
+    /// Encodes a frame as PNG, with the exposure common to all frames.
+    EncodePicture,
+    /// Encodes all frames as a contact sheet.
+    EncodeSheet,
+    /// Encodes all frames as a clip.
+    EncodeClip,
 }
 
 /// Lane of a task. A worker runs tasks of one lane one after another, and tasks of different lanes in parallel.
@@ -90,7 +113,7 @@ pub struct StageKindProperties {
 
 impl StageKind {
     /// All variants, in the order of the table.
-    pub const ALL: [Self; 9] = [
+    pub const ALL: [Self; 21] = [
         Self::Render,
         Self::Reduce,
         Self::Image,
@@ -100,6 +123,18 @@ impl StageKind {
         Self::FirstPass,
         Self::FirstPassBlock,
         Self::Paint,
+        Self::FirstPassStart,
+        Self::FirstPassRays,
+        Self::FirstPassSolve,
+        Self::FirstPassGuides,
+        Self::FirstPassFinish,
+        Self::CountLevels,
+        Self::ReduceLevels,
+        Self::ReducePaths,
+        Self::ReduceLayers,
+        Self::EncodePicture,
+        Self::EncodeSheet,
+        Self::EncodeClip,
     ];
 
     /// Returns the kind's row of the table.
@@ -115,13 +150,16 @@ impl StageKind {
             log,
             tags,
         };
+        let step = |name, unit, log| {
+            row(name, unit, Compute, false, Affinity::Inputs, log, &[tag::FIRST_PASS, tag::TASK_KINDS])
+        };
+        let split = |name, lane| row(name, "inputs", lane, false, Affinity::Inputs, Report, &[tag::TASK_KINDS]);
         match self {
             Self::Render => row("render", "pixel samples", Compute, true, Affinity::Frame, Report, &[]),
             Self::Reduce => row("reduce", "inputs", Join, false, Affinity::Inputs, Report, &[]),
             Self::Image => row("image", "inputs", Join, false, Affinity::Inputs, Store, &[]),
             Self::Drill => row("drill", "inputs", Compute, false, Affinity::Inputs, Report, &[]),
             Self::Decide => row("decide", "inputs", Join, false, Affinity::Inputs, Report, &[]),
-            // A video encoder uses all threads, too.
             Self::Encode => row("encode", "inputs", Compute, false, Affinity::Inputs, Report, &[]),
             // There is one task per content, and it is long, so its log is stored.
             Self::FirstPass => {
@@ -131,6 +169,19 @@ impl StageKind {
                 row("first-pass-block", "blocks", Compute, false, Affinity::Inputs, Report, &[tag::FIRST_PASS_BLOCKS])
             }
             Self::Paint => row("paint", "inputs", Compute, false, Affinity::Inputs, Report, &[tag::PAINTING]),
+            Self::FirstPassStart => step("first-pass-start", "solutions", Store),
+            Self::FirstPassRays => step("first-pass-rays", "blocks", Report),
+            Self::FirstPassSolve => step("first-pass-solve", "solutions", Store),
+            Self::FirstPassGuides => step("first-pass-guides", "blocks", Report),
+            Self::FirstPassFinish => step("first-pass-finish", "solutions", Store),
+            Self::CountLevels => split("count-levels", Join),
+            Self::ReduceLevels => split("reduce-levels", Join),
+            Self::ReducePaths => split("reduce-paths", Join),
+            Self::ReduceLayers => split("reduce-layers", Join),
+            Self::EncodePicture => split("encode-picture", Compute),
+            Self::EncodeSheet => split("encode-sheet", Compute),
+            // A video encoder uses all threads, too.
+            Self::EncodeClip => split("encode-clip", Compute),
         }
     }
 

@@ -7,6 +7,7 @@ mod graph;
 mod kind;
 mod role;
 pub mod tag;
+mod update;
 
 pub use graph::{Graph, Hint, Loop, Need, Reach, Round, Scope, StageTemplate, TaskSizes};
 pub use kind::{Affinity, Lane, LogDestination, StageKind, StageKindProperties};

@@ -43,13 +43,13 @@ pub enum Role {
     Paths,
     /// Path statistics of all samples that count in a frame.
     Statistics,
-    /// Elements of an unfinished first pass, and their light.
+    /// Role of earlier versions for [`Role::SolverState`], like the three below.
     Elements,
-    /// Links between the elements of an unfinished first pass.
+    /// See [`Role::Elements`].
     Links,
-    /// Hits of the rays of one block of a first pass.
+    /// See [`Role::Elements`].
     Rays,
-    /// Guiding data of a block: the directions from which its light comes.
+    /// See [`Role::Elements`].
     Guides,
     /// Encoded sums of the layers of a tile's samples.
     Layers,
@@ -61,6 +61,8 @@ pub enum Role {
     Painted,
     /// State from which the painting of the next frame continues.
     Brushwork,
+    /// State of an unfinished first pass: what one of its steps has made, for the later steps. Only the solver reads it.
+    SolverState,
 }
 
 /// Row of the table of roles.
@@ -78,7 +80,7 @@ pub struct RoleProperties {
 
 impl Role {
     /// All variants, in the order of the table.
-    pub const ALL: [Self; 27] = [
+    pub const ALL: [Self; 28] = [
         Self::Tile,
         Self::Sums,
         Self::Pixels,
@@ -106,6 +108,7 @@ impl Role {
         Self::LayerImage,
         Self::Painted,
         Self::Brushwork,
+        Self::SolverState,
     ];
 
     /// Returns the role's row of the table.
@@ -142,6 +145,7 @@ impl Role {
             Self::Painted => row("painted", true, false),
             // Kept, so that a painting that is lost while the job runs can be repainted alone.
             Self::Brushwork => row("brushwork", true, false),
+            Self::SolverState => row("solver-state", false, false),
         }
     }
 

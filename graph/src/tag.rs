@@ -5,7 +5,7 @@
 /// Tag of workers that support first passes.
 pub const FIRST_PASS: &str = "first-pass";
 
-/// Tag of workers that support first passes in blocks.
+/// Tag of workers that support first passes in blocks. Only graphs of earlier versions require it.
 pub const FIRST_PASS_BLOCKS: &str = "first-pass-blocks";
 
 /// Tag of workers that support light statistics.
@@ -20,5 +20,8 @@ pub const FEATURES: &str = "features";
 /// Tag of workers that support painted styles.
 pub const PAINTING: &str = "painting";
 
+/// Tag of workers that know one kind for each thing that a task does, where earlier versions chose by the role of the outputs.
+pub const TASK_KINDS: &str = "task-kinds";
+
 /// All these tags. A worker of this version offers them.
-pub const ALL: [&str; 6] = [FIRST_PASS, FIRST_PASS_BLOCKS, STATISTICS, LAYERS, FEATURES, PAINTING];
+pub const ALL: [&str; 7] = [FIRST_PASS, FIRST_PASS_BLOCKS, STATISTICS, LAYERS, FEATURES, PAINTING, TASK_KINDS];

@@ -37,8 +37,9 @@ pub use server::{
 };
 pub use tonic::transport::server::{Connected, TcpIncoming};
 
-/// Version of the protocol. A worker sends it when it registers. From version 5 on, a job is a graph of stages.
-pub const PROTOCOL: u32 = 5;
+/// Version of the protocol. A worker sends it when it registers. From version 5 on, a job is a graph of stages. From
+/// version 6 on, each thing that a task does has a kind.
+pub const PROTOCOL: u32 = 6;
 
 /// Oldest worker version that a coordinator accepts: one before its own, so that a running farm can be upgraded, the coordinator
 /// first. The coordinator sends older workers nothing that they do not know. It refuses versions before 5, which do not know

@@ -133,3 +133,8 @@ pub const DECODERS: &[Decoder] = decoders! {
     CollectReply => round_trips::<_, CollectReport>;
     Refusal => round_trips::<_, Refusal>;
 };
+
+/// Decodes the job of an encoded `SubmitRequest`.
+pub fn decode_submission(bytes: &[u8]) -> Option<JobSpec> {
+    wire::SubmitRequest::decode(bytes).ok()?.job?.try_into().ok()
+}

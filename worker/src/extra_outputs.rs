@@ -3,11 +3,12 @@
 //! | stage | scope | reads | makes |
 //! | --- | --- | --- | --- |
 //! | render | frame | | besides its tile a thumbnail: the tile's exact sums in blocks of pixels |
-//! | reduce | frame | thumbnails of all rounds | levels: a histogram of the blocks' luminance |
-//! | reduce | job | levels of 256 frames, then of 256 of these, and so on | levels |
-//! | encode | job | for each frame its image, and the levels of all | a still |
-//! | encode | job | all stills | a contact sheet |
-//! | encode | job | all stills | a clip |
+//! | count-levels | frame | thumbnails of all rounds | levels: a histogram of the blocks' luminance |
+//! | reduce-levels | frame | levels of all groups of tiles | levels |
+//! | reduce-levels | job | levels of 256 frames, then of 256 of these, and so on | levels |
+//! | encode-picture | job | for each frame its image, and the levels of all | a still |
+//! | encode-sheet | job | all stills | a contact sheet |
+//! | encode-clip | job | all stills | a clip |
 //! | paint | job | for each frame its layers, the levels of all, and the brushwork of the previous frame | a painted frame, brushwork |
 //!
 //! A frame that cannot be finished is not counted in the levels. It is shown as a gray card with a cross. The requested outputs are
@@ -99,9 +100,9 @@ impl ExtraOutputs {
 
     /// Returns the outputs requested in a job's graph; nothing if they are invalid.
     pub fn from_graph(graph: &Graph) -> Self {
-        let shows = |template: &&StageTemplate| matches!(template.kind, StageKind::Encode | StageKind::Paint);
-        let encode = graph.stages.iter().find(shows);
-        let outputs = encode.and_then(|template| serde_json::from_str(&template.options).ok());
+        let shows = |template: &&StageTemplate| matches!(template.kind, StageKind::EncodePicture | StageKind::Paint);
+        let shown = graph.stages.iter().find(shows);
+        let outputs = shown.and_then(|template| serde_json::from_str(&template.options).ok());
         outputs.filter(Self::is_valid).unwrap_or_default()
     }
 
@@ -125,12 +126,15 @@ impl ExtraOutputs {
             graph.stages.push(template);
             graph.stages.len() as u16 - 1
         };
-        let reduce =
-            |scope, tasks| StageTemplate::new(StageKind::Reduce, scope, TaskSizes::even(tasks, 1), &[Role::Levels]);
+        let reduce = |scope, tasks| {
+            StageTemplate::new(StageKind::ReduceLevels, scope, TaskSizes::even(tasks, 1), &[Role::Levels])
+        };
         let need = |stage, role, reach, round, gaps| Need { stage, role, reach, round, gaps };
         let thumbnails = need(render, Role::Thumbnail, Reach::Fan(FAN), Round::Every, false);
         let groups = tiles.div_ceil(FAN);
-        let mut levels = push(reduce(Scope::Frame, groups).with_need(thumbnails));
+        let count =
+            StageTemplate::new(StageKind::CountLevels, Scope::Frame, TaskSizes::even(groups, 1), &[Role::Levels]);
+        let mut levels = push(count.with_need(thumbnails));
         if groups > 1 {
             levels = push(reduce(Scope::Frame, 1).with_input(levels, Role::Levels, Reach::All));
         }
@@ -143,9 +147,8 @@ impl ExtraOutputs {
         }
         // Serializing plain data cannot fail.
         let options = serde_json::to_string(self).unwrap_or_default();
-        let encode = |tasks, role| {
-            StageTemplate::new(StageKind::Encode, Scope::Job, TaskSizes::even(tasks, 1), &[role])
-                .with_options(options.clone())
+        let encode = |kind, tasks, role| {
+            StageTemplate::new(kind, Scope::Job, TaskSizes::even(tasks, 1), &[role]).with_options(options.clone())
         };
         if self.painting.is_some() {
             let layers = need(image, Role::LayerImage, Reach::Fan(1), Round::Same, true);
@@ -164,13 +167,17 @@ impl ExtraOutputs {
         }
         let shown = if self.stills { Role::Still } else { Role::Picture };
         let images = need(image, Role::Image, Reach::Fan(1), Round::Same, true);
-        let stills = push(encode(frames, shown).with_need(images).with_input(levels, Role::Levels, Reach::All));
+        let stills = push(encode(StageKind::EncodePicture, frames, shown).with_need(images).with_input(
+            levels,
+            Role::Levels,
+            Reach::All,
+        ));
         if self.sheet.is_some() {
-            push(encode(1, Role::Sheet).with_input(stills, shown, Reach::All));
+            push(encode(StageKind::EncodeSheet, 1, Role::Sheet).with_input(stills, shown, Reach::All));
         }
         if let Some(video) = &self.video {
             let tags: &[&str] = if video.needs_ffmpeg() { &[FFMPEG] } else { &[] };
-            push(encode(1, Role::Clip).with_input(stills, shown, Reach::All).with_tags(tags));
+            push(encode(StageKind::EncodeClip, 1, Role::Clip).with_input(stills, shown, Reach::All).with_tags(tags));
         }
     }
 }
@@ -203,16 +210,20 @@ mod tests {
                     outputs.add_to(&mut graph, frames);
                     assert_eq!((check_graph(&graph), ExtraOutputs::from_graph(&graph)), (Ok(()), outputs));
                     let tree = match frames {
-                        1 | 256 => vec![(Reduce, 1, Levels)],
-                        257 => vec![(Reduce, 2, Levels), (Reduce, 1, Levels)],
-                        _ => vec![(Reduce, 256, Levels), (Reduce, 1, Levels)],
+                        1 | 256 => vec![(ReduceLevels, 1, Levels)],
+                        257 => vec![(ReduceLevels, 2, Levels), (ReduceLevels, 1, Levels)],
+                        _ => vec![(ReduceLevels, 256, Levels), (ReduceLevels, 1, Levels)],
                     };
                     let shown = if frames == 1 { Still } else { Picture };
-                    let shown = [(Encode, frames, shown), (Encode, 1, Sheet), (Encode, 1, Clip)];
+                    let shown = [(EncodePicture, frames, shown), (EncodeSheet, 1, Sheet), (EncodeClip, 1, Clip)];
                     assert_eq!(of_job(&graph), [&tree[..], &shown].concat());
-                    let tags: Vec<&[String]> =
-                        graph.stages.iter().map(|it| &it.tags[..]).filter(|it| !it.is_empty()).collect();
-                    assert_eq!(tags.concat(), if clip == "clip.mp4" { vec![FFMPEG] } else { vec![] });
+                    let has_tag = |it: &&StageTemplate, tag| it.tags.iter().any(|own| own == tag);
+                    assert!(graph.stages.iter().all(|it| has_tag(&it, tag::TASK_KINDS)));
+                    let by_ffmpeg = graph.stages.iter().filter(|it| has_tag(it, FFMPEG)).map(|it| it.kind);
+                    assert_eq!(
+                        by_ffmpeg.collect::<Vec<_>>(),
+                        if clip == "clip.mp4" { vec![EncodeClip] } else { vec![] }
+                    );
                 }
             }
         }
@@ -241,8 +252,9 @@ mod tests {
         ExtraOutputs::default().add_to(&mut graph, 3);
         assert_eq!((&graph, ExtraOutputs::from_graph(&graph)), (&plain, ExtraOutputs::default()));
         extra_outputs(true, None, None).add_to(&mut graph, 3);
-        assert_eq!(of_job(&graph)[1..], [(StageKind::Encode, 3, Role::Still)]);
-        assert_eq!(graph.stages[1], plain.stages[1], "what makes images is as it was");
+        assert_eq!(of_job(&graph)[1..], [(StageKind::EncodePicture, 3, Role::Still)]);
+        let image = StageTemplate { tags: vec![], ..graph.stages[1].clone() };
+        assert_eq!(image, plain.stages[1], "what makes images is as it was");
     }
 
     #[test]
@@ -261,7 +273,7 @@ mod tests {
             assert_eq!(stages[2], (StageKind::Paint, 300, Role::Painted));
             assert_eq!(stages.len(), 3 + usize::from(stills));
             let paint = graph.stages.iter().find(|it| it.kind == StageKind::Paint).expect("it paints");
-            assert_eq!(paint.tags, [tag::PAINTING, tag::LAYERS, tag::FEATURES]);
+            assert_eq!(paint.tags, [tag::PAINTING, tag::TASK_KINDS, tag::LAYERS, tag::FEATURES]);
             assert!(graph.stages.iter().all(|it| it.tags == paint.tags), "no other worker can read the graph");
         }
         for (style, boil) in [("aquatint", 0.5), ("oil", 1.5), ("oil", f32::NAN)] {

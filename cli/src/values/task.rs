@@ -93,7 +93,7 @@ mod tests {
             vec![of(3, 0, StageKind::Render, 1), of(3, 1, StageKind::Image, 0), of(3, 1, StageKind::Image, 1)];
         // Reduce stages: groups and levels of a frame; stills, sheet and clip of a job.
         tasks.extend([2, 3].map(|number| of(3, number, StageKind::Reduce, 0)));
-        tasks.extend([4, 5, 6].map(|number| of(Stage::JOB_FRAME, number, StageKind::Encode, 0)));
+        tasks.extend([4, 5, 6].map(|number| of(Stage::JOB_FRAME, number, StageKind::EncodePicture, 0)));
         let jobs = [JobId(7), JobId::shared(7)];
         let tasks = jobs.iter().flat_map(|&job| tasks.iter().map(move |&(stage, index)| TaskKey { job, stage, index }));
         let tasks: Vec<TaskKey> = tasks.collect();

@@ -209,12 +209,12 @@ fn a_plan_says_how_many_solutions_the_frames_share() {
     let shared = plan("still.mgf --method fem --frames 1..4");
     assert!(shared.contains("first-pass") && shared.contains("solved once, and all 4 frames share it"), "{shared}");
     assert!(!shared.contains("finite-element first pass: path tracing"), "{shared}");
-    assert!(shared.contains("the first pass is one task: for ") && !shared.contains("first-pass-block"), "{shared}");
+    assert!(shared.contains("the first pass is one task: for ") && !shared.contains("first-pass-rays"), "{shared}");
     let face = FOG.lines().rfind(|line| line.starts_with("f ")).expect("a face");
     dir.write("many.mgf", &format!("{FOG}{}", format!("{face}\n").repeat(640)));
     let many = plan("many.mgf --method femc --frames 1");
     assert!(many.contains("its rays and guides are computed in 10 blocks, because the scene has 6"), "{many}");
-    assert!(many.contains("first-pass-block") && many.contains("rays of "), "{many}");
+    assert!(many.contains("first-pass-rays") && many.contains("solver-state of "), "{many}");
     let own = plan("fog.mgf --method fem --frames 1..4");
     assert!(own.contains("every frame has its own first pass"), "{own}");
     let none = plan("still.mgf --frames 1..4");

@@ -104,7 +104,8 @@ fn worker_starts_no_extra_threads_for_any_task() {
         dir.run(&format!("watch {job} --quiet --server {url}")).exits(0);
     }
     let done = metrics(port);
-    for stage in ["render", "reduce", "decide", "image", "encode", "paint", "first-pass"] {
+    let frames = ["render", "reduce", "decide", "image", "reduce-layers", "count-levels", "first-pass"];
+    for stage in frames.into_iter().chain(["reduce-levels", "encode-picture", "encode-sheet", "paint"]) {
         let tasks = done.value("femc_worker_tasks_done_total", &[("stage", stage)]);
         assert!(tasks.is_some_and(|tasks| tasks > 0.0), "no task of {stage}: {tasks:?}");
     }

@@ -43,8 +43,7 @@ fn count_group_surfaces(scene: &Scene, group: usize, known: &mut [Option<u64>]) 
 
 /// Returns the number of blocks of a job's first pass, from its graph; 1: it is one task, or there is none.
 pub fn planned_first_pass_blocks(graph: &Graph) -> u32 {
-    let blocks = graph.stages.iter().filter(|stage| stage.kind == StageKind::FirstPassBlock);
-    blocks.map(StageTemplate::tasks).max().unwrap_or(1)
+    graph.stage_of_kind(StageKind::FirstPassRays).map_or(1, |(_, stage)| stage.tasks())
 }
 
 /// Returns the graph of a job with its first pass split into `blocks` blocks. A job without a first pass stays unchanged.
@@ -64,39 +63,31 @@ pub fn split_first_pass(graph: Graph, method: Method, blocks: u32) -> Graph {
 }
 
 fn first_pass_stages(method: Method, blocks: u32) -> Vec<StageTemplate> {
-    let of =
-        |kind, tasks, outputs: &[Role]| StageTemplate::new(kind, Scope::Content, TaskSizes::even(tasks, 1), outputs);
-    let one = |outputs: &[Role]| of(StageKind::FirstPass, 1, outputs);
-    let block = |outputs: &[Role]| of(StageKind::FirstPassBlock, blocks, outputs);
+    let step = |kind, tasks, role| StageTemplate::new(kind, Scope::Content, TaskSizes::even(tasks, 1), &[role]);
+    let one = |kind| step(kind, 1, Role::SolverState);
+    let block = |kind| step(kind, blocks, Role::SolverState);
+    let read = |stage: StageTemplate, from: &[u16]| {
+        from.iter().fold(stage, |stage, &number| stage.with_input(number, Role::SolverState, Reach::All))
+    };
     let SolverPhases { rounds, has_guides } = solver(method).phases();
-    let mut all = vec![one(&[Role::Elements, Role::Links])];
-    // Stages that make the latest elements and guides.
-    let (mut elements, mut guides) = (0, None);
+    let mut all = vec![one(StageKind::FirstPassStart)];
+    // Stages that made the latest elements, the links, and the latest guides.
+    let mut latest = vec![0];
     for round in 1..=rounds {
-        let begin = |stage: StageTemplate| {
-            let stage = stage.with_input(elements, Role::Elements, Reach::All).with_input(0, Role::Links, Reach::All);
-            if let Some(guides) = guides { stage.with_input(guides, Role::Guides, Reach::All) } else { stage }
-        };
         let rays = all.len() as u16;
-        let is_end = round == rounds && !has_guides;
-        let settle = begin(one(if is_end { &[Role::Field] } else { &[Role::Elements] }));
-        all.push(begin(block(&[Role::Rays])));
-        all.push(settle.with_input(rays, Role::Rays, Reach::All));
-        if is_end {
+        all.push(read(block(StageKind::FirstPassRays), &latest));
+        latest.push(rays);
+        if round == rounds && !has_guides {
             break;
         }
-        elements = rays + 1;
-        if !has_guides {
-            continue;
-        }
-        guides = Some(rays + 2);
-        let guide = block(&[Role::Guides]).with_input(elements, Role::Elements, Reach::All);
-        all.push(guide.with_input(0, Role::Links, Reach::All).with_input(rays, Role::Rays, Reach::All));
-        if round == rounds {
-            let end = one(&[Role::Field]).with_input(elements, Role::Elements, Reach::All);
-            all.push(end.with_input(0, Role::Links, Reach::All).with_input(rays + 2, Role::Guides, Reach::All));
+        all.push(read(one(StageKind::FirstPassSolve), &latest));
+        latest = vec![rays + 1, 0];
+        if has_guides {
+            all.push(read(block(StageKind::FirstPassGuides), &[rays + 1, 0, rays]));
+            latest.push(rays + 2);
         }
     }
+    all.push(read(step(StageKind::FirstPassFinish, 1, Role::Field), &latest));
     all
 }
 
@@ -104,10 +95,11 @@ fn first_pass_stages(method: Method, blocks: u32) -> Vec<StageTemplate> {
 mod tests {
     use super::*;
     use crate::solver::{BlockOutput, BlockPhase};
-    use crate::{job_graph, tiles_per_group};
+    use crate::{StepDecodeError, job_graph, tiles_per_group};
     use femc_film::Tiling;
     use femc_graph::{Round, tag};
     use femc_prepared::Prepared;
+    use femc_radiosity::SolverState;
     use std::sync::atomic::AtomicBool;
 
     #[test]
@@ -122,7 +114,7 @@ mod tests {
                 );
                 let cut = split_first_pass(whole.clone(), method, 7);
                 assert_eq!((planned_first_pass_blocks(&cut), cut.stages.len()), (7, whole.stages.len() - 1 + count));
-                assert!(cut.stages.iter().all(|stage| stage.tags == [tag::FIRST_PASS, tag::FIRST_PASS_BLOCKS]));
+                assert!(cut.stages.iter().all(|stage| stage.tags == [tag::FIRST_PASS, tag::TASK_KINDS]));
                 let cut = cut.stages;
                 for (number, stage) in cut.iter().enumerate() {
                     for need in &stage.needs {
@@ -178,15 +170,15 @@ m gray\nf a b c d\nf e f g h\nsph i 0.3\nm bright\nsph j 0.2\n";
     fn solve_in_steps(prepared: &Prepared, method: Method, blocks: u32) -> Vec<u8> {
         let solver = solver(method);
         let begun = solver.begin(prepared, &CANCEL).unwrap();
-        let (mut elements, links) = (begun.encode_elements(), begun.encode_links());
-        let linked = |elements: &[u8]| solver.decode(prepared, elements, &links).unwrap();
+        let (start, mut latest) = (begun.encode_start(), None::<Vec<u8>>);
+        let linked = |latest: &Option<Vec<u8>>| solver.decode(prepared, &start, latest.as_deref()).unwrap();
         let decode = |phase: BlockPhase, outputs: &[Vec<u8>]| -> Vec<BlockOutput> {
             outputs.iter().map(|bytes| solver.decode_block(phase, bytes).unwrap()).collect()
         };
         let mut guides: Vec<Vec<u8>> = Vec::new();
         let SolverPhases { rounds, has_guides } = solver.phases();
         for round in 0..rounds {
-            let aimed = || linked(&elements).before_rays(prepared, decode(BlockPhase::Guides, &guides)).unwrap();
+            let aimed = || linked(&latest).before_rays(prepared, decode(BlockPhase::Guides, &guides)).unwrap();
             let before = aimed();
             let rays: Vec<Vec<u8>> = (0..blocks).map(|block| before.cast(prepared, block, blocks)).collect();
             let hits = || decode(BlockPhase::Rays, &rays);
@@ -194,16 +186,16 @@ m gray\nf a b c d\nf e f g h\nsph i 0.3\nm bright\nsph j 0.2\n";
             if round == 0 && blocks == 3 && begun.report().elements > 0 {
                 assert!(aimed().apply(prepared, swapped, &CANCEL).unwrap().is_none());
                 let guides = vec![BlockOutput::new(())];
-                assert!(linked(&elements).before_rays(prepared, guides).is_err(), "outputs of another solver");
+                assert!(linked(&latest).before_rays(prepared, guides).is_err(), "outputs of another solver");
             }
             let settled = aimed().apply(prepared, hits(), &CANCEL).unwrap().unwrap();
-            elements = settled.encode_elements();
+            latest = Some(settled.encode_elements());
             if has_guides {
-                let after = linked(&elements).after_rays(hits()).unwrap();
+                let after = linked(&latest).after_rays(hits()).unwrap();
                 guides = (0..blocks).map(|block| after.guides(prepared, block, blocks)).collect();
             }
         }
-        crate::encode_solution(&linked(&elements).solution(prepared, decode(BlockPhase::Guides, &guides)).unwrap())
+        crate::encode_solution(&linked(&latest).solution(prepared, decode(BlockPhase::Guides, &guides)).unwrap())
     }
 
     #[test]
@@ -222,24 +214,39 @@ m gray\nf a b c d\nf e f g h\nsph i 0.3\nm bright\nsph j 0.2\n";
         let [one, other] = [SCENE.to_owned(), SCENE.replace("f e f g h\n", "")].map(|text| prepare_scene(&text));
         let solver = solver(Method::Femc);
         let begun = solver.begin(&one, &CANCEL).unwrap();
-        let (elements, links) = (begun.encode_elements(), begun.encode_links());
+        let start = begun.encode_start();
         let aimed = begun.before_rays(&one, Vec::new()).unwrap();
         let rays = aimed.cast(&one, 0, 1);
         let hits = |bytes: &[u8]| solver.decode_block(BlockPhase::Rays, bytes);
         let settled = aimed.apply(&one, vec![hits(&rays).unwrap()], &CANCEL).unwrap().unwrap();
-        let guides = settled.guides(&one, 0, 1);
+        let (latest, guides) = (settled.encode_elements(), settled.guides(&one, 0, 1));
         let small = solver.begin(&other, &CANCEL).unwrap();
-        let [others, links_of_others] = [small.encode_elements(), small.encode_links()];
-        assert!(solver.decode(&other, &elements, &links).is_err());
-        assert!(solver.decode(&other, &others, &links).is_err());
-        assert!(solver.decode(&one, &elements, &links_of_others).is_err());
-        assert!(solver.decode(&one, &links, &links).is_err() && hits(&guides).is_err());
+        let start_of_other = small.encode_start();
+        let (elements, links) = SolverState::split_start(&start).unwrap();
+        let (others, links_of_others) = SolverState::split_start(&start_of_other).unwrap();
+        let join = |elements: &[u8], links: &[u8]| [&(elements.len() as u64).to_le_bytes(), elements, links].concat();
+        let decode = |start: &[u8], latest: Option<&[u8]>| solver.decode(&one, start, latest).map(|_| ());
+        assert_eq!((decode(&start, None), decode(&start, Some(&latest))), (Ok(()), Ok(())));
+        assert!(solver.decode(&other, &start, None).is_err());
+        assert!(solver.decode(&other, &join(others, links), None).is_err());
+        assert!(decode(&start_of_other, None).is_err() && decode(&join(elements, links_of_others), None).is_err());
+        assert!(decode(&start, Some(others)).is_err() && decode(&start, Some(links)).is_err());
+        assert!(decode(&join(links, links), None).is_err() && hits(&guides).is_err());
         assert!(small.after_rays(vec![hits(&rays).unwrap()]).is_err());
         for cut in [1, 2, 9, 101, usize::MAX] {
             let of = |bytes: &[u8]| bytes[..bytes.len().saturating_sub(cut)].to_vec();
-            assert!(solver.decode(&one, &of(&elements), &links).is_err());
-            assert!(solver.decode(&one, &elements, &of(&links)).is_err());
+            assert!(decode(&of(&start), None).is_err() && decode(&start, Some(&of(&latest))).is_err());
+            assert!(decode(&join(&of(elements), links), None).is_err());
             assert!(hits(&of(&rays)).is_err() && solver.decode_block(BlockPhase::Guides, &of(&guides)).is_err());
+        }
+        assert!(decode(&start[..7], None).is_err() && decode(&start[..99], None).is_err());
+        for bytes in [latest, rays, guides] {
+            let mut other = bytes;
+            other[8] += 1;
+            let error = decode(&start, Some(&other)).unwrap_err();
+            assert_eq!(error, StepDecodeError::Version(2));
+            assert!(error.to_string().contains("has version 2, and this program reads only version 1"), "{error}");
+            assert_eq!(hits(&other).map(|_| ()).unwrap_err(), error);
         }
     }
 

@@ -49,13 +49,15 @@ pub trait Solver: Send + Sync {
     /// - errors: `cancel` was set.
     fn begin(&self, prepared: &Prepared, cancel: &AtomicBool) -> Result<Box<dyn LinkedState>, RenderError>;
 
-    /// Decodes the state between two rounds, from [`LinkedState::encode_elements`] and [`LinkedState::encode_links`].
-    /// - errors: the bytes are damaged, or belong to different frames.
+    /// Decodes the state between two rounds.
+    /// - `start`: output of [`LinkedState::encode_start`];
+    /// - `latest`: output of [`GuideState::encode_elements`] after the latest round; `None` before the first;
+    /// - errors: the bytes are damaged, of another version, or belong to different frames.
     fn decode(
         &self,
         prepared: &Prepared,
-        elements: &[u8],
-        links: &[u8],
+        start: &[u8],
+        latest: Option<&[u8]>,
     ) -> Result<Box<dyn LinkedState>, StepDecodeError>;
 
     /// Decodes the output of a block.
@@ -89,7 +91,7 @@ impl BlockOutput {
             .into_iter()
             .map(unwrap)
             .collect::<Result<_, _>>()
-            .map_err(|_| StepDecodeError("it is of another solver"))
+            .map_err(|_| StepDecodeError::Damaged("it is of another solver"))
     }
 }
 
@@ -98,11 +100,8 @@ pub trait LinkedState: Debug + Send + Sync {
     /// Returns the statistics so far.
     fn report(&self) -> SolveReport;
 
-    /// Encodes the part that does not change after the first step.
-    fn encode_links(&self) -> Vec<u8>;
-
-    /// Encodes everything else.
-    fn encode_elements(&self) -> Vec<u8>;
+    /// Encodes the state of the first step.
+    fn encode_start(&self) -> Vec<u8>;
 
     /// Prepares the state for the rays of the next round.
     /// - `guides`: outputs of all blocks of the round before, in order; none before the first rays.
@@ -145,7 +144,7 @@ pub trait GuideState: Debug + Send + Sync {
     /// Returns the statistics so far.
     fn report(&self) -> SolveReport;
 
-    /// Encodes the state between this round and the next, as [`LinkedState::encode_elements`] does.
+    /// Encodes what this round has changed in the state of the first step.
     fn encode_elements(&self) -> Vec<u8>;
 
     /// Creates the solution without guides.

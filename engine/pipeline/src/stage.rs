@@ -97,7 +97,7 @@ pub fn with_statistics(mut graph: Graph) -> Graph {
     // The last decision determines which samples count.
     if tiles > PATHS_FAN {
         image = image.with_input(stages.len() as u16, Role::Paths, Reach::All);
-        let reduce = per_frame(StageKind::Reduce, tiles.div_ceil(PATHS_FAN), &[Role::Paths]);
+        let reduce = per_frame(StageKind::ReducePaths, tiles.div_ceil(PATHS_FAN), &[Role::Paths]);
         stages.push(reduce.with_need(paths(Reach::Fan(PATHS_FAN))));
     } else {
         image = image.with_need(paths(Reach::All));
@@ -126,7 +126,7 @@ pub fn with_layers(mut graph: Graph, tiling: &Tiling, layers: usize) -> Graph {
     let fan = (GROUP_SUMS / tile.max(1)).clamp(1, GROUP_TILES) as u32;
     let groups = (tiling.count() as u32).div_ceil(fan);
     let layers = Need { stage: render, role: Role::Layers, reach: Reach::Fan(fan), round: Round::Every, gaps: false };
-    let mut reduce = per_frame(StageKind::Reduce, groups, &[Role::LayerPixels]).with_need(layers);
+    let mut reduce = per_frame(StageKind::ReduceLayers, groups, &[Role::LayerPixels]).with_need(layers);
     if let Some(decide) = decide {
         reduce = reduce.with_input(decide, Role::Stops, Reach::All);
     }

@@ -12,10 +12,21 @@ const COMPRESSION_LEVEL: i32 = 1;
 /// Maximum number of bytes of all columns.
 const MAX_BYTES: u64 = 1 << 33;
 
+/// First bytes of all messages. The version follows, 4 bytes.
+const MAGIC: &[u8; 8] = b"FEMCSTEP";
+/// Version of all messages.
+const VERSION: u32 = 1;
+
 /// Error: the bytes are not the output of a step of a first pass.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("the output of a first-pass step is damaged: {0}")]
-pub struct StepDecodeError(pub &'static str);
+pub enum StepDecodeError {
+    /// The bytes are damaged, or belong to another step or world.
+    #[error("the solver state of a first-pass step is damaged: {0}")]
+    Damaged(&'static str),
+    /// A program of another version wrote them.
+    #[error("the solver state of a first-pass step has version {0}, and this program reads only version {VERSION}")]
+    Version(u32),
+}
 
 /// Writer of columns.
 #[derive(Debug, Default)]
@@ -23,7 +34,7 @@ pub struct Writer(Vec<u8>);
 
 impl Writer {
     /// Creates a writer.
-    /// - `magic`: eight letters and digits that identify the content and its version.
+    /// - `magic`: eight letters and digits that identify the content.
     pub fn new(magic: &[u8; 8]) -> Self {
         Self(magic.to_vec())
     }
@@ -54,7 +65,8 @@ impl Writer {
 
     pub fn finish(self) -> Vec<u8> {
         // Writing to memory does not fail.
-        zstd::bulk::compress(&self.0, COMPRESSION_LEVEL).unwrap_or_default()
+        let columns = zstd::bulk::compress(&self.0, COMPRESSION_LEVEL).unwrap_or_default();
+        [&MAGIC[..], &VERSION.to_le_bytes(), &columns].concat()
     }
 }
 
@@ -67,15 +79,21 @@ pub struct Reader {
 
 impl Reader {
     pub fn new(bytes: &[u8], magic: &[u8; 8]) -> Result<Self, StepDecodeError> {
-        let decoder = zstd::stream::read::Decoder::with_buffer(bytes)
-            .map_err(|_| StepDecodeError("its columns cannot be decompressed"))?;
+        let header = bytes.strip_prefix(MAGIC).and_then(|rest| rest.split_first_chunk::<4>());
+        let (version, columns) = header.ok_or(StepDecodeError::Damaged("it is not a solver state"))?;
+        let version = u32::from_le_bytes(*version);
+        if version != VERSION {
+            return Err(StepDecodeError::Version(version));
+        }
+        let decoder = zstd::stream::read::Decoder::with_buffer(columns)
+            .map_err(|_| StepDecodeError::Damaged("its columns cannot be decompressed"))?;
         let mut all = Vec::new();
         decoder
             .take(MAX_BYTES)
             .read_to_end(&mut all)
-            .map_err(|_| StepDecodeError("its columns cannot be decompressed"))?;
+            .map_err(|_| StepDecodeError::Damaged("its columns cannot be decompressed"))?;
         if !all.starts_with(magic) {
-            return Err(StepDecodeError("it has another kind or version"));
+            return Err(StepDecodeError::Damaged("it belongs to another step"));
         }
         Ok(Self { bytes: all, position: magic.len() })
     }
@@ -85,7 +103,7 @@ impl Reader {
             .position
             .checked_add(count)
             .filter(|&end| end <= self.bytes.len())
-            .ok_or(StepDecodeError("it ends early"))?;
+            .ok_or(StepDecodeError::Damaged("it ends early"))?;
         let taken = &self.bytes[self.position..end];
         self.position = end;
         Ok(taken)
@@ -93,7 +111,7 @@ impl Reader {
 
     pub fn number(&mut self) -> Result<u64, StepDecodeError> {
         let bytes = self.take(8)?.first_chunk::<8>().copied();
-        bytes.map(u64::from_le_bytes).ok_or(StepDecodeError("it ends early"))
+        bytes.map(u64::from_le_bytes).ok_or(StepDecodeError::Damaged("it ends early"))
     }
 
     pub fn bytes(&mut self) -> Result<Vec<u8>, StepDecodeError> {
@@ -111,13 +129,13 @@ impl Reader {
     /// Reads `count` rows.
     pub fn rows<const N: usize>(&mut self, count: usize) -> Result<Vec<[f32; N]>, StepDecodeError> {
         if count.saturating_mul(4 * N) > self.bytes.len() - self.position {
-            return Err(StepDecodeError("it ends early"));
+            return Err(StepDecodeError::Damaged("it ends early"));
         }
         let mut rows = vec![[0.0; N]; count];
         for column in 0..N {
             let numbers = self.numbers()?;
             if numbers.len() != count {
-                return Err(StepDecodeError("its columns differ in length"));
+                return Err(StepDecodeError::Damaged("its columns differ in length"));
             }
             rows.iter_mut().zip(numbers).for_each(|(row, bits)| row[column] = f32::from_bits(bits));
         }
@@ -126,7 +144,11 @@ impl Reader {
 
     /// Checks that nothing follows.
     pub fn expect_end(self) -> Result<(), StepDecodeError> {
-        if self.position == self.bytes.len() { Ok(()) } else { Err(StepDecodeError("extra bytes follow its end")) }
+        if self.position == self.bytes.len() {
+            Ok(())
+        } else {
+            Err(StepDecodeError::Damaged("extra bytes follow its end"))
+        }
     }
 }
 
@@ -171,8 +193,8 @@ mod tests {
         }
         let mut reader = Reader::new(&bytes, b"columns1").unwrap();
         assert_eq!(reader.number(), Ok(7));
-        assert_eq!(reader.rows::<3>(2), Err(StepDecodeError("its columns differ in length")));
-        assert_eq!(reader.rows::<3>(usize::MAX), Err(StepDecodeError("it ends early")));
+        assert_eq!(reader.rows::<3>(2), Err(StepDecodeError::Damaged("its columns differ in length")));
+        assert_eq!(reader.rows::<3>(usize::MAX), Err(StepDecodeError::Damaged("it ends early")));
     }
 
     trait Bits {

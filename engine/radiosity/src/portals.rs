@@ -246,7 +246,7 @@ pub fn write(portals: &[Portal], writer: &mut Writer) {
 pub fn read(reader: &mut Reader) -> Result<Vec<Portal>, StepDecodeError> {
     let count = reader.number()?;
     if count > MOST as u64 {
-        return Err(StepDecodeError("it has too many portals"));
+        return Err(StepDecodeError::Damaged("it has too many portals"));
     }
     let read = |_| {
         let ways = usize::try_from(reader.number()?).map_err(|_| WRONG)?;
@@ -263,7 +263,7 @@ pub fn read(reader: &mut Reader) -> Result<Vec<Portal>, StepDecodeError> {
     (0..count).map(read).collect()
 }
 
-const WRONG: StepDecodeError = StepDecodeError("a portal has invalid numbers");
+const WRONG: StepDecodeError = StepDecodeError::Damaged("a portal has invalid numbers");
 
 /// Selects at most [`WAYS`] lines that represent all. None weighs more than a hundredth of the total.
 fn standing_for(lines: &[Line]) -> Vec<Line> {

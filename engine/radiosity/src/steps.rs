@@ -133,6 +133,23 @@ impl SolverState {
         self.finish(Scene::new(prepared), join_guides(guides, &surface_leaves(&self.arena)))
     }
 
+    /// Encodes the state of the first step: the elements and the links.
+    pub fn encode_start(&self) -> Vec<u8> {
+        let (elements, links) = rayon::join(|| self.encode_elements(), || self.encode_links());
+        [&(elements.len() as u64).to_le_bytes()[..], &elements, &links].concat()
+    }
+
+    /// Splits the output of [`SolverState::encode_start`] into that of [`SolverState::encode_elements`] and that of
+    /// [`SolverState::encode_links`].
+    /// - errors: the bytes end early.
+    pub fn split_start(bytes: &[u8]) -> Result<(&[u8], &[u8]), StepDecodeError> {
+        let parts = bytes.split_first_chunk::<8>().and_then(|(length, rest)| {
+            let length = usize::try_from(u64::from_le_bytes(*length)).ok()?;
+            rest.split_at_checked(length)
+        });
+        parts.ok_or(StepDecodeError::Damaged("it ends early"))
+    }
+
     /// Encodes the links, which do not change after the first step.
     pub fn encode_links(&self) -> Vec<u8> {
         let mut writer = Writer::new(LINKS_MAGIC);
@@ -204,7 +221,8 @@ impl SolverState {
         let scene = Scene::new(prepared);
         let mut reader = Reader::new(elements, ELEMENTS_MAGIC)?;
         let digest = reader.number()?;
-        let mut number = || usize::try_from(reader.number()?).map_err(|_| StepDecodeError("a number is too large"));
+        let mut number =
+            || usize::try_from(reader.number()?).map_err(|_| StepDecodeError::Damaged("a number is too large"));
         let round = number()?;
         let [lamp_links, refused, iterations, bounded, worth_more, max_ray_bytes] =
             [number()?, number()?, number()?, number()?, number()?, number()?];
@@ -314,7 +332,7 @@ fn links_digest(links: &[Link]) -> u64 {
     links.iter().fold(links.len() as u64, |mark, link| mix64(mark ^ of(link)))
 }
 
-const OTHER_ELEMENTS: StepDecodeError = StepDecodeError("it belongs to other elements");
+const OTHER_ELEMENTS: StepDecodeError = StepDecodeError::Damaged("it belongs to other elements");
 
 impl CastingState {
     /// Casts the rays of block `block` of `blocks` blocks.
@@ -440,7 +458,7 @@ impl BlockGuides {
         let is_whole =
             counts.len() == sizes.len() && whole(&counts) == number as u64 && whole(&sizes) == leaves.len() as u64;
         if !is_whole {
-            return Err(StepDecodeError("its number of leaves or lobes is wrong"));
+            return Err(StepDecodeError::Damaged("its number of leaves or lobes is wrong"));
         }
         let lobe = |row: [f32; 10]| Lobe {
             target: position_from_floats(&row),

@@ -1,6 +1,6 @@
 //! Jobs: scene, settings and frames, their limits and states, and the actions on them.
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::{
     Digest, Graph, GraphError, Grid, JobNotes, NotesError, Scope, Stage, check_graph, check_graph_frames, encode_graph,
@@ -23,7 +23,8 @@ pub struct JobSpec {
     pub frames: Vec<u32>,
     /// Film and tiles.
     pub grid: Grid,
-    /// Stages of the job.
+    /// Stages of the job. Kinds and roles of earlier versions are replaced when it is read.
+    #[serde(deserialize_with = "updated_graph")]
     pub graph: Graph,
     /// Keys of the shared contents of the frames. An entry holds the position in [`JobSpec::frames`] at which its run of frames
     /// ends (exclusive), and the key of these frames. Empty if no stage belongs to a shared content. A key is a digest of
@@ -162,6 +163,10 @@ impl JobSpec {
         }
         Digest::compute(&bytes)
     }
+}
+
+fn updated_graph<'de, D: Deserializer<'de>>(from: D) -> Result<Graph, D::Error> {
+    Graph::deserialize(from).map(Graph::updated)
 }
 
 fn numbers(values: &[u32]) -> Vec<u8> {

@@ -4,7 +4,7 @@ use std::fmt;
 use std::ops::Range;
 use std::str::FromStr;
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::{Artifact, Epoch, JobId, Role, StageKind, StepsTaken};
 
@@ -129,10 +129,15 @@ pub struct Input {
 /// Output of a task.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Output {
-    /// Role of the output.
+    /// Role of the output. A role of an earlier version is replaced when it is read.
+    #[serde(deserialize_with = "updated_role")]
     pub role: Role,
     /// Artifact that holds the output.
     pub artifact: Artifact,
+}
+
+fn updated_role<'de, D: Deserializer<'de>>(from: D) -> Result<Role, D::Error> {
+    Role::deserialize(from).map(Role::updated)
 }
 
 impl TaskSpec {

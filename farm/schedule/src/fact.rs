@@ -159,3 +159,27 @@ pub enum Fact {
         ended: Tick,
     },
 }
+
+impl Fact {
+    /// Returns the task that a change of its job's progress is about.
+    pub(crate) fn task(&self) -> Option<&TaskKey> {
+        match self {
+            Self::Done { task, .. }
+            | Self::Failed { task, .. }
+            | Self::OutputsLost { task }
+            | Self::WorkerDied { task, .. } => Some(task),
+            _ => None,
+        }
+    }
+
+    /// Returns the same task, to change it.
+    pub(crate) fn task_mut(&mut self) -> Option<&mut TaskKey> {
+        match self {
+            Self::Done { task, .. }
+            | Self::Failed { task, .. }
+            | Self::OutputsLost { task }
+            | Self::WorkerDied { task, .. } => Some(task),
+            _ => None,
+        }
+    }
+}

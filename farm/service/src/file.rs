@@ -139,8 +139,10 @@ struct Video {
 impl FileNames {
     /// Reads the names from a job's graph. Names that are not valid file names are ignored.
     pub(crate) fn new(graph: &Graph) -> Self {
-        let encode = graph.stages.iter().find(|template| template.kind == StageKind::Encode);
-        let options = encode.and_then(|template| serde_json::from_str::<Options>(&template.options).ok());
+        // All stages of a clip have the same options.
+        let encode =
+            graph.stage_of_kind(StageKind::EncodePicture).or_else(|| graph.stage_of_kind(StageKind::EncodeClip));
+        let options = encode.and_then(|(_, template)| serde_json::from_str::<Options>(&template.options).ok());
         let is_file = |name: &String| JobSpec::is_valid_name(name) && !name.starts_with('.');
         let Some(Options { sheet, video }) = options else { return Self::default() };
         Self { clip: video.map(|video| video.name).filter(is_file), sheet: sheet.filter(is_file) }

@@ -50,8 +50,8 @@ impl TestResponse {
 fn spec(name: &str) -> JobSpec {
     let options =
         r#"{"stills":true,"sheet":"all frames.png","video":{"name":"drive.webm","rate":24.0},"painting":null}"#;
-    let encode =
-        StageTemplate::new(StageKind::Encode, Scope::Job, TaskSizes::even(1, 1), &[Role::Clip]).with_options(options);
+    let encode = StageTemplate::new(StageKind::EncodeClip, Scope::Job, TaskSizes::even(1, 1), &[Role::Clip])
+        .with_options(options);
     JobSpec {
         name: name.into(),
         bundle: Digest::compute(b"bundle"),

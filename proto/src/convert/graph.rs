@@ -47,7 +47,7 @@ impl TryFrom<wire::Output> for Output {
     type Error = ConvertError;
 
     fn try_from(wire: wire::Output) -> Result<Self, ConvertError> {
-        Ok(Self { role: role(wire.role)?, artifact: required("output.artifact", wire.artifact)?.try_into()? })
+        Ok(Self { role: role(wire.role)?.updated(), artifact: required("output.artifact", wire.artifact)?.try_into()? })
     }
 }
 
@@ -61,7 +61,8 @@ impl TryFrom<wire::Graph> for Graph {
     type Error = ConvertError;
 
     fn try_from(wire: wire::Graph) -> Result<Self, ConvertError> {
-        Ok(Self { stages: convert_all(wire.stages)? })
+        // Clients of earlier versions send their kinds and roles.
+        Ok(Self { stages: convert_all(wire.stages)? }.updated())
     }
 }
 

@@ -31,15 +31,20 @@ fn task(kind: StageKind) -> TaskKey {
     TaskKey { job: JobId(7), stage: Stage { frame: u32::MAX, round: 3, number: u16::MAX, kind }, index: 5 }
 }
 
+/// Returns all roles of this version.
+fn roles() -> Vec<Role> {
+    Role::ALL.into_iter().filter(|role| role.updated() == *role).collect()
+}
+
 fn outputs() -> Vec<Output> {
-    Role::ALL.map(|role| Output { role, artifact: artifact() }).to_vec()
+    roles().into_iter().map(|role| Output { role, artifact: artifact() }).collect()
 }
 
 fn graph() -> Graph {
     let need = |reach, round| Need { stage: u16::MAX, role: Role::Sums, reach, round, gaps: true };
     let sizes = [(3, 256), (1, u64::MAX)].into_iter().collect();
     let render = StageTemplate::new(StageKind::Render, Scope::Frame, sizes, &[Role::Tile]).with_steps(&[16, 32]);
-    let reduce = StageTemplate::new(StageKind::Reduce, Scope::Job, TaskSizes::even(1, 1), &Role::ALL)
+    let reduce = StageTemplate::new(StageKind::Reduce, Scope::Job, TaskSizes::even(1, 1), &roles())
         .with_need(need(Reach::Fan(256), Round::Previous))
         .with_need(need(Reach::Same, Round::Every))
         .with_input(0, Role::Tile, Reach::All)
@@ -516,4 +521,23 @@ fn two_labels_of_one_name_are_refused() {
     let mut wire = wire::JobSpec::from(spec());
     wire.labels.push(wire.labels[0].clone());
     assert_eq!(JobSpec::try_from(wire), Err(ConvertError::Range { field: "labels" }));
+}
+
+#[test]
+fn earlier_kinds_and_roles_are_replaced() {
+    let stage = |kind, outputs: &[Role]| StageTemplate::new(kind, Scope::Content, TaskSizes::even(1, 1), outputs);
+    let start = stage(StageKind::FirstPass, &[Role::Elements, Role::Links]);
+    let rays = stage(StageKind::FirstPassBlock, &[Role::Rays]).with_input(0, Role::Elements, Reach::All).with_input(
+        0,
+        Role::Links,
+        Reach::All,
+    );
+    let graph = Graph { stages: vec![start, rays, stage(StageKind::Encode, &[Role::Clip])] };
+    let read = Graph::try_from(wire::Graph::from(graph.clone())).unwrap();
+    assert_eq!(read, graph.updated());
+    let kinds: Vec<StageKind> = read.stages.iter().map(|stage| stage.kind).collect();
+    assert_eq!(kinds, [StageKind::FirstPassStart, StageKind::FirstPassRays, StageKind::EncodeClip]);
+    assert_eq!(read.stages[1].needs.len(), 1);
+    let output = Output { role: Role::Guides, artifact: artifact() };
+    assert_eq!(Output::try_from(wire::Output::from(output)).unwrap().role, Role::SolverState);
 }

@@ -1334,7 +1334,7 @@ pub struct ManyFromWorker {
 /// Registration of a worker.
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct Registration {
-    /// Version of this protocol: 5. A coordinator accepts its own version and the one before, but none below 5, because those do
+    /// Version of this protocol: 6. A coordinator accepts its own version and the one before, but none below 5, because those do
     /// not know graphs of stages.
     #[prost(uint32, tag = "1")]
     pub protocol: u32,
@@ -2033,14 +2033,13 @@ pub enum Role {
     Paths = 17,
     /// Statistics of the paths of all samples that count in a frame.
     Statistics = 18,
-    /// Elements of an unfinished first pass, and their light. A worker that knows this role and the three below offers the tag
-    /// `first-pass-blocks`.
+    /// SOLVER_STATE in graphs of earlier versions, like the three below. The coordinator replaces it.
     Elements = 19,
-    /// Links between these elements.
+    /// See ROLE_ELEMENTS.
     Links = 20,
-    /// Hits of the rays of a block of a first pass.
+    /// See ROLE_ELEMENTS.
     Rays = 21,
-    /// Directions from which the light of a block comes.
+    /// See ROLE_ELEMENTS.
     Guides = 22,
     /// Sums of the layers of a tile's samples. A worker that knows this role and the two below offers the tags `layers` and
     /// `features`.
@@ -2053,6 +2052,8 @@ pub enum Role {
     Painted = 26,
     /// Brushwork of a frame, which the painting of the next frame continues.
     Brushwork = 27,
+    /// State of an unfinished first pass, which only the solver reads. A worker that knows this role offers the tag `task-kinds`.
+    SolverState = 28,
 }
 impl Role {
     /// String value of the enum field names used in the ProtoBuf definition.
@@ -2089,6 +2090,7 @@ impl Role {
             Self::LayerImage => "ROLE_LAYER_IMAGE",
             Self::Painted => "ROLE_PAINTED",
             Self::Brushwork => "ROLE_BRUSHWORK",
+            Self::SolverState => "ROLE_SOLVER_STATE",
         }
     }
     /// Creates an enum from field names used in the ProtoBuf definition.
@@ -2122,6 +2124,7 @@ impl Role {
             "ROLE_LAYER_IMAGE" => Some(Self::LayerImage),
             "ROLE_PAINTED" => Some(Self::Painted),
             "ROLE_BRUSHWORK" => Some(Self::Brushwork),
+            "ROLE_SOLVER_STATE" => Some(Self::SolverState),
             _ => None,
         }
     }
@@ -2257,7 +2260,7 @@ pub enum StageKind {
     Unspecified = 0,
     /// Renders samples of a tile.
     Render = 1,
-    /// Combines outputs of one role.
+    /// Unites the tiles of a group. In graphs of earlier versions also REDUCE_PATHS, REDUCE_LAYERS, COUNT_LEVELS and REDUCE_LEVELS.
     Reduce = 2,
     /// Measures a frame and writes its image.
     Image = 3,
@@ -2265,14 +2268,40 @@ pub enum StageKind {
     Drill = 4,
     /// Decides from the errors of a frame's tiles whether another round follows, and how many samples each tile gets in it.
     Decide = 5,
-    /// Encodes frames under one exposure, and makes a contact sheet or a clip of them.
+    /// ENCODE_PICTURE, ENCODE_SHEET and ENCODE_CLIP in graphs of earlier versions. The coordinator replaces it.
     Encode = 6,
-    /// Solves the finite-element first pass of a frame's world, or executes a step of it for all blocks.
+    /// Solves the finite-element first pass of a frame's world. In graphs of earlier versions also FIRST_PASS_START, FIRST_PASS_SOLVE
+    /// and FIRST_PASS_FINISH.
     FirstPass = 7,
-    /// Executes a step of a first pass for one block: its rays, or its guides.
+    /// FIRST_PASS_RAYS and FIRST_PASS_GUIDES in graphs of earlier versions. The coordinator replaces it.
     FirstPassBlock = 8,
     /// Paints a frame in a style, from its layers and the brushwork of the previous frame.
     Paint = 9,
+    /// Creates the elements and links of a first pass in blocks. A worker that knows this kind and those below offers the tag
+    /// `task-kinds`.
+    FirstPassStart = 10,
+    /// Casts the rays of one block of a first pass.
+    FirstPassRays = 11,
+    /// Solves a first pass again, corrected by the rays of all blocks.
+    FirstPassSolve = 12,
+    /// Computes the guides of one block of a first pass: the directions from which its light comes.
+    FirstPassGuides = 13,
+    /// Makes the light of a first pass in blocks from its last state.
+    FirstPassFinish = 14,
+    /// Counts the luminance levels of a group of tiles.
+    CountLevels = 15,
+    /// Adds up luminance levels of groups of tiles, or of frames.
+    ReduceLevels = 16,
+    /// Combines the path statistics of a group of tiles.
+    ReducePaths = 17,
+    /// Unites and resolves the layers of a group of tiles.
+    ReduceLayers = 18,
+    /// Encodes a frame as PNG, with the exposure common to all frames.
+    EncodePicture = 19,
+    /// Encodes all frames as a contact sheet.
+    EncodeSheet = 20,
+    /// Encodes all frames as a clip.
+    EncodeClip = 21,
 }
 impl StageKind {
     /// String value of the enum field names used in the ProtoBuf definition.
@@ -2291,6 +2320,18 @@ impl StageKind {
             Self::FirstPass => "STAGE_KIND_FIRST_PASS",
             Self::FirstPassBlock => "STAGE_KIND_FIRST_PASS_BLOCK",
             Self::Paint => "STAGE_KIND_PAINT",
+            Self::FirstPassStart => "STAGE_KIND_FIRST_PASS_START",
+            Self::FirstPassRays => "STAGE_KIND_FIRST_PASS_RAYS",
+            Self::FirstPassSolve => "STAGE_KIND_FIRST_PASS_SOLVE",
+            Self::FirstPassGuides => "STAGE_KIND_FIRST_PASS_GUIDES",
+            Self::FirstPassFinish => "STAGE_KIND_FIRST_PASS_FINISH",
+            Self::CountLevels => "STAGE_KIND_COUNT_LEVELS",
+            Self::ReduceLevels => "STAGE_KIND_REDUCE_LEVELS",
+            Self::ReducePaths => "STAGE_KIND_REDUCE_PATHS",
+            Self::ReduceLayers => "STAGE_KIND_REDUCE_LAYERS",
+            Self::EncodePicture => "STAGE_KIND_ENCODE_PICTURE",
+            Self::EncodeSheet => "STAGE_KIND_ENCODE_SHEET",
+            Self::EncodeClip => "STAGE_KIND_ENCODE_CLIP",
         }
     }
     /// Creates an enum from field names used in the ProtoBuf definition.
@@ -2306,6 +2347,18 @@ impl StageKind {
             "STAGE_KIND_FIRST_PASS" => Some(Self::FirstPass),
             "STAGE_KIND_FIRST_PASS_BLOCK" => Some(Self::FirstPassBlock),
             "STAGE_KIND_PAINT" => Some(Self::Paint),
+            "STAGE_KIND_FIRST_PASS_START" => Some(Self::FirstPassStart),
+            "STAGE_KIND_FIRST_PASS_RAYS" => Some(Self::FirstPassRays),
+            "STAGE_KIND_FIRST_PASS_SOLVE" => Some(Self::FirstPassSolve),
+            "STAGE_KIND_FIRST_PASS_GUIDES" => Some(Self::FirstPassGuides),
+            "STAGE_KIND_FIRST_PASS_FINISH" => Some(Self::FirstPassFinish),
+            "STAGE_KIND_COUNT_LEVELS" => Some(Self::CountLevels),
+            "STAGE_KIND_REDUCE_LEVELS" => Some(Self::ReduceLevels),
+            "STAGE_KIND_REDUCE_PATHS" => Some(Self::ReducePaths),
+            "STAGE_KIND_REDUCE_LAYERS" => Some(Self::ReduceLayers),
+            "STAGE_KIND_ENCODE_PICTURE" => Some(Self::EncodePicture),
+            "STAGE_KIND_ENCODE_SHEET" => Some(Self::EncodeSheet),
+            "STAGE_KIND_ENCODE_CLIP" => Some(Self::EncodeClip),
             _ => None,
         }
     }

@@ -416,8 +416,11 @@ fn first_pass_steps(prepared: Prepared) -> Vec<Target> {
         true
     };
     let with_links = is_state.clone();
-    let columns = |bytes: &[u8]| zstd::bulk::decompress(bytes, 1 << 26).expect("what was compressed");
-    let add_envelope = |columns: &[u8]| zstd::bulk::compress(columns, 1).expect("it compresses");
+    // The name and the version of the format are before the columns.
+    let header: [u8; 12] = elements[..12].try_into().expect("a header");
+    let columns = |bytes: &[u8]| zstd::bulk::decompress(&bytes[12..], 1 << 26).expect("what was compressed");
+    let add_envelope =
+        move |columns: &[u8]| [&header[..], &zstd::bulk::compress(columns, 1).expect("it compresses")].concat();
     let are_rays = move |bytes: &[u8]| {
         let Ok(sights) = RayHits::decode(bytes) else { return false };
         assert!(RayHits::decode(&sights.encode()).is_ok());

@@ -1,4 +1,4 @@
-/** Kinds of tasks (farm/model/src/kind.rs) in the order of the legend, and the color of each in the timeline. */
+/** Kinds of tasks (graph/src/kind.rs) in the order of the legend, and the color of each in the timeline. */
 
 import { OKABE_ITO } from './color';
 
@@ -7,24 +7,49 @@ export const KINDS = [
   'reduce',
   'image',
   'decide',
-  'encode',
   'first-pass',
-  'first-pass-block',
+  'first-pass-start',
+  'first-pass-rays',
+  'first-pass-solve',
+  'first-pass-guides',
+  'first-pass-finish',
+  'reduce-layers',
+  'reduce-paths',
+  'count-levels',
+  'reduce-levels',
+  'encode-picture',
+  'encode-sheet',
+  'encode-clip',
   'paint',
   'drill',
+  // Kinds of earlier versions, in old records.
+  'encode',
+  'first-pass-block',
 ] as const;
 
-/** The palette of Okabe and Ito has eight colors; the ninth kind has a violet of similar lightness. */
+/** The palette of Okabe and Ito has eight colors. Kinds of similar work have shades of one color. */
 const COLORS: Readonly<Record<string, string>> = {
   render: OKABE_ITO[0],
   reduce: OKABE_ITO[4],
   image: OKABE_ITO[2],
   decide: OKABE_ITO[6],
-  encode: OKABE_ITO[3],
   'first-pass': OKABE_ITO[1],
-  'first-pass-block': OKABE_ITO[5],
+  'first-pass-start': '#B87F00',
+  'first-pass-rays': OKABE_ITO[5],
+  'first-pass-solve': '#F2C46B',
+  'first-pass-guides': '#9C4500',
+  'first-pass-finish': '#7A5200',
+  'reduce-layers': '#2F8FC4',
+  'reduce-paths': '#8CCBF0',
+  'count-levels': '#1F6F9C',
+  'reduce-levels': '#B5DDF5',
+  'encode-picture': OKABE_ITO[3],
+  'encode-sheet': '#A85A84',
+  'encode-clip': '#E3B3CD',
   paint: '#8064A2',
   drill: OKABE_ITO[7],
+  encode: OKABE_ITO[3],
+  'first-pass-block': OKABE_ITO[5],
 } satisfies Record<(typeof KINDS)[number], string>;
 
 /** Color of a kind; black for an unknown one. */

@@ -1,63 +1,90 @@
-//! The first pass of a world. It is solved once for all frames and jobs that share the world, in one task or in many steps.
+//! The first-pass task: solves the first pass of a world, once for all frames and jobs that share the world.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
 use femc_model::{Digest, Failure, Phase, Role, StageTemplate};
-use femc_pipeline::{FirstPassReport, RenderError};
+use femc_pipeline::{FirstPassReport, Prepared, RenderError, Solution, Solver};
 
-use super::{Product, Tools, first_pass_steps, settings_failure};
+use super::{Product, Tools, settings_failure};
 use crate::clock::Stopwatch;
 use crate::task_table::Task;
 
-pub(crate) fn first_pass(task: &Task, stage: &StageTemplate, tools: &Tools) -> Result<Product, Failure> {
-    let spec = &task.spec;
-    task.set_phase(Phase::Preparing);
-    let watch = Stopwatch::start();
-    // Any frame with this content will do: its frames do not differ in anything that the solution depends on.
-    let frame = *spec.frames.first().ok_or_else(|| settings_failure("a first pass requires at least one frame"))?;
-    let loaded = tools.cache.scene(spec, &task.client, &tools.fetch)?;
-    if !loaded.settings.method.has_first_pass() {
-        return Err(settings_failure("the job's graph has a first pass, but its method has none"));
-    }
-    let frame_key = loaded.frame_key(frame)?;
-    let method = loaded.settings.method;
-    let solver = femc_pipeline::solver(method);
-    let key = femc_pipeline::first_pass_key(&frame_key, method, first_pass_steps::blocks(&spec.graph));
-    if spec.content_key(0) != Some(Digest::from_bytes(key)) {
-        return Err(settings_failure("the content of the job does not match its key"));
-    }
-    let prepared = tools.cache.world(spec, frame, &task.client, &tools.fetch)?;
-    task.account.set_preparation(watch.elapsed());
-    tracing::debug!(frame, seconds = watch.seconds(), "the world is ready");
-    task.set_phase(Phase::Working);
-    if stage.needs.is_empty() {
-        let needs = solver.min_bytes(&prepared);
-        let surfaces = femc_pipeline::count_surfaces(&prepared.scene);
-        let what = format!("the first pass of {surfaces} surfaces (--method pt needs none)");
-        tools.memory.check_room(needs, &what)?;
-    }
-    let solving = Stopwatch::start();
-    if !stage.needs.is_empty() || !stage.outputs.contains(&Role::Field) {
-        let mut product = first_pass_steps::step(task, stage, tools, (&*solver, &prepared), &solving)?;
-        task.units.store(1, Ordering::Relaxed);
-        product.result.seconds = watch.seconds();
-        return Ok(product);
-    }
+pub(super) fn first_pass(task: &Task, stage: &StageTemplate, tools: &Tools) -> Result<Product, Failure> {
+    let world = World::prepare(task, tools)?;
+    world.check_memory(tools)?;
     let solved = tools.install(task, || {
-        let solution = femc_pipeline::solve_first_pass(&prepared, method, &task.cancel)?;
-        let bytes = femc_pipeline::encode_solution(&solution);
-        log(&solution.report, bytes.len(), &solving);
-        Ok((bytes, Arc::new(solution.field)))
+        let solution = world.solver.solve(&world.prepared, &task.cancel)?;
+        solution.verify(&world.prepared)?;
+        Ok(solution)
     });
-    let (bytes, field) = solved.map_err(render_failure)?;
-    task.units.store(1, Ordering::Relaxed);
-    // The worker that solved the first pass need not download it.
-    tools.cache.insert_field(Digest::compute(&bytes), field);
+    let product = write_solution(task, stage, tools, &world, solved.map_err(render_failure)?);
+    world.finish(task, product)
+}
+
+/// World of a first pass, with the times of its task.
+pub(super) struct World {
+    pub(super) solver: Arc<dyn Solver>,
+    pub(super) prepared: Arc<Prepared>,
+    watch: Stopwatch,
+    /// Time since the world is ready.
+    pub(super) solving: Stopwatch,
+}
+
+impl World {
+    /// Prepares the world and checks its key.
+    pub(super) fn prepare(task: &Task, tools: &Tools) -> Result<Self, Failure> {
+        let spec = &task.spec;
+        task.set_phase(Phase::Preparing);
+        let watch = Stopwatch::start();
+        // Any frame with this content will do: its frames do not differ in anything that the solution depends on.
+        let frame = *spec.frames.first().ok_or_else(|| settings_failure("a first pass requires at least one frame"))?;
+        let loaded = tools.cache.scene(spec, &task.client, &tools.fetch)?;
+        let method = loaded.settings.method;
+        if !method.has_first_pass() {
+            return Err(settings_failure("the job's graph has a first pass, but its method has none"));
+        }
+        let blocks = femc_pipeline::planned_first_pass_blocks(&spec.graph);
+        let key = femc_pipeline::first_pass_key(&loaded.frame_key(frame)?, method, blocks);
+        if spec.content_key(0) != Some(Digest::from_bytes(key)) {
+            return Err(settings_failure("the content of the job does not match its key"));
+        }
+        let prepared = tools.cache.world(spec, frame, &task.client, &tools.fetch)?;
+        task.account.set_preparation(watch.elapsed());
+        tracing::debug!(frame, seconds = watch.seconds(), "the world is ready");
+        task.set_phase(Phase::Working);
+        Ok(Self { solver: femc_pipeline::solver(method), prepared, watch, solving: Stopwatch::start() })
+    }
+
+    /// Checks that the memory suffices for the elements.
+    pub(super) fn check_memory(&self, tools: &Tools) -> Result<(), Failure> {
+        let needs = self.solver.min_bytes(&self.prepared);
+        let surfaces = femc_pipeline::count_surfaces(&self.prepared.scene);
+        tools.memory.check_room(needs, &format!("the first pass of {surfaces} surfaces (--method pt needs none)"))
+    }
+
+    /// Counts the task's unit of work, and sets its time.
+    pub(super) fn finish(&self, task: &Task, mut product: Product) -> Result<Product, Failure> {
+        task.units.store(1, Ordering::Relaxed);
+        product.result.seconds = self.watch.seconds();
+        if task.is_cancelled() { Err(Failure::Cancelled) } else { Ok(product) }
+    }
+}
+
+/// Encodes a solution as the stage's output. This worker need not download it.
+pub(super) fn write_solution(
+    task: &Task,
+    stage: &StageTemplate,
+    tools: &Tools,
+    world: &World,
+    solution: Solution,
+) -> Product {
+    let bytes = tools.install(task, || femc_pipeline::encode_solution(&solution));
+    log(&solution.report, bytes.len(), &world.solving);
+    tools.cache.insert_field(Digest::compute(&bytes), Arc::new(solution.field));
     let mut product = Product::default();
     product.put(stage, Role::Field, || bytes);
-    product.result.seconds = watch.seconds();
-    Ok(product)
+    product
 }
 
 pub(super) fn render_failure(error: RenderError) -> Failure {
@@ -67,7 +94,7 @@ pub(super) fn render_failure(error: RenderError) -> Failure {
     }
 }
 
-pub(super) fn log(report: &FirstPassReport, stored: usize, solving: &Stopwatch) {
+fn log(report: &FirstPassReport, stored: usize, solving: &Stopwatch) {
     let FirstPassReport {
         elements,
         leaves,

@@ -1,72 +1,17 @@
-//! Layers and features. Reduce tasks unite and resolve the sums of a group of tiles once it is known which samples count. The image
-//! task assembles the groups beside the picture.
+//! Layers and features of an image. The image task assembles them from the resolved groups beside the picture.
 
 use std::collections::BTreeMap;
 
-use femc_film::tile::NONE_HELD;
-use femc_film::{AovPiece, AovTile, FeatureImage, FilmError, FrameImage, LayerImage, Provenance, exr};
-use femc_model::{Failure, Phase, Role, StageTemplate};
+use femc_film::{AovPiece, FeatureImage, FilmError, FrameImage, LayerImage, Provenance, exr};
+use femc_model::{Failure, Role};
 use femc_pipeline::{Settings, cryptomatte, feature_channels, feature_layout, feature_mattes};
 use femc_scene::Scene;
 
 use super::image::encode_failure;
-use super::inputs::{LostInputs, expected_samples, previous_stops, read_groups, tile_span, tiling};
-use super::{Product, Tools, settings_failure};
+use super::inputs::{read_groups, tiling};
+use super::{Tools, settings_failure};
 use crate::clock::Stopwatch;
 use crate::task_table::Task;
-
-/// Unites and resolves the layers of a group of tiles.
-pub(super) fn reduce(task: &Task, stage: &StageTemplate, tools: &Tools) -> Result<Product, Failure> {
-    task.set_phase(Phase::Working);
-    let watch = Stopwatch::start();
-    let (tiling, stops) = (tiling(task)?, previous_stops(task, tools)?);
-    let begin = stops.as_ref().map_or(0, |stops| stops.progress.first_sample);
-    let span = tile_span(task, stage, Role::Layers)?;
-    // Parts of each tile.
-    let mut inputs: BTreeMap<u32, Vec<_>> = span.clone().map(|tile| (tile, Vec::new())).collect();
-    for input in task.assignment.spec.inputs_of_role(Role::Layers) {
-        inputs.entry(input.item).or_default().push(input.output.artifact);
-    }
-    let (mut lost, mut piece) = (LostInputs::default(), AovPiece::new(tiling, span.start as usize));
-    for (place, (tile, artifacts)) in inputs.iter().enumerate() {
-        if task.is_cancelled() {
-            return Err(Failure::Cancelled);
-        }
-        let ends = stops.as_ref().and_then(|stops| stops.ends.get(*tile as usize)).copied().unwrap_or(NONE_HELD);
-        let mut parts = Vec::with_capacity(artifacts.len());
-        let here = lost.fetch(task, artifacts, tools)?;
-        tools.install(task, || {
-            for (artifact, bytes) in &here {
-                lost.check(*artifact, AovTile::decode(bytes).map(|part| parts.push(part)));
-            }
-        });
-        if parts.len() < artifacts.len() {
-            continue;
-        }
-        // A tile with missing parts or with wrong samples is rendered again.
-        let given = expected_samples(task, place).end;
-        let united = AovTile::from_parts(parts, begin, ends).map_err(|error| error.to_string()).and_then(|all| {
-            let samples = all.samples();
-            if samples.is_some_and(|samples| (samples.start, samples.end) == (begin, given)) {
-                piece.put(&all, ends).map_err(|error| error.to_string())
-            } else {
-                Err(format!("tile {tile} has layers of samples {samples:?}, expected {begin}..{given}"))
-            }
-        });
-        if let Err(message) = united {
-            if artifacts.is_empty() {
-                return Err(Failure::Panicked { message });
-            }
-            artifacts.iter().for_each(|artifact| lost.check(*artifact, Err(&message)));
-        }
-    }
-    lost.finish()?;
-    let mut product = Product::default();
-    product.put(stage, Role::LayerPixels, || tools.install(task, || piece.encode()));
-    tracing::debug!(tiles = span.len(), seconds = watch.seconds(), "combined the layers");
-    product.result.seconds = watch.seconds();
-    Ok(product)
-}
 
 /// Encodes all layers of a frame as a file.
 pub(super) fn encode_frame_layers(

@@ -1,16 +1,28 @@
 //! Execution of tasks, one file per task kind.
 
+mod count_levels;
 mod decide;
 mod drill;
-mod encode;
+mod encode_clip;
+mod encode_picture;
+mod encode_sheet;
 mod first_pass;
-mod first_pass_steps;
+mod first_pass_finish;
+mod first_pass_guides;
+mod first_pass_rays;
+mod first_pass_solve;
+mod first_pass_start;
 mod image;
 mod inputs;
 mod layers;
 mod paint;
+mod pictures;
 mod reduce;
+mod reduce_layers;
+mod reduce_levels;
+mod reduce_paths;
 mod render;
+mod solver_state;
 mod statistics;
 
 pub use drill::drill_key;
@@ -26,6 +38,7 @@ use femc_model::{Artifact, Failure, Output, Role, Stage, StageKind, StageTemplat
 use rayon::ThreadPool;
 use tracing::Span;
 
+use crate::clock::Stopwatch;
 use crate::fetch::Fetcher;
 use crate::memory::MemoryGuard;
 use crate::meter::Activity;
@@ -71,6 +84,14 @@ pub(crate) struct Product {
 }
 
 impl Product {
+    /// Returns a product with one output of this role, if the stage makes one.
+    fn of_one(stage: &StageTemplate, role: Role, bytes: Vec<u8>, watch: &Stopwatch) -> Self {
+        let mut product = Self::default();
+        product.put(stage, role, || bytes);
+        product.result.seconds = watch.seconds();
+        product
+    }
+
     /// Adds an output if the stage makes one of this role.
     fn put<T: Into<Bytes>>(&mut self, stage: &StageTemplate, role: Role, make: impl FnOnce() -> T) {
         if stage.outputs.contains(&role) {
@@ -109,9 +130,24 @@ fn attempt(task: &Task, tools: &Tools) -> Result<Product, Failure> {
             StageKind::Image => image::image(task, stage, tools),
             StageKind::Drill => drill::drill(task, stage, tools),
             StageKind::Decide => decide::decide(task, stage, tools),
-            StageKind::Encode => encode::encode(task, stage, tools),
             StageKind::Paint => paint::paint(task, stage, tools),
-            StageKind::FirstPass | StageKind::FirstPassBlock => first_pass::first_pass(task, stage, tools),
+            StageKind::FirstPass => first_pass::first_pass(task, stage, tools),
+            StageKind::FirstPassStart => first_pass_start::first_pass_start(task, stage, tools),
+            StageKind::FirstPassRays => first_pass_rays::first_pass_rays(task, stage, tools),
+            StageKind::FirstPassSolve => first_pass_solve::first_pass_solve(task, stage, tools),
+            StageKind::FirstPassGuides => first_pass_guides::first_pass_guides(task, stage, tools),
+            StageKind::FirstPassFinish => first_pass_finish::first_pass_finish(task, stage, tools),
+            StageKind::CountLevels => count_levels::count_levels(task, stage, tools),
+            StageKind::ReduceLevels => reduce_levels::reduce_levels(task, stage, tools),
+            StageKind::ReducePaths => reduce_paths::reduce_paths(task, stage, tools),
+            StageKind::ReduceLayers => reduce_layers::reduce_layers(task, stage, tools),
+            StageKind::EncodePicture => encode_picture::encode_picture(task, stage, tools),
+            StageKind::EncodeSheet => encode_sheet::encode_sheet(task, stage, tools),
+            StageKind::EncodeClip => encode_clip::encode_clip(task, stage, tools),
+            kind @ (StageKind::FirstPassBlock | StageKind::Encode) => {
+                let name = kind.name();
+                Err(settings_failure(format!("invalid job graph: a stage of kind {name} has outputs of no known task")))
+            }
         }
     };
     let measured = tools.memory.admit(stage.kind, &tools.cache)?;
@@ -132,6 +168,11 @@ fn stage(task: &Task) -> Result<&StageTemplate, Failure> {
 /// Returns the failure of a job whose settings, film and graph do not match.
 fn settings_failure(message: impl Display) -> Failure {
     Failure::Settings { message: message.to_string() }
+}
+
+/// Returns a failure that is not caused by the inputs.
+fn internal_failure(error: &dyn Display) -> Failure {
+    Failure::Panicked { message: error.to_string() }
 }
 
 fn panic_message(panic: &(dyn Any + Send)) -> String {

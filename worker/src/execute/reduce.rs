@@ -1,25 +1,15 @@
-//! The reduce task: combines outputs of one role. It combines the tiles of a group as sums for the next round, as resolved pixels
-//! for the image, and as errors for the decision. It also combines levels for a clip's exposure and the statistics of paths.
+//! The reduce task: unites the tiles of a group, as sums for the next round, as resolved pixels for the image, and as errors for the
+//! decision.
 
 use femc_film::{ErrorStatistics, ImagePiece, sums};
 use femc_model::{Failure, NextRound, Phase, Role, StageTemplate};
 
-use super::encode::levels;
 use super::inputs::{reduce_tiles, tile_span};
-use super::{Product, Tools, layers, settings_failure, statistics};
+use super::{Product, Tools, settings_failure};
 use crate::clock::Stopwatch;
 use crate::task_table::Task;
 
 pub(crate) fn reduce(task: &Task, stage: &StageTemplate, tools: &Tools) -> Result<Product, Failure> {
-    if stage.outputs.contains(&Role::Levels) {
-        return levels(task, stage, tools);
-    }
-    if stage.outputs.contains(&Role::Paths) {
-        return statistics::reduce(task, stage, tools);
-    }
-    if stage.outputs.contains(&Role::LayerPixels) {
-        return layers::reduce(task, stage, tools);
-    }
     task.set_phase(Phase::Working);
     let watch = Stopwatch::start();
     let span = tile_span(task, stage, Role::Tile)?;

@@ -1,27 +1,16 @@
 //! Light statistics: combines the statistics that tiles have collected about the paths of their samples, and selects the samples
 //! that count in the frame.
 
-use femc_model::{Failure, Phase, Role, StageTemplate};
+use femc_model::{Failure, Role};
 use femc_pipeline::paths::{LightStatistics, PortionKey};
 
 use super::inputs::{expected_samples, for_each_input, previous_stops, tiling};
-use super::{Product, Tools, settings_failure};
+use super::{Tools, settings_failure};
 use crate::clock::Stopwatch;
 use crate::task_table::Task;
 
-/// Combines the path statistics of a group of tiles.
-pub(super) fn reduce(task: &Task, stage: &StageTemplate, tools: &Tools) -> Result<Product, Failure> {
-    task.set_phase(Phase::Working);
-    let watch = Stopwatch::start();
-    let all = combine_statistics(task, tools)?;
-    let mut product = Product::default();
-    product.put(stage, Role::Paths, || tools.install(task, || all.encode()));
-    product.result.seconds = watch.seconds();
-    Ok(product)
-}
-
 /// Combines all path statistics that the task reads.
-fn combine_statistics(task: &Task, tools: &Tools) -> Result<LightStatistics, Failure> {
+pub(super) fn combine_statistics(task: &Task, tools: &Tools) -> Result<LightStatistics, Failure> {
     let mut all: Option<LightStatistics> = None;
     for_each_input(task, Role::Paths, tools, |bytes| {
         let part = LightStatistics::decode(bytes).map_err(|error| error.to_string())?;

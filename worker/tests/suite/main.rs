@@ -3,6 +3,7 @@
 mod availability;
 mod cancel;
 mod common;
+mod earlier;
 mod farm;
 mod fence;
 mod plans;

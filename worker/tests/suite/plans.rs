@@ -42,7 +42,7 @@ fn planned_graphs_are_valid_and_have_the_tags_of_their_kinds() {
                             .main_stage()
                             .is_some_and(|(number, _)| { split.reads_content(number) == method.has_first_pass() })
                     );
-                    assert!(!method.has_first_pass() || have_tags(&split, &[tag::FIRST_PASS, tag::FIRST_PASS_BLOCKS]));
+                    assert!(!method.has_first_pass() || have_tags(&split, &[tag::FIRST_PASS, tag::TASK_KINDS]));
                 }
             }
         }

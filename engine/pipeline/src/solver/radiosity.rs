@@ -54,10 +54,11 @@ impl Solver for Radiosity {
     fn decode(
         &self,
         prepared: &Prepared,
-        elements: &[u8],
-        links: &[u8],
+        start: &[u8],
+        latest: Option<&[u8]>,
     ) -> Result<Box<dyn LinkedState>, StepDecodeError> {
-        Ok(Box::new(Linked(SolverState::decode(prepared, elements, links)?, self.0)))
+        let (elements, links) = SolverState::split_start(start)?;
+        Ok(Box::new(Linked(SolverState::decode(prepared, latest.unwrap_or(elements), links)?, self.0)))
     }
 
     fn decode_block(&self, phase: BlockPhase, bytes: &[u8]) -> Result<BlockOutput, StepDecodeError> {
@@ -76,12 +77,8 @@ impl LinkedState for Linked {
         self.0.report()
     }
 
-    fn encode_links(&self) -> Vec<u8> {
-        self.0.encode_links()
-    }
-
-    fn encode_elements(&self) -> Vec<u8> {
-        self.0.encode_elements()
+    fn encode_start(&self) -> Vec<u8> {
+        self.0.encode_start()
     }
 
     fn before_rays(

@@ -29,14 +29,14 @@ impl RayHits {
     /// - errors: the bytes are not the output of [`RayHits::encode`].
     pub fn decode(bytes: &[u8]) -> Result<Self, StepDecodeError> {
         let mut reader = Reader::new(bytes, MAGIC)?;
-        let leaf =
-            u32::try_from(reader.number()?).map_err(|_| StepDecodeError("the index of its first leaf is too large"))?;
+        let leaf = u32::try_from(reader.number()?)
+            .map_err(|_| StepDecodeError::Damaged("the index of its first leaf is too large"))?;
         let traced = reader.number()?;
         let counts = reader.numbers()?;
         let number = counts.iter().map(|&count| u64::from(count)).sum::<u64>();
         let leaves = reader.numbers()?;
         if leaves.len() as u64 != number {
-            return Err(StepDecodeError("its number of rays is wrong"));
+            return Err(StepDecodeError::Damaged("its number of rays is wrong"));
         }
         let mut hits: Vec<RayHit> = leaves.into_iter().map(|leaf| RayHit { leaf, ..RayHit::MISS }).collect();
         fill(&mut hits, reader.bytes()?, |sight, part| sight.part = part)?;
@@ -56,7 +56,7 @@ impl RayHits {
 
 fn fill<T>(hits: &mut [RayHit], values: Vec<T>, set: impl Fn(&mut RayHit, T)) -> Result<(), StepDecodeError> {
     if values.len() != hits.len() {
-        return Err(StepDecodeError("its columns differ in length"));
+        return Err(StepDecodeError::Damaged("its columns differ in length"));
     }
     hits.iter_mut().zip(values).for_each(|(sight, value)| set(sight, value));
     Ok(())

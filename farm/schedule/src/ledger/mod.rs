@@ -8,6 +8,7 @@ mod side_tables;
 mod snapshot;
 mod task_failures;
 
+use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 
 use femc_model::{Control, Digest, JobId, Tick};
@@ -65,6 +66,7 @@ impl Ledger {
     /// fact about an unknown object changes nothing.
     pub fn apply(&mut self, fact: &Fact, now: Tick) -> Vec<Digest> {
         self.now = self.now.max(now);
+        let fact = &*self.updated(fact);
         let (job, released) = match fact {
             Fact::CoordinatorStarted { incarnation } => {
                 self.incarnation = self.incarnation.max(*incarnation);
@@ -170,6 +172,20 @@ impl Ledger {
             return released.into_iter().flatten().chain(of_others).collect();
         }
         released.unwrap_or_default()
+    }
+
+    /// Returns the fact with the present kind of its task: facts of earlier versions name the kind that did the work then.
+    fn updated<'a>(&self, fact: &'a Fact) -> Cow<'a, Fact> {
+        let present = fact.task().and_then(|task| {
+            let template = self.jobs.get(&task.job)?.spec.graph.stage(task.stage.number)?;
+            (template.kind.earlier() == Some(task.stage.kind)).then_some(template.kind)
+        });
+        let Some(kind) = present else { return Cow::Borrowed(fact) };
+        let mut fact = fact.clone();
+        if let Some(task) = fact.task_mut() {
+            task.stage.kind = kind;
+        }
+        Cow::Owned(fact)
     }
 
     /// Blocks the frames that need a shared job if it is stuck, or unblocks them when it is retried. Returns artifacts that have

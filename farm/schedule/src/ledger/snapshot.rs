@@ -47,7 +47,7 @@ pub enum SnapshotError {
 
 impl Ledger {
     /// First byte of snapshots and of facts.
-    pub const VERSION: u8 = 11;
+    pub const VERSION: u8 = 12;
     /// Earliest version that can be read.
     pub const OLDEST_VERSION: u8 = 8;
 

@@ -157,3 +157,66 @@ fn version_10_log_is_read_with_dates_and_announces_no_end() {
     assert_eq!(scheduler.status(JobId(2), now).unwrap().state, JobState::Cancelled);
     assert_eq!(scheduler.ends_to_announce(), []);
 }
+
+/// Life of a farm, written by a program with version 11 of the log. The first pass of job 1 has begun: its elements are made, and the
+/// rays of one of two blocks are cast. Job 2 lacks its still and its sheet.
+const LOG_11: &[u8] = include_bytes!("../files/log-11.bin");
+
+#[test]
+fn version_11_log_continues_with_the_present_kinds_and_roles() {
+    let parts = split_parts(LOG_11, 11);
+    let mut replayed = Ledger::default();
+    for part in &parts[1..] {
+        let (now, fact) = Fact::decode(part).unwrap();
+        replayed.apply(&fact, now);
+    }
+    for ledger in [Ledger::decode(parts[0]).unwrap(), replayed] {
+        let mut farm = TestFarm::from_ledger(Config { prefetch: 0, ..config() }, ledger);
+        farm.join(1);
+        assert_eq!(farm.leases, [], "a worker without the tag does not know the kinds");
+        farm.join_with(2, ["first-pass", "task-kinds"].map(Into::into).into());
+        let mut done = Vec::new();
+        while let Some((_, held)) = farm.leases.first().cloned() {
+            let states = held.spec.inputs_of_role(Role::SolverState).map(|input| (input.need, input.item));
+            let stage = held.task.stage;
+            done.push((
+                held.task.job.is_shared(),
+                stage.number,
+                stage.kind,
+                held.task.index,
+                states.collect::<Vec<_>>(),
+            ));
+            complete_as_graph(&mut farm, 2, &held);
+        }
+        done.sort_by_key(|(is_shared, number, kind, index, _)| (!is_shared, *number, *kind, *index));
+        let of_frames = |number, kind, index| (false, number, kind, index, vec![]);
+        use StageKind::{EncodePicture, EncodeSheet, FirstPassFinish, FirstPassRays, Image, Render};
+        assert_eq!(
+            done,
+            [
+                // Elements and links were two outputs.
+                (true, 1, FirstPassRays, 1, vec![(0, 0), (0, 0)]),
+                (true, 2, FirstPassFinish, 0, vec![(0, 0), (0, 0), (1, 0), (1, 1)]),
+                of_frames(3, Render, 0),
+                of_frames(3, Render, 1),
+                of_frames(4, Image, 0),
+                of_frames(4, EncodePicture, 0),
+                of_frames(5, EncodeSheet, 0),
+            ]
+        );
+        assert!([1, 2].into_iter().all(|job| farm.state(JobId(job)) == JobState::Done));
+    }
+}
+
+/// Completes a task with the outputs of its stage.
+fn complete_as_graph(farm: &mut TestFarm, worker: u64, held: &Assignment) {
+    let spec = farm.scheduler.spec(held.task.job).expect("the job is there");
+    let stage = spec.graph.stage(held.task.stage.number).expect("the stage is there");
+    let output = |&role: &Role| Output {
+        role,
+        artifact: Artifact::from_bytes(format!("{} {}", role.name(), held.task).as_bytes()),
+    };
+    let units = if stage.kind.is_divided() { held.spec.steps.len() as u64 * 64 } else { 0 };
+    let outputs = stage.outputs.iter().map(output).collect();
+    farm.complete_with(worker, held, TaskResult { outputs, units, seconds: 0.5, ..TaskResult::default() });
+}

@@ -74,18 +74,24 @@ impl TestFarm {
     }
 
     pub fn with_config(config: Config) -> Self {
-        let (scheduler, opened) = Scheduler::new(config, Ledger::default());
+        Self::from_ledger(config, Ledger::default())
+    }
+
+    /// Creates a farm that continues from this ledger. Its log lacks the facts before.
+    pub fn from_ledger(config: Config, ledger: Ledger) -> Self {
+        let now = ledger.now();
+        let (scheduler, opened) = Scheduler::new(config, ledger);
         Self {
             scheduler,
-            now: Tick(0),
-            log: vec![(Tick(0), opened)],
+            now,
+            log: vec![(now, opened)],
             leases: vec![],
             revoked: vec![],
             engine: "e",
             requests: 0,
             session_leases: BTreeMap::new(),
             charged: BTreeMap::new(),
-            last_event: Tick(0),
+            last_event: now,
         }
     }
 

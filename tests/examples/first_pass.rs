@@ -146,7 +146,7 @@ fn steps(path: &Path) -> Result<(), Box<dyn Error>> {
     };
     let solver = solver(Method::Femc);
     let begun = solver.begin(&world, &cancel)?;
-    let links = begun.encode_links();
+    let start = begun.encode_start();
     let mut casting = begun.before_rays(&world, Vec::new())?;
     took("elements and links");
     for _ in 0..solver.phases().rounds {
@@ -157,7 +157,7 @@ fn steps(path: &Path) -> Result<(), Box<dyn Error>> {
         took("what rays have met is taken in, and portals are found");
         let guides = corrected.guides(&world, 0, 1);
         took("where light comes from");
-        let next = solver.decode(&world, &corrected.encode_elements(), &links)?;
+        let next = solver.decode(&world, &start, Some(&corrected.encode_elements()))?;
         casting = next.before_rays(&world, vec![solver.decode_block(BlockPhase::Guides, &guides)?])?;
         took("bytes between steps");
     }

@@ -1,6 +1,6 @@
 //! Tests of queues of real workers: images beside render tasks of another owner, and a single worker on which every task fails.
 
-use crate::common::{TestFolder, TestProcess, start_coordinator, submit};
+use crate::common::{TestFolder, start_coordinator, submit};
 use serde_json::Value;
 
 /// Returns all attempts at the tasks of these jobs, with times of the coordinator's clock.
@@ -70,7 +70,7 @@ fn lone_failing_worker_pauses_and_status_reports_it() {
     let dir = TestFolder::new();
     let (mut farm, url) = start_coordinator(&dir, 0);
     let mut command = dir.command(&format!("worker --join {url} --threads 1 --name sick --color never"));
-    let _worker = TestProcess::spawn(command.env("FEMC_SICK", "yes"));
+    let _worker = crate::common::TestProcess::spawn(command.env("FEMC_SICK", "yes"));
     let job = submit(&dir, &url, "--spp 4 --frames 1..8");
     farm.wait_until("nine failures", || attempts(&dir, &url, &job).len() >= 9);
     let why = dir.run(&format!("status {job} --why --server {url}")).exits(0).stdout();

@@ -4,7 +4,7 @@
 //! recorder `()` of ordinary rendering ignores everything. Events are passed as closures which it does not call, so computing them
 //! costs nothing.
 //!
-//! The kinds of events are those of recorded paths (`femc-paths`).
+//! `femc-paths` defines the kinds of events, so that recorders and recorded paths share them.
 
 use femc_geometry::Ray;
 use femc_math::Rgb;

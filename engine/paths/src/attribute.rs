@@ -89,7 +89,7 @@ impl Attribute {
         Self::all().find(|attribute| attribute.field == field)
     }
 
-    /// Returns all attributes: those with bins, and those of conditions alone.
+    /// Returns all attributes: attributes with bins, and attributes that only conditions use.
     pub fn all() -> impl Iterator<Item = &'static Self> {
         [&INTERSECTION_ATTRIBUTES[..], &INTERSECTION_FIELDS, &LIGHT_ATTRIBUTES, &PATH_ATTRIBUTES, &PATH_FIELDS]
             .into_iter()

@@ -125,7 +125,7 @@ impl Patch {
         }
     }
 
-    /// Returns the corners, also those of a bent patch. The order of the latter does not depend on the side.
+    /// Returns the corners of a patch of any form. The corners of a bent patch have the same order for both sides.
     pub fn corners(&self) -> &[Vec3A] {
         if self.form == PatchForm::Bent { &self.corners } else { self.polygon() }
     }
@@ -158,7 +158,7 @@ impl SurfacePart {
     }
 }
 
-/// Returns the split of a part across its longer direction. Lengths along curves are those of chords.
+/// Returns the split of a part across its longer direction. Chords approximate lengths along curves.
 fn longer_half(source: &Surface, outline: &Outline) -> Split {
     let length = |from: Vec2, to: Vec2| -> f32 {
         let at = |k: u32| source.point_at(outline.point_at(from.lerp(to, k as f32 * 0.25))).position;

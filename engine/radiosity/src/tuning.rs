@@ -3,7 +3,7 @@
 //! They change the solution: a new value needs `first_pass errors` (an example of `tests`, scenes in closed form), `first_pass fog`
 //! and the references (`tests/all references`) measured again, and a new version in `first_pass_key`. "Not measured" means that no
 //! record of a measurement exists. Such a constant was chosen by what it trades, and its scenes in closed form pass with it.
-//! Constants of guides are beside their code (`incoming`, `lobes`, `portals`), those of views in `mesh`.
+//! Constants of guides are beside their code (`incoming`, `lobes`, `portals`). Constants of views are in `mesh`.
 
 // Shapes of elements.
 

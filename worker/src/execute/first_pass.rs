@@ -13,12 +13,8 @@ use crate::task_table::Task;
 pub(super) fn first_pass(task: &Task, stage: &StageTemplate, tools: &Tools) -> Result<Product, Failure> {
     let world = World::prepare(task, tools)?;
     world.check_memory(tools)?;
-    let solved = tools.install(task, || {
-        let solution = world.solver.solve(&world.prepared, &task.cancel)?;
-        solution.verify(&world.prepared)?;
-        Ok(solution)
-    });
-    let product = write_solution(task, stage, tools, &world, solved.map_err(render_failure)?);
+    let solved = tools.install(task, || world.solver.solve(&world.prepared, &task.cancel));
+    let product = write_solution(task, stage, tools, &world, solved.map_err(render_failure)?)?;
     world.finish(task, product)
 }
 
@@ -71,20 +67,22 @@ impl World {
     }
 }
 
-/// Encodes a solution as the stage's output. This worker need not download it.
+/// Verifies a solution, and encodes it as the stage's output. This worker need not download it.
 pub(super) fn write_solution(
     task: &Task,
     stage: &StageTemplate,
     tools: &Tools,
     world: &World,
     solution: Solution,
-) -> Product {
-    let bytes = tools.install(task, || femc_pipeline::encode_solution(&solution));
+) -> Result<Product, Failure> {
+    let bytes =
+        tools.install(task, || solution.verify(&world.prepared).map(|()| femc_pipeline::encode_solution(&solution)));
+    let bytes = bytes.map_err(|error| render_failure(error.into()))?;
     log(&solution.report, bytes.len(), &world.solving);
     tools.cache.insert_field(Digest::compute(&bytes), Arc::new(solution.field));
     let mut product = Product::default();
     product.put(stage, Role::Field, || bytes);
-    product
+    Ok(product)
 }
 
 pub(super) fn render_failure(error: RenderError) -> Failure {

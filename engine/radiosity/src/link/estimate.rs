@@ -82,7 +82,7 @@ impl Oracle<'_> {
         less.abs()
     }
 
-    /// Returns the errors of the receiver together with those of similar links, and of the attenuation by fog.
+    /// Scales the errors of a link to the sum over similar links of the receiver, and adds the error of the attenuation by fog.
     fn sum_errors(&self, pair: &Pair<'_>, mean: f32, mut errors: [f32; 2]) -> [f32; 2] {
         let Pair { p, q, near_q, .. } = *pair;
         // A source that is small from here is one of many adjacent ones, whose errors at the receiver are alike and add up.

@@ -128,7 +128,7 @@ pub fn ray_leaves(arena: &Arena) -> Vec<u32> {
     (0..arena.elements.len() as u32).filter(is_leaf).collect()
 }
 
-/// Checks that hits are, in order, those of `leaves` leaves, and that the leaves that were hit exist.
+/// Checks that the hits belong to leaves 0 to `leaves` (exclusive), in order, and that each leaf that was hit exists.
 pub fn are_complete(arena: &Arena, parts: &[RayHits], leaves: usize) -> bool {
     let mut next = 0;
     let follow = parts.iter().all(|part| {

@@ -19,7 +19,7 @@ fn farm(workers: watch::Receiver<Vec<u64>>) -> (Farm<()>, watch::Receiver<u32>) 
                     let workers = WorkerList { connected: there, offline: first.into_iter().collect() };
                     drop(reply.send(Ok(Changes { workers, ..Changes::default() })));
                 }
-                other => panic!("nobody asks {other:?}"),
+                other => panic!("unexpected call {other:?}"),
             }
         }
     });

@@ -224,8 +224,8 @@ impl Machine {
         assert!(charged <= held && held - charged <= under_way, "{held} ms were held, and {charged} are charged");
     }
 
-    /// Checks that the samples of a job without running leases are those of its results, and that the seconds of its frames are
-    /// those of all results.
+    /// Checks that a job without running leases has the sum of its results' samples, and that its frames have the sum of the
+    /// results' seconds.
     pub(super) fn check_samples(&self) {
         for &job in &self.jobs {
             if self.live.iter().any(|(task, _)| task.job == job) {
@@ -393,7 +393,7 @@ impl Machine {
             assert_eq!((hint.frame, hint.output.role), (spec.frames[place - 1], of.role));
             let made = self.frame_outputs.get(&(held.task.job, hint.frame, of.stage, hint.item));
             let is_made = made.is_some_and(|made| made.contains(&hint.output.artifact.digest));
-            assert!(is_made, "{} is to look at what nobody has made: {hint:?}", held.task);
+            assert!(is_made, "{} has a hint that no task has made: {hint:?}", held.task);
         }
     }
 }

@@ -249,7 +249,7 @@ impl Machine {
             };
             let gone: Vec<(Need, TaskStep)> = read.into_iter().filter(is_gone).collect();
             for (_, step) in gone {
-                // A task of which a part is lost is done again as a whole.
+                // If a part of a task is lost, the whole task is done again.
                 let whole: Vec<TaskStep> =
                     self.results.keys().filter(|it| (it.0, it.1, it.2) == (step.0, step.1, step.2)).copied().collect();
                 self.undo_steps(whole, there);

@@ -318,7 +318,7 @@ impl Machine {
         if has_counted {
             let again = self.farm.complete_with(worker.0, &held, result);
             let is_heard = |c: &Command| matches!(c, Command::Accept { epoch, .. } if *epoch == held.epoch);
-            assert!(again.iter().any(is_heard), "what counts is refused the second time: {again:?}");
+            assert!(again.iter().any(is_heard), "a recorded result is refused when it is reported again: {again:?}");
             assert!(!Self::is_recorded(&again, &held), "it counts twice");
             self.check_commands(again);
         }
@@ -328,7 +328,8 @@ impl Machine {
         let Some((worker, held)) = self.nth_lease(which) else { return };
         self.end_lease(worker, &held);
         self.live.remove(&(held.task, held.epoch));
-        let missing = held.spec.artifacts().next().map_or(Digest::compute(b"nobody knows"), |first| first.digest);
+        let missing =
+            held.spec.artifacts().next().map_or(Digest::compute(b"an unknown artifact"), |first| first.digest);
         let failure = match kind {
             0..=9 => panic_failure(),
             10 => Failure::Store { message: "away".into() },

@@ -241,6 +241,8 @@ fn each_address_signs_in_one_browser() {
     assert_eq!(second.sign_in().status, 410);
     let third = SignInUrl::parse(&lines.next().expect("a third address"));
     assert_eq!(third.sign_in().status, 303);
+    // The note about a used address is written before the next address.
+    lines.next().expect("a fourth address");
     let notes = process.kill_for_stderr();
     assert_eq!(notes.matches("a browser has signed in").count(), 3, "{notes}");
 }

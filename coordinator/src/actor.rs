@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use femc_fault::{Point, pass_point, pass_point_async};
-use femc_model::{Digest, Failure, FromWorker, JobId, Month, Refusal, Tick, ToWorker, WorkerId};
+use femc_model::{Digest, Failure, FromWorker, JobId, Month, Refusal, Registration, Tick, ToWorker, WorkerId};
 use femc_proto::{Call, Reply, Session};
 use femc_queue::{Batch, Queue, Remedy};
 use femc_schedule::{Command, Event, Fact, RequestId, Roster, Scheduler};
@@ -189,8 +189,8 @@ impl<Q: Queue> Actor<Q> {
                     self.handle_event(Event::Elapsed, &mut commands);
                     self.run_maintenance(&mut commands, &mut inputs).await?;
                 }
-                // Deferred events are older than the others, so they are processed first.
-                () = std::future::ready(()), if !self.deferred.is_empty() => {}
+                // These events are older than the others, so they are processed first.
+                () = std::future::ready(()), if !self.follow_up_events.is_empty() || !self.deferred.is_empty() => {}
                 Some((worker, event)) = self.session_inbox.recv() => self.handle_session_event(worker, event, &mut commands),
                 Some(call) = inputs.calls.recv() => self.handle_call(call, &mut commands),
                 Some(watcher) = self.metrics_requests.recv() => self.send_figures(watcher),
@@ -199,14 +199,14 @@ impl<Q: Queue> Actor<Q> {
                 }
             }
             for _ in 0..Self::BATCH {
-                if let Some((worker, event)) = self.deferred.pop_front() {
+                if let Some(event) = self.follow_up_events.pop_front() {
+                    self.handle_event(event, &mut commands);
+                } else if let Some((worker, event)) = self.deferred.pop_front() {
                     self.handle_session_event(worker, event, &mut commands);
                 } else if let Ok((worker, event)) = self.session_inbox.try_recv() {
                     self.handle_session_event(worker, event, &mut commands);
                 } else if let Ok(call) = inputs.calls.try_recv() {
                     self.handle_call(call, &mut commands);
-                } else if let Some(event) = self.follow_up_events.pop_front() {
-                    self.handle_event(event, &mut commands);
                 } else {
                     break;
                 }
@@ -254,10 +254,10 @@ impl<Q: Queue> Actor<Q> {
     }
 
     fn handle_session_event(&mut self, worker: WorkerId, session_event: SessionEvent, commands: &mut Vec<Command>) {
-        if !self.workers.contains_key(&worker) {
-            return;
-        }
         let event = match session_event {
+            SessionEvent::Ended => return self.end_session(worker, commands),
+            // The coordinator has ended this session.
+            _ if !self.workers.contains_key(&worker) => return,
             SessionEvent::Message(mut message) => {
                 match &*message {
                     FromWorker::Heartbeat { number, .. } => self.heartbeats.push((worker, *number)),
@@ -274,13 +274,6 @@ impl<Q: Queue> Actor<Q> {
                 self.process_log_and_usage(worker, &mut report, commands);
                 self.metrics.count_failure(&Failure::Store { message: message.clone() });
                 artifact_missing(worker, &report, artifact, message)
-            }
-            SessionEvent::Ended => {
-                self.update_roster();
-                self.roster.leave(worker);
-                self.workers.remove(&worker);
-                tracing::info!(worker = worker.0, "worker left");
-                Some(Event::Left { worker })
             }
         };
         if let Some(event) = event {
@@ -377,7 +370,18 @@ impl<Q: Queue> Actor<Q> {
     fn start_session(&mut self, session: Session, commands: &mut Vec<Command>) {
         pass_point(Point::CoordinatorBeforeJoin);
         let Session { registration, messages, out } = session;
-        // If the number was used before, it belongs to a session whose last message has been processed.
+        let worker = self.add_session(registration, out, commands);
+        tokio::spawn(session::forward_messages(worker, messages, self.store.clone(), self.session_events.clone()));
+    }
+
+    /// Adds a session, and returns its number. If the number was used before, the earlier session has ended: its last event has been
+    /// processed, and no command is pending for it.
+    fn add_session(
+        &mut self,
+        registration: Registration,
+        out: mpsc::Sender<ToWorker>,
+        commands: &mut Vec<Command>,
+    ) -> WorkerId {
         let worker = self.roster.join(&registration.name);
         tracing::info!(
             worker = worker.0,
@@ -388,10 +392,25 @@ impl<Q: Queue> Actor<Q> {
         );
         self.metrics.count_session();
         self.workers.insert(worker, WorkerSession::new(out));
-        tokio::spawn(session::forward_messages(worker, messages, self.store.clone(), self.session_events.clone()));
         self.to_welcome.push(worker);
         self.handle_event(Event::Joined { worker, registration }, commands);
         self.update_roster();
+        worker
+    }
+
+    /// Ends a session after its last event, and frees its number. Another session may get the number before the pending commands
+    /// are executed, so those for this session are dropped.
+    fn end_session(&mut self, worker: WorkerId, commands: &mut Vec<Command>) {
+        if self.workers.contains_key(&worker) {
+            self.update_roster();
+            self.workers.remove(&worker);
+            tracing::info!(worker = worker.0, "worker left");
+            self.handle_event(Event::Left { worker }, commands);
+        }
+        commands.retain(|command| command.worker() != Some(worker));
+        self.heartbeats.retain(|(other, _)| *other != worker);
+        self.to_welcome.retain(|other| *other != worker);
+        self.roster.leave(worker);
     }
 
     /// Returns whether a job was submitted with this key.
@@ -489,3 +508,6 @@ impl<Q: Queue> Actor<Q> {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -34,7 +34,8 @@ pub enum Event {
         /// Action on the job.
         control: Control,
     },
-    /// A worker's session began. The caller numbers sessions and never uses a number twice.
+    /// A worker's session began. The caller numbers sessions. It uses a number again only after the end of the session that had it:
+    /// after [`Event::Left`] or [`Command::Dismiss`], and when no other command for that session is pending.
     Joined {
         /// The session.
         worker: WorkerId,
@@ -212,6 +213,20 @@ impl Command {
     /// Checks whether the command stores something in or beside the log. Such commands are executed before all others.
     pub fn is_for_log(&self) -> bool {
         matches!(self, Self::Record(_) | Self::RecordAttempt(_))
+    }
+
+    /// Returns the session that the command is for.
+    pub fn worker(&self) -> Option<WorkerId> {
+        match self {
+            Self::Assign { worker, .. }
+            | Self::Revoke { worker, .. }
+            | Self::Accept { worker, .. }
+            | Self::Refuse { worker, .. }
+            | Self::Dismiss { worker } => Some(*worker),
+            Self::Record(_) | Self::RecordAttempt(_) | Self::Answer { .. } | Self::JobChanged(_) | Self::Discard(_) => {
+                None
+            }
+        }
     }
 }
 

@@ -9,13 +9,14 @@
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 
-use femc_model::{Assignment, Epoch, Failure, FromWorker, JobId, Lane, Phase, TaskKey};
+use femc_model::{Assignment, Digest, Epoch, Failure, FailureVerdict, FromWorker, JobId, Lane, Phase, TaskKey};
 use femc_schedule::{Config, Fact};
 
 use crate::audit::Violation;
 use crate::faults::Fault;
 use crate::leases::SessionNumber;
 use crate::shared::State;
+use crate::switch::MAX_DELAY;
 use crate::task_durations::TaskDurations;
 use crate::tasks::fact_job;
 
@@ -38,6 +39,16 @@ fn lane(task: &TaskKey) -> Lane {
     task.stage.kind.properties().lane
 }
 
+/// Checks whether a failure counts as a failed attempt of the task: it panicked, or inputs are lost. A lost scene ends the job.
+/// - `bundle`: scene of the job.
+fn is_of_task(failure: &Failure, bundle: Option<Digest>) -> bool {
+    match failure.verdict() {
+        FailureVerdict::Retry => true,
+        FailureVerdict::Rebuild(lost) => bundle.is_some_and(|bundle| !lost.contains(&bundle)),
+        FailureVerdict::Fatal | FailureVerdict::Infrastructure | FailureVerdict::Cancelled => false,
+    }
+}
+
 /// A lease that a worker holds.
 #[derive(Debug, Clone, Copy)]
 struct LeaseState {
@@ -47,13 +58,13 @@ struct LeaseState {
     is_probe: bool,
     /// Its worker has reported that it is computed.
     is_computed: bool,
-    /// Time at which its worker reported that it panicked.
-    panicked: Option<Duration>,
+    /// Time at which its worker reported a failure of the task itself.
+    failed: Option<Duration>,
 }
 
 impl LeaseState {
     /// A lease of an earlier session.
-    const CARRIED_OVER: Self = Self { min_milliseconds: 0, is_probe: false, is_computed: false, panicked: None };
+    const CARRIED_OVER: Self = Self { min_milliseconds: 0, is_probe: false, is_computed: false, failed: None };
 }
 
 /// Failures of one job on one worker with no task done in between.
@@ -123,6 +134,8 @@ struct Grant {
     engine: String,
     /// Number of tasks that join and that the worker held.
     joins: usize,
+    /// A session had ended, and its coordinator possibly did not know.
+    is_end_unknown: bool,
 }
 
 /// The queues of all workers, by the messages of their sessions.
@@ -149,6 +162,8 @@ pub(crate) struct WorkerQueues {
     jobs: BTreeMap<JobId, Duration>,
     /// Latest leases that compute, oldest first.
     grants: VecDeque<Grant>,
+    /// Time of the latest end of a session.
+    last_end: Option<Duration>,
 }
 
 impl WorkerQueues {
@@ -199,8 +214,9 @@ impl WorkerQueues {
     }
 
     /// Notes the end of a session.
-    pub(crate) fn end_session(&mut self, session: SessionNumber) {
+    pub(crate) fn end_session(&mut self, session: SessionNumber, now: Duration) {
         self.workers.remove(&session);
+        self.last_end = Some(now);
     }
 
     /// Notes that a worker begins to compute a task.
@@ -270,7 +286,8 @@ impl State {
                 let is_given_back = *failure == Failure::Cancelled;
                 if let Some(held) = worker.held.get_mut(&(*epoch, *task)) {
                     held.is_computed = true;
-                    held.panicked = matches!(failure, Failure::Panicked { .. }).then_some(now);
+                    let bundle = log_history.spec(task.job).map(|spec| spec.bundle);
+                    held.failed = is_of_task(failure, bundle).then_some(now);
                 }
                 if !is_given_back {
                     queues.failed_on.insert((task.job, worker.instance));
@@ -294,7 +311,7 @@ impl State {
             worker.streaks.remove(&task.job);
             queues.measured_stages.entry((incarnation(epoch), task.job, task.stage.number)).or_insert(now);
         }
-        if let Some(at) = held.panicked {
+        if let Some(at) = held.failed {
             let pauses = worker.streaks.entry(task.job).or_default().add_failure(task, held.is_probe, at);
             let is_alone = failing_host == Some(worker.host);
             if pauses {
@@ -315,6 +332,7 @@ impl State {
             self.check_order(session, lease),
         ];
         let patience = self.history.shared_stages.propagation_delay.get();
+        let has_late_messages = self.delayed > 0 || self.duplicated > 0;
         let Self { queues, history: log_history, .. } = self;
         let Some(worker) = queues.workers.get_mut(&session) else { return Vec::new() };
         let (task, key) = (lease.task, (lease.epoch, lease.task));
@@ -332,19 +350,21 @@ impl State {
         let is_probe = worker.streaks.get(&task.job).is_some_and(|streak| streak.first_pause.is_some());
         if lane(&task) == Lane::Compute && lease.copy_of.is_none() {
             let (joins, engine) = (worker.leases_in(Lane::Join).count(), worker.engine.clone());
-            queues.grants.push_back(Grant { at: now, key, instance: worker.instance, engine, joins });
+            let is_end_recent = queues.last_end.is_some_and(|end| now.saturating_sub(end) <= MAX_DELAY + patience);
+            let is_end_unknown = has_late_messages && is_end_recent;
+            queues.grants.push_back(Grant { at: now, key, instance: worker.instance, engine, joins, is_end_unknown });
             while queues.grants.front().is_some_and(|grant| now.saturating_sub(grant.at) > GRANT_MEMORY) {
                 queues.grants.pop_front();
             }
         }
-        worker.held.insert(key, LeaseState { min_milliseconds: least, is_probe, is_computed: false, panicked: None });
+        worker.held.insert(key, LeaseState { min_milliseconds: least, is_probe, is_computed: false, failed: None });
         queues.leased.insert(task);
         wrong.into_iter().flatten().collect()
     }
 
     /// Back-off: after three tasks of a job have failed on a worker, it is leased no task of the job for one second, and then one
-    /// task. Each further failure doubles the pause. The guarantee holds for lone workers and others: beside a healthy worker the
-    /// pauses are longer.
+    /// task. Each further failure doubles the pause. Lost inputs are failures, as panics are. The guarantee holds for lone workers
+    /// and others: beside a healthy worker the pauses are longer.
     ///
     /// The scheduler counts only the failures that it has accepted, so the check begins at the acceptance. Failures of tasks that
     /// waited at the worker when the pause began do not double the pause. Worlds with wrong clocks are left out.
@@ -398,6 +418,9 @@ impl State {
     /// The check looks back at the first lease of each such task. A worker could take it if it has the same build, held at most one
     /// other task that joins, and no task of the job has failed there. The check allows for the longest time until every host knows
     /// what the log says.
+    ///
+    /// The task may have been leased before, to a worker that had just died: the relay keeps a session open until its last late
+    /// message is sent, and nobody receives the leases of that time. So leases during that time are left out.
     fn check_order(&mut self, session: SessionNumber, lease: &Assignment) -> Option<Violation> {
         let queues = &self.queues;
         let TaskKey { job, stage, .. } = lease.task;
@@ -412,6 +435,7 @@ impl State {
         let from = since + self.history.shared_stages.propagation_delay.get();
         let could = |grant: &&Grant| {
             grant.at > from
+                && !grant.is_end_unknown
                 && incarnation(grant.key.0) == incarnation(lease.epoch)
                 && grant.engine == worker.engine
                 && grant.joins <= 1
@@ -430,5 +454,23 @@ impl State {
             self.count_action("joins beside waiting tasks of another owner");
         }
         starved
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn panics_and_lost_inputs_are_failures_of_the_task() {
+        let [scene, input] = [b"scene".as_slice(), b"input"].map(Digest::compute);
+        let (message, limit) = (String::new(), 1);
+        let lost = |digest| Failure::LostInputs { digests: vec![digest], message: message.clone() };
+        assert!(is_of_task(&Failure::Panicked { message: message.clone() }, Some(scene)));
+        assert!(is_of_task(&lost(input), Some(scene)));
+        assert!(!is_of_task(&lost(scene), Some(scene)), "the job ends");
+        assert!(!is_of_task(&Failure::Store { message: message.clone() }, Some(scene)));
+        assert!(!is_of_task(&Failure::TooLarge { limit }, Some(scene)));
+        assert!(!is_of_task(&Failure::Cancelled, Some(scene)));
     }
 }

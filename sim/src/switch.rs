@@ -21,7 +21,7 @@ use crate::shared::{Shared, State};
 const LEASE_BITS: u32 = 40;
 
 /// Longest delay of a late message.
-const MAX_DELAY: Duration = Duration::from_secs(8);
+pub(crate) const MAX_DELAY: Duration = Duration::from_secs(8);
 
 /// Time after which a silent coordinator counts as dead.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(30);
@@ -65,7 +65,7 @@ async fn relay(session: Session, shared: Shared) {
     };
     // A dead host never answers.
     let Ok(Ok((up, mut down))) = tokio::time::timeout(CONNECT_TIMEOUT, session).await else {
-        return shared.lock().queues.end_session(number);
+        return shared.lock().queues.end_session(number, now());
     };
     let joined = now();
     let upwards = async {
@@ -152,7 +152,7 @@ async fn relay(session: Session, shared: Shared) {
         () = upwards => {}
     }
     shared.lock().update_payers(number, &BTreeSet::new(), joined);
-    shared.lock().queues.end_session(number);
+    shared.lock().queues.end_session(number, now());
     shared.trace(|| format!("{name} disconnects"));
 }
 

@@ -133,6 +133,22 @@ fn lone_failing_worker_gets_few_tasks_and_shows_as_quarantined() {
 }
 
 #[test]
+fn lost_inputs_count_among_the_failures_that_quarantine() {
+    let mut farm = farm();
+    let id = farm.submit(job(&[1], 600, &[8]));
+    farm.join(1);
+    let lost = Failure::LostInputs { digests: vec![Digest::compute(b"input")], message: "gone".into() };
+    let mut quarantined = Vec::new();
+    for failure in [panic_failure(), lost, panic_failure()] {
+        let held = farm.first_lease_of(1);
+        farm.fail(1, &held, failure);
+        let waits = farm.status(id).waits;
+        quarantined.push(waits.iter().any(|wait| matches!(wait, WaitReason::WorkersQuarantined { workers: 1, .. })));
+    }
+    assert_eq!(quarantined, [false, false, true]);
+}
+
+#[test]
 fn drained_worker_gets_nothing_and_returns_tasks_uncounted() {
     let mut farm = farm();
     let id = farm.submit(job(&[1], 9, &[4]));

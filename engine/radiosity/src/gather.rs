@@ -4,7 +4,7 @@ use crate::arena::Arena;
 use crate::element::{Curved, Element, Patch, Shape, SurfacePart};
 use crate::link::Link;
 use crate::scene::Scene;
-use crate::tuning::{CURVED_NORMALS, MAX_REFLECTED_SHARE, MAX_ROW_SUM};
+use crate::tuning::{CHANCE_VARIANCES, CURVED_NORMALS, MAX_BALANCE, MAX_ROW_SUM};
 use femc_field::{Harmonics, NONE};
 use femc_math::Rgb;
 use femc_math::color::luminance;
@@ -63,37 +63,76 @@ impl IncidentLight {
 pub const FROM_LAMPS: usize = 0;
 pub const FROM_ELEMENTS: usize = 1;
 
-/// Treatment of irradiance that exceeds the possible maximum.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum EnergyBound {
-    /// No bound: the irradiance stays.
-    None,
-    /// The excess is removed from now on, so that light cannot grow from reflection to reflection.
-    RowSums,
-}
-
 /// Light of all elements.
 #[derive(Clone, Debug)]
 pub struct ElementLights {
     pub elements: Vec<ElementLight>,
     pub incident: Vec<IncidentLight>,
-    /// Accepted share of the links' light at the nodes, by element, see [`ElementLights::row_sum`].
-    pub accepted: Vec<[f32; 4]>,
+    /// Factor of the links' light at the nodes, by element. It bounds the row sums ([`ElementLights::bound_rows`]).
+    pub row_scale: Vec<[f32; 4]>,
+    /// Factor of the light of lamps at the nodes, by element, and the light that rays find in addition to that, lx.
+    pub lamp_scale: Vec<[f32; 4]>,
+    pub lamp_correction: Vec<[Rgb; 4]>,
     /// Light that rays find at the nodes in addition to that, by element, lx; see [`crate::rays`].
     pub ray_correction: Vec<[Rgb; 4]>,
+    /// Share of the light of an element that reaches other elements, by element: 1 minus what escapes, what mirrors and clear
+    /// surfaces absorb, and what fog absorbs. 1 if no rays have measured it.
+    pub arriving_share: Vec<[f32; 4]>,
+    /// Luminous flux, by channel, that reaches elements from lamps through mirrors and refracting solids, lm. Rays measure it. It is
+    /// part of `ray_correction`.
+    pub bent_lamp_flux: f32,
+    /// Variance of the flux that arrives by these shares, relative to its square, from the noise of the rays.
+    pub share_variance: f32,
+    /// Whether rays have measured the shares of all elements.
+    pub has_measured_shares: bool,
+    /// Factor of all light between elements. With it, as much light arrives as elements send to each other.
+    pub balance: Rgb,
+}
+
+/// Luminous flux of an iteration, lm.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct IterationFlux {
+    /// Sum of the absolute changes of the flux that the leaves send.
+    pub change: f64,
+    /// Flux that all leaves send.
+    pub sent: f64,
+    /// Part of it that comes from light sources directly.
+    pub first: f64,
+}
+
+/// Relative rounding of the sum of the changes of many numbers.
+const ROUNDING: f64 = 3e-8;
+
+impl IterationFlux {
+    /// Returns an estimate of the flux that is missing, relative to all: the change by all further iterations if the light keeps
+    /// its distribution. Of the sent flux, the share `1 - first / sent` is sent again after the next reflection.
+    pub fn residual(&self) -> f32 {
+        let lost = if self.first > 0.0 { self.first } else { self.sent };
+        // Light that is large beyond measure no longer changes only because of rounding.
+        let change = self.change + ROUNDING * self.sent;
+        if change == 0.0 { 0.0 } else { (change / lost) as f32 }
+    }
 }
 
 impl ElementLights {
     /// Number of bytes of an element's light, without the light by direction.
-    pub const BYTES: usize = size_of::<ElementLight>() + size_of::<[f32; 4]>() + size_of::<[Rgb; 4]>();
+    pub const BYTES: usize =
+        size_of::<ElementLight>() + 2 * (size_of::<[f32; 4]>() + size_of::<[Rgb; 4]>()) + size_of::<[f32; 4]>();
 
     pub fn new(arena: &Arena) -> Self {
         let count = arena.elements.len();
         Self {
             elements: vec![ElementLight::ZERO; count],
             incident: vec![IncidentLight::ZERO; arena.directional_count],
-            accepted: vec![[1.0; 4]; count],
+            row_scale: vec![[1.0; 4]; count],
+            lamp_scale: vec![[1.0; 4]; count],
+            lamp_correction: vec![[Rgb::ZERO; 4]; count],
             ray_correction: vec![[Rgb::ZERO; 4]; count],
+            arriving_share: vec![[1.0; 4]; count],
+            bent_lamp_flux: 0.0,
+            share_variance: 0.0,
+            has_measured_shares: false,
+            balance: Rgb::ONE,
         }
     }
 
@@ -110,67 +149,57 @@ impl ElementLights {
                 min_mean: least,
                 ..ElementLight::ZERO
             });
-            let taken = self.accepted[element.parent as usize].into_iter().fold(1.0, f32::min);
-            self.accepted.push([taken; 4]);
+            let (above, count) = (element.parent as usize, arena.elements[element.parent as usize].node_count());
+            let mean = |nodes: &[f32; 4]| [nodes[..count].iter().sum::<f32>() / count as f32; 4];
+            self.row_scale.push(mean(&self.row_scale[above]));
+            self.lamp_scale.push(mean(&self.lamp_scale[above]));
+            self.arriving_share.push(mean(&self.arriving_share[above]));
         }
         self.incident.resize(arena.directional_count, IncidentLight::ZERO);
         self.ray_correction.resize(arena.elements.len(), [Rgb::ZERO; 4]);
+        self.lamp_correction.resize(arena.elements.len(), [Rgb::ZERO; 4]);
     }
 
-    /// Accepts all light of the links.
-    pub fn accept_all(&mut self) {
-        self.accepted.fill([1.0; 4]);
-    }
-
-    /// Returns the greatest irradiance of a point if all elements have radiosity 1 and the fog emits in proportion to its extinction.
-    /// It is 1 in a closed scene with exact links. The bound is [`MAX_ROW_SUM`]. Scenes that reflect most of their light have a
-    /// lower bound, so that light cannot grow.
-    pub fn row_sum(&mut self, scene: &Scene<'_>, arena: &Arena, links: &[Link], bound_action: EnergyBound) -> f32 {
-        let (of, arriving) = (self.elements.clone(), self.incident.clone());
+    /// Returns the irradiance by the links if each surface has a radiosity of 1 lx and each point of fog receives as much as a
+    /// surface, as `total` of [`FROM_ELEMENTS`]: the row sums of the links. With exact links, it is the share of the elements'
+    /// light among all directions, which is at most 1.
+    fn unit_irradiance(&self, scene: &Scene<'_>, arena: &Arena, links: &[Link]) -> Self {
+        let mut unit = Self { incident: vec![IncidentLight::ZERO; self.incident.len()], ..Self::new(arena) };
         for index in (0..arena.elements.len()).rev() {
             let element = &arena.elements[index];
             if !element.is_leaf() {
-                self.pull(arena, index);
+                unit.pull(arena, index);
                 continue;
             }
-            let light = &mut self.elements[index];
-            light.radiosity = match &element.shape {
-                Shape::Volume(_) => Rgb::splat(scene.prepared.media.extinction_at(element.center)),
-                Shape::Patch(_) | Shape::Curved(_) | Shape::Cluster(_) => Rgb::ONE,
-            };
+            let light = &mut unit.elements[index];
+            light.radiosity = if let Shape::Volume(fog) = &element.shape { fog.sigma_s } else { Rgb::ONE };
             if let Shape::Curved(curved) = &element.shape {
                 light.intensity = curved_intensity(scene, &curved.part, |_| Rgb::ONE);
             }
         }
-        self.gather(arena, links);
-        self.push_all(arena);
-        let albedo = |element: &Element| match &element.shape {
-            Shape::Cluster(_) => 0.0,
-            Shape::Volume(fog) => {
-                let extinction = scene.prepared.media.extinction_at(element.center);
-                fog.sigma_s.max_element() / extinction.max(f32::MIN_POSITIVE)
-            }
-            Shape::Patch(Patch { part, .. }) | Shape::Curved(Curved { part, .. }) => {
-                (part.reflectance + part.transmittance).max_element()
-            }
-        };
-        let greatest = arena.elements.iter().map(albedo).fold(0.0, f32::max);
-        let bound = (MAX_REFLECTED_SHARE / greatest.max(f32::MIN_POSITIVE)).clamp(1.0, MAX_ROW_SUM);
+        unit.gather(arena, links);
+        unit.push_all(arena);
+        unit
+    }
+
+    /// Scales the links' light where the row sums exceed [`MAX_ROW_SUM`]. Returns the greatest row sum before that.
+    pub fn bound_rows(&mut self, scene: &Scene<'_>, arena: &Arena, links: &[Link]) -> f32 {
+        let unit = self.unit_irradiance(scene, arena, links);
         let mut most = 0.0f32;
         for (index, element) in arena.elements.iter().enumerate().filter(|(_, element)| element.is_leaf()) {
-            let received = match element.directional() {
-                Some(directional) => [self.incident[directional].total[FROM_ELEMENTS].total().y * 0.25; 4],
-                None => self.elements[index].total[FROM_ELEMENTS].map(|light| light.y),
-            };
-            most = received[..element.node_count()].iter().copied().fold(most, f32::max);
-            if bound_action == EnergyBound::RowSums {
-                for (taken, received) in self.accepted[index].iter_mut().zip(received) {
-                    *taken = taken.min(bound / received.max(f32::MIN_POSITIVE));
-                }
-            }
+            let sums = unit.row_sums(element, index);
+            most = sums[..element.node_count()].iter().copied().fold(most, f32::max);
+            self.row_scale[index] = sums.map(|sum| MAX_ROW_SUM / sum.max(MAX_ROW_SUM));
         }
-        (self.elements, self.incident) = (of, arriving);
         most
+    }
+
+    /// Returns the row sums at the nodes of a leaf; see [`ElementLights::unit_irradiance`], whose result this is.
+    fn row_sums(&self, element: &Element, index: usize) -> [f32; 4] {
+        match element.directional() {
+            Some(directional) => [luminance(self.incident[directional].total[FROM_ELEMENTS].total()) * 0.25; 4],
+            None => self.elements[index].total[FROM_ELEMENTS].map(luminance),
+        }
     }
 
     /// Gathers irradiance through all links, which are sorted by receiver. The light of each receiver is added in the links' order.
@@ -194,26 +223,148 @@ impl ElementLights {
         }
     }
 
-    /// Transports arriving light down the tree, and sent light up. Returns the change of the light that leaves all elements, and
-    /// the total, lm. The changes are sums of the absolute changes of the leaves.
-    pub fn push_pull(&mut self, scene: &Scene<'_>, arena: &Arena) -> (f64, f64) {
+    /// Transports arriving light down the tree, and sent light up.
+    pub fn push_pull(&mut self, scene: &Scene<'_>, arena: &Arena) -> IterationFlux {
         self.push_all(arena);
-        let (mut change, mut whole) = (0.0, 0.0);
+        self.balance_flux(scene, arena);
+        let mut flux = IterationFlux::default();
         for index in (0..arena.elements.len()).rev() {
             let before = self.elements[index].radiosity;
             if arena.elements[index].is_leaf() {
                 self.reflect(scene, arena, index);
-                let now = self.elements[index].radiosity;
                 let element = &arena.elements[index];
-                // A box of fog sends in all directions four times as much as a surface of its radiosity.
-                let size = f64::from(if element.is_volume() { 4.0 * element.size() } else { element.size() });
-                change += size * f64::from(luminance((now - before).abs()));
-                whole += size * f64::from(luminance(now));
+                let size = f64::from(sending_size(element));
+                let now = self.elements[index].radiosity;
+                flux.change += size * f64::from(luminance((now - before).abs()));
+                flux.sent += size * f64::from(luminance(now));
+                flux.first += size * f64::from(luminance(self.first_radiosity(element, index)));
             } else {
                 self.pull(arena, index);
             }
         }
-        (change, whole)
+        flux
+    }
+
+    /// Sets the factor of all light between elements: as much arrives as the elements send to each other, except for a difference
+    /// that may be the noise of the rays. In any case, no more arrives than all light that they send.
+    fn balance_flux(&mut self, scene: &Scene<'_>, arena: &Arena) {
+        self.balance = Rgb::ONE;
+        let bent = [f64::from(self.bent_lamp_flux); 3];
+        let (mut all, mut sent, mut received) = (bent, bent, [0.0f64; 3]);
+        for (index, element) in arena.elements.iter().enumerate().filter(|(_, element)| element.is_leaf()) {
+            // Light that a mirror passes on may arrive several times.
+            let shares = &self.arriving_share[index][..element.node_count()];
+            let most = shares.iter().copied().fold(1.0, f32::max);
+            let whole = self.elements[index].radiosity * (most * sending_size(element));
+            let leaving = self.arriving_radiosity(element, index) * sending_size(element);
+            let arriving = self.mean_irradiance_from_elements(scene, element, index)
+                * match &element.shape {
+                    Shape::Volume(fog) => fog.sigma_s * (4.0 * fog.volume),
+                    _ => Rgb::splat(element.size()),
+                };
+            for (sums, light) in [(&mut all, whole), (&mut sent, leaving), (&mut received, arriving)] {
+                sums.iter_mut().zip(light.to_array()).for_each(|(sum, value)| *sum += f64::from(value));
+            }
+        }
+        // Rays correct the luminance, so the luminance is balanced.
+        let luminance_of = |sums: [f64; 3]| f64::from(luminance(Rgb::from_array(sums.map(|sum| sum as f32))));
+        let [leaving, arriving] = [sent, received].map(luminance_of);
+        let mut measured = 1.0;
+        if self.has_measured_shares && leaving > 0.0 && arriving > 0.0 {
+            let difference = leaving / arriving - 1.0;
+            let noise = f64::from(CHANCE_VARIANCES * self.share_variance);
+            let sure = (1.0 - noise / (difference * difference).max(f64::MIN_POSITIVE)).max(0.0);
+            measured = (1.0 + sure * difference).min(MAX_BALANCE);
+        }
+        let factor = |k: usize| {
+            let most = if all[k] > 0.0 && received[k] > 0.0 { all[k] / received[k] } else { 1.0 };
+            measured.min(most) as f32
+        };
+        self.balance = Rgb::from_array([0, 1, 2].map(factor));
+    }
+
+    /// Returns the mean radiosity of a leaf that arrives at other elements, lx; for fog per m.
+    fn arriving_radiosity(&self, element: &Element, index: usize) -> Rgb {
+        let (shares, count) = (self.arriving_share[index], element.node_count());
+        let mean = shares[..count].iter().sum::<f32>() / count as f32;
+        let radiosity = self.elements[index].radiosity * mean;
+        let Shape::Patch(patch) = &element.shape else { return radiosity };
+        // The parts differ in radiosity and in the share that arrives.
+        let parts = self.part_radiosity(patch, index);
+        let uneven: Rgb = parts[..count].iter().zip(shares).map(|(light, share)| *light * (share - mean)).sum();
+        (radiosity + uneven / count as f32).max(Rgb::ZERO)
+    }
+
+    /// Returns the radiosity of the parts of a leaf, each at its node, lx.
+    pub fn part_radiosity(&self, patch: &Patch, index: usize) -> [Rgb; 4] {
+        let [lamps, elements] = [FROM_LAMPS, FROM_ELEMENTS].map(|from| self.node_irradiance(index, from));
+        let irradiance: [Rgb; 4] = std::array::from_fn(|node| (lamps[node] + elements[node]).max(Rgb::ZERO));
+        let count = patch.nodes().len();
+        let mean = irradiance[..count].iter().copied().sum::<Rgb>() / count as f32;
+        let radiosity = self.elements[index].radiosity;
+        irradiance.map(|irradiance| (radiosity + patch.part.reflectance * (irradiance - mean)).max(Rgb::ZERO))
+    }
+
+    /// Returns the mean irradiance of a leaf from elements, lx.
+    fn mean_irradiance_from_elements(&self, scene: &Scene<'_>, element: &Element, index: usize) -> Rgb {
+        if let Shape::Curved(curved) = &element.shape {
+            let arriving = self.directional_irradiance(curved, index, FROM_ELEMENTS);
+            let at = |normal: Vec3A| arriving.cosine_integral(normal);
+            return curved_normals(scene, &curved.part).map(at).sum::<Rgb>() / CURVED_NORMALS as f32;
+        }
+        let nodes = self.node_irradiance(index, FROM_ELEMENTS);
+        let count = element.node_count();
+        nodes[..count].iter().copied().sum::<Rgb>() / count as f32
+    }
+
+    /// Returns the radiosity of a leaf by light that it receives and reflects directly from light sources, lx; for fog per m.
+    fn first_radiosity(&self, element: &Element, index: usize) -> Rgb {
+        let nodes = self.node_irradiance(index, FROM_LAMPS);
+        let mean = || nodes[..element.node_count()].iter().copied().sum::<Rgb>() / element.node_count() as f32;
+        match &element.shape {
+            Shape::Patch(patch) => patch.part.reflectance * mean(),
+            Shape::Volume(fog) => fog.sigma_s * mean(),
+            Shape::Curved(curved) => {
+                curved.part.reflectance * self.directional_irradiance(curved, index, FROM_LAMPS).total() * 0.25
+            }
+            Shape::Cluster(_) => Rgb::ZERO,
+        }
+    }
+
+    /// Returns the numbers that determine the light of the next iteration: the radiosity of leaves by channel, lx, and then the
+    /// intensity of curved leaves, cd.
+    pub fn sent_light(&self, arena: &Arena) -> Vec<f32> {
+        let leaves = || arena.elements.iter().zip(&self.elements).filter(|(element, _)| element.is_leaf());
+        let radiosity = leaves().flat_map(|(_, light)| light.radiosity.to_array());
+        let curved = leaves().filter(|(element, _)| matches!(element.shape, Shape::Curved(_)));
+        let intensity = curved.flat_map(|(_, light)| light.intensity.0.iter().flat_map(|part| part.to_array()));
+        radiosity.chain(intensity).collect()
+    }
+
+    /// Returns the weights of the numbers of [`ElementLights::sent_light`] in a sum of flux: m2, for fog m3. The intensity of a curved
+    /// leaf belongs to its radiosity and has no weight.
+    pub fn sent_light_weights(arena: &Arena) -> Vec<f32> {
+        let leaves = || arena.elements.iter().filter(|element| element.is_leaf());
+        let curved = leaves().filter(|element| matches!(element.shape, Shape::Curved(_))).count();
+        leaves().flat_map(|element| [sending_size(element); 3]).chain(std::iter::repeat_n(0.0, 27 * curved)).collect()
+    }
+
+    /// Sets the output of [`ElementLights::sent_light`].
+    pub fn set_sent_light(&mut self, arena: &Arena, numbers: &[f32]) {
+        let mut numbers = numbers.iter().copied();
+        let mut color = || Rgb::from_array(std::array::from_fn(|_| numbers.next().unwrap_or(0.0)));
+        for (element, light) in arena.elements.iter().zip(&mut self.elements).filter(|(element, _)| element.is_leaf()) {
+            light.radiosity = color().max(Rgb::ZERO);
+            debug_assert!(!element.is_cluster() || light.radiosity == Rgb::ZERO);
+        }
+        for (element, light) in arena.elements.iter().zip(&mut self.elements).filter(|(element, _)| element.is_leaf()) {
+            if matches!(element.shape, Shape::Curved(_)) {
+                light.intensity.0.iter_mut().for_each(|part| *part = color());
+            }
+        }
+        for index in (0..arena.elements.len()).rev().filter(|&index| !arena.elements[index].is_leaf()) {
+            self.pull(arena, index);
+        }
     }
 
     /// Transports arriving light down the tree.
@@ -261,9 +412,15 @@ impl ElementLights {
     /// Returns the irradiance at an element's nodes from sources or from elements.
     pub fn node_irradiance(&self, index: usize, from: usize) -> [Rgb; 4] {
         let mut values = self.elements[index].total[from];
-        if from == FROM_ELEMENTS {
-            let beyond = self.accepted[index].into_iter().zip(self.ray_correction[index]);
-            values.iter_mut().zip(beyond).for_each(|(value, (taken, more))| *value = *value * taken + more);
+        if from == FROM_LAMPS {
+            let beyond = self.lamp_scale[index].into_iter().zip(self.lamp_correction[index]);
+            values.iter_mut().zip(beyond).for_each(|(value, (scale, more))| *value = *value * scale + more);
+        } else {
+            let beyond = self.row_scale[index].into_iter().zip(self.ray_correction[index]);
+            values
+                .iter_mut()
+                .zip(beyond)
+                .for_each(|(value, (scale, more))| *value = (*value * scale + more) * self.balance);
         }
         values
     }
@@ -271,14 +428,18 @@ impl ElementLights {
     /// Returns the light by direction that a curved element receives from sources or from elements.
     pub fn directional_irradiance(&self, element: &Curved, index: usize, from: usize) -> Harmonics {
         let IncidentLight { total: whole, ray_correction: more, .. } = self.incident[element.directional as usize];
-        if from == FROM_ELEMENTS { whole[from] * Rgb::splat(self.accepted[index][0]) + more } else { whole[from] }
+        if from == FROM_LAMPS {
+            return whole[from] * Rgb::splat(self.lamp_scale[index][0])
+                + Harmonics::from_irradiance(self.lamp_correction[index][0]);
+        }
+        (whole[from] * Rgb::splat(self.row_scale[index][0]) + more) * self.balance
     }
 
     /// Computes the light that a leaf sends from the light that it receives.
     fn reflect(&mut self, scene: &Scene<'_>, arena: &Arena, index: usize) {
         let element = &arena.elements[index];
         let behind = element.surface_part().map_or(Rgb::ZERO, |part| self.back_irradiance(scene, arena, element, part));
-        let of_elements = self.node_irradiance(index, FROM_ELEMENTS);
+        let [of_lamps, of_elements] = [FROM_LAMPS, FROM_ELEMENTS].map(|from| self.node_irradiance(index, from));
         let (reflectance, transmittance) = match &element.shape {
             Shape::Curved(curved) => return self.reflect_curved(scene, curved, behind, index),
             Shape::Patch(Patch { part, .. }) => (part.reflectance, part.transmittance),
@@ -287,8 +448,8 @@ impl ElementLights {
         };
         let light = &mut self.elements[index];
         let (mut sum, mut mean, mut darkest, mut brightest) = (Rgb::ZERO, 0.0, f32::INFINITY, 0.0f32);
-        for (node, of_elements) in of_elements.into_iter().enumerate().take(element.node_count()) {
-            let irradiance = (light.total[FROM_LAMPS][node] + of_elements).max(Rgb::ZERO);
+        for (of_lamps, of_elements) in of_lamps.into_iter().zip(of_elements).take(element.node_count()) {
+            let irradiance = (of_lamps + of_elements).max(Rgb::ZERO);
             let radiosity = reflectance * irradiance + transmittance * behind;
             let value = luminance(radiosity);
             (darkest, brightest) = (darkest.min(value), brightest.max(value));
@@ -301,7 +462,7 @@ impl ElementLights {
     }
 
     fn reflect_curved(&mut self, scene: &Scene<'_>, curved: &Curved, behind: Rgb, index: usize) {
-        let arriving = self.incident[curved.directional as usize].total[FROM_LAMPS]
+        let arriving = self.directional_irradiance(curved, index, FROM_LAMPS)
             + self.directional_irradiance(curved, index, FROM_ELEMENTS);
         let (mut sum, mut mean) = (Rgb::ZERO, 0.0);
         let sent = curved_intensity(scene, &curved.part, |normal| {
@@ -333,8 +494,8 @@ impl ElementLights {
         let (index, _) = arena.element_at(root, part.outline.point_at(middle), 0.0);
         let other = &arena.elements[index as usize];
         if let Shape::Curved(other) = &other.shape {
-            let sources = self.incident[other.directional as usize].total[FROM_LAMPS];
-            return (sources + self.directional_irradiance(other, index as usize, FROM_ELEMENTS)).total() * 0.25;
+            let of = |from: usize| self.directional_irradiance(other, index as usize, from).total();
+            return (of(FROM_LAMPS) + of(FROM_ELEMENTS)) * 0.25;
         }
         let [sources, elements] = [FROM_LAMPS, FROM_ELEMENTS].map(|from| self.node_irradiance(index as usize, from));
         let sum: Rgb = (0..other.node_count()).map(|node| sources[node] + elements[node]).sum();
@@ -375,12 +536,24 @@ impl ElementLights {
 /// Returns the intensity of a curved element by direction, cd, from the radiosity at points around it.
 fn curved_intensity(scene: &Scene<'_>, part: &SurfacePart, mut radiosity: impl FnMut(Vec3A) -> Rgb) -> Harmonics {
     let mut sent = Harmonics::ZERO;
-    for k in 0..CURVED_NORMALS {
-        let place = Vec2::new((k % 4) as f32 + 0.5, (k / 4) as f32 + 0.5) * 0.25;
-        let normal = part.point_at(scene, place).normal;
+    for normal in curved_normals(scene, part) {
         sent += Harmonics::from_direction(normal, radiosity(normal) * (part.area / (PI * CURVED_NORMALS as f32)));
     }
     sent
+}
+
+/// Returns the normals at evenly distributed points of a curved element.
+fn curved_normals(scene: &Scene<'_>, part: &SurfacePart) -> impl Iterator<Item = Vec3A> {
+    (0..CURVED_NORMALS).map(move |k| {
+        let place = Vec2::new((k % 4) as f32 + 0.5, (k / 4) as f32 + 0.5) * 0.25;
+        part.point_at(scene, place).normal
+    })
+}
+
+/// Returns the ratio of an element's flux to its radiosity: m2, for fog m3. A box of fog sends in all directions four times as much
+/// as a surface of its radiosity.
+fn sending_size(element: &Element) -> f32 {
+    if element.is_volume() { 4.0 * element.size() } else { element.size() }
 }
 
 fn gather_row(arena: &Arena, lights: &[ElementLight], row: &[Link]) -> ([Rgb; 4], Harmonics) {

@@ -39,7 +39,8 @@ pub enum LampLinkDecision {
 
 /// A receiver and a light source.
 struct LampPair<'a> {
-    /// The receiver.
+    /// Index of the receiver, and the receiver.
+    receiver: u32,
     p: &'a Element,
     /// Index of the source, and the source.
     lamp: u32,
@@ -96,7 +97,7 @@ impl<'a> Oracle<'a> {
         }
         let mut numbers = RandomNumbers::new(&[p.key, u64::from(lamp), 7]);
         let open = self.open_light(&pair, &mut numbers);
-        if open.error > pair.allowed && self.may_split(p) {
+        if open.error > pair.allowed && self.may_split(receiver) {
             let unproved_error = self.unproved_error(p, pair.allowed);
             let looks =
                 pair.allowed < unproved_error && open.mean * occlusion_bound(LAMP_VISIBILITY_RAYS) <= unproved_error;
@@ -116,7 +117,7 @@ impl<'a> Oracle<'a> {
         let shares = &shares[..p.node_count()];
         let spread = shares.iter().copied().fold(0.0, f32::max) - shares.iter().copied().fold(1.0, f32::min);
         let is_uneven = 0.5 * spread * open.mean > pair.allowed;
-        if is_uneven && self.may_split(p) {
+        if is_uneven && self.may_split(receiver) {
             return LampLinkDecision::SplitReceiver;
         }
         let dir = (pair.source.center - p.center).normalize_or(Vec3A::Z);
@@ -128,7 +129,15 @@ impl<'a> Oracle<'a> {
         let (p, source) = (&self.arena.elements[receiver as usize], &self.scene.lamps[lamp as usize]);
         let distance = (source.center - p.center).length();
         let near = (p.radius / distance.max(1e-20)).min(1.0);
-        LampPair { p, lamp, source, distance, near, allowed: self.allowed_error(p, &self.lights[receiver as usize]) }
+        LampPair {
+            receiver,
+            p,
+            lamp,
+            source,
+            distance,
+            near,
+            allowed: self.allowed_error(p, &self.lights[receiver as usize]),
+        }
     }
 
     /// Checks whether a source is behind an element with one normal.
@@ -154,7 +163,7 @@ impl<'a> Oracle<'a> {
         let share = if p.is_volume() { 0.25 } else { 1.0 };
         let hidden_part =
             share * intensity * near / (reach * reach) * tester.fog_transmittance(self.scene, p.center, center);
-        if hidden_part > allowed && self.may_split(p) {
+        if hidden_part > allowed && self.may_split(pair.receiver) {
             return true;
         }
         // A box around the source absorbs this share of the source's light in the fog; four points cannot measure that.

@@ -10,7 +10,9 @@ use crate::element::{Cluster, Curved, Element, Patch, Shape};
 use crate::factor::point_form_factor;
 use crate::gather::ElementLight;
 use crate::scene::Scene;
-use crate::tuning::{BEHIND_HEIGHT, CLOSE_LIGHT, CLOSE_RADII, ERROR_SCALE_BOUNDS, THICK_DEPTH, UNPROVED_LIGHT};
+use crate::tuning::{
+    BEHIND_HEIGHT, CLOSE_LIGHT, CLOSE_RADII, ERROR_SCALE_BOUNDS, MAX_FINER, THICK_DEPTH, UNPROVED_LIGHT,
+};
 use crate::visibility::VisibilityTester;
 use femc_math::color::luminance;
 use femc_math::glam::Vec3A;
@@ -51,6 +53,8 @@ pub struct Oracle<'a> {
     pub error: f32,
     /// Irradiance that is added to the receiver's, lx.
     pub floor: f32,
+    /// Maximum irradiance of a surface that an error is relative to, lx.
+    pub max_reference: f32,
     /// Irradiance that is added to that of fog, lx.
     pub fog_floor: f32,
     /// Area of an element that may have the requested error, m2. The error of another element is scaled with the inverse root of
@@ -103,14 +107,19 @@ impl Pair<'_> {
 
 impl<'a> Oracle<'a> {
     /// Checks whether an element has parts, or may be split.
-    pub fn may_split(&self, element: &Element) -> bool {
+    pub fn may_split(&self, index: u32) -> bool {
+        let element = &self.arena.elements[index as usize];
         match &element.shape {
             _ if self.link_budget_exhausted => false,
             Shape::Cluster(_) => true,
             _ if !element.is_leaf() => true,
             _ if self.element_budget_exhausted => false,
             Shape::Volume(fog) => fog.volume > self.min_volume,
-            Shape::Patch(Patch { part, .. }) | Shape::Curved(Curved { part, .. }) => part.area > self.min_area,
+            Shape::Patch(Patch { part, .. }) | Shape::Curved(Curved { part, .. }) => {
+                // Bright places are split more finely.
+                let brightness = self.lights[index as usize].mean / self.max_reference.max(f32::MIN_POSITIVE);
+                part.area * brightness.clamp(1.0, MAX_FINER) > self.min_area
+            }
         }
     }
 
@@ -123,7 +132,10 @@ impl<'a> Oracle<'a> {
             Shape::Volume(fog) => {
                 self.error * (light.min_mean + self.fog_floor) * weight(self.unit_volume / fog.volume)
             }
-            _ => self.error * (0.5 * (light.min_mean + light.mean) + self.floor) * weight(self.unit_area / p.size()),
+            _ => {
+                let irradiance = (0.5 * (light.min_mean + light.mean)).min(self.max_reference);
+                self.error * (irradiance + self.floor) * weight(self.unit_area / p.size())
+            }
         }
     }
 
@@ -178,7 +190,7 @@ impl<'a> Oracle<'a> {
             if self.is_dark(&pair, amount, tester) {
                 return pair.keep([0.0; 4], false);
             }
-            if let Some(split) = self.choose_split(p, q, estimate.errors) {
+            if let Some(split) = self.choose_split(&pair, estimate.errors) {
                 return split;
             }
         }
@@ -202,17 +214,17 @@ impl<'a> Oracle<'a> {
         let length = if q.is_volume() { q.radius.min(1.0 / self.extinction(q)) } else { 1.0 };
         let is_bright = luminance(pair.from.radiosity) * length * share > CLOSE_LIGHT * pair.allowed;
         let larger_first = if p.radius > q.radius { [1.0, 0.0] } else { [0.0, 1.0] };
-        is_bright.then(|| self.choose_split(p, q, larger_first)).flatten()
+        is_bright.then(|| self.choose_split(pair, larger_first)).flatten()
     }
 
     /// Splits the element that causes the error, or else the other one. `None` if neither can be split.
-    fn choose_split(&self, p: &Element, q: &Element, errors: [f32; 2]) -> Option<LinkDecision> {
+    fn choose_split(&self, pair: &Pair<'_>, errors: [f32; 2]) -> Option<LinkDecision> {
         let order = if errors[0] >= errors[1] {
-            [(p, LinkDecision::SplitReceiver), (q, LinkDecision::SplitSource)]
+            [(pair.receiver, LinkDecision::SplitReceiver), (pair.source, LinkDecision::SplitSource)]
         } else {
-            [(q, LinkDecision::SplitSource), (p, LinkDecision::SplitReceiver)]
+            [(pair.source, LinkDecision::SplitSource), (pair.receiver, LinkDecision::SplitReceiver)]
         };
-        order.into_iter().find(|(element, _)| self.may_split(element)).map(|(_, verdict)| verdict)
+        order.into_iter().find(|&(element, _)| self.may_split(element)).map(|(_, verdict)| verdict)
     }
 
     fn decide_self_link(&self, receiver: u32, p: &Element, tester: &mut VisibilityTester) -> LinkDecision {
@@ -225,7 +237,7 @@ impl<'a> Oracle<'a> {
                 LinkDecision::Drop
             }
             Shape::Curved(_) => {
-                if self.may_split(p) || !p.is_leaf() {
+                if self.may_split(receiver) || !p.is_leaf() {
                     LinkDecision::SplitBoth
                 } else {
                     LinkDecision::Drop
@@ -249,7 +261,7 @@ impl<'a> Oracle<'a> {
                     *factor = self.factor(p, p, &node, tester);
                 }
                 let thick = self.extinction(p) * p.half_extent.max_element() > THICK_DEPTH;
-                if (thick || factors[0] * spread > self.allowed_error(p, &to)) && self.may_split(p) {
+                if (thick || factors[0] * spread > self.allowed_error(p, &to)) && self.may_split(receiver) {
                     return LinkDecision::SplitBoth;
                 }
                 keep(factors)

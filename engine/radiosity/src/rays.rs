@@ -45,13 +45,17 @@ struct RayHit {
     normal: [i8; 3],
     /// Normal at the ray's origin, in 127ths.
     origin_normal: [i8; 3],
-    /// Part of the leaf. [`NO_PART`] for hits through a mirror, for fog and for lamps, which receive nothing through this ray.
+    /// Part of the leaf; 0 for fog and for lamps.
     part: u8,
+    /// Whether the leaf receives light through this ray: it is a surface, and no mirror is between.
+    is_two_way: bool,
     /// Hit point, m; through a mirror, the mirrored point.
     target: [f32; 3],
     /// Expected number of rays along such ways, over the density of the cosine distribution and the area, 1/m2: from the ray's own
     /// leaf, and from the leaf that was hit.
     density: [f32; 2],
+    /// Estimate of the irradiance of the ray's origin directly from lamps, by one shadow ray, lx.
+    direct: [f32; 3],
 }
 
 /// Weights of samples of a pair of leaves, which rays from either leaf can find.
@@ -82,9 +86,6 @@ impl MisHeuristic {
         }
     }
 }
-
-/// See [`RayHit::part`].
-const NO_PART: u8 = u8::MAX;
 
 /// A way along which light reaches a leaf.
 #[derive(Clone, Copy, Debug)]
@@ -142,9 +143,11 @@ impl RayHit {
         share: 0.0,
         normal: [0; 3],
         origin_normal: [0; 3],
-        part: NO_PART,
+        part: 0,
+        is_two_way: false,
         target: [0.0; 3],
         density: [0.0; 2],
+        direct: [0.0; 3],
     };
 }
 
@@ -193,7 +196,7 @@ impl Rays {
     /// Builds the reverse index: the incoming rays of each leaf.
     fn build_reverse_index(&mut self) {
         let place = |sight: &RayHit| {
-            let both = sight.part != NO_PART && sight.share > 0.0;
+            let both = sight.is_two_way && sight.share > 0.0;
             both.then(|| self.leaves.binary_search(&sight.leaf).ok()).flatten()
         };
         let places: Vec<u32> = self.hits.par_iter().map(|sight| place(sight).map_or(NONE, |at| at as u32)).collect();
@@ -220,11 +223,12 @@ impl Rays {
         size_of_val(&*self.hits) + size_of_val(&*self.incoming) + 20 * self.leaves.len()
     }
 
-    /// Visits the ways along which light reaches the leaf at this index, with the current light: those of its own rays, then those
-    /// of other leaves' rays that hit it.
+    /// Visits the ways along which light reaches the leaf at this index: those of its own rays, then those of other leaves' rays that
+    /// hit it.
     fn visit_samples(
         &self,
-        (arena, lights): (&Arena, &ElementLights),
+        arena: &Arena,
+        light: SampledLight<'_>,
         leaf_index: usize,
         weights: MisHeuristic,
         mut each: impl FnMut(RaySample),
@@ -232,10 +236,18 @@ impl Rays {
         let element = &arena.elements[self.leaves[leaf_index] as usize];
         let [first, end] = [self.first[leaf_index], self.first[leaf_index + 1]].map(|at| at as usize);
         let parts = part_count(element);
+        if let SampledLight::Lamps = light {
+            let number = (end - first) as f32;
+            for (ray, hit) in self.hits[first..end].iter().enumerate() {
+                let irradiance = Rgb::from_array(hit.direct) * (1.0 / number);
+                each(RaySample { ray: first + ray, origin: None, part: ray % parts, irradiance, ray_count: number });
+            }
+            return;
+        }
         for (ray, sight) in self.hits[first..end].iter().enumerate() {
             let number = weights.density(sight.density[0], sight.density[1], true) * element.size();
             if number > 0.0 {
-                let irradiance = received_irradiance(arena, lights, sight) * (1.0 / number);
+                let irradiance = light.received_irradiance(arena, sight) * (1.0 / number);
                 each(RaySample { ray: first + ray, origin: None, part: ray % parts, irradiance, ray_count: number });
             }
         }
@@ -247,8 +259,9 @@ impl Rays {
             let number = weights.density(sight.density[1], sight.density[0], false) * element.size();
             if number > 0.0 {
                 let leaf = self.leaves[origin];
-                let irradiance =
-                    radiosity(arena, lights, leaf, unpack_normal(sight.origin_normal)) * (sight.share / number);
+                let origin_part = (ray - self.first[origin] as usize) % part_count(&arena.elements[leaf as usize]);
+                let irradiance = light.radiosity(arena, leaf, origin_part, unpack_normal(sight.origin_normal))
+                    * (sight.share / number);
                 each(RaySample {
                     ray,
                     origin: Some(origin),
@@ -273,7 +286,8 @@ impl Rays {
             let leaf = self.leaves[place];
             let size = arena.elements[leaf as usize].size();
             let mut sums = [0.0f32; 2];
-            self.visit_samples((arena, lights), place, MisHeuristic::Balance, |RaySample { irradiance, .. }| {
+            let light = SampledLight::Current(lights);
+            self.visit_samples(arena, light, place, MisHeuristic::Balance, |RaySample { irradiance, .. }| {
                 let light = luminance(irradiance) * size;
                 if light.is_finite() {
                     sums = [sums[0] + light, sums[1] + light * light];
@@ -297,7 +311,8 @@ impl Rays {
         let Ok(place) = self.leaves.binary_search(&leaf) else { return Vec::new() };
         let mut segments = Vec::new();
         self.visit_samples(
-            (arena, lights),
+            arena,
+            SampledLight::Current(lights),
             place,
             MisHeuristic::Balance,
             |RaySample { ray, origin, irradiance, ray_count: number, .. }| {
@@ -315,27 +330,44 @@ impl Rays {
     }
 }
 
-/// Returns the irradiance of a ray's origin, if all rays had this hit, lx.
-fn received_irradiance(arena: &Arena, lights: &ElementLights, hit: &RayHit) -> Rgb {
-    if hit.leaf == NONE {
-        return Rgb::splat(hit.share);
-    }
-    let light = &lights.elements[hit.leaf as usize];
-    if arena.elements[hit.leaf as usize].is_volume() {
-        return Rgb::splat(hit.share * light.mean);
-    }
-    radiosity(arena, lights, hit.leaf, unpack_normal(hit.normal)) * hit.share
+/// Light that rays measure.
+#[derive(Clone, Copy, Debug)]
+enum SampledLight<'a> {
+    /// Current light of the elements, and light of lamps along bent ways.
+    Current(&'a ElementLights),
+    /// Light directly from lamps, by shadow rays from the rays' origins.
+    Lamps,
 }
 
-/// Returns the radiosity of a leaf of a surface, lx.
-/// - `normal`: normal at the point, for a curved leaf.
-fn radiosity(arena: &Arena, lights: &ElementLights, leaf: u32, normal: Vec3A) -> Rgb {
-    let element = &arena.elements[leaf as usize];
-    let radiosity = if let Shape::Curved(curved) = &element.shape {
-        let of = |from: usize| lights.directional_irradiance(curved, leaf as usize, from).cosine_integral(normal);
-        curved.part.reflectance * (of(FROM_LAMPS) + of(FROM_ELEMENTS))
-    } else {
-        lights.elements[leaf as usize].radiosity
-    };
-    radiosity.max(Rgb::ZERO)
+impl SampledLight<'_> {
+    /// Returns the irradiance of a ray's origin, if all rays had this hit, lx.
+    fn received_irradiance(self, arena: &Arena, hit: &RayHit) -> Rgb {
+        let Self::Current(lights) = self else { return Rgb::from_array(hit.direct) };
+        if hit.leaf == NONE {
+            return Rgb::splat(hit.share);
+        }
+        let light = &lights.elements[hit.leaf as usize];
+        if arena.elements[hit.leaf as usize].is_volume() {
+            return Rgb::splat(hit.share * light.mean);
+        }
+        self.radiosity(arena, hit.leaf, usize::from(hit.part), unpack_normal(hit.normal)) * hit.share
+    }
+
+    /// Returns the radiosity of a part of a leaf of a surface, lx. A leaf that is bright only in a place that few rays reach, such
+    /// as a ceiling inside of a lamp's housing, is not as bright as its mean elsewhere.
+    /// - `normal`: normal at the point, for a curved leaf.
+    fn radiosity(self, arena: &Arena, leaf: u32, part: usize, normal: Vec3A) -> Rgb {
+        let Self::Current(lights) = self else { return Rgb::ONE };
+        let element = &arena.elements[leaf as usize];
+        let radiosity = match &element.shape {
+            Shape::Curved(curved) => {
+                let of =
+                    |from: usize| lights.directional_irradiance(curved, leaf as usize, from).cosine_integral(normal);
+                curved.part.reflectance * (of(FROM_LAMPS) + of(FROM_ELEMENTS))
+            }
+            Shape::Patch(patch) => lights.part_radiosity(patch, leaf as usize)[part],
+            Shape::Volume(_) | Shape::Cluster(_) => lights.elements[leaf as usize].radiosity,
+        };
+        radiosity.max(Rgb::ZERO)
+    }
 }

@@ -1,5 +1,6 @@
 //! Solver: creates elements and links, and iterates until the light no longer changes.
 
+mod acceleration;
 mod refine;
 mod solution;
 
@@ -9,14 +10,16 @@ pub(crate) use solution::surface_leaves;
 use crate::arena::Arena;
 use crate::census::Census;
 use crate::element::Element;
-use crate::gather::{ElementLights, EnergyBound};
+use crate::gather::ElementLights;
 use crate::link::Link;
 use crate::portals::Portal;
 use crate::rays::{RayPlan, Rays};
 use crate::scene::Scene;
 use crate::tuning::{
-    COARSE_RESIDUAL, ERROR_LEVELS, MAX_GROWING, MAX_ITERATIONS, MAX_LAMP_ERROR, RAY_CHECKS, RAY_ROUNDS, TARGET_RESIDUAL,
+    COARSE_RAY_CHECKS, COARSE_RESIDUAL, ERROR_LEVELS, MAX_ITERATIONS, MAX_LAMP_ERROR, RAY_CHECK_CHANGE, RAY_CHECKS,
+    RAY_ROUNDS, TARGET_RESIDUAL,
 };
+use acceleration::Acceleration;
 use femc_field::NONE;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -55,13 +58,15 @@ pub struct SolveReport {
     pub rays: u64,
     /// Number of iterations, each of which passes light through all links.
     pub iterations: usize,
-    /// Estimated change of the light that leaves all elements by further iterations, as a share of that light.
+    /// Estimated change of the light that leaves all elements by further iterations, as a share of that light. NaN if the light is
+    /// not finite.
     pub residual: f32,
-    /// Greatest irradiance of a point if everything that it sees has a radiosity of 1. It is 1 in a closed scene if all links are
-    /// exact.
+    /// Greatest irradiance of a point by the links if everything that it sees has a radiosity of 1. It is at most 1 if all links are
+    /// exact. The light of links is scaled down where it is more.
     pub row_sum: f32,
-    /// Whether light grew from reflection to reflection. Irradiance beyond 1 in the sense of `row_sum` was then removed.
-    pub is_energy_bounded: bool,
+    /// Light between elements by what they send, relative to what the corrected links bring: 1 if these conserve the light. The
+    /// greatest deviation of a channel from 1.
+    pub imbalance: f32,
     /// Light that rays find on all surfaces, relative to that of the links there; 1 if the links have none.
     pub ray_link_ratio: f32,
     /// Root mean square of the resulting correction over all surfaces, relative to the links' mean.
@@ -100,6 +105,18 @@ impl SolverState {
     /// Checks whether all rounds of rays are done.
     pub(crate) fn is_finished(&self) -> bool {
         self.round == RAY_ROUNDS
+    }
+
+    /// Returns the change of the sent flux, relative to that flux.
+    /// - `before`: output of [`ElementLights::sent_light`] before the change.
+    fn change_since(&self, before: &[f32]) -> f32 {
+        let weights = ElementLights::sent_light_weights(&self.arena);
+        let (mut change, mut whole) = (0.0f64, 0.0f64);
+        for ((now, before), weight) in self.lights.sent_light(&self.arena).iter().zip(before).zip(weights) {
+            change += f64::from(weight * (now - before).abs());
+            whole += f64::from(weight * now);
+        }
+        if whole > 0.0 { (change / whole) as f32 } else { 0.0 }
     }
 
     fn bytes(&self, links: usize) -> usize {
@@ -170,8 +187,7 @@ impl<'a> Solver<'a> {
         solver.state.links = vec![Link { receiver: root, source: root, factors: [0.0; 4] }];
         for (round, coarse) in ERROR_LEVELS.into_iter().enumerate() {
             let is_last = round + 1 == ERROR_LEVELS.len();
-            (solver.state.report.inexact_links, solver.state.report.is_energy_bounded) = (0, false);
-            solver.state.lights.accept_all();
+            solver.state.report.inexact_links = 0;
             let error = options.error * coarse;
             // Direct light first, then the light between elements.
             solver.link_lamps(error.min(MAX_LAMP_ERROR))?;
@@ -179,10 +195,8 @@ impl<'a> Solver<'a> {
                 solver.state.lights.push_pull(scene, &solver.state.arena);
             }
             solver.refine_links(error)?;
-            if is_last {
-                let SolverState { arena, lights, links, report, .. } = &mut solver.state;
-                report.row_sum = lights.row_sum(scene, arena, links, EnergyBound::None);
-            }
+            let SolverState { arena, lights, links, report, .. } = &mut solver.state;
+            report.row_sum = lights.bound_rows(scene, arena, links);
             solver.iterate(if is_last { TARGET_RESIDUAL } else { COARSE_RESIDUAL })?;
         }
         Ok(solver)
@@ -198,30 +212,26 @@ impl<'a> Solver<'a> {
         Self { scene, state, options, cancel }
     }
 
-    fn iterate(&mut self, residual: f32) -> Result<(), Cancelled> {
-        let (mut before, mut growing) = (f64::INFINITY, 0);
+    /// Passes light through all links until it no longer changes.
+    /// - `target`: residual at which the iteration ends.
+    fn iterate(&mut self, target: f32) -> Result<(), Cancelled> {
+        let SolverState { arena, lights, links, report, .. } = &mut self.state;
+        let mut acceleration = Acceleration::new(ElementLights::sent_light_weights(arena));
         for _ in 0..MAX_ITERATIONS {
             if self.cancel.load(Ordering::Relaxed) {
                 return Err(Cancelled);
             }
-            self.state.lights.gather(&self.state.arena, &self.state.links);
-            let (change, whole) = self.state.lights.push_pull(self.scene, &self.state.arena);
-            self.state.report.iterations += 1;
-            growing = if change > before { growing + 1 } else { 0 };
-            if growing == MAX_GROWING && !self.state.report.is_energy_bounded {
-                self.state.lights.row_sum(self.scene, &self.state.arena, &self.state.links, EnergyBound::RowSums);
-                (self.state.report.is_energy_bounded, before) = (true, f64::INFINITY);
-                continue;
-            }
-            // Total change of further iterations, if each change shrinks at the latest rate.
-            let rate = if before.is_finite() { (change / before).min(0.99) } else { 0.99 };
-            before = change;
-            let left = change * rate / (1.0 - rate);
-            self.state.report.residual = if whole > 0.0 { (left / whole) as f32 } else { 0.0 };
-            if self.state.report.residual <= residual {
+            let input = lights.sent_light(arena);
+            lights.gather(arena, links);
+            report.residual = lights.push_pull(self.scene, arena).residual();
+            report.iterations += 1;
+            if report.residual <= target || report.residual.is_nan() {
                 break;
             }
+            let next = acceleration.next_input(&input, lights.sent_light(arena));
+            lights.set_sent_light(arena, &next);
         }
+        report.imbalance = lights.balance.to_array().map(|factor| (factor - 1.0).abs()).into_iter().fold(0.0, f32::max);
         Ok(())
     }
 
@@ -235,23 +245,32 @@ impl<'a> Solver<'a> {
             return Ok(());
         }
         let mut contrast = Vec::new();
-        for _ in 0..RAY_CHECKS {
+        let SolverState { arena, lights, .. } = &mut self.state;
+        let lamp_contrast = rays.correct_lamps(arena, lights, self.options.error);
+        rays.measure_arriving_shares(arena, lights);
+        let checks = if self.state.is_finished() { RAY_CHECKS } else { COARSE_RAY_CHECKS };
+        for _ in 0..checks {
             let SolverState { arena, lights, report, .. } = &mut self.state;
+            let before = lights.sent_light(arena);
             let correction = rays.correct(arena, lights, self.options.error);
             (report.ray_link_ratio, report.ray_correction) = (correction.ratio, correction.changed);
             contrast = correction.contrast;
             self.iterate(TARGET_RESIDUAL)?;
+            if self.state.change_since(&before) <= RAY_CHECK_CHANGE {
+                break;
+            }
         }
         self.state.max_ray_bytes = self.state.max_ray_bytes.max(rays.bytes());
         self.state.report.rays += rays.traced;
         if !self.state.is_finished() {
             let oracle = self.oracle(self.options.error, self.state.links.len());
-            let is_uneven = |&(leaf, contrast): &(u32, f32)| {
-                let element = &oracle.arena.elements[leaf as usize];
-                0.5 * contrast > oracle.allowed_error(element, &oracle.lights[leaf as usize])
-                    && oracle.may_split(element)
+            let is_uneven = |((leaf, contrast), of_lamps): &((u32, f32), f32)| {
+                let element = &oracle.arena.elements[*leaf as usize];
+                0.5 * contrast.max(*of_lamps) > oracle.allowed_error(element, &oracle.lights[*leaf as usize])
+                    && oracle.may_split(*leaf)
             };
-            let uneven_leaves = contrast.iter().filter(|leaf| is_uneven(leaf)).map(|&(leaf, _)| leaf).collect();
+            let both = contrast.into_iter().zip(lamp_contrast);
+            let uneven_leaves = both.filter(is_uneven).map(|((leaf, _), _)| leaf).collect();
             self.state.uneven_leaves = uneven_leaves;
             if !self.options.guides && self.state.uneven_leaves.is_empty() {
                 // Nothing is split, and new rays would go nowhere else, so they would bring no new information.

@@ -78,7 +78,7 @@ pub struct BlockGuides {
     pub(crate) guides: Vec<(f32, Vec<Lobe>)>,
 }
 
-const ELEMENTS_MAGIC: &[u8; 8] = b"element2";
+const ELEMENTS_MAGIC: &[u8; 8] = b"element3";
 const LINKS_MAGIC: &[u8; 8] = b"links  1";
 const GUIDES_MAGIC: &[u8; 8] = b"guides 2";
 
@@ -169,29 +169,43 @@ impl SolverState {
             iterations,
             residual,
             row_sum,
-            is_energy_bounded: bounded,
+            imbalance,
             ray_link_ratio: checked,
             ray_correction: corrected,
             ..
         } = self.report;
         writer.number(links_digest(&self.links));
         writer.number(u64::from(self.round));
-        let [bounded, worth_more] = [bounded, self.needs_more_rays].map(usize::from);
-        let numbers = [lamp_links, refused, iterations, bounded, worth_more, self.max_ray_bytes];
+        let [measured, worth_more] = [self.lights.has_measured_shares, self.needs_more_rays].map(usize::from);
+        let numbers = [lamp_links, refused, iterations, measured, worth_more, self.max_ray_bytes];
         numbers.into_iter().for_each(|number| writer.number(number as u64));
         writer.number(rays);
-        writer.rows(&[[residual, row_sum, checked, corrected]]);
+        writer.rows(&[[residual, row_sum, imbalance, checked, corrected]]);
+        let [r, g, b] = self.lights.balance.to_array();
+        writer.rows(&[[r, g, b, self.lights.bent_lamp_flux, self.lights.share_variance]]);
         writer.numbers(self.arena.splits.iter().copied());
         writer.numbers(self.uneven_leaves.iter().copied());
         portals::write(&self.portals, &mut writer);
-        let ElementLights { elements: lights, incident, accepted, ray_correction } = &self.lights;
+        let ElementLights {
+            elements: lights,
+            incident,
+            row_scale,
+            lamp_scale,
+            lamp_correction,
+            ray_correction,
+            arriving_share,
+            ..
+        } = &self.lights;
         let brightness = |light: &ElementLight| {
             let ElementLight { radiosity, darkest, brightest, mean, min_mean: least, .. } = light;
             let [r, g, b] = radiosity.to_array();
             [r, g, b, *darkest, *brightest, *mean, *least]
         };
         writer.rows(&lights.iter().map(brightness).collect::<Vec<_>>());
-        writer.rows(accepted);
+        writer.rows(row_scale);
+        writer.rows(lamp_scale);
+        writer.rows(&lamp_correction.iter().map(to_floats::<4, 12>).collect::<Vec<_>>());
+        writer.rows(arriving_share);
         writer.rows(&ray_correction.iter().map(to_floats::<4, 12>).collect::<Vec<_>>());
         // Wide elements store their light by direction, others at their nodes.
         let elements = || self.arena.elements.iter().zip(lights);
@@ -224,11 +238,12 @@ impl SolverState {
         let mut number =
             || usize::try_from(reader.number()?).map_err(|_| StepDecodeError::Damaged("a number is too large"));
         let round = number()?;
-        let [lamp_links, refused, iterations, bounded, worth_more, max_ray_bytes] =
+        let [lamp_links, refused, iterations, measured, worth_more, max_ray_bytes] =
             [number()?, number()?, number()?, number()?, number()?, number()?];
         let rays = reader.number()?;
-        let [residual, row_sum, checked, corrected] = reader.rows::<4>(1)?[0];
-        let (bounded, needs_more_rays) = (bounded != 0, worth_more != 0);
+        let [residual, row_sum, imbalance, checked, corrected] = reader.rows::<5>(1)?[0];
+        let [r, g, b, bent_lamp_flux, share_variance] = reader.rows::<5>(1)?[0];
+        let needs_more_rays = worth_more != 0;
         let report = SolveReport {
             lamp_links,
             inexact_links: refused,
@@ -236,7 +251,7 @@ impl SolverState {
             iterations,
             residual,
             row_sum,
-            is_energy_bounded: bounded,
+            imbalance,
             ray_link_ratio: checked,
             ray_correction: corrected,
             ..SolveReport::default()
@@ -267,7 +282,12 @@ impl SolverState {
             let radiosity = Rgb::from_array([r, g, b]);
             *light = ElementLight { radiosity, darkest, brightest, mean, min_mean: least, ..ElementLight::ZERO };
         }
-        lights.accepted = reader.rows::<4>(count)?;
+        lights.row_scale = reader.rows::<4>(count)?;
+        lights.lamp_scale = reader.rows::<4>(count)?;
+        lights.lamp_correction = reader.rows::<12>(count)?.iter().map(|row| colors_from_floats(row)).collect();
+        lights.arriving_share = reader.rows::<4>(count)?;
+        (lights.has_measured_shares, lights.balance) = (measured != 0, Rgb::from_array([r, g, b]));
+        (lights.bent_lamp_flux, lights.share_variance) = (bent_lamp_flux, share_variance);
         lights.ray_correction = reader.rows::<12>(count)?.iter().map(|row| colors_from_floats(row)).collect();
         let elements = || arena.elements.iter().enumerate();
         let at_nodes: Vec<usize> =

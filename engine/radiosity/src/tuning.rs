@@ -40,9 +40,15 @@ pub const MAX_LAMP_ERROR: f32 = 0.1;
 /// Share of the mean irradiance that is added to an element's when a link's error is judged. A smaller one refines dark places
 /// more: behind an opening of 1 % of the hemisphere a room has 0.4 to 0.7 of its light (docs/first-pass.md).
 pub const IRRADIANCE_FLOOR: f32 = 0.03;
+/// Maximum irradiance that an error is relative to, in multiples of the scene's mean. Places far above it are near lamps, and what
+/// they send matters elsewhere: a ceiling 2 cm above a lamp, whose bright part the room cannot see.
+pub const MAX_REFERENCE: f32 = 10.0;
 /// Minimum area of an element that may be split, as a share of the total, divided by the error. Not measured: it limits the number
 /// of elements in places whose error no split lowers.
 pub const MIN_AREA_SHARE: f32 = 1e-4;
+/// Maximum factor by which the minimum area is smaller in places that are brighter than `MAX_REFERENCE`. A lamp of 0.16 m2 close to
+/// the ceiling of a corridor of 1,100 m2 needs parts of a hundredth of a square meter there.
+pub const MAX_FINER: f32 = 30.0;
 /// Minimum volume of fog that may be split, as `MIN_AREA_SHARE`.
 pub const MIN_VOLUME_SHARE: f32 = 1e-5;
 /// Share of all surfaces' area, or of the fog's volume, of an element that may have exactly the requested error. It scales `error`
@@ -165,25 +171,31 @@ pub const MAX_LAMP_ABSORBED: f32 = 0.3;
 pub const TARGET_RESIDUAL: f32 = 1e-4;
 /// [`TARGET_RESIDUAL`] before the last level of refinement. Not measured: links are refined again afterwards.
 pub const COARSE_RESIDUAL: f32 = 1e-2;
-/// Number of successive iterations with growing changes after which light counts as growing. Measured on a kitchen of 1,380
-/// quadrics, whose light grew at an error of 0.3.
-pub const MAX_GROWING: usize = 4;
-/// Maximum number of iterations at one level of refinement. A room whose walls return all
-/// of the light does not converge with any number (docs/first-pass.md).
-pub const MAX_ITERATIONS: usize = 400;
-/// Maximum irradiance of a point if all elements have a radiosity of 1. It is 1 with exact links. Not
-/// measured: a smaller bound would darken valid scenes.
-pub const MAX_ROW_SUM: f32 = 1.1;
-/// Maximum share of the light that a reflection may pass on under that bound. It makes the light converge.
-pub const MAX_REFLECTED_SHARE: f32 = 0.99;
+/// Maximum number of iterations at one level of refinement. With the acceleration, a room that reflects 99.9 % of the light takes
+/// about 20.
+pub const MAX_ITERATIONS: usize = 200;
+/// Number of earlier iterations that the acceleration combines. Each needs memory for the light of all leaves twice.
+pub const ACCELERATION_DEPTH: usize = 4;
+/// Maximum row sum of the links at a point that no rays have measured. It is 1 with exact links. The balance of the flux keeps light
+/// from growing; this bound only keeps single points from being far too bright. A bound of 1 removes the excess of some points
+/// without what others lack: fog of three free paths in a box that emits evenly was 4 % too dark.
+pub const MAX_ROW_SUM: f32 = 1.15;
+/// Maximum factor by which light between elements is increased for the balance of flux. It is near 1 after the correction by rays.
+/// A solution that needs more is not trusted.
+pub const MAX_BALANCE: f64 = 2.0;
 
 // Rays from leaves.
 
 /// Number of times that rays are cast. Between two casts, leaves are split where the rays find shadows. Not measured.
 pub const RAY_ROUNDS: u32 = 3;
-/// Number of times that the links' light is compared with the same rays. The correction changes the light that the rays
-/// measure. Not measured.
-pub const RAY_CHECKS: usize = 2;
+/// Maximum number of times that the links' light is compared with the same rays. The correction changes the light that the rays
+/// measure.
+pub const RAY_CHECKS: usize = 8;
+/// [`RAY_CHECKS`] before the last rays, which only show where leaves must be split. Not measured.
+pub const COARSE_RAY_CHECKS: usize = 2;
+/// Change of the light between two such comparisons, as a share of the light, up to which they end. Not measured: it is below the
+/// noise of the rays.
+pub const RAY_CHECK_CHANGE: f32 = 1e-3;
 /// Minimum and maximum number of rays from each part of a leaf, and the total number of rays if the number per part is between
 /// these. Rays take 14 % of the time of the roundabout (docs/first-pass.md).
 pub const RAYS_PER_PART: [usize; 2] = [8, 1024];
@@ -200,6 +212,9 @@ pub const MIN_DENSITY_RATIO: f32 = 32.0;
 /// larger one keeps more noise of few rays out of the solution, and more errors of links in it. Not measured.
 pub const CHANCE_VARIANCES: f32 = 4.0;
 pub const ROUGH_ERROR: f32 = 0.3;
+/// Minimum variance of the light of a shadow ray, relative to the squared light of the links. Eight rays in the shadow do not prove
+/// that a part is all in the shadow.
+pub const MIN_RELATIVE_VARIANCE: f32 = 0.25;
 /// Maximum factor for the links' light. Light that rays find beyond that is added. Not measured: links whose light is a fourth of
 /// the true one say little about where it arrives.
 pub const MAX_RAY_SCALE: f32 = 4.0;

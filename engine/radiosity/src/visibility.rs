@@ -4,6 +4,7 @@ use crate::arena::Arena;
 use crate::element::Element;
 use crate::scene::{SHUTTER_TIME, Scene};
 use crate::tuning::{EVEN_PARTS, MAX_CLEAR_SURFACES};
+use femc_emission::LightWeights;
 use femc_field::SurfaceSpot;
 use femc_geometry::{Ray, offset_origin, shadow_segment};
 use femc_math::color::luminance;
@@ -16,6 +17,7 @@ use femc_prepared::media::{MediaRay, MediumStack};
 #[derive(Default)]
 pub struct VisibilityTester {
     pub media: MediaRay,
+    pub lamps: LightWeights,
     pub rays: u64,
 }
 

@@ -289,7 +289,7 @@ fn light_that_grows_from_reflection_to_reflection_is_bounded() {
     let options = SolveOptions { error: 0.3, ..SolveOptions::default() };
     let Solution { field, report, .. } =
         radiosity::solve(&prepared, &options, &AtomicBool::new(false)).unwrap_or_else(|e| panic!("{e:?}"));
-    assert!(report.is_energy_bounded && report.row_sum > 2.0 && report.residual <= 1e-4, "{report:?}");
+    assert!(report.row_sum > 2.0 && report.residual <= 1e-4 && report.imbalance < 0.05, "{report:?}");
     let [_, _, most] = irradiances(&Solution { field, direct: Vec::new(), report }, Side::Front);
     assert!(most < 1e4, "{most} lx, where paths find a mean of 4");
 }

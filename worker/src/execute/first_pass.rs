@@ -104,14 +104,14 @@ fn log(report: &FirstPassReport, stored: usize, solving: &Stopwatch) {
         residual,
         bytes,
         row_sum,
-        is_energy_bounded: bounded,
+        imbalance,
         ray_link_ratio: checked,
         ray_correction: corrected,
         census: _,
     } = *report;
     let seconds = solving.seconds();
     tracing::debug!(
-        elements, leaves, links, lamp_links, rays, iterations, residual, row_sum, bounded, checked, corrected, bytes,
+        elements, leaves, links, lamp_links, rays, iterations, residual, row_sum, imbalance, checked, corrected, bytes,
         stored, seconds, "solved"
     );
     if refused > 0 {

@@ -132,7 +132,7 @@ pub fn run(args: FieldArgs, printer: Printer) -> Result<Exit, Failure> {
         iterations: solve_report.iterations,
         residual: solve_report.residual,
         row_sum: solve_report.row_sum,
-        bounded: solve_report.is_energy_bounded,
+        imbalance: solve_report.imbalance,
         untrusted: solve_report.verify(&light).err().map(|reason| reason.to_string()),
         checked: solve_report.ray_link_ratio,
         corrected: solve_report.ray_correction,
@@ -149,11 +149,6 @@ pub fn run(args: FieldArgs, printer: Printer) -> Result<Exit, Failure> {
         printer.warning(format!(
             "the finite-element solution cannot be trusted: {reason}; `--method fem` and `--method femc` refuse it, use `--method pt`"
         ));
-    }
-    if report.bounded {
-        printer.warning(
-            "light grew with each reflection because links are inexact; it was bounded, so the solution is rough",
-        );
     }
     if report.residual > TARGET_RESIDUAL {
         printer.warning(format!(

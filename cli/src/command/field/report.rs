@@ -33,11 +33,11 @@ pub struct FieldReport {
     pub iterations: usize,
     /// Relative change of the light that leaves all elements, if there were further iterations.
     pub residual: f32,
-    /// Largest irradiance of a point if everything that it sees had a radiosity of 1. It would be 1 in a closed scene with exact
-    /// links.
+    /// Largest irradiance of a point by the links if everything that it sees had a radiosity of 1. It would be 1 in a closed scene
+    /// with exact links. The light of links is scaled down where it is more.
     pub row_sum: f32,
-    /// Whether light grew from reflection to reflection and was bounded by the row sums.
-    pub bounded: bool,
+    /// Deviation from 1 of the light that elements send to each other over the light that the corrected links bring.
+    pub imbalance: f32,
     /// Reason why a picture of the solution would be wrong; `null`: none is known.
     pub untrusted: Option<String>,
     /// Light that check rays find on all surfaces, divided by the light that the links bring there.
@@ -187,7 +187,13 @@ impl FieldReport {
             ),
             row(
                 "iterations",
-                format!("{}, residual {:.1e}, row sums up to {:.2}", self.iterations, self.residual, self.row_sum),
+                format!(
+                    "{}, residual {:.1e}, row sums up to {:.2}, imbalance {:.1} %",
+                    self.iterations,
+                    self.residual,
+                    self.row_sum,
+                    100.0 * self.imbalance
+                ),
             ),
             row(
                 "checked",

@@ -67,7 +67,7 @@ impl Oracle<'_> {
         let error = amount * hidden;
         if error > if most == 0.0 { unproved_error } else { allowed } {
             let sizes = if p.radius > q.radius { [error, 0.0] } else { [0.0, error] };
-            return self.choose_split(p, q, sizes).unwrap_or_else(|| pair.keep(factors, true));
+            return self.choose_split(pair, sizes).unwrap_or_else(|| pair.keep(factors, true));
         }
         pair.keep(factors, is_inexact)
     }

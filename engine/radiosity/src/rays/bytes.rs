@@ -3,7 +3,7 @@
 use super::{RayHit, RayHits};
 use crate::bytes::{Reader, StepDecodeError, Writer};
 
-const MAGIC: &[u8; 8] = b"sights 1";
+const MAGIC: &[u8; 8] = b"sights 2";
 
 impl RayHits {
     /// Encodes the hits.
@@ -15,12 +15,14 @@ impl RayHits {
         let hits = &self.hits;
         writer.numbers(hits.iter().map(|sight| sight.leaf));
         writer.bytes(hits.iter().map(|sight| sight.part));
+        writer.bytes(hits.iter().map(|sight| u8::from(sight.is_two_way)));
         for axis in 0..3 {
             writer.bytes(hits.iter().map(|sight| sight.normal[axis] as u8));
             writer.bytes(hits.iter().map(|sight| sight.origin_normal[axis] as u8));
             writer.numbers(hits.iter().map(|sight| sight.target[axis].to_bits()));
         }
         writer.numbers(hits.iter().map(|sight| sight.share.to_bits()));
+        (0..3).for_each(|channel| writer.numbers(hits.iter().map(|sight| sight.direct[channel].to_bits())));
         (0..2).for_each(|end| writer.numbers(hits.iter().map(|sight| sight.density[end].to_bits())));
         writer.finish()
     }
@@ -40,12 +42,16 @@ impl RayHits {
         }
         let mut hits: Vec<RayHit> = leaves.into_iter().map(|leaf| RayHit { leaf, ..RayHit::MISS }).collect();
         fill(&mut hits, reader.bytes()?, |sight, part| sight.part = part)?;
+        fill(&mut hits, reader.bytes()?, |sight, both| sight.is_two_way = both != 0)?;
         for axis in 0..3 {
             fill(&mut hits, reader.bytes()?, |sight, normal| sight.normal[axis] = normal as i8)?;
             fill(&mut hits, reader.bytes()?, |sight, start| sight.origin_normal[axis] = start as i8)?;
             fill(&mut hits, reader.numbers()?, |sight, bits| sight.target[axis] = f32::from_bits(bits))?;
         }
         fill(&mut hits, reader.numbers()?, |sight, bits| sight.share = f32::from_bits(bits))?;
+        for channel in 0..3 {
+            fill(&mut hits, reader.numbers()?, |sight, bits| sight.direct[channel] = f32::from_bits(bits))?;
+        }
         for end in 0..2 {
             fill(&mut hits, reader.numbers()?, |sight, bits| sight.density[end] = f32::from_bits(bits))?;
         }

@@ -1,7 +1,7 @@
 //! Number of rays from each leaf, and blocks of leaves whose rays are cast together.
 
-use super::trace::{generate_ray, pack_normal, trace_ray, unpack_normal};
-use super::{Aims, MAX_PARTS, NO_PART, RayHit, RayHits, Rays, part_count};
+use super::trace::{direct_irradiance, generate_ray, pack_normal, trace_ray, unpack_normal};
+use super::{Aims, MAX_PARTS, RayHit, RayHits, Rays, part_count};
 use crate::arena::Arena;
 use crate::gather::ElementLights;
 use crate::scene::Scene;
@@ -92,13 +92,20 @@ impl RayPlan {
                     let each = count as usize / part_count(element);
                     let sight = |ray: usize| {
                         let (spot, dir, u) = generate_ray(scene, element, aims.get(leaf), ray, each, self.round);
+                        let direct = direct_irradiance(
+                            scene,
+                            &spot,
+                            [element.key, u64::from(self.round), ray as u64],
+                            &mut tester,
+                        );
+                        let (direct, origin_normal) = (direct.to_array(), pack_normal(spot.normal));
                         if dir.dot(spot.normal) <= 0.0 {
-                            return RayHit { origin_normal: pack_normal(spot.normal), ..RayHit::MISS };
+                            return RayHit { direct, origin_normal, ..RayHit::MISS };
                         }
                         let mut hit = trace_ray(scene, arena, &spot, dir, u, &mut tester);
-                        hit.origin_normal = pack_normal(spot.normal);
+                        (hit.direct, hit.origin_normal) = (direct, origin_normal);
                         hit.density[0] = density[leaf as usize] * aims.get(leaf).ratio(&spot, dir, each);
-                        if hit.part != NO_PART {
+                        if hit.is_two_way {
                             let number = density[hit.leaf as usize];
                             let other = &arena.elements[hit.leaf as usize];
                             let normal = unpack_normal(hit.normal);

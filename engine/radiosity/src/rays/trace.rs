@@ -1,7 +1,7 @@
 //! Generation of rays on leaves, and their hits.
 
 use super::aims::Aim;
-use super::{NO_PART, RayHit, part_count};
+use super::{RayHit, part_count};
 use crate::arena::Arena;
 use crate::element::Element;
 use crate::scene::{MEAN_DIRECTION, SHUTTER_TIME, Scene};
@@ -14,7 +14,7 @@ use femc_math::glam::{Vec2, Vec3A};
 use femc_math::{Frame, Rgb, warp};
 use femc_prepared::lights::EmitterPoint;
 use femc_prepared::media::{DistanceSample, MediumStack};
-use femc_prepared::{Crossing, Orientation};
+use femc_prepared::{Crossing, Orientation, Prepared};
 use femc_scattering::{LobeKind, Transmitted};
 use std::f32::consts::PI;
 
@@ -79,6 +79,34 @@ pub(super) fn generate_ray(
     }
     let dir = (warp::direction(1.0 - 2.0 * u[0], u[1]) + spot.normal).normalize_or(spot.normal);
     (spot, dir, [numbers.next(), numbers.next()])
+}
+
+/// Returns an estimate of the irradiance of a point directly from lamps, lx, by a shadow ray to one of them.
+/// - `key`: key of the random numbers.
+pub(super) fn direct_irradiance(
+    scene: &Scene<'_>,
+    from: &SurfaceSpot,
+    [element, round, ray]: [u64; 3],
+    tester: &mut VisibilityTester,
+) -> Rgb {
+    let Prepared { lights, world, textures, .. } = scene.prepared;
+    let mut numbers = RandomNumbers::new(&[element, 13, round, ray]);
+    let context = lights.point_context(from.position, from.normal, None);
+    lights.weigh(&context, &mut tester.lamps);
+    let Some((lamp, probability)) = lights.choose(&tester.lamps, &context, f64::from(numbers.next())) else {
+        return Rgb::ZERO;
+    };
+    let u = [numbers.next(), numbers.next()];
+    let Some(sample) = lights.sample_light(world, textures, lamp, from.position, SHUTTER_TIME, u) else {
+        return Rgb::ZERO;
+    };
+    let cosine = from.normal.dot(sample.dir);
+    let light = sample.radiance * (cosine / (sample.pdf * probability));
+    if cosine <= 0.0 || !light.is_finite() || light == Rgb::ZERO {
+        return Rgb::ZERO;
+    }
+    let to = SurfaceSpot { position: sample.position, error: sample.error, normal: sample.normal };
+    light * tester.transmittance(scene, from, &to)
 }
 
 /// Traces a ray to its hit: a surface that scatters, the fog, or a lamp seen through a mirror or refracting glass. Mirrors and
@@ -174,10 +202,10 @@ pub(super) fn trace_ray(
         }
         let place = scene.surfaces[surface as usize].parameters(point.position, [hit.u, hit.v]);
         let (leaf, local) = arena.element_at(arena.roots[surface as usize], place, 0.0);
-        let part = if is_turned { NO_PART } else { leaf_part(&arena.elements[leaf as usize], local) as u8 };
+        let part = leaf_part(&arena.elements[leaf as usize], local) as u8;
         let normal = if is_back { -point.normal } else { point.normal };
         let (share, normal) = (share / (1.0 - specular_probability), pack_normal(normal));
-        return RayHit { leaf, share, normal, part, target: target(way), ..nothing };
+        return RayHit { leaf, share, normal, part, is_two_way: !is_turned, target: target(way), ..nothing };
     }
     nothing
 }

@@ -5,7 +5,7 @@ use crate::gather::FROM_LAMPS;
 use crate::lamps::{LampLink, LampLinkDecision};
 use crate::link::{Link, LinkDecision, Oracle};
 use crate::scene::SHUTTER_TIME;
-use crate::tuning::{IRRADIANCE_FLOOR, MIN_AREA_SHARE, MIN_LINK_MEMORY, MIN_VOLUME_SHARE, UNIT_SHARE};
+use crate::tuning::{IRRADIANCE_FLOOR, MAX_REFERENCE, MIN_AREA_SHARE, MIN_LINK_MEMORY, MIN_VOLUME_SHARE, UNIT_SHARE};
 use crate::visibility::VisibilityTester;
 use femc_field::{Harmonics, NONE, SurfaceSpot};
 use femc_math::Rgb;
@@ -82,12 +82,17 @@ impl Solver<'_> {
         } else {
             self.state.arena.elements[self.state.arena.fog as usize].size()
         };
+        let mean = self.mean();
+        // If all light of the lamps arrived once. The mean may be unknown in the beginning.
+        let lamps = &self.scene.prepared.lights;
+        let of_lamps = (0..lamps.len() as u32).map(|lamp| lamps.power(lamp)).sum::<f32>() / area.max(f32::MIN_POSITIVE);
         Oracle {
             scene: self.scene,
             arena: &self.state.arena,
             lights: &self.state.lights.elements,
             error,
-            floor: IRRADIANCE_FLOOR * self.mean(),
+            floor: IRRADIANCE_FLOOR * mean,
+            max_reference: MAX_REFERENCE * mean.max(of_lamps),
             fog_floor: if self.state.arena.fog == NONE {
                 0.0
             } else {

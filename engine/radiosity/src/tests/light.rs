@@ -3,7 +3,7 @@
 use super::{GRAY, face, leaves_of, outward_box, prepare, split};
 use crate::arena::Arena;
 use crate::element::{Element, Shape};
-use crate::gather::{ElementLights, FROM_ELEMENTS, FROM_LAMPS};
+use crate::gather::{ElementLights, FROM_ELEMENTS, FROM_LAMPS, IterationFlux};
 use crate::link::Link;
 use crate::scene::Scene;
 use femc_math::Rgb;
@@ -81,9 +81,10 @@ fn pulling_keeps_the_flux_and_the_bounds_of_brightness() {
             sent += 0.5 * f64::from(value.y) * f64::from(element.size()) / 4.0;
         }
     }
-    let (change, whole) = lights.push_pull(&scene, &arena);
+    let IterationFlux { change, sent: whole, first } = lights.push_pull(&scene, &arena);
+    assert!((first / sent - 1.0).abs() < 1e-5, "all light is direct: {first}");
     assert!((change / sent - 1.0).abs() < 1e-5 && (whole / sent - 1.0).abs() < 1e-5, "{change} {whole} {sent}");
-    let (again, _) = lights.push_pull(&scene, &arena);
+    let again = lights.push_pull(&scene, &arena).change;
     assert!(again < 1e-6 * sent, "equal light is no change: {again}");
     let root = arena.root as usize;
     let flux = f64::from(lights.elements[root].radiosity.y) * f64::from(arena.elements[root].size());

@@ -167,11 +167,11 @@ fn without_memory_links_stay_inexact() {
     let full = Oracle { error: 1e-4, element_budget_exhausted: true, ..oracle(&scene, &arena, &lights) };
     let full = Oracle { floor: 1.0, ..full };
     assert!(matches!(full.decide(p, q, &mut tester), LinkDecision::Keep { is_inexact: true, .. }));
-    assert!(full.may_split(&arena.elements[arena.root as usize]), "clusters have parts already");
+    assert!(full.may_split(arena.root), "clusters have parts already");
     let full = Oracle { link_budget_exhausted: true, ..full };
-    assert!(!full.may_split(&arena.elements[arena.root as usize]));
+    assert!(!full.may_split(arena.root));
     let small = Oracle { min_area: 2.0, ..oracle(&scene, &arena, &lights) };
-    assert!(!small.may_split(&arena.elements[p as usize]));
+    assert!(!small.may_split(p));
 }
 
 /// A black screen, a pane that lets 60 % through, and fog in a box of 1 m.

@@ -87,6 +87,7 @@ fn oracle<'a>(scene: &'a Scene<'a>, arena: &'a Arena, lights: &'a [ElementLight]
         lights,
         error: 1.0,
         floor: 0.0,
+        max_reference: f32::INFINITY,
         fog_floor: 0.0,
         unit_area: 1.0,
         unit_volume: 1.0,

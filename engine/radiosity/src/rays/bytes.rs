@@ -1,6 +1,6 @@
 //! Encoding of hits as bytes.
 
-use super::{RayHit, RayHits};
+use super::{MAX_PARTS, RayHit, RayHits};
 use crate::bytes::{Reader, StepDecodeError, Writer};
 
 const MAGIC: &[u8; 8] = b"sights 2";
@@ -42,6 +42,9 @@ impl RayHits {
         }
         let mut hits: Vec<RayHit> = leaves.into_iter().map(|leaf| RayHit { leaf, ..RayHit::MISS }).collect();
         fill(&mut hits, reader.bytes()?, |sight, part| sight.part = part)?;
+        if hits.iter().any(|hit| usize::from(hit.part) >= MAX_PARTS) {
+            return Err(StepDecodeError::Damaged("a hit is on an unknown part of a leaf"));
+        }
         fill(&mut hits, reader.bytes()?, |sight, both| sight.is_two_way = both != 0)?;
         for axis in 0..3 {
             fill(&mut hits, reader.bytes()?, |sight, normal| sight.normal[axis] = normal as i8)?;

@@ -278,6 +278,23 @@ fn a_lamp_in_fog_looks_as_by_path_tracing() {
     }
 }
 
+/// A lamp that shines on the ceiling close above it, too: the room does not see that bright part of the ceiling.
+#[test]
+fn light_behind_a_lamp_stays_there() {
+    let corners = [[-0.02, -0.02], [0.02, -0.02], [0.02, 0.02], [-0.02, 0.02]].map(|[x, y]| [0.4 + x, 0.6 + y]);
+    let mut text = format!("{CAMERA}m wall =\n  sides 1\n  rd .6\n{}m lamp =\n  sides 2\n  rd 0\n  ed 1000\n", cube());
+    for (k, [x, y]) in corners.iter().enumerate() {
+        let _ = writeln!(text, "v l{k} =\n  p {x} {y} .998");
+    }
+    text += "f l0 l1 l2 l3\n";
+    let scene = parse_scene(&text);
+    let points = femc_tests::irradiance::sample_points(&scene, 600, 256).unwrap_or_else(|e| panic!("{e}"));
+    let found =
+        femc_tests::irradiance::compare(&scene, &solve_to(&text, 0.3), &points).unwrap_or_else(|e| panic!("{e}"));
+    println!("{found:?}");
+    assert!((found.mean_ratio - 1.0).abs() < 0.05 && found.lit_relmse < 0.03, "{found:?}");
+}
+
 /// A kitchen of small curved objects, whose links carry more light than there is. Without a bound, light grew to 1e19 times its
 /// value.
 #[test]

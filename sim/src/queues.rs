@@ -420,7 +420,7 @@ impl State {
     /// what the log says.
     ///
     /// The task may have been leased before, to a worker that had just died: the relay keeps a session open until its last late
-    /// message is sent, and nobody receives the leases of that time. So leases during that time are left out.
+    /// message is sent. No worker receives a lease that the coordinator grants meanwhile. The check leaves out such leases.
     fn check_order(&mut self, session: SessionNumber, lease: &Assignment) -> Option<Violation> {
         let queues = &self.queues;
         let TaskKey { job, stage, .. } = lease.task;

@@ -189,7 +189,8 @@ fn pictures(path: &Path) -> Result<(), Box<dyn Error>> {
 /// Number of points on all surfaces for the direct light.
 const POINTS: f32 = 200_000.0;
 
-/// Returns the luminous flux directly from lamps by the solution, and by shadow rays from points of all surfaces, lm.
+/// Returns the luminous flux directly from lamps by the solution, and by shadow rays from points of all surfaces, lm. The shadow rays
+/// leave out fog, and clear surfaces stop them.
 fn direct_flux(world: &femc_prepared::Prepared, solution: &femc_pipeline::Solution) -> [f64; 2] {
     let field = &solution.field;
     let area: f32 = (0..field.surfaces.len())

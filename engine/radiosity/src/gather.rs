@@ -289,6 +289,9 @@ impl ElementLights {
         let mean = shares[..count].iter().sum::<f32>() / count as f32;
         let radiosity = self.elements[index].radiosity * mean;
         let Shape::Patch(patch) = &element.shape else { return radiosity };
+        if shares[1..count].iter().all(|share| *share == shares[0]) {
+            return radiosity;
+        }
         // The parts differ in radiosity and in the share that arrives.
         let parts = self.part_radiosity(patch, index);
         let uneven: Rgb = parts[..count].iter().zip(shares).map(|(light, share)| *light * (share - mean)).sum();

@@ -223,12 +223,23 @@ impl Rays {
         size_of_val(&*self.hits) + size_of_val(&*self.incoming) + 20 * self.leaves.len()
     }
 
-    /// Visits the ways along which light reaches the leaf at this index: those of its own rays, then those of other leaves' rays that
-    /// hit it.
+    /// Visits the light of the shadow rays from the leaf at this index.
+    fn visit_shadow_rays(&self, arena: &Arena, leaf_index: usize, mut each: impl FnMut(RaySample)) {
+        let parts = part_count(&arena.elements[self.leaves[leaf_index] as usize]);
+        let [first, end] = [self.first[leaf_index], self.first[leaf_index + 1]].map(|at| at as usize);
+        let number = (end - first) as f32;
+        for (ray, hit) in self.hits[first..end].iter().enumerate() {
+            let irradiance = Rgb::from_array(hit.direct) * (1.0 / number);
+            each(RaySample { ray: first + ray, origin: None, part: ray % parts, irradiance, ray_count: number });
+        }
+    }
+
+    /// Visits the ways along which light reaches the leaf at this index: first the ways of its own rays, then the ways of rays that
+    /// other leaves have cast and that hit this leaf.
     fn visit_samples(
         &self,
         arena: &Arena,
-        light: SampledLight<'_>,
+        light: SentLight<'_>,
         leaf_index: usize,
         weights: MisHeuristic,
         mut each: impl FnMut(RaySample),
@@ -236,14 +247,6 @@ impl Rays {
         let element = &arena.elements[self.leaves[leaf_index] as usize];
         let [first, end] = [self.first[leaf_index], self.first[leaf_index + 1]].map(|at| at as usize);
         let parts = part_count(element);
-        if let SampledLight::Lamps = light {
-            let number = (end - first) as f32;
-            for (ray, hit) in self.hits[first..end].iter().enumerate() {
-                let irradiance = Rgb::from_array(hit.direct) * (1.0 / number);
-                each(RaySample { ray: first + ray, origin: None, part: ray % parts, irradiance, ray_count: number });
-            }
-            return;
-        }
         for (ray, sight) in self.hits[first..end].iter().enumerate() {
             let number = weights.density(sight.density[0], sight.density[1], true) * element.size();
             if number > 0.0 {
@@ -286,7 +289,7 @@ impl Rays {
             let leaf = self.leaves[place];
             let size = arena.elements[leaf as usize].size();
             let mut sums = [0.0f32; 2];
-            let light = SampledLight::Current(lights);
+            let light = SentLight { lights, parts: None };
             self.visit_samples(arena, light, place, MisHeuristic::Balance, |RaySample { irradiance, .. }| {
                 let light = luminance(irradiance) * size;
                 if light.is_finite() {
@@ -312,7 +315,7 @@ impl Rays {
         let mut segments = Vec::new();
         self.visit_samples(
             arena,
-            SampledLight::Current(lights),
+            SentLight { lights, parts: None },
             place,
             MisHeuristic::Balance,
             |RaySample { ray, origin, irradiance, ray_count: number, .. }| {
@@ -330,23 +333,21 @@ impl Rays {
     }
 }
 
-/// Light that rays measure.
+/// Light that elements send, as rays find it.
 #[derive(Clone, Copy, Debug)]
-enum SampledLight<'a> {
-    /// Current light of the elements, and light of lamps along bent ways.
-    Current(&'a ElementLights),
-    /// Light directly from lamps, by shadow rays from the rays' origins.
-    Lamps,
+struct SentLight<'a> {
+    lights: &'a ElementLights,
+    /// Radiosity of the parts of patches, by element; `None`: it is computed for each ray.
+    parts: Option<&'a [[Rgb; 4]]>,
 }
 
-impl SampledLight<'_> {
+impl SentLight<'_> {
     /// Returns the irradiance of a ray's origin, if all rays had this hit, lx.
-    fn received_irradiance(self, arena: &Arena, hit: &RayHit) -> Rgb {
-        let Self::Current(lights) = self else { return Rgb::from_array(hit.direct) };
+    fn received_irradiance(&self, arena: &Arena, hit: &RayHit) -> Rgb {
         if hit.leaf == NONE {
             return Rgb::splat(hit.share);
         }
-        let light = &lights.elements[hit.leaf as usize];
+        let light = &self.lights.elements[hit.leaf as usize];
         if arena.elements[hit.leaf as usize].is_volume() {
             return Rgb::splat(hit.share * light.mean);
         }
@@ -356,17 +357,18 @@ impl SampledLight<'_> {
     /// Returns the radiosity of a part of a leaf of a surface, lx. A leaf that is bright only in a place that few rays reach, such
     /// as a ceiling inside of a lamp's housing, is not as bright as its mean elsewhere.
     /// - `normal`: normal at the point, for a curved leaf.
-    fn radiosity(self, arena: &Arena, leaf: u32, part: usize, normal: Vec3A) -> Rgb {
-        let Self::Current(lights) = self else { return Rgb::ONE };
-        let element = &arena.elements[leaf as usize];
-        let radiosity = match &element.shape {
+    fn radiosity(&self, arena: &Arena, leaf: u32, part: usize, normal: Vec3A) -> Rgb {
+        let (lights, index) = (self.lights, leaf as usize);
+        let radiosity = match &arena.elements[index].shape {
             Shape::Curved(curved) => {
-                let of =
-                    |from: usize| lights.directional_irradiance(curved, leaf as usize, from).cosine_integral(normal);
+                let of = |from: usize| lights.directional_irradiance(curved, index, from).cosine_integral(normal);
                 curved.part.reflectance * (of(FROM_LAMPS) + of(FROM_ELEMENTS))
             }
-            Shape::Patch(patch) => lights.part_radiosity(patch, leaf as usize)[part],
-            Shape::Volume(_) | Shape::Cluster(_) => lights.elements[leaf as usize].radiosity,
+            Shape::Patch(patch) => match self.parts {
+                Some(parts) => parts[index][part],
+                None => lights.part_radiosity(patch, index)[part],
+            },
+            Shape::Volume(_) | Shape::Cluster(_) => lights.elements[index].radiosity,
         };
         radiosity.max(Rgb::ZERO)
     }

@@ -1,7 +1,7 @@
 //! Scaling of the links' light to that of the rays.
 
 use super::trace::unpack_normal;
-use super::{MAX_PARTS, MisHeuristic, RaySample, Rays, SampledLight, part_count};
+use super::{MAX_PARTS, MisHeuristic, RaySample, Rays, SentLight, part_count};
 use crate::arena::Arena;
 use crate::element::Element;
 use crate::gather::{ElementLights, FROM_ELEMENTS, FROM_LAMPS};
@@ -221,7 +221,7 @@ impl Rays {
     /// Sets the light that the leaves receive in addition to that of the links.
     /// - `error`: allowed error of a link.
     pub fn correct(&self, arena: &Arena, lights: &mut ElementLights, error: f32) -> RayCorrection {
-        let comparison = self.compare(arena, SampledLight::Current(lights), lights, error);
+        let comparison = self.compare(arena, lights, FROM_ELEMENTS, error);
         let mut contrast = Vec::with_capacity(self.leaves.len());
         let (mut changed, mut whole, mut area) = (0.0f64, 0.0f64, 0.0f64);
         for (place, (&leaf, sums_of)) in self.leaves.iter().zip(&comparison.by_leaf).enumerate() {
@@ -258,7 +258,7 @@ impl Rays {
     /// each leaf, lx.
     /// - `error`: allowed error of a link.
     pub fn correct_lamps(&self, arena: &Arena, lights: &mut ElementLights, error: f32) -> Vec<f32> {
-        let comparison = self.compare(arena, SampledLight::Lamps, lights, error);
+        let comparison = self.compare(arena, lights, FROM_LAMPS, error);
         let mut contrast = Vec::with_capacity(self.leaves.len());
         for (place, &leaf) in self.leaves.iter().enumerate() {
             let element = &arena.elements[leaf as usize];
@@ -273,15 +273,19 @@ impl Rays {
     }
 
     /// Compares the light of rays with that of links.
-    /// - `light`: light of the elements, which the rays measure;
-    /// - `links`: light that the links bring.
-    fn compare(&self, arena: &Arena, light: SampledLight<'_>, links: &ElementLights, error: f32) -> Comparison {
+    /// - `kind`: [`FROM_LAMPS`] or [`FROM_ELEMENTS`].
+    fn compare(&self, arena: &Arena, lights: &ElementLights, kind: usize, error: f32) -> Comparison {
         let chance = CHANCE_VARIANCES * (ROUGH_ERROR / error).max(1.0);
-        let (kind, estimator) = match light {
-            SampledLight::Lamps => (FROM_LAMPS, VarianceEstimator::Measured),
-            SampledLight::Current(_) => (FROM_ELEMENTS, VarianceEstimator::RareHits),
-        };
+        let estimator = if kind == FROM_LAMPS { VarianceEstimator::Measured } else { VarianceEstimator::RareHits };
         let noise = Noise { chance, estimator };
+        // Many rays hit the same leaf.
+        let of_parts = |(index, element): (usize, &Element)| {
+            element.patch().map_or([Rgb::ZERO; 4], |patch| lights.part_radiosity(patch, index))
+        };
+        let is_sent = kind == FROM_ELEMENTS;
+        let parts_sent: Vec<[Rgb; 4]> =
+            if is_sent { arena.elements.iter().enumerate().map(of_parts).collect() } else { Vec::new() };
+        let light = SentLight { lights, parts: Some(&parts_sent) };
         let by_leaf: Vec<[PartSums; MAX_PARTS]> = (0..self.leaves.len())
             .into_par_iter()
             .map(|place| {
@@ -289,20 +293,19 @@ impl Rays {
                 let element = &arena.elements[leaf as usize];
                 let own = (self.first[place + 1] - self.first[place]) as usize;
                 let parts = part_count(element);
-                let links = self.link_irradiance(arena, place, (links, kind));
+                let links = self.link_irradiance(arena, place, (lights, kind));
                 let (area, number) = (element.size() / parts as f32, (own / parts) as f32);
                 let mut sums = [0, 1, 2, 3]
                     .map(|k| if k < parts { PartSums::new(area, number, links[k]) } else { PartSums::default() });
-                self.visit_samples(
-                    arena,
-                    light,
-                    place,
-                    MisHeuristic::Maximum,
-                    |RaySample { part, irradiance, origin, .. }| {
-                        let bright = luminance(irradiance) * own as f32;
-                        sums[part.min(parts - 1)].add_sample(irradiance * element.size(), bright, origin.is_none());
-                    },
-                );
+                let add = |RaySample { part, irradiance, origin, .. }: RaySample| {
+                    let bright = luminance(irradiance) * own as f32;
+                    sums[part.min(parts - 1)].add_sample(irradiance * element.size(), bright, origin.is_none());
+                };
+                if is_sent {
+                    self.visit_samples(arena, light, place, MisHeuristic::Maximum, add);
+                } else {
+                    self.visit_shadow_rays(arena, place, add);
+                }
                 if estimator == VarianceEstimator::Measured {
                     sums[..parts].iter_mut().for_each(|part| part.measure_variance(number));
                 }

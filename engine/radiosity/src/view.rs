@@ -89,12 +89,21 @@ impl<'a> SolutionView<'a> {
     ///   point on an edge belongs to two leaves.
     pub(crate) fn radiance(&self, surface: u32, arriving: Irradiance, place: Vec2, inside: Vec2) -> Rgb {
         let source = &self.solution.field.surfaces[surface as usize];
+        self.scattered_radiance(surface, arriving, inside) + self.emitted(source, place, &source.point_at(place))
+    }
+
+    /// Returns the part of a surface's luminance by channel, cd/m2, that it reflects and transmits at a point in the interior of a
+    /// leaf.
+    /// - `arriving`: irradiance there;
+    /// - `place`: the point's parameters on the surface.
+    pub fn scattered_radiance(&self, surface: u32, arriving: Irradiance, place: Vec2) -> Rgb {
+        let source = &self.solution.field.surfaces[surface as usize];
         let (reflected, transmitted) = self.diffuse_albedos[source.material as usize];
         let mut sent = reflected * arriving.total();
         if transmitted != Rgb::ZERO {
-            sent += transmitted * self.back_irradiance(source, inside);
+            sent += transmitted * self.back_irradiance(source, place);
         }
-        finite_or_zero(sent * FRAC_1_PI) + self.emitted(source, place, &source.point_at(place))
+        finite_or_zero(sent * FRAC_1_PI)
     }
 
     /// Returns the irradiance of the other side of a surface.

@@ -7,25 +7,26 @@
 //! - `first_pass steps SCENE` prints the cost of each step of a first pass that guides paths.
 //! - `first_pass pictures SCENE..` compares pictures of the solution with path-traced ones, and prints the flux of the solution. Set
 //!   `SPP` for the samples a pixel of path tracing.
+//! - `first_pass rooms [--count N] [--from SEED] [--out FILE.tsv] [--without F,F..] [--fog]` compares such pictures of random rooms.
+//!   `first_pass rooms --write SEED` prints a room.
 //! - `first_pass fog SCENE [--error E,E..] [--rays N] [--samples N]` compares light in the fog of a scene with the light that paths
 //!   find.
 //!
 //! `cargo run --release -p femc-tests --example first_pass -- errors`
 
-use femc_film::Tiling;
-use femc_pipeline::radiosity::{SolutionView, SolveOptions, solve};
-use femc_pipeline::{
-    BlockPhase, Method, SceneSource, Settings, StopCondition, attach_first_pass, first_pass_world, prepare_frame,
-    scale_field, solver,
-};
+mod rooms;
+
+use femc_pipeline::radiosity::{SolveOptions, solve};
+use femc_pipeline::{BlockPhase, Method, SceneSource, Settings, first_pass_world, prepare_frame, solver};
 use femc_tests::clock::processor_seconds;
 use femc_tests::closed_forms::{Case, SolvedScene, all_cases, relative_errors};
 use femc_tests::fog_light::{self, FogComparison, compare_points, compare_rays};
 use femc_tests::generated_scenes::{Kind, generate_scene};
+use femc_tests::picture_comparison::PictureComparison;
 use std::error::Error;
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64};
+use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -47,6 +48,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             growth(kind, &faces, SolveOptions { error, memory, ..SolveOptions::default() });
         }
         Some("pictures") => args[1..].iter().try_for_each(|scene| pictures(Path::new(scene)))?,
+        Some("rooms") => rooms::run(&option, args.iter().any(|arg| arg == "--fog"))?,
         Some("steps") => steps(Path::new(args.get(1).ok_or("which scene?")?))?,
         Some("fog") => {
             let scene = args.get(1).ok_or("which scene?")?;
@@ -55,7 +57,7 @@ fn main() -> Result<(), Box<dyn Error>> {
                 .map(|(name, otherwise)| option(name).unwrap_or(otherwise).parse());
             fog(Path::new(scene), &errors, rays?, samples?)?;
         }
-        _ => return Err("usage: first_pass errors [--error E,E..] [--only WORD] | pictures SCENE.. | growth [--error E] [--faces N,N..] [--kind room|terrain] [--memory MB] | steps SCENE | fog SCENE [--error E,E..] [--rays N] [--samples N]".into()),
+        _ => return Err("usage: first_pass errors [--error E,E..] [--only WORD] | pictures SCENE.. | rooms [--count N] [--from SEED] [--out FILE.tsv] [--without F,F..] [--fog] [--write SEED] | growth [--error E] [--faces N,N..] [--kind room|terrain] [--memory MB] | steps SCENE | fog SCENE [--error E,E..] [--rays N] [--samples N]".into()),
     }
     Ok(())
 }
@@ -115,147 +117,41 @@ fn table(cases: &[Case], wanted_errors: &[f32]) {
 }
 
 /// Prints a picture of the solution beside two path-traced ones: the ratio of the means, of the median pixels, and the relative rms
-/// difference of blocks of 8 x 8 pixels with at least a twentieth of the mean, each with the difference of the path-traced pictures.
+/// difference of blocks of 8 x 8 pixels with at least a twentieth of the mean, each with the noise of the path-traced pictures.
 fn pictures(path: &Path) -> Result<(), Box<dyn Error>> {
     let scene = Arc::new(femc_import::load_scene_file(path)?.scene);
-    let source = SceneSource::new(Arc::clone(&scene));
     let spp = std::env::var("SPP").map_or(Ok(64), |spp| spp.parse())?;
-    let settings = |method, seed, spp| Settings {
-        size: Some([96, 72]),
-        method,
-        seed,
-        stop: StopCondition::Spp(spp),
-        ..Settings::default()
-    };
-    let clock = || processor_seconds().unwrap_or(0.0);
-    let start = clock();
-    let paths = [1, 2].map(|seed| render(&source, &settings(Method::Pt, seed, spp), None));
-    let [a, b] = paths;
-    let (a, b) = (a?, b?);
-    let of_paths = (clock() - start) * 0.5 * 32.0 / f64::from(spp);
-    let world = first_pass_world(&source, &settings(Method::Fem, 1, 32), 1, None)?;
-    let start = clock();
-    let solution = solve(&world, &SolveOptions::default(), &AtomicBool::new(false)).map_err(|_| "cancelled")?;
-    let of_solver = clock() - start;
-    let totals = SolutionView::new(&world, &solution).totals();
-    let report = solution.report;
-    let verdict = solution.verify(&world).err().map_or("trusted".to_owned(), |reason| reason.to_string());
-    let direct = direct_flux(&world, &solution);
-    let brightness = femc_pipeline::prepare_world(&source, &Settings::default(), 1, None)?.brightness;
-    let field = scale_field(Arc::new(solution.field), brightness);
-    let elements = render(&source, &settings(Method::Fem, 3, 32), Some(field))?;
-    let mean = |image: &[f64]| image.iter().sum::<f64>() / image.len() as f64;
-    let median = |image: &[f64]| {
-        let mut sorted = image.to_vec();
-        sorted.sort_by(f64::total_cmp);
-        sorted[sorted.len() / 2]
-    };
-    let both: Vec<f64> = a.iter().zip(&b).map(|(a, b)| 0.5 * (a + b)).collect();
-    let blocks = |image: &[f64]| -> Vec<f64> {
-        let block =
-            |k: usize| (0..64).map(|at| image[(k / 12 * 8 + at / 8) * 96 + k % 12 * 8 + at % 8]).sum::<f64>() / 64.0;
-        (0..108).map(block).collect()
-    };
-    let truth = blocks(&both);
-    let rms = |one: &[f64], other: &[f64]| {
-        let lit: Vec<f64> = (0..108)
-            .filter(|&k| truth[k] > 0.05 * mean(&truth))
-            .map(|k| ((one[k] - other[k]) / truth[k]).powi(2))
-            .collect();
-        mean(&lit).sqrt()
-    };
-    let noise = 0.5 * rms(&blocks(&a), &blocks(&b));
-    let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    let found = PictureComparison::new(scene, spp)?;
+    let PictureComparison { flux, report, solver_seconds, path_seconds, .. } = &found;
+    let shares = flux.traced.map(|traced| {
+        format!(
+            "direct {:.4} of the true {:.4}, escaped {:.4} of sent, all {:.4}",
+            flux.direct / traced.direct,
+            traced.direct / flux.sent,
+            traced.escaped / flux.sent,
+            flux.balance().unwrap_or(f64::NAN),
+        )
+    });
     println!(
-        "{name}\tmean {:.4} ({:.4})\tmedian {:.4}\tblocks {:.3} ({noise:.3})\tdirect {:.4} of the true {:.4}, absorbed {:.4} of sent\tseconds {of_solver:.2}, {:.1} times 32 samples\titerations {} residual {:.1e} imbalance {:.4} row sum {:.2} rays/links {:.3} corrected {:.3}\t{verdict}",
-        mean(&elements) / mean(&both),
-        (mean(&a) - mean(&b)).abs() * 0.5 / mean(&both),
-        median(&elements) / median(&both),
-        rms(&blocks(&elements), &truth),
-        direct[0] / direct[1],
-        direct[1] / totals.emitted,
-        totals.absorbed / totals.emitted,
-        of_solver / of_paths,
+        "{}\tmean {:.4} ({:.4})\tmedian {:.4}\tblocks {:.3} ({:.3})\t{}, absorbed {:.4} of sent\tseconds {solver_seconds:.2}, {:.1} times 32 samples\titerations {} residual {:.1e} imbalance {:.4} row sum {:.2} rays/links {:.3} corrected {:.3}\t{}",
+        path.file_stem().unwrap_or_default().to_string_lossy(),
+        found.mean[0],
+        found.mean[1],
+        found.median,
+        found.blocks[0],
+        found.blocks[1],
+        shares.unwrap_or_default(),
+        flux.kept / flux.sent,
+        solver_seconds / path_seconds,
         report.iterations,
         report.residual,
         report.imbalance,
         report.row_sum,
         report.ray_link_ratio,
         report.ray_correction,
+        found.verdict(),
     );
     Ok(())
-}
-
-/// Number of points on all surfaces for the direct light.
-const POINTS: f32 = 200_000.0;
-
-/// Returns the luminous flux directly from lamps by the solution, and by shadow rays from points of all surfaces, lm. The shadow rays
-/// leave out fog, and clear surfaces stop them.
-fn direct_flux(world: &femc_prepared::Prepared, solution: &femc_pipeline::Solution) -> [f64; 2] {
-    let field = &solution.field;
-    let area: f32 = (0..field.surfaces.len())
-        .filter(|&index| field.roots[index] != u32::MAX)
-        .map(|index| field.surfaces[index].area())
-        .sum();
-    let mut rng = femc_tests::rng::Rng::new(1);
-    let mut number = move || (rng.bits() >> 40) as f32 / (1u32 << 24) as f32;
-    let (mut found, mut truth) = (0.0, 0.0);
-    for (index, surface) in field.surfaces.iter().enumerate() {
-        for (leaf, outline) in field.leaves_of(index as u32) {
-            let size = surface.area() * outline.edges[0].perp_dot(outline.edges[1]).abs();
-            let points = (size / area * POINTS + number()) as u32;
-            for _ in 0..points {
-                let mut local = femc_math::glam::Vec2::new(number(), number());
-                if matches!(surface.form, femc_pipeline::Form::Triangle(_)) && local.x + local.y > 1.0 {
-                    local = femc_math::glam::Vec2::ONE - local;
-                }
-                let spot = surface.point_at(outline.point_at(local));
-                let direct = solution.direct[leaf as usize].irradiance(local, spot.normal);
-                found += f64::from(femc_math::color::luminance(direct)) * f64::from(area / POINTS);
-                for lamp in 0..world.lights.len() as u32 {
-                    let u = [number(), number()];
-                    let Some(sample) =
-                        world.lights.sample_light(&world.world, &world.textures, lamp, spot.position, 0.5, u)
-                    else {
-                        continue;
-                    };
-                    let cosine = spot.normal.dot(sample.dir);
-                    if cosine <= 0.0 {
-                        continue;
-                    }
-                    let ray = femc_geometry::shadow_segment(
-                        (spot.position, spot.error, spot.normal),
-                        (sample.position, sample.error, sample.normal),
-                        0.5,
-                    );
-                    if !world.world.occluded(&ray) {
-                        let light = femc_math::color::luminance(sample.radiance) * cosine / sample.pdf;
-                        truth += f64::from(light) * f64::from(area / POINTS);
-                    }
-                }
-            }
-        }
-    }
-    [found, truth]
-}
-
-/// Renders a frame. Returns the luminance of its pixels, cd/m2.
-fn render(
-    source: &SceneSource,
-    settings: &Settings,
-    field: Option<Arc<femc_pipeline::Field>>,
-) -> Result<Vec<f64>, Box<dyn Error>> {
-    let mut prepared = femc_pipeline::prepare_world(source, settings, 1, None)?;
-    if let Some(field) = field {
-        attach_first_pass(&mut prepared, field)?;
-    }
-    let [width, height] = settings.size.unwrap_or_default();
-    let tiling = Tiling::new(width, height, 24)?;
-    let StopCondition::Spp(spp) = settings.stop else { return Err("no samples".into()) };
-    let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
-    let rendered = femc_pipeline::render_frame(&prepared, settings, tiling, &[spp], |_| 0.0, &cancel, &progress)?;
-    let image = rendered.frame.resolve().color;
-    Ok((0..image.pixels.len()).map(|at| f64::from(image.luminance(at))).collect())
 }
 
 fn fog(path: &Path, errors: &[f32], rays: u32, samples: u32) -> Result<(), Box<dyn Error>> {

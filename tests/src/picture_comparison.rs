@@ -1,0 +1,140 @@
+//! Comparison of a picture of a first pass with path-traced pictures.
+
+use crate::clock::processor_seconds;
+use crate::flux::SolutionFlux;
+use femc_film::Tiling;
+use femc_pipeline::radiosity::{SolveOptions, SolveReport, VerifyError, solve};
+use femc_pipeline::{
+    Field, Method, SceneSource, Settings, StopCondition, attach_first_pass, first_pass_world, scale_field,
+};
+use femc_scene::Scene;
+use std::error::Error;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64};
+
+/// Width and height of the pictures, pixels.
+const SIZE: [u32; 2] = [96, 72];
+/// Width and height of a block, pixels.
+const BLOCK: usize = 8;
+/// Samples a pixel of the picture of the solution.
+const SOLUTION_SPP: u32 = 32;
+
+/// A picture of the solution, compared with two path-traced pictures.
+#[derive(Clone, Debug)]
+pub struct PictureComparison {
+    /// Ratio of the means, and its standard error from the noise of the path-traced pixels.
+    pub mean: [f64; 2],
+    /// Ratio of the median pixels.
+    pub median: f64,
+    /// Relative rms difference of blocks of 8 x 8 pixels with at least a twentieth of the mean, and the part of it that is noise of the
+    /// path-traced pictures.
+    pub blocks: [f64; 2],
+    /// Flux of the solution.
+    pub flux: SolutionFlux,
+    /// Report of the solver.
+    pub report: SolveReport,
+    /// Processor seconds of the solver.
+    pub solver_seconds: f64,
+    /// Processor seconds of path tracing with 32 samples a pixel.
+    pub path_seconds: f64,
+    /// Reason why the solution is refused, if it is.
+    pub refusal: Option<VerifyError>,
+}
+
+impl PictureComparison {
+    /// Solves a scene and renders the pictures.
+    /// - `spp`: samples a pixel of each path-traced picture;
+    /// - errors: the scene cannot be prepared or rendered.
+    pub fn new(scene: Arc<Scene>, spp: u32) -> Result<Self, Box<dyn Error>> {
+        let source = SceneSource::new(scene);
+        let settings = |method, seed, spp| Settings {
+            size: Some(SIZE),
+            method,
+            seed,
+            stop: StopCondition::Spp(spp),
+            ..Settings::default()
+        };
+        let clock = || processor_seconds().unwrap_or(0.0);
+        let start = clock();
+        let a = render(&source, &settings(Method::Pt, 1, spp), None)?;
+        let b = render(&source, &settings(Method::Pt, 2, spp), None)?;
+        let path_seconds = (clock() - start) * 0.5 * 32.0 / f64::from(spp);
+        let world = first_pass_world(&source, &settings(Method::Fem, 1, SOLUTION_SPP), 1, None)?;
+        let start = clock();
+        let solution = solve(&world, &SolveOptions::default(), &AtomicBool::new(false)).map_err(|_| "cancelled")?;
+        let solver_seconds = clock() - start;
+        let (flux, report) = (SolutionFlux::new(&world, &solution), solution.report);
+        let refusal = solution.verify(&world).err();
+        let brightness = femc_pipeline::prepare_world(&source, &Settings::default(), 1, None)?.brightness;
+        let field = scale_field(Arc::new(solution.field), brightness);
+        let elements = render(&source, &settings(Method::Fem, 3, SOLUTION_SPP), Some(field))?;
+        let paths: Vec<f64> = a.iter().zip(&b).map(|(a, b)| 0.5 * (a + b)).collect();
+        let ratio = mean(&elements) / mean(&paths);
+        // Half of the difference of two pixels has the variance of their mean.
+        let noise = a.iter().zip(&b).map(|(a, b)| 0.25 * (a - b).powi(2)).sum::<f64>().sqrt() / a.len() as f64;
+        let truth = blocks(&paths);
+        Ok(Self {
+            mean: [ratio, ratio * noise / mean(&paths)],
+            median: median(&elements) / median(&paths),
+            blocks: [
+                block_difference(&blocks(&elements), &truth, &truth),
+                0.5 * block_difference(&blocks(&a), &blocks(&b), &truth),
+            ],
+            flux,
+            report,
+            solver_seconds,
+            path_seconds,
+            refusal,
+        })
+    }
+
+    /// Returns `trusted`, or the reason why the solution is refused.
+    pub fn verdict(&self) -> String {
+        self.refusal.map_or("trusted".to_owned(), |reason| reason.to_string())
+    }
+}
+
+/// Renders a frame. Returns the luminance of its pixels, cd/m2.
+fn render(source: &SceneSource, settings: &Settings, field: Option<Arc<Field>>) -> Result<Vec<f64>, Box<dyn Error>> {
+    let mut prepared = femc_pipeline::prepare_world(source, settings, 1, None)?;
+    if let Some(field) = field {
+        attach_first_pass(&mut prepared, field)?;
+    }
+    let [width, height] = settings.size.unwrap_or_default();
+    let tiling = Tiling::new(width, height, 24)?;
+    let StopCondition::Spp(spp) = settings.stop else { return Err("no samples".into()) };
+    let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
+    let rendered = femc_pipeline::render_frame(&prepared, settings, tiling, &[spp], |_| 0.0, &cancel, &progress)?;
+    let image = rendered.frame.resolve().color;
+    Ok((0..image.pixels.len()).map(|at| f64::from(image.luminance(at))).collect())
+}
+
+fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len() as f64
+}
+
+fn median(values: &[f64]) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    sorted[sorted.len() / 2]
+}
+
+/// Returns the means of the blocks of a picture.
+fn blocks(picture: &[f64]) -> Vec<f64> {
+    let [width, height] = SIZE.map(|pixels| pixels as usize);
+    let across = width / BLOCK;
+    let block = |k: usize| {
+        let corner = k / across * BLOCK * width + k % across * BLOCK;
+        let pixels = (0..BLOCK * BLOCK).map(|at| picture[corner + at / BLOCK * width + at % BLOCK]);
+        pixels.sum::<f64>() / (BLOCK * BLOCK) as f64
+    };
+    (0..across * (height / BLOCK)).map(block).collect()
+}
+
+/// Returns the rms difference relative to the truth, over blocks with at least a twentieth of its mean.
+fn block_difference(one: &[f64], other: &[f64], truth: &[f64]) -> f64 {
+    let darkest = 0.05 * mean(truth);
+    let lit = (0..truth.len()).filter(|&k| truth[k] > darkest);
+    let squares: Vec<f64> = lit.map(|k| ((one[k] - other[k]) / truth[k]).powi(2)).collect();
+    mean(&squares).sqrt()
+}

@@ -21,6 +21,9 @@ const RAYS: f64 = 100_000.0;
 const MAX_PASSES: u32 = 64;
 
 /// Luminous flux of a solution, lm.
+///
+/// One-sided surfaces are invisible from behind. So shadow rays find lamps from inside of a closed one-sided object, although no
+/// light of lamps gets there: in such scenes more light is kept than is sent.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SolutionFlux {
     /// Flux of all light sources.

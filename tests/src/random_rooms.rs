@@ -7,14 +7,15 @@ use std::f64::consts::PI;
 use std::fmt::Write as _;
 
 /// Names of the features, and the probability of each.
-pub const FEATURES: [(&str, f64); 25] = [
+pub const FEATURES: [(&str, f64); 26] = [
     ("corridor", 0.2),
     ("l-shape", 0.25),
     ("sloped", 0.25),
     ("open", 0.25),
     ("second-room", 0.25),
-    ("white", 0.3),
-    ("one-sided", 0.5),
+    ("white", 0.2),
+    ("one-sided-walls", 0.4),
+    ("one-sided-objects", 0.3),
     ("glossy", 0.3),
     ("touching", 0.5),
     ("boxes", 0.6),
@@ -158,7 +159,6 @@ impl Builder {
 
     fn materials(&mut self) {
         let mut draw = self.draw("materials");
-        let sides = if self.has("one-sided") { "  sides 1\n" } else { "" };
         for name in ["floor", "wall", "ceiling", "wood", "paint", "cloth", "metal", "housing"] {
             let is_shell = matches!(name, "floor" | "wall" | "ceiling");
             let [low, high] = match (self.has("white"), is_shell) {
@@ -171,7 +171,9 @@ impl Builder {
             let color = [draw.between(0.28, 0.42), draw.between(0.3, 0.38)];
             let (is_colored, gloss, roughness) = (draw.has(0.3), draw.between(0.05, 0.3), draw.between(0.05, 0.4));
             let is_glossy = self.has("glossy") && matches!(name, "floor" | "wood" | "metal");
-            let sides = if name == "housing" { "" } else { sides };
+            let is_one_sided =
+                if is_shell { self.has("one-sided-walls") } else { self.has("one-sided-objects") && name != "housing" };
+            let sides = if is_one_sided { "  sides 1\n" } else { "" };
             let _ = writeln!(self.text, "m {name} =\n{sides}  c");
             if is_colored && !self.has("white") {
                 let _ = writeln!(self.text, "  c {name}_color =\n  cxy {:.4} {:.4}", color[0], color[1]);
@@ -567,7 +569,7 @@ mod tests {
             let source = femc_pipeline::SceneSource::new(loaded.scene.into());
             let prepared = femc_pipeline::prepare_world(&source, &femc_pipeline::Settings::default(), 1, None)
                 .unwrap_or_else(|error| panic!("{seed}: {error}"));
-            assert!(prepared.lights.len() >= 1 && room.faces >= 6, "{seed}: {:?}", room.features);
+            assert!(!prepared.lights.is_empty() && room.faces >= 6, "{seed}: {:?}", room.features);
             assert_eq!(prepared.media.is_empty(), !options.fog);
         }
     }

@@ -9,8 +9,9 @@ use std::io::Write as _;
 
 /// Columns of a room's row.
 const COLUMNS: &str = "seed\tfeatures\tfaces\tmean\tits error\trms\tits noise\tmedian\tdirect\tsent lm\tkept\tescaped\tkept elsewhere\tall\timbalance\trow sum\tresidual\titerations\tseconds\tseconds of 32 samples\tverdict";
-/// Samples a pixel of each path-traced picture.
-const SPP: u32 = 48;
+/// Samples a pixel of each path-traced picture, and in white rooms, whose paths are long.
+const SPP: u32 = 40;
+const SPP_OF_WHITE: u32 = 16;
 
 /// Numbers of the summary, from a row.
 struct Row {
@@ -18,6 +19,8 @@ struct Row {
     /// Ratio of the means, and its standard error.
     mean: [f64; 2],
     rms: f64,
+    /// Flux that is kept or escapes, relative to the sent flux; NaN if it is unknown.
+    balance: f64,
     is_trusted: bool,
     seconds: [f64; 2],
 }
@@ -32,6 +35,7 @@ impl Row {
             features: fields.get(1)?.to_string(),
             mean: [number(3)?, number(4)?],
             rms: number(5)?,
+            balance: number(13).unwrap_or(f64::NAN),
             is_trusted: *fields.get(20)? == "trusted",
             seconds: [number(18)?, number(19)?],
         };
@@ -84,7 +88,8 @@ pub fn run<'a>(option: &impl Fn(&str) -> Option<&'a str>, fog: bool) -> Result<(
 /// Compares a room. Returns its row.
 fn row_of(seed: u64, options: &RoomOptions) -> Result<String, Box<dyn Error>> {
     let room = random_room(seed, options);
-    let found = PictureComparison::new(parse_scene(&room.text), SPP)?;
+    let spp = if room.features.contains(&"white") { SPP_OF_WHITE } else { SPP };
+    let found = PictureComparison::new(parse_scene(&room.text), spp)?;
     let PictureComparison { mean, median, blocks, flux, report, solver_seconds, path_seconds, .. } = &found;
     let share = |flux_of: Option<f64>| flux_of.map_or("-".to_owned(), |value| format!("{value:.4}"));
     Ok([
@@ -127,33 +132,41 @@ fn summarize(rows: &[Row]) {
         );
     }
     let quartiles = |what: &str, value: &dyn Fn(&Row) -> f64| {
-        let mut sorted: Vec<f64> = rows.iter().map(value).collect();
+        let mut sorted: Vec<f64> = rows.iter().map(value).filter(|value| !value.is_nan()).collect();
         sorted.sort_by(f64::total_cmp);
-        let at = |quarter: usize| sorted[(quarter * (n - 1) + 2) / 4];
+        let at = |quarter: usize| sorted.get((quarter * sorted.len().saturating_sub(1) + 2) / 4).unwrap_or(&f64::NAN);
         println!("{what}: {:.4} {:.4} {:.4} {:.4} {:.4}", at(0), at(1), at(2), at(3), at(4));
     };
     println!("least, quartiles, greatest");
     quartiles("mean", &|row| row.mean[0]);
     quartiles("rms of blocks", &|row| row.rms);
+    quartiles("flux kept or escaped, of sent", &|row| row.balance);
     quartiles("seconds of the solver", &|row| row.seconds[0]);
     quartiles("seconds of the solver over those of 32 samples", &|row| row.seconds[0] / row.seconds[1]);
-    println!("\nfeature\trooms with it\tmean-1 with it\twithout it\tdifference\tits error\trms with it\twithout it");
+    println!(
+        "\nfeature\trooms with it\tmean-1 with it\twithout it\tdifference\tits error\trms with it\twithout it\tflux-1 with it\twithout it"
+    );
+    let finite: Vec<&Row> = rows.iter().filter(|row| row.mean[0].is_finite()).collect();
     for (feature, _) in FEATURES {
-        let (with, without): (Vec<&Row>, Vec<&Row>) =
-            rows.iter().filter(|row| row.mean[0].is_finite()).partition(|row| row.has(feature));
-        let of = |rows: &[&Row], value: &dyn Fn(&Row) -> f64| {
-            let count = rows.len() as f64;
-            let mean = rows.iter().map(|row| value(row)).sum::<f64>() / count;
-            let squares = rows.iter().map(|row| (value(row) - mean).powi(2)).sum::<f64>();
-            [mean, squares / (count * (count - 1.0))]
-        };
-        let [[a, a_variance], [b, b_variance]] = [&with, &without].map(|rows| of(rows, &|row| row.mean[0] - 1.0));
-        let [[a_rms, _], [b_rms, _]] = [&with, &without].map(|rows| of(rows, &|row| row.rms));
+        let (with, without): (Vec<&Row>, Vec<&Row>) = finite.iter().copied().partition(|row| row.has(feature));
+        let both = [&with, &without];
+        let [[a, a_variance], [b, b_variance]] = both.map(|rows| mean_of(rows, |row| row.mean[0] - 1.0));
+        let [[a_rms, _], [b_rms, _]] = both.map(|rows| mean_of(rows, |row| row.rms));
+        let [[a_flux, _], [b_flux, _]] = both.map(|rows| mean_of(rows, |row| row.balance - 1.0));
         println!(
-            "{feature}\t{}\t{a:+.4}\t{b:+.4}\t{:+.4}\t{:.4}\t{a_rms:.3}\t{b_rms:.3}",
+            "{feature}\t{}\t{a:+.4}\t{b:+.4}\t{:+.4}\t{:.4}\t{a_rms:.3}\t{b_rms:.3}\t{a_flux:+.3}\t{b_flux:+.3}",
             with.len(),
             a - b,
             (a_variance + b_variance).sqrt()
         );
     }
+}
+
+/// Returns the mean of a value over the rooms where it is known, and the variance of that mean.
+fn mean_of(rows: &[&Row], value: impl Fn(&Row) -> f64) -> [f64; 2] {
+    let values: Vec<f64> = rows.iter().map(|row| value(row)).filter(|value| !value.is_nan()).collect();
+    let count = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / count;
+    let squares = values.iter().map(|value| (value - mean).powi(2)).sum::<f64>();
+    [mean, squares / (count * (count - 1.0))]
 }

@@ -165,24 +165,46 @@ fn form_factor(point: DVec3, normal: DVec3, corners: &[DVec3]) -> f64 {
     ((0..corners.len()).map(edge).sum::<f64>() / (2.0 * PI)).abs()
 }
 
-/// A unit cube whose walls emit evenly and whose floor is the only reflector. The other walls receive its light according to their
-/// form factors (Lambert's formula at each point).
+/// A receiver of the floor's light in [`reflecting_floor_of`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FloorReceiver {
+    /// The ceiling, parallel to the floor.
+    Ceiling,
+    /// The side at y = 0, which has an edge in common with the floor.
+    Side,
+}
+
+/// A unit cube whose walls emit evenly and whose floor is the only reflector; see [`reflecting_floor_of`].
 pub fn reflecting_floor() -> Case {
+    reflecting_floor_of([1.0; 3], &[FloorReceiver::Ceiling, FloorReceiver::Side])
+}
+
+/// A box whose walls emit evenly and whose floor is the only reflector. The other walls receive its light according to their form
+/// factors (Lambert's formula at each point).
+/// - `size`: along x, y and z, m.
+pub fn reflecting_floor_of(size: [f64; 3], receivers: &[FloorReceiver]) -> Case {
     let mut text = String::from(CAMERA);
-    let at = box_corners([1.0; 3]);
+    let at = box_corners(size);
     for (k, face) in INWARD.into_iter().enumerate() {
         let reflectance = if k == 0 { 0.5 } else { DARK_REFLECTANCE };
         let _ = writeln!(text, "m m{k} =\n  sides 1\n  rd {reflectance}\n  ed {PI}");
         push_faces(&mut text, &format!("p{k}_"), &at, &[face]);
     }
-    let floor = [[0., 0.], [1., 0.], [1., 1.], [0., 1.]].map(|[x, y]| DVec3::new(x, y, 0.0));
-    Case::new("a cube's floor, from the ceiling and a side".into(), text, move |solved| {
-        let of = |surface: usize, normal: DVec3| {
+    let [x, y, z] = size;
+    let floor = [[0., 0.], [x, 0.], [x, y], [0., y]].map(|[x, y]| DVec3::new(x, y, 0.0));
+    let receivers = receivers.to_vec();
+    let name = if size == [1.0; 3] { "a cube".to_owned() } else { format!("a box of {x} x {y} x {z}") };
+    Case::new(format!("the floor of {name}, from {receivers:?}"), text, move |solved| {
+        let of = |receiver: &FloorReceiver| {
+            let (surface, normal) = match receiver {
+                FloorReceiver::Ceiling => (1, DVec3::NEG_Z),
+                FloorReceiver::Side => (2, DVec3::Y),
+            };
             let pair =
                 move |(point, [have, _]): (DVec3, [f64; 2])| [have / (0.5 * PI), form_factor(point, normal, &floor)];
             solved.irradiance_over(surface).into_iter().map(pair)
         };
-        of(1, DVec3::NEG_Z).chain(of(2, DVec3::Y)).collect()
+        receivers.iter().flat_map(of).collect()
     })
 }
 
@@ -363,6 +385,13 @@ impl Slab {
     pub fn reflected_and_transmitted(solved: &SolvedScene) -> [f64; 3] {
         let ([up, _], [down, straight]) = (solved.mean_irradiance(0), solved.mean_irradiance(1));
         [up, down + straight, straight].map(|value| value / PI)
+    }
+
+    /// Turns the slab into a case of the directly transmitted part, twice the third exponential integral.
+    pub fn unscattered_case(self) -> Case {
+        let name = format!("unscattered light of a slab of {} and albedo {}", self.thickness, self.albedo);
+        let want = 2.0 * third_exponential_integral(self.thickness);
+        Case::new(name, self.text(), move |solved| vec![[Self::reflected_and_transmitted(solved)[2], want]])
     }
 
     /// Turns the slab into a case with known reflected and transmitted light. Compares the scattered parts.

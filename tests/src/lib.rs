@@ -10,6 +10,7 @@ pub mod fuzz;
 pub mod generated_scenes;
 pub mod honesty;
 pub mod irradiance;
+pub mod laws;
 pub mod picture_comparison;
 pub mod random_rooms;
 pub mod reference;

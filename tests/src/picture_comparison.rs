@@ -19,6 +19,18 @@ const BLOCK: usize = 8;
 /// Samples a pixel of the picture of the solution.
 const SOLUTION_SPP: u32 = 32;
 
+/// Pixels in which the camera sees lamps straight. They have the same light in all pictures.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LampPixels {
+    /// They are compared as well.
+    Included,
+    /// They are left out, because a bright lamp would dominate the mean.
+    Excluded,
+}
+
+/// Samples a pixel that determine where the camera sees lamps.
+const LAMP_SPP: u32 = 16;
+
 /// A picture of the solution, compared with two path-traced pictures.
 #[derive(Clone, Debug)]
 pub struct PictureComparison {
@@ -26,7 +38,7 @@ pub struct PictureComparison {
     pub mean: [f64; 2],
     /// Ratio of the median pixels.
     pub median: f64,
-    /// Relative rms difference of blocks of 8 x 8 pixels with at least a twentieth of the mean, and the part of it that is noise of the
+    /// Relative rms difference of whole blocks of 8 x 8 pixels with at least a twentieth of the mean, and the part of it that is noise of the
     /// path-traced pictures.
     pub blocks: [f64; 2],
     /// Flux of the solution.
@@ -45,7 +57,7 @@ impl PictureComparison {
     /// Solves a scene and renders the pictures.
     /// - `spp`: samples a pixel of each path-traced picture;
     /// - errors: the scene cannot be prepared or rendered.
-    pub fn new(scene: Arc<Scene>, spp: u32) -> Result<Self, Box<dyn Error>> {
+    pub fn new(scene: Arc<Scene>, spp: u32, lamps: LampPixels) -> Result<Self, Box<dyn Error>> {
         let source = SceneSource::new(scene);
         let settings = |method, seed, spp| Settings {
             size: Some(SIZE),
@@ -68,18 +80,31 @@ impl PictureComparison {
         let brightness = femc_pipeline::prepare_world(&source, &Settings::default(), 1, None)?.brightness;
         let field = scale_field(Arc::new(solution.field), brightness);
         let elements = render(&source, &settings(Method::Fem, 3, SOLUTION_SPP), Some(field))?;
+        let is_compared: Vec<bool> = match lamps {
+            LampPixels::Included => vec![true; a.len()],
+            LampPixels::Excluded => {
+                let straight = Settings { max_depth: 1, ..settings(Method::Pt, 1, LAMP_SPP) };
+                render(&source, &straight, None)?.into_iter().map(|light| light == 0.0).collect()
+            }
+        };
         let paths: Vec<f64> = a.iter().zip(&b).map(|(a, b)| 0.5 * (a + b)).collect();
+        let blocks_of = |picture: &[f64]| blocks(picture, &is_compared);
+        let truth = blocks_of(&paths);
+        let differences = [
+            block_difference(&blocks_of(&elements), &truth, &truth),
+            0.5 * block_difference(&blocks_of(&a), &blocks_of(&b), &truth),
+        ];
+        let compared = |picture: &[f64]| -> Vec<f64> {
+            picture.iter().zip(&is_compared).filter(|(_, is_compared)| **is_compared).map(|(pixel, _)| *pixel).collect()
+        };
+        let [a, b, paths, elements] = [&a, &b, &paths, &elements].map(|picture| compared(picture));
         let ratio = mean(&elements) / mean(&paths);
         // Half of the difference of two pixels has the variance of their mean.
         let noise = a.iter().zip(&b).map(|(a, b)| 0.25 * (a - b).powi(2)).sum::<f64>().sqrt() / a.len() as f64;
-        let truth = blocks(&paths);
         Ok(Self {
             mean: [ratio, ratio * noise / mean(&paths)],
             median: median(&elements) / median(&paths),
-            blocks: [
-                block_difference(&blocks(&elements), &truth, &truth),
-                0.5 * block_difference(&blocks(&a), &blocks(&b), &truth),
-            ],
+            blocks: differences,
             flux,
             report,
             solver_seconds,
@@ -116,19 +141,20 @@ fn mean(values: &[f64]) -> f64 {
 fn median(values: &[f64]) -> f64 {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
-    sorted[sorted.len() / 2]
+    sorted.get(sorted.len() / 2).copied().unwrap_or(f64::NAN)
 }
 
-/// Returns the means of the blocks of a picture.
-fn blocks(picture: &[f64]) -> Vec<f64> {
+/// Returns the means of the blocks of a picture all of whose pixels are compared.
+fn blocks(picture: &[f64], is_compared: &[bool]) -> Vec<f64> {
     let [width, height] = SIZE.map(|pixels| pixels as usize);
     let across = width / BLOCK;
-    let block = |k: usize| {
+    let pixels = |k: usize| {
         let corner = k / across * BLOCK * width + k % across * BLOCK;
-        let pixels = (0..BLOCK * BLOCK).map(|at| picture[corner + at / BLOCK * width + at % BLOCK]);
-        pixels.sum::<f64>() / (BLOCK * BLOCK) as f64
+        (0..BLOCK * BLOCK).map(move |at| corner + at / BLOCK * width + at % BLOCK)
     };
-    (0..across * (height / BLOCK)).map(block).collect()
+    let block = |k: usize| pixels(k).map(|at| picture[at]).sum::<f64>() / (BLOCK * BLOCK) as f64;
+    let whole = (0..across * (height / BLOCK)).filter(|&k| pixels(k).all(|at| is_compared[at]));
+    whole.map(block).collect()
 }
 
 /// Returns the rms difference relative to the truth, over blocks with at least a twentieth of its mean.
@@ -137,4 +163,33 @@ fn block_difference(one: &[f64], other: &[f64], truth: &[f64]) -> f64 {
     let lit = (0..truth.len()).filter(|&k| truth[k] > darkest);
     let squares: Vec<f64> = lit.map(|k| ((one[k] - other[k]) / truth[k]).powi(2)).collect();
     mean(&squares).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A room whose walls emit evenly and reflect half of the light. The camera sees lamps everywhere.
+    #[test]
+    fn pictures_of_a_furnace_agree_and_have_lamps_everywhere() {
+        let scene = crate::parse_scene(&crate::closed_forms::furnace(0.5, 0.0).text);
+        let found = PictureComparison::new(scene.clone(), 8, LampPixels::Included).unwrap_or_else(|e| panic!("{e}"));
+        assert!((found.mean[0] - 1.0).abs() < 0.01 && found.mean[1] < 0.01, "{found:?}");
+        assert!(found.blocks[0] < 0.03 && found.verdict() == "trusted", "{found:?}");
+        let found = PictureComparison::new(scene, 1, LampPixels::Excluded).unwrap_or_else(|e| panic!("{e}"));
+        assert!(found.mean[0].is_nan() && found.median.is_nan(), "{found:?}");
+    }
+
+    #[test]
+    fn blocks_with_pixels_that_are_not_compared_are_left_out() {
+        let [width, height] = SIZE.map(|pixels| pixels as usize);
+        let picture: Vec<f64> = (0..width * height).map(|at| (at % width / BLOCK) as f64).collect();
+        let mut is_compared = vec![true; picture.len()];
+        let all = blocks(&picture, &is_compared);
+        assert_eq!(all[..13], [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 0.0]);
+        is_compared[width * BLOCK + BLOCK] = false;
+        let without = blocks(&picture, &is_compared);
+        assert_eq!((all.len(), without.len()), (108, 107));
+        assert_eq!(without[12..14], [0.0, 2.0]);
+    }
 }

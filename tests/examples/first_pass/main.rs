@@ -9,11 +9,13 @@
 //!   `SPP` for the samples a pixel of path tracing.
 //! - `first_pass rooms [--count N] [--from SEED] [--out FILE.tsv] [--without F,F..] [--fog]` compares such pictures of random rooms.
 //!   `first_pass rooms --write SEED` prints a room.
+//! - `first_pass laws [--only T1,T2..] [--error E] [--all]` compares light with closed forms, by the first pass or by path tracing.
 //! - `first_pass fog SCENE [--error E,E..] [--rays N] [--samples N]` compares light in the fog of a scene with the light that paths
 //!   find.
 //!
 //! `cargo run --release -p femc-tests --example first_pass -- errors`
 
+mod laws;
 mod rooms;
 
 use femc_pipeline::radiosity::{SolveOptions, solve};
@@ -22,7 +24,7 @@ use femc_tests::clock::processor_seconds;
 use femc_tests::closed_forms::{Case, SolvedScene, all_cases, relative_errors};
 use femc_tests::fog_light::{self, FogComparison, compare_points, compare_rays};
 use femc_tests::generated_scenes::{Kind, generate_scene};
-use femc_tests::picture_comparison::PictureComparison;
+use femc_tests::picture_comparison::{LampPixels, PictureComparison};
 use std::error::Error;
 use std::path::Path;
 use std::sync::Arc;
@@ -49,6 +51,10 @@ fn main() -> Result<(), Box<dyn Error>> {
         }
         Some("pictures") => args[1..].iter().try_for_each(|scene| pictures(Path::new(scene)))?,
         Some("rooms") => rooms::run(&option, args.iter().any(|arg| arg == "--fog"))?,
+        Some("laws") => {
+            let error = option("--error").unwrap_or("0.3").parse()?;
+            laws::run(option("--only"), error, args.iter().any(|arg| arg == "--all"));
+        }
         Some("steps") => steps(Path::new(args.get(1).ok_or("which scene?")?))?,
         Some("fog") => {
             let scene = args.get(1).ok_or("which scene?")?;
@@ -57,7 +63,7 @@ fn main() -> Result<(), Box<dyn Error>> {
                 .map(|(name, otherwise)| option(name).unwrap_or(otherwise).parse());
             fog(Path::new(scene), &errors, rays?, samples?)?;
         }
-        _ => return Err("usage: first_pass errors [--error E,E..] [--only WORD] | pictures SCENE.. | rooms [--count N] [--from SEED] [--out FILE.tsv] [--without F,F..] [--fog] [--write SEED] | growth [--error E] [--faces N,N..] [--kind room|terrain] [--memory MB] | steps SCENE | fog SCENE [--error E,E..] [--rays N] [--samples N]".into()),
+        _ => return Err("usage: first_pass errors [--error E,E..] [--only WORD] | pictures SCENE.. | rooms [--count N] [--from SEED] [--out FILE.tsv] [--without F,F..] [--fog] [--write SEED] | laws [--only T1,T2..] [--error E] [--all] | growth [--error E] [--faces N,N..] [--kind room|terrain] [--memory MB] | steps SCENE | fog SCENE [--error E,E..] [--rays N] [--samples N]".into()),
     }
     Ok(())
 }
@@ -121,7 +127,7 @@ fn table(cases: &[Case], wanted_errors: &[f32]) {
 fn pictures(path: &Path) -> Result<(), Box<dyn Error>> {
     let scene = Arc::new(femc_import::load_scene_file(path)?.scene);
     let spp = std::env::var("SPP").map_or(Ok(64), |spp| spp.parse())?;
-    let found = PictureComparison::new(scene, spp)?;
+    let found = PictureComparison::new(scene, spp, LampPixels::Included)?;
     let PictureComparison { flux, report, solver_seconds, path_seconds, .. } = &found;
     let shares = flux.traced.map(|traced| {
         format!(

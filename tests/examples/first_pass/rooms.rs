@@ -1,7 +1,7 @@
 //! Comparison of the first pass with path tracing in random rooms.
 
 use femc_tests::parse_scene;
-use femc_tests::picture_comparison::PictureComparison;
+use femc_tests::picture_comparison::{LampPixels, PictureComparison};
 use femc_tests::random_rooms::{FEATURES, RoomOptions, random_room};
 use std::error::Error;
 use std::fs::OpenOptions;
@@ -89,7 +89,7 @@ pub fn run<'a>(option: &impl Fn(&str) -> Option<&'a str>, fog: bool) -> Result<(
 fn row_of(seed: u64, options: &RoomOptions) -> Result<String, Box<dyn Error>> {
     let room = random_room(seed, options);
     let spp = if room.features.contains(&"white") { SPP_OF_WHITE } else { SPP };
-    let found = PictureComparison::new(parse_scene(&room.text), spp)?;
+    let found = PictureComparison::new(parse_scene(&room.text), spp, LampPixels::Excluded)?;
     let PictureComparison { mean, median, blocks, flux, report, solver_seconds, path_seconds, .. } = &found;
     let share = |flux_of: Option<f64>| flux_of.map_or("-".to_owned(), |value| format!("{value:.4}"));
     Ok([

@@ -74,6 +74,11 @@ pub const GROUPS: &[Group] = &[
     Group { name: "tight", about: "grazing rays through edges and vertices of closed meshes", run: watertight::run },
 ];
 
+/// Returns the cases with light sources and slabs in media, by law of the algorithm brief (T8 to T14).
+pub fn media_laws() -> Vec<(&'static str, Vec<Case>)> {
+    [sources::laws(), slab::laws()].concat()
+}
+
 impl Group {
     /// Measures the group's cases and reports each line as soon as it is known.
     pub fn run(&self, effort: &Effort, mut report: impl FnMut(ResultLine)) {

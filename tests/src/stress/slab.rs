@@ -16,13 +16,16 @@ const RHO: f64 = 0.5;
 const HALF_WIDTH: f64 = 1e4;
 
 pub fn run(effort: &Effort, report: &mut dyn FnMut(ResultLine)) {
-    let mut cases = half_spaces();
-    cases.extend(milne());
-    cases.extend(slabs());
-    cases.extend(unscattered());
-    cases.extend(forward());
-    cases.push(giovanelli());
-    measure_all("slabs", &cases, effort, report);
+    for (_, cases) in laws() {
+        measure_all("slabs", &cases, effort, report);
+    }
+}
+
+/// Returns the cases by law.
+pub fn laws() -> Vec<(&'static str, Vec<Case>)> {
+    let mut henyey_greenstein = forward();
+    henyey_greenstein.push(giovanelli());
+    vec![("T10", half_spaces()), ("T11", milne()), ("T12", slabs()), ("T13", henyey_greenstein), ("T14", unscattered())]
 }
 
 #[derive(Clone, Copy, PartialEq)]

@@ -11,7 +11,14 @@ const POINT: &str =
     "IESNA:LM-63-2002\n[TEST] isotropic\nTILT=NONE\n1 1000 1 3 1 1 2 0 0 0\n1 1 1\n0 90 180\n0\n1 1 1\n";
 
 pub fn run(effort: &Effort, report: &mut dyn FnMut(ResultLine)) {
-    let mut cases = airlight();
+    for (_, cases) in laws() {
+        measure_all("sources", &cases, effort, report);
+    }
+}
+
+/// Returns the cases by law.
+pub fn laws() -> Vec<(&'static str, Vec<Case>)> {
+    let mut cases = vec![absorber()];
     for albedo in [0.5, 0.9] {
         let fluence = Fluence::new(albedo);
         for (name, r0, cos) in [("beside", 1.0, 0.0), ("toward", 3.0, -0.95), ("away", 1.0, 1.0), ("far", 2.0, 0.0)] {
@@ -19,8 +26,7 @@ pub fn run(effort: &Effort, report: &mut dyn FnMut(ResultLine)) {
             cases.push(if r0 > 1.0 || albedo > 0.5 { case.as_long() } else { case });
         }
     }
-    cases.push(absorber());
-    measure_all("sources", &cases, effort, report);
+    vec![("T8", cases), ("T9", airlight())]
 }
 
 /// A ray from `start` to `end` along x, with the source at distance `h` from x = 0. Single scattering: sigma_s exp(-sigma_t (x -

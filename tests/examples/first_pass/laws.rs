@@ -6,9 +6,9 @@ use femc_tests::stress::Effort;
 
 /// Measures laws and prints a row of each value.
 /// - `only`: names of laws, separated by commas; all if it is `None`;
-/// - `with_slow`: whether slow settings are measured, and path tracing has a third of the noise.
+/// - `with_slow`: whether slow settings are measured, and path tracing has half of the noise.
 pub fn run(only: Option<&str>, error: f32, with_slow: bool) {
-    let effort = if with_slow { Effort { error_factor: 3.0, ..Effort::QUICK } } else { Effort::QUICK };
+    let effort = Effort { error_factor: if with_slow { 2.0 } else { 4.0 }, ..Effort::QUICK };
     println!("law\tengine\tsetting\ttruth\tfound\trelative error\trms or standard error\tprocessor seconds");
     let is_wanted = |name: &str| only.is_none_or(|names| names.split(',').any(|wanted| wanted == name));
     let mut greatest = [0.0f64; 2];

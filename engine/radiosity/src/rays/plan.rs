@@ -111,7 +111,8 @@ impl RayPlan {
                             let normal = unpack_normal(hit.normal);
                             let spot = SurfaceSpot { position: Vec3A::from_array(hit.target), normal, ..spot };
                             let each = (number * other.size() / part_count(other) as f32).round() as usize;
-                            hit.density[1] = number * aims.get(hit.leaf).ratio(&spot, -dir, each);
+                            let stopped = element.stopped_share() / other.stopped_share();
+                            hit.density[1] = number * stopped * aims.get(hit.leaf).ratio(&spot, -dir, each);
                         }
                         hit
                     };

@@ -7,6 +7,7 @@ use femc_math::Rgb;
 use femc_math::glam::Vec3A;
 use femc_prepared::{Orientation, Prepared};
 use femc_scattering::Sides;
+use rayon::prelude::*;
 
 /// Time of the shutter. Moving objects are at their position in the middle of the shutter interval.
 pub const SHUTTER_TIME: f32 = 0.5;
@@ -56,8 +57,7 @@ impl Lamp {
 
 impl<'a> Scene<'a> {
     pub fn new(prepared: &'a Prepared) -> Self {
-        let albedos: Vec<_> =
-            prepared.materials.iter().map(|material| material.bsdf.diffuse_albedos(MEAN_DIRECTION)).collect();
+        let albedos: Vec<_> = prepared.materials.par_iter().map(|material| material.bsdf.diffuse_albedos()).collect();
         let mut surfaces = Vec::new();
         let mut sides = Vec::with_capacity(prepared.instances.len());
         for (instance, group) in prepared.instances.iter().enumerate() {
@@ -113,7 +113,12 @@ impl<'a> Scene<'a> {
 
     /// Returns the reflected and transmitted shares of the light that a surface receives.
     pub fn surface_albedos(&self, surface: u32) -> (Rgb, Rgb) {
-        self.albedos[self.surfaces[surface as usize].material as usize]
+        self.material_albedos(self.surfaces[surface as usize].material)
+    }
+
+    /// Returns the diffuse reflectance and transmittance of a material.
+    pub fn material_albedos(&self, material: u32) -> (Rgb, Rgb) {
+        self.albedos[material as usize]
     }
 
     /// Returns the other side of a surface, or [`NONE`].
@@ -122,9 +127,6 @@ impl<'a> Scene<'a> {
         self.sides[*instance as usize][primitives[0] as usize][usize::from(*side == Side::Front)]
     }
 }
-
-/// Direction halfway between the normal and grazing, by solid angle.
-pub const MEAN_DIRECTION: Vec3A = Vec3A::new(0.866_025_4, 0.0, 0.5);
 
 /// Returns a box around the fog that scatters: around all surfaces, and in open directions extended by the range of light in the
 /// fog.

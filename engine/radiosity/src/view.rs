@@ -1,6 +1,6 @@
 //! Evaluation of a solution for viewing: the light that arrives at a point of an element, and the light that it sends.
 
-use crate::scene::{MEAN_DIRECTION, SHUTTER_TIME};
+use crate::scene::SHUTTER_TIME;
 use crate::solve::Solution;
 use femc_field::{Cell, Form, Leaf, NONE, Side, Surface, SurfaceSpot};
 use femc_math::Rgb;
@@ -67,8 +67,8 @@ impl<'a> SolutionView<'a> {
     /// Combines a solution with its frame.
     /// - `prepared`: the frame for which `solution` was computed.
     pub fn new(prepared: &'a Prepared, solution: &'a Solution) -> Self {
-        let diffuse = |material: &KernelMaterial| material.bsdf.diffuse_albedos(MEAN_DIRECTION);
-        let absorbed = |material: &KernelMaterial| (Rgb::ONE - material.bsdf.albedo(MEAN_DIRECTION)).max(Rgb::ZERO);
+        let diffuse = |material: &KernelMaterial| material.bsdf.diffuse_albedos();
+        let absorbed = |material: &KernelMaterial| (Rgb::ONE - material.bsdf.hemispherical_albedo()).max(Rgb::ZERO);
         let diffuse_albedos = prepared.materials.iter().map(diffuse).collect();
         Self { prepared, solution, diffuse_albedos, absorbed: prepared.materials.iter().map(absorbed).collect() }
     }

@@ -211,6 +211,26 @@ fn no_member_creates_energy() {
     }
 }
 
+/// The share of light from all directions is the mean of the shares by direction, as samples find them.
+#[test]
+fn hemispherical_albedo_is_the_mean_by_direction() {
+    for (k, (name, bsdf, _)) in members().into_iter().enumerate() {
+        if !matches!(bsdf, Bsdf::Opaque(_)) {
+            continue;
+        }
+        let cosines = (0..24).map(|k| ((k as f32 + 0.5) / 24.0).sqrt());
+        let sums = cosines.map(|cos| furnace(&bsdf, warp::direction(cos, 0.13), 7000 + k as u64, 16));
+        let (mean, error) =
+            sums.fold((Rgb::ZERO, 0.0f32), |(mean, error), (albedo, e)| (mean + albedo / 24.0, error + e));
+        let found = bsdf.hemispherical_albedo();
+        let miss = (found - mean).abs().max_element();
+        assert!(miss < 0.01 + 3.0 * error / 24.0, "{name}: {found} instead of {mean}");
+        let (diffuse, transmitted) = bsdf.diffuse_albedos();
+        let expected = if bsdf.has_delta() { diffuse.min(found) } else { found };
+        assert!(diffuse == expected && transmitted == Rgb::ZERO, "{name}: {diffuse} of {found}");
+    }
+}
+
 #[test]
 fn white_surface_without_rough_specular_keeps_all_energy() {
     let p = MaterialParameters::default();

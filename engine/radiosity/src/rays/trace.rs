@@ -4,7 +4,7 @@ use super::aims::Aim;
 use super::{RayHit, part_count};
 use crate::arena::Arena;
 use crate::element::{Element, FOG_NODES};
-use crate::scene::{MEAN_DIRECTION, SHUTTER_TIME, Scene};
+use crate::scene::{SHUTTER_TIME, Scene};
 use crate::tuning::MAX_CLEAR_SURFACES;
 use crate::visibility::{RandomNumbers, VisibilityTester};
 use femc_field::{NONE, SurfaceSpot};
@@ -203,7 +203,7 @@ pub(super) fn trace_ray(
             let normal = if is_back && towards_viewer { -point.normal } else { point.normal };
             let (frame, delta) = (Frame::from_normal(normal), material.bsdf.without_lambertian());
             let wo = frame.to_local(-ray.dir);
-            let (reflected, transmitted) = material.bsdf.diffuse_albedos(MEAN_DIRECTION);
+            let (reflected, transmitted) = scene.material_albedos(point.material);
             let [sent, passed] = [reflected + transmitted, delta.albedo(wo)].map(luminance);
             specular_probability = if passed > 0.0 { passed / (passed + sent) } else { 0.0 };
             if numbers.next() < specular_probability {

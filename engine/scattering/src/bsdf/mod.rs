@@ -231,16 +231,25 @@ impl Bsdf {
         }
     }
 
-    /// Returns the diffuse reflectance and transmittance for a method that knows only diffuse surfaces. Glossy reflection counts as
-    /// diffuse, with its albedo toward `wo`. Mirrors and clear solids contribute nothing.
-    pub fn diffuse_albedos(&self, wo: Vec3A) -> (Rgb, Rgb) {
+    /// Returns the diffuse reflectance and transmittance for a method that knows only diffuse surfaces: the shares of light from all
+    /// directions. Glossy reflection counts as diffuse. Mirrors and clear solids contribute nothing. Takes some thousand evaluations
+    /// for a coat.
+    pub fn diffuse_albedos(&self) -> (Rgb, Rgb) {
         match self {
             Self::Black | Self::Mirror(_) | Self::Dielectric(_) => (Rgb::ZERO, Rgb::ZERO),
             Self::Diffuse(b) => (b.rd, Rgb::ZERO),
-            Self::Opaque(b) if b.is_smooth() => (b.rd, Rgb::ZERO),
-            Self::Opaque(b) => (b.albedo(wo), Rgb::ZERO),
+            Self::Opaque(b) if b.is_smooth() => (b.hemispherical_diffuse_albedo(), Rgb::ZERO),
+            Self::Opaque(b) => (b.hemispherical_albedo(), Rgb::ZERO),
             Self::Sheet(b) => (b.rd, b.td),
         }
+    }
+
+    /// Returns the share of light from all directions that is scattered, with mirror reflection and refraction. Only for opaque
+    /// surfaces is it the mean over all directions; for others it is the albedo toward a direction in the middle.
+    pub fn hemispherical_albedo(&self) -> Rgb {
+        /// Direction halfway between the normal and grazing, by solid angle.
+        const MEAN_DIRECTION: Vec3A = Vec3A::new(0.866_025_4, 0.0, 0.5);
+        if let Self::Opaque(b) = self { b.hemispherical_albedo() } else { self.albedo(MEAN_DIRECTION) }
     }
 
     /// Removes the Lambertian parts. The boundary of a clear solid stays unchanged.

@@ -121,6 +121,43 @@ impl Opaque {
         let cos = wo.z.abs();
         self.coat.reflectance(cos) + self.rd * self.coat.transmitted(cos)
     }
+
+    /// Returns the share of light from all directions that the diffuse part reflects.
+    pub fn hemispherical_diffuse_albedo(&self) -> Rgb {
+        let factors = mean_cosines().flat_map(|cos_o| mean_cosines().map(move |cos_i| (cos_o, cos_i)));
+        let sum: Rgb = factors.map(|(cos_o, cos_i)| self.coat.diffuse_factor(cos_o, cos_i)).sum();
+        self.rd * sum / (DIRECTIONS * DIRECTIONS) as f32
+    }
+
+    /// Returns the share of light from all directions that is reflected, without what single scattering loses in rough lobes.
+    pub fn hemispherical_albedo(&self) -> Rgb {
+        let mut specular = Rgb::ZERO;
+        for cos in mean_cosines() {
+            if self.is_smooth() {
+                specular += self.coat.reflectance(cos) / DIRECTIONS as f32;
+                continue;
+            }
+            let wo = Vec3A::new((1.0 - cos * cos).sqrt(), 0.0, cos);
+            for k in 0..DIRECTIONS * DIRECTIONS {
+                let u = [k % DIRECTIONS, k / DIRECTIONS].map(|k| (k as f32 + 0.5) / DIRECTIONS as f32);
+                let wi = reflect(wo, sample_visible_normal(wo, self.alpha, u));
+                if wi.z > 0.0 {
+                    let lobe = reflection_lobe(wo, wi, self.alpha);
+                    let weight = lobe.value / (lobe.pdf * DIRECTIONS.pow(3) as f32);
+                    specular += self.coat.reflectance(lobe.cos_half) * weight;
+                }
+            }
+        }
+        self.hemispherical_diffuse_albedo() + specular
+    }
+}
+
+/// Number of strata by which directions are integrated, for each of their two numbers.
+const DIRECTIONS: u32 = 16;
+
+/// Returns cosines to the normal that represent the cosine distribution of directions.
+fn mean_cosines() -> impl Iterator<Item = f32> {
+    (0..DIRECTIONS).map(|k| ((k as f32 + 0.5) / DIRECTIONS as f32).sqrt())
 }
 
 /// Materials of this member, for the tests of the laws.

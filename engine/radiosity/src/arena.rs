@@ -88,6 +88,7 @@ impl Arena {
         };
         let children = [self.build_clusters(a, index, key * 2), self.build_clusters(b, index, key * 2 + 1)];
         let [a, b] = children.map(|child| &self.elements[child as usize]);
+        let (normals, layers) = (a.normals().union(b.normals()), a.layers() + b.layers());
         let (center, radius) = enclosing_sphere((a.center, a.radius), (b.center, b.radius));
         let area = a.size() + b.size();
         let normal = (a.normal().dot(b.normal()) > EQUAL_NORMALS_COSINE).then_some(a.normal());
@@ -97,7 +98,7 @@ impl Arena {
         (cluster.box_center, cluster.half_extent) = (0.5 * (low + high), 0.5 * (high - low));
         (cluster.children, cluster.center, cluster.radius) = (children, center, radius);
         if let Shape::Cluster(cluster) = &mut cluster.shape {
-            (cluster.area, cluster.normal) = (area, normal);
+            (cluster.area, cluster.normal, cluster.normals, cluster.layers) = (area, normal, normals, layers);
         }
         index
     }

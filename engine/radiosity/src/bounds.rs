@@ -84,7 +84,7 @@ impl Extent {
         let size = f64::from(element.size());
         Some(Self {
             center: element.box_center.as_dvec3(),
-            half: (element.half_extent + error + reach * (4.0 * f32::EPSILON)).as_dvec3(),
+            half: (element.half_extent + error + reach * (16.0 * f32::EPSILON)).as_dvec3(),
             normals: (!element.is_volume()).then(|| element.normals()),
             plane: flat.map(|_| (element.center.as_dvec3(), f64::from(error.length()))),
             size: [size * (1.0 - rounding).max(0.0), size * (1.0 + rounding)],

@@ -24,7 +24,7 @@ impl NormalCone {
 
     /// Returns a cone around both.
     pub fn union(self, other: Self) -> Self {
-        let [a, b] = [self, other].map(|cone| (cone.axis.as_dvec3(), f64::from(cone.angle)));
+        let [a, b] = [self, other].map(|cone| (cone.axis.as_dvec3().normalize(), f64::from(cone.angle)));
         let between = atan2(a.0.cross(b.0).length(), a.0.dot(b.0));
         if between + b.1 <= a.1 {
             return self;

@@ -14,15 +14,17 @@ mod cone;
 pub use cone::NormalCone;
 pub(crate) use cone::{curved_box, spread_of_normals};
 
-use crate::element::Element;
+use crate::element::{Element, Shape};
 use crate::gather::ElementLight;
+use crate::tuning::BEHIND_HEIGHT;
 use femc_geometry::Aabb;
 use femc_math::Rgb;
 use femc_math::color::luminance;
 use femc_math::elementary::double::{cbrt, sin_cos};
-use femc_math::elementary::exp;
+use femc_math::elementary::{self, exp};
 use femc_math::glam::{DVec3, Vec3A};
 use femc_prepared::media::Media;
+use std::f32::consts::FRAC_PI_2;
 use std::f64::consts::PI;
 
 /// A closed interval of numbers that are not negative.
@@ -41,7 +43,10 @@ impl Interval {
     /// Returns the interval rounded outward.
     fn outward([low, high]: [f64; 2]) -> Self {
         let low = low * (1.0 - ROUNDING);
-        Self { low: if low > 0.0 { low as f32 } else { 0.0 }, high: (high * (1.0 + ROUNDING)) as f32 + f32::MIN_POSITIVE }
+        Self {
+            low: if low > 0.0 { low as f32 } else { 0.0 },
+            high: (high * (1.0 + ROUNDING)) as f32 + f32::MIN_POSITIVE,
+        }
     }
 
     /// Returns the products of numbers of two intervals.
@@ -222,11 +227,9 @@ fn near_factor(ways: &Ways<'_>, arriving: f64, size: f64) -> f64 {
     if least > 0.0 {
         // Area of the source's box across the ways.
         let across = ((ways.middle.abs() + ways.half) / least).min(DVec3::ONE);
-        let faces = DVec3::new(
-            source.half.y * source.half.z,
-            source.half.z * source.half.x,
-            source.half.x * source.half.y,
-        ) * 4.0;
+        let faces =
+            DVec3::new(source.half.y * source.half.z, source.half.z * source.half.x, source.half.x * source.half.y)
+                * 4.0;
         most = most.min(arriving * across.dot(faces).min(faces.length()) / (PI * least * least));
     }
     most
@@ -255,4 +258,27 @@ pub(crate) fn sent(light: &ElementLight) -> Interval {
 /// - `sent`: bounds of the source's radiosity, lx; for fog per m.
 pub fn irradiance(media: &Media, receiver: &Extent, source: &Extent, sent: Interval) -> Interval {
     form_factor(receiver, source).product(transmittance(media, receiver, source)).product(sent)
+}
+
+/// Checks whether all of `b` is behind all tangent planes of `a`, up to rounding.
+pub(crate) fn is_behind(a: &Element, b: &Element) -> bool {
+    let NormalCone { axis, angle } = a.normals();
+    let single = a.single_normal();
+    if single.is_none() && angle >= FRAC_PI_2 {
+        return false;
+    }
+    let lowest = match &a.shape {
+        Shape::Patch(patch) if patch.part.is_flat => a.center,
+        _ => a.box_center - axis * axis.abs().dot(a.half_extent),
+    };
+    let height = b.max_height(lowest, axis);
+    if single.is_some() {
+        return height <= BEHIND_HEIGHT * (a.radius + b.radius);
+    }
+    // The planes turn away from the axis.
+    let reach = ((b.box_center - a.box_center).abs() + a.half_extent + b.half_extent).length();
+    height < 0.0 && {
+        let (sin, cos) = elementary::sin_cos(angle);
+        height * cos + reach * sin <= 0.0
+    }
 }

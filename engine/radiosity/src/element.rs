@@ -2,7 +2,7 @@
 
 use crate::bounds::{NormalCone, curved_box, spread_of_normals};
 use crate::scene::Scene;
-use crate::tuning::{BULGE_BOX, BULGE_RADIUS, MIN_NORMAL_COSINE};
+use crate::tuning::{BULGE_BOX, BULGE_RADIUS, EQUAL_NORMALS_ANGLE, MIN_NORMAL_COSINE};
 use femc_field::{Form, Leaf, NONE, Outline, Side, Split, Surface, SurfaceSpot};
 use femc_geometry::Quadric;
 use femc_math::Rgb;
@@ -108,8 +108,6 @@ pub struct Volume {
 pub struct Cluster {
     /// Area of its surfaces, m2.
     pub area: f32,
-    /// Unit normal, if all parts have this one.
-    pub normal: Option<Vec3A>,
     /// Normals of all parts.
     pub normals: NormalCone,
     /// Sum of [`SurfacePart::layers`] over its surfaces.
@@ -204,13 +202,7 @@ impl Element {
             radius: 0.0,
             box_center: Vec3A::ZERO,
             half_extent: Vec3A::ZERO,
-            shape: Shape::Cluster(Cluster {
-                area: 0.0,
-                normal: None,
-                normals: NormalCone::ALL,
-                layers: 0.0,
-                directional: NONE,
-            }),
+            shape: Shape::Cluster(Cluster { area: 0.0, normals: NormalCone::ALL, layers: 0.0, directional: NONE }),
         }
     }
 
@@ -368,7 +360,7 @@ impl Element {
     pub fn normal(&self) -> Vec3A {
         match &self.shape {
             Shape::Patch(patch) => patch.normal,
-            Shape::Cluster(cluster) => cluster.normal.unwrap_or(Vec3A::ZERO),
+            Shape::Cluster(_) => self.single_normal().unwrap_or(Vec3A::ZERO),
             Shape::Curved(_) | Shape::Volume(_) => Vec3A::ZERO,
         }
     }
@@ -381,6 +373,15 @@ impl Element {
             }
             Shape::Cluster(cluster) => cluster.normals,
             Shape::Volume(_) => NormalCone::ALL,
+        }
+    }
+
+    /// Returns the unit normal, if all points have this one.
+    pub fn single_normal(&self) -> Option<Vec3A> {
+        match &self.shape {
+            Shape::Patch(patch) => patch.part.is_flat.then_some(patch.normal),
+            Shape::Cluster(cluster) => (cluster.normals.angle < EQUAL_NORMALS_ANGLE).then_some(cluster.normals.axis),
+            Shape::Curved(_) | Shape::Volume(_) => None,
         }
     }
 

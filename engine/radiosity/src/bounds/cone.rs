@@ -55,9 +55,7 @@ pub fn spread_of_normals(surface: &Surface, outline: &Outline) -> f32 {
             let rounding = 4.0 * f64::from(f32::EPSILON) / sine;
             if rounding < 1.0 { rounding as f32 } else { NormalCone::ALL.angle }
         }
-        Form::Curved { shape, pose } => {
-            CurvedPart::new(shape, pose, outline).spread_of_normals()
-        }
+        Form::Curved { shape, pose } => CurvedPart::new(shape, pose, outline).spread_of_normals(),
     }
 }
 
@@ -87,7 +85,8 @@ impl<'a> CurvedPart<'a> {
         let corners = [Vec2::ZERO, Vec2::X, Vec2::Y, Vec2::ONE].map(|local| outline.point_at(local));
         let bounds = |parameter: fn(&Vec2) -> f32| {
             let values = corners.iter().map(parameter);
-            let (low, high) = values.fold((f32::INFINITY, f32::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)));
+            let (low, high) =
+                values.fold((f32::INFINITY, f32::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)));
             [f64::from(low) - PARAMETER_ROUNDING, f64::from(high) + PARAMETER_ROUNDING]
         };
         let around = bounds(|corner| corner.x).map(|u| u * TAU);
@@ -132,7 +131,9 @@ impl<'a> CurvedPart<'a> {
                 let (start, end) = (start.as_dvec3(), end.as_dvec3());
                 let turning = turning((end - start).normalize().any_orthonormal_pair());
                 let (from, to) = (f64::from(start_radius), f64::from(end_radius));
-                bounds_of(self.along.map(|v| turning.map(|x| start.lerp(end, v).dot(dir) + x * (from + (to - from) * v))))
+                bounds_of(
+                    self.along.map(|v| turning.map(|x| start.lerp(end, v).dot(dir) + x * (from + (to - from) * v))),
+                )
             }
             Quadric::Ring { center, normal, inner, outer } => {
                 let turning = turning(normal.as_dvec3().normalize().any_orthonormal_pair());

@@ -54,7 +54,8 @@ fn random_world(numbers: &mut RandomNumbers) -> String {
                 write!(text, "v a =\n  p {d}\nv b =\n  p {c}\ncone a {inward}{from} b {inward}{to}\n").unwrap();
             }
             6 => write!(text, "v a =\n  p {a}\n  n {direction}\nring a {} {size}\n", share * size).unwrap(),
-            _ => write!(text, "v a =\n  p {a}\n  n {direction}\ntorus a {inward}{} {inward}{size}\n", share * size).unwrap(),
+            _ => write!(text, "v a =\n  p {a}\n  n {direction}\ntorus a {inward}{} {inward}{size}\n", share * size)
+                .unwrap(),
         }
         if moved {
             text += "xf\n";
@@ -242,7 +243,8 @@ impl Comparison {
             }
             let (bound, noise) = (form_factor(receiver, source), 6.0 * variance.sqrt());
             self.pairs += 1;
-            let holds = bound.low.is_finite() && f64::from(bound.low) <= factor_at + noise + 1e-12
+            let holds = bound.low.is_finite()
+                && f64::from(bound.low) <= factor_at + noise + 1e-12
                 && factor_at - noise <= f64::from(bound.high) + 1e-9;
             let [from, to] = [at, other].map(|point| point.position.as_vec3a());
             let through = f64::from(tester.fog_transmittance(&scene, from, to));
@@ -273,7 +275,8 @@ impl Comparison {
             println!("{what} elements: distance in radii\tpairs\tbound / factor: first quarter\tmedian\tthird quarter");
             let ends = [0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 64.0, f64::INFINITY];
             for [from, to] in ends.array_windows() {
-                let mut ratios: Vec<f64> = pairs.iter().filter(|it| (*from..*to).contains(&it[0])).map(|it| it[1]).collect();
+                let mut ratios: Vec<f64> =
+                    pairs.iter().filter(|it| (*from..*to).contains(&it[0])).map(|it| it[1]).collect();
                 ratios.sort_by(f64::total_cmp);
                 if let n @ 1.. = ratios.len() {
                     let [low, middle, high] = [n / 4, n / 2, n * 3 / 4].map(|k| ratios[k]);

@@ -19,7 +19,9 @@ impl Oracle<'_> {
     /// Returns the difference, at the edge of a box of fog next to a surface or another box, between the light received there and
     /// the value interpolated from the nodes.
     pub fn edge_error(&self, p: &Element, q: &Element, factors: &[f32; 4], tester: &mut VisibilityTester) -> f32 {
-        let (spot, linear) = edge_spot(p, q, factors);
+        let nearest = ((q.center - p.center) / p.half_extent).clamp(Vec3A::NEG_ONE, Vec3A::ONE) * AT_EDGE;
+        let spot = SurfaceSpot { position: p.center + p.half_extent * nearest, ..SurfaceSpot::default() };
+        let linear: f32 = factors.iter().zip(FOG_NODES).map(|(f, node)| f * (0.25 + 0.75 * node.dot(nearest))).sum();
         (self.factor(p, q, &spot, tester) - linear).abs()
     }
 
@@ -71,20 +73,6 @@ impl Oracle<'_> {
         }
         0.25 / distance2 * tester.fog_transmittance(self.scene, node.position, q.center)
     }
-}
-
-/// Returns a bound of [`Oracle::edge_error`].
-/// - `most`: greatest factor at a point of the receiver.
-pub fn edge_error_bound(p: &Element, q: &Element, factors: &[f32; 4], most: f32) -> f32 {
-    let (_, linear) = edge_spot(p, q, factors);
-    (most - linear).max(linear.abs())
-}
-
-/// Returns the point at the edge of a box of fog next to a source, and the factor there by the factors at the nodes.
-fn edge_spot(p: &Element, q: &Element, factors: &[f32; 4]) -> (SurfaceSpot, f32) {
-    let nearest = ((q.center - p.center) / p.half_extent).clamp(Vec3A::NEG_ONE, Vec3A::ONE) * AT_EDGE;
-    let spot = SurfaceSpot { position: p.center + p.half_extent * nearest, ..SurfaceSpot::default() };
-    (spot, factors.iter().zip(FOG_NODES).map(|(f, node)| f * (0.25 + 0.75 * node.dot(nearest))).sum())
 }
 
 /// Returns the share of the radiosity (per m) of a homogeneous box of fog that a point receives, m. It uses the box's faces: for

@@ -120,9 +120,6 @@ pub const IN_PLANE: f32 = 1e-5;
 /// Optical thickness of a surface's radius, times radius over distance, up to which its nodes suffice for the attenuation by fog.
 /// With 64 points beyond, factors are exact to 2 % (test `surfaces_in_fog_are_attenuated_like_the_quadrature`).
 pub const THIN_DEPTH: f32 = 0.1;
-/// Factor of bounds that are compared with the factors at points near fog. These are exact to some percent (tests
-/// `a_point_receives_of_a_box_what_all_directions_bring`, `boxes_of_fog_send_what_the_quadrature_over_their_volume_says`).
-pub const FACTOR_ROUNDING: f32 = 1.1;
 /// Distance in radii beyond which a box of fog is one point.
 pub const FAR_BOX_RADII: f32 = 3.0;
 /// Distance in radii up to which a box's faces have [`FACE_POINTS`] points by axis; beyond, they have [`FAR_FACE_POINTS`].

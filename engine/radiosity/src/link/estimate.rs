@@ -1,12 +1,10 @@
 //! Light of a link without occlusion, with estimates of its error.
 
 use super::{Oracle, Pair};
-use crate::bounds::{Extent, form_factor, transmittance};
 use crate::element::{PatchForm, Shape};
-use crate::fog_factor::edge_error_bound;
 use crate::tuning::{
-    CENTER_WEIGHT, DIRECTIONAL_ERROR, EDGE_WEIGHT, FACTOR_ROUNDING, MIN_NEIGHBOR_RADII, MIN_SOURCE_SHARE, NODES_WEIGHT,
-    SHAPE_WEIGHT, SURFACE_EDGE_WEIGHT, THICKNESS_WEIGHT,
+    CENTER_WEIGHT, DIRECTIONAL_ERROR, EDGE_WEIGHT, MIN_NEIGHBOR_RADII, MIN_SOURCE_SHARE, NODES_WEIGHT, SHAPE_WEIGHT,
+    SURFACE_EDGE_WEIGHT, THICKNESS_WEIGHT,
 };
 use crate::visibility::VisibilityTester;
 
@@ -32,48 +30,24 @@ impl Oracle<'_> {
         }
         let nodes = &factors[..count];
         let mut mean = nodes.iter().sum::<f32>() / count as f32;
+        let middle = if count > 1 { self.factor(p, q, &p.center_spot(), tester) } else { mean };
         let (low, high) = nodes.iter().fold((f32::INFINITY, 0.0f32), |(low, high), &f| (low.min(f), high.max(f)));
         let missed =
             if self.is_beside(pair) { self.add_missed_light(pair, (&mut factors, &mut mean), tester) } else { 0.0 };
-        // Errors from the deviation of the center from the mean, and from the light at the edge of fog that the nodes miss.
-        let errors = |deviation: f32, edge: f32| {
-            let receiver_error = if p.is_directional() {
-                mean * pair.radiosity * directional_error(pair.near_p)
-            } else {
-                let shape = SHAPE_WEIGHT * pair.near_p * pair.near_p * mean;
-                (CENTER_WEIGHT * deviation + NODES_WEIGHT * (high - low) + shape + missed + edge) * pair.radiosity
+        let receiver_error = if p.is_directional() {
+            mean * pair.radiosity * directional_error(pair.near_p)
+        } else {
+            let edge = match (&p.shape, &q.shape) {
+                (Shape::Volume(_), Shape::Volume(_)) => EDGE_WEIGHT * self.edge_error(p, q, &factors, tester),
+                (Shape::Volume(_), Shape::Patch(_)) => SURFACE_EDGE_WEIGHT * self.edge_error(p, q, &factors, tester),
+                _ => 0.0,
             };
-            self.sum_errors(pair, mean, [receiver_error, source_error(pair, mean)])
+            let shape = SHAPE_WEIGHT * pair.near_p * pair.near_p * mean;
+            (CENTER_WEIGHT * (middle - mean).abs() + NODES_WEIGHT * (high - low) + shape + missed + edge)
+                * pair.radiosity
         };
-        let edge_weight = match (&p.shape, &q.shape) {
-            (Shape::Volume(_), Shape::Volume(_)) => EDGE_WEIGHT,
-            (Shape::Volume(_), Shape::Patch(_)) => SURFACE_EDGE_WEIGHT,
-            _ => 0.0,
-        };
-        // If the bounds prove that the link is exact enough, its error does not matter.
-        let is_enough = |errors: [f32; 2]| errors[0] + errors[1] <= pair.allowed;
-        let most = if is_enough(errors(0.0, 0.0)) { self.greatest_factor(pair) } else { None };
-        if let Some(most) = most {
-            let edge = if edge_weight > 0.0 { edge_error_bound(p, q, &factors, most) } else { 0.0 };
-            let errors = errors((most - mean).max(mean), edge_weight * edge);
-            if is_enough(errors) {
-                return LinkEstimate { factors, mean, errors };
-            }
-        }
-        let middle = if count > 1 { self.factor(p, q, &p.center_spot(), tester) } else { mean };
-        let edge = if edge_weight > 0.0 { edge_weight * self.edge_error(p, q, &factors, tester) } else { 0.0 };
-        LinkEstimate { factors, mean, errors: errors((middle - mean).abs(), edge) }
-    }
-
-    /// Returns a bound of the factors at all points of the receiver. `None` if the factors are computed as quickly as the bound.
-    pub(crate) fn greatest_factor(&self, pair: &Pair<'_>) -> Option<f32> {
-        let Pair { p, q, .. } = *pair;
-        if pair.has_directional() || !(p.is_volume() || q.is_volume()) {
-            return None;
-        }
-        let [receiver, source] = [Extent::new(p)?, Extent::new(q)?];
-        let through = transmittance(&self.scene.prepared.media, &receiver, &source);
-        Some(FACTOR_ROUNDING * form_factor(&receiver, &source).product(through).high)
+        let errors = self.sum_errors(pair, mean, [receiver_error, source_error(pair, mean)]);
+        LinkEstimate { factors, mean, errors }
     }
 
     /// Checks whether a small source is next to a box of fog. It mostly lights the fog next to itself, where there may be no node.

@@ -1,13 +1,30 @@
 //! Bounded propagation: bounds of the light that any element receives from any other.
 //!
 //! From a box, a cone of normals and an area of each element, [`form_factor`] bounds the form factor at every point of the
-//! receiver, [`transmittance`] that of the fog between the elements, and [`sent`] the radiosity. Their product bounds the irradiance
+//! receiver, [`transmittance`] that of the fog between the elements, and [`irradiance`] their product with the radiosity
 //! \[stamminger1997\]. The kernel is cos cos / (pi r2), so its bounds follow from bounds of the two cosines and of the distance.
 //! Close to the source, its solid angle bounds the factor instead.
 //!
 //! The bounds hold for patches, curved elements, boxes of fog and clusters of surfaces, also if they touch or overlap. They are
-//! rounded outward. Surfaces may hide any part of the source: the bounds are those of the light without occlusion, and of the
-//! occluded light only the upper one holds.
+//! rounded outward. Surfaces may hide any part of the source, and nothing is known about them here: the bounds are those of the
+//! light without occlusion, and of the occluded light only the upper one holds.
+//!
+//! Median of the upper bound over the factor at a point, in a million random pairs, by the distance of the centers in sums of the
+//! radii (test `a_million_random_pairs_are_within_their_bounds`):
+//!
+//! | distance | flat elements | pairs with curved elements, fog or clusters |
+//! | --- | --- | --- |
+//! | 1 to 2 | 21 | 27 |
+//! | 2 to 4 | 4.7 | 9.9 |
+//! | 4 to 8 | 2.2 | 5.2 |
+//! | 8 to 16 | 1.5 | 3.6 |
+//! | 16 to 64 | 1.16 | 3.0 |
+//! | above | 1.03 | 2.5 |
+//!
+//! The refiner takes two decisions with them: it drops pairs that are behind each other (`is_behind`), and it skips sources that
+//! send nothing. A bound of the factor takes about as long as the factor itself (0.2 us), so it decides nothing else there. Of the
+//! pairs of a furnished room, it proved 0.1 % more to be dark, and 2 % to have less than a hundredth of the allowed error. With
+//! fog it proved a third to have so little, but links there did not become faster when bounds replaced estimates of their errors.
 
 mod cone;
 
@@ -248,7 +265,8 @@ pub fn transmittance(media: &Media, a: &Extent, b: &Extent) -> Interval {
     Interval { low, high: high.min(1.0) }
 }
 
-/// Returns the bounds of what a source sends: the luminance of the radiosity at its parts' nodes, lx; for fog per m.
+/// Returns the bounds of what a source sends: the luminance of the radiosity at its parts' nodes, lx; for fog per m. Between the
+/// nodes the light is linear, and it may exceed them.
 pub(crate) fn sent(light: &ElementLight) -> Interval {
     Interval { low: light.darkest.max(0.0), high: light.brightest.max(0.0) }
 }

@@ -2,7 +2,7 @@
 
 use super::{GRAY, face, oracle, prepare, split};
 use crate::arena::Arena;
-use crate::bounds::{Extent, form_factor, transmittance};
+use crate::bounds::{Extent, Interval, form_factor, irradiance, transmittance};
 use crate::element::Element;
 use crate::gather::ElementLights;
 use crate::scene::Scene;
@@ -251,11 +251,17 @@ impl Comparison {
             let through = f64::from(tester.fog_transmittance(&scene, from, to));
             let fog = transmittance(&prepared.media, receiver, source);
             let fog_holds = (f64::from(fog.low) - 1e-5..=f64::from(fog.high) + 1e-5).contains(&through);
+            // Of a source whose radiosity is between 0.5 and 2.
+            let (low, high, radiosity) = (0.5, 2.0, f64::from(0.5 + 1.5 * numbers.next()));
+            let light = irradiance(&prepared.media, receiver, source, Interval { low, high });
+            let arriving = |factor: f64| factor * through * radiosity;
+            let light_holds = f64::from(light.low) <= arriving(factor_at + noise) + 1e-5
+                && arriving(factor_at - noise) <= f64::from(light.high) * 1.0001 + 1e-9;
             let misses = [(at, receiver), (other, source)].map(|(point, extent)| outside(extent, &point));
-            if !(holds && fog_holds && misses.iter().flatten().all(|miss| *miss <= 0.0)) {
+            if !(holds && fog_holds && light_holds && misses.iter().flatten().all(|miss| *miss <= 0.0)) {
                 let [p, q] = [p, q].map(|index| &arena.elements[index].shape);
                 self.violations.push(format!(
-                    "world {seed}, {holds} {fog_holds} {misses:?}: {factor_at} with noise {noise}, not in {bound:?}; {through} in {fog:?}; {at:?} {receiver:?} {source:?} {p:?} {q:?}"
+                    "world {seed}, {holds} {fog_holds} {light_holds} {misses:?}: {factor_at} with noise {noise}, not in {bound:?}; {through} in {fog:?}; {at:?} {receiver:?} {source:?} {p:?} {q:?}"
                 ));
             }
             self.zero[0] += usize::from(bound.high == 0.0);

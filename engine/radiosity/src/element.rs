@@ -356,6 +356,18 @@ impl Element {
         }
     }
 
+    /// Returns the ratio of the element's flux to its radiosity: m2, for fog m3. A box of fog sends in all directions four times as
+    /// much as a surface of its radiosity.
+    pub fn sending_size(&self) -> f32 {
+        if self.is_volume() { 4.0 * self.size() } else { self.size() }
+    }
+
+    /// Returns the flux that the element receives, as a share of its irradiance and its size: for fog, the light that it scatters,
+    /// 1/m.
+    pub fn received_share(&self) -> Rgb {
+        if let Shape::Volume(fog) = &self.shape { fog.sigma_s * 4.0 } else { Rgb::ONE }
+    }
+
     /// Returns the unit normal; zero for curved elements, fog, and clusters with more than one normal.
     pub fn normal(&self) -> Vec3A {
         match &self.shape {

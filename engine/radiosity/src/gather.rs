@@ -233,7 +233,7 @@ impl ElementLights {
             if arena.elements[index].is_leaf() {
                 self.reflect(scene, arena, index);
                 let element = &arena.elements[index];
-                let size = f64::from(sending_size(element));
+                let size = f64::from(element.sending_size());
                 let now = self.elements[index].radiosity;
                 flux.change += size * f64::from(luminance((now - before).abs()));
                 flux.sent += size * f64::from(luminance(now));
@@ -255,13 +255,10 @@ impl ElementLights {
             // Light that a mirror passes on may arrive several times.
             let shares = &self.arriving_share[index][..element.node_count()];
             let most = shares.iter().copied().fold(1.0, f32::max);
-            let whole = self.elements[index].radiosity * (most * sending_size(element));
-            let leaving = self.arriving_radiosity(element, index) * sending_size(element);
-            let arriving = self.mean_irradiance_from_elements(scene, element, index)
-                * match &element.shape {
-                    Shape::Volume(fog) => fog.sigma_s * (4.0 * fog.volume),
-                    _ => Rgb::splat(element.size()),
-                };
+            let whole = self.elements[index].radiosity * (most * element.sending_size());
+            let leaving = self.arriving_radiosity(element, index) * element.sending_size();
+            let arriving =
+                self.mean_irradiance_from_elements(scene, element, index) * (element.received_share() * element.size());
             for (sums, light) in [(&mut all, whole), (&mut sent, leaving), (&mut received, arriving)] {
                 sums.iter_mut().zip(light.to_array()).for_each(|(sum, value)| *sum += f64::from(value));
             }
@@ -288,24 +285,31 @@ impl ElementLights {
         let (shares, count) = (self.arriving_share[index], element.node_count());
         let mean = shares[..count].iter().sum::<f32>() / count as f32;
         let radiosity = self.elements[index].radiosity * mean;
-        let Shape::Patch(patch) = &element.shape else { return radiosity };
-        if shares[1..count].iter().all(|share| *share == shares[0]) {
+        if element.patch().is_none() || shares[1..count].iter().all(|share| *share == shares[0]) {
             return radiosity;
         }
         // The parts differ in radiosity and in the share that arrives.
-        let parts = self.part_radiosity(patch, index);
+        let parts = self.part_radiosity(element, index);
         let uneven: Rgb = parts[..count].iter().zip(shares).map(|(light, share)| *light * (share - mean)).sum();
         (radiosity + uneven / count as f32).max(Rgb::ZERO)
     }
 
-    /// Returns the radiosity of the parts of a leaf, each at its node, lx.
-    pub fn part_radiosity(&self, patch: &Patch, index: usize) -> [Rgb; 4] {
+    /// Returns the radiosity of the parts of a leaf, each at its node, lx. For fog, it is what a surface that reflects everything
+    /// would send: a quarter of the light from all directions.
+    pub fn part_radiosity(&self, element: &Element, index: usize) -> [Rgb; 4] {
+        let (reflectance, sent) = match &element.shape {
+            Shape::Patch(patch) => (patch.part.reflectance, self.elements[index].radiosity),
+            Shape::Volume(fog) => {
+                let scattered = self.elements[index].radiosity / fog.sigma_s.max(Rgb::splat(f32::MIN_POSITIVE));
+                (Rgb::ONE, scattered)
+            }
+            Shape::Curved(_) | Shape::Cluster(_) => return [self.elements[index].radiosity; 4],
+        };
         let [lamps, elements] = [FROM_LAMPS, FROM_ELEMENTS].map(|from| self.node_irradiance(index, from));
         let irradiance: [Rgb; 4] = std::array::from_fn(|node| (lamps[node] + elements[node]).max(Rgb::ZERO));
-        let count = patch.nodes().len();
+        let count = element.node_count();
         let mean = irradiance[..count].iter().copied().sum::<Rgb>() / count as f32;
-        let radiosity = self.elements[index].radiosity;
-        irradiance.map(|irradiance| (radiosity + patch.part.reflectance * (irradiance - mean)).max(Rgb::ZERO))
+        irradiance.map(|irradiance| (sent + reflectance * (irradiance - mean)).max(Rgb::ZERO))
     }
 
     /// Returns the mean irradiance of a leaf from elements, lx.
@@ -349,7 +353,7 @@ impl ElementLights {
     pub fn sent_light_weights(arena: &Arena) -> Vec<f32> {
         let leaves = || arena.elements.iter().filter(|element| element.is_leaf());
         let curved = leaves().filter(|element| matches!(element.shape, Shape::Curved(_))).count();
-        leaves().flat_map(|element| [sending_size(element); 3]).chain(std::iter::repeat_n(0.0, 27 * curved)).collect()
+        leaves().flat_map(|element| [element.sending_size(); 3]).chain(std::iter::repeat_n(0.0, 27 * curved)).collect()
     }
 
     /// Sets the output of [`ElementLights::sent_light`].
@@ -551,12 +555,6 @@ fn curved_normals(scene: &Scene<'_>, part: &SurfacePart) -> impl Iterator<Item =
         let place = Vec2::new((k % 4) as f32 + 0.5, (k / 4) as f32 + 0.5) * 0.25;
         part.point_at(scene, place).normal
     })
-}
-
-/// Returns the ratio of an element's flux to its radiosity: m2, for fog m3. A box of fog sends in all directions four times as much
-/// as a surface of its radiosity.
-fn sending_size(element: &Element) -> f32 {
-    if element.is_volume() { 4.0 * element.size() } else { element.size() }
 }
 
 fn gather_row(arena: &Arena, lights: &[ElementLight], row: &[Link]) -> ([Rgb; 4], Harmonics) {

@@ -100,7 +100,7 @@ pub struct IncidentSegment {
     pub ray_count: f32,
 }
 
-/// Rays from all leaves of surfaces. Each ray measures the light that its origin receives from its end, and, if its end is a leaf,
+/// Rays from all leaves of surfaces and of fog. Each ray measures the light that its origin receives from its end, and, if its end is a leaf,
 /// the light that this leaf receives from the origin: light travels both ways. So the rays of either leaf may find a way between
 /// them. Its light is divided by the expected number of rays along it from both leaves, or from those that count (multiple
 /// importance sampling with the balance or the maximum heuristic, \[pharr2023\]). Leaves that send much light have more rays, which
@@ -337,7 +337,7 @@ impl Rays {
 #[derive(Clone, Copy, Debug)]
 struct SentLight<'a> {
     lights: &'a ElementLights,
-    /// Radiosity of the parts of patches, by element; `None`: it is computed for each ray.
+    /// Output of [`ElementLights::part_radiosity`] by element; `None`: it is computed for each ray.
     parts: Option<&'a [[Rgb; 4]]>,
 }
 
@@ -347,14 +347,10 @@ impl SentLight<'_> {
         if hit.leaf == NONE {
             return Rgb::splat(hit.share);
         }
-        let light = &self.lights.elements[hit.leaf as usize];
-        if arena.elements[hit.leaf as usize].is_volume() {
-            return Rgb::splat(hit.share * light.mean);
-        }
         self.radiosity(arena, hit.leaf, usize::from(hit.part), unpack_normal(hit.normal)) * hit.share
     }
 
-    /// Returns the radiosity of a part of a leaf of a surface, lx. A leaf that is bright only in a place that few rays reach, such
+    /// Returns the radiosity of a part of a leaf, as [`ElementLights::part_radiosity`], lx. A leaf that is bright only in a place that few rays reach, such
     /// as a ceiling inside of a lamp's housing, is not as bright as its mean elsewhere.
     /// - `normal`: normal at the point, for a curved leaf.
     fn radiosity(&self, arena: &Arena, leaf: u32, part: usize, normal: Vec3A) -> Rgb {
@@ -364,11 +360,10 @@ impl SentLight<'_> {
                 let of = |from: usize| lights.directional_irradiance(curved, index, from).cosine_integral(normal);
                 curved.part.reflectance * (of(FROM_LAMPS) + of(FROM_ELEMENTS))
             }
-            Shape::Patch(patch) => match self.parts {
+            _ => match self.parts {
                 Some(parts) => parts[index][part],
-                None => lights.part_radiosity(patch, index)[part],
+                None => lights.part_radiosity(&arena.elements[index], index)[part],
             },
-            Shape::Volume(_) | Shape::Cluster(_) => lights.elements[index].radiosity,
         };
         radiosity.max(Rgb::ZERO)
     }

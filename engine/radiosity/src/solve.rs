@@ -266,7 +266,9 @@ impl<'a> Solver<'a> {
             let oracle = self.oracle(self.options.error, self.state.links.len());
             let is_uneven = |((leaf, contrast), of_lamps): &((u32, f32), f32)| {
                 let element = &oracle.arena.elements[*leaf as usize];
-                0.5 * contrast.max(*of_lamps) > oracle.allowed_error(element, &oracle.lights[*leaf as usize])
+                // The light of fog has no shadows as sharp as those on surfaces.
+                !element.is_volume()
+                    && 0.5 * contrast.max(*of_lamps) > oracle.allowed_error(element, &oracle.lights[*leaf as usize])
                     && oracle.may_split(*leaf)
             };
             let both = contrast.into_iter().zip(lamp_contrast);

@@ -180,7 +180,8 @@ impl Rays {
             let element = &arena.elements[leaf as usize];
             let parts = part_count(element);
             let (shares, variances) = self.arriving_share(place, parts);
-            let flux = f64::from(luminance(lights.elements[leaf as usize].radiosity) * element.size()) / parts as f64;
+            let flux =
+                f64::from(luminance(lights.elements[leaf as usize].radiosity) * element.sending_size()) / parts as f64;
             for part in 0..parts {
                 arriving += flux * f64::from(shares[part]);
                 variance += flux * flux * f64::from(variances[part]);
@@ -189,9 +190,10 @@ impl Rays {
         }
         lights.share_variance = if arriving > 0.0 { (variance / (arriving * arriving)) as f32 } else { 0.0 };
         // Rays through mirrors are too noisy for the balance of all light: a room of mirrors was 4.5 % too dark instead of 3.5 %.
-        let has_mirrors = self.hits.iter().any(|hit| !hit.is_two_way && hit.leaf != NONE);
-        lights.has_measured_shares = arena.fog == NONE && !has_mirrors;
-        lights.bent_lamp_flux = self.bent_lamp_flux();
+        let is_surface = |leaf: u32| leaf != NONE && !arena.elements[leaf as usize].is_volume();
+        let has_mirrors = self.hits.iter().any(|hit| !hit.is_two_way && is_surface(hit.leaf));
+        lights.has_measured_shares = !has_mirrors;
+        lights.bent_lamp_flux = self.bent_lamp_flux(arena);
     }
 
     /// Returns the share of the rays of each part of a leaf that hit something, and its variance.
@@ -213,9 +215,14 @@ impl Rays {
     }
 
     /// Returns the luminous flux from lamps that the leaves' rays have found, lm.
-    fn bent_lamp_flux(&self) -> f32 {
-        let of_lamps = self.hits.iter().filter(|hit| hit.leaf == NONE && hit.density[0] > 0.0);
-        of_lamps.map(|hit| f64::from(hit.share / hit.density[0])).sum::<f64>() as f32
+    fn bent_lamp_flux(&self, arena: &Arena) -> f32 {
+        let of_leaf = |(place, &leaf): (usize, &u32)| {
+            let hits = &self.hits[self.first[place] as usize..self.first[place + 1] as usize];
+            let of_lamps = hits.iter().filter(|hit| hit.leaf == NONE && hit.density[0] > 0.0);
+            let irradiance = of_lamps.map(|hit| f64::from(hit.share / hit.density[0])).sum::<f64>();
+            irradiance * f64::from(luminance(arena.elements[leaf as usize].received_share()))
+        };
+        self.leaves.iter().enumerate().map(of_leaf).sum::<f64>() as f32
     }
 
     /// Sets the light that the leaves receive in addition to that of the links.
@@ -241,6 +248,9 @@ impl Rays {
             }
             let sums_of = &sums_of[..parts.len()];
             contrast.push((leaf, part_contrast(sums_of, &parts)));
+            if element.is_volume() {
+                continue;
+            }
             for (sums, part) in sums_of.iter().zip(parts) {
                 let size = f64::from(sums.area);
                 changed += f64::from(sums.light(&part) - sums.links).powi(2) / size.max(f64::MIN_POSITIVE);
@@ -279,9 +289,7 @@ impl Rays {
         let estimator = if kind == FROM_LAMPS { VarianceEstimator::Measured } else { VarianceEstimator::RareHits };
         let noise = Noise { chance, estimator };
         // Many rays hit the same leaf.
-        let of_parts = |(index, element): (usize, &Element)| {
-            element.patch().map_or([Rgb::ZERO; 4], |patch| lights.part_radiosity(patch, index))
-        };
+        let of_parts = |(index, element): (usize, &Element)| lights.part_radiosity(element, index);
         let is_sent = kind == FROM_ELEMENTS;
         let parts_sent: Vec<[Rgb; 4]> =
             if is_sent { arena.elements.iter().enumerate().map(of_parts).collect() } else { Vec::new() };
@@ -322,22 +330,25 @@ impl Rays {
             let part = sums[index];
             if is_root(arena, element) {
                 all.add(&part);
-            } else if element.surface_part().is_some() {
+            } else if element.surface_part().is_some() || (element.is_volume() && index != arena.fog as usize) {
                 sums[element.parent as usize].add(&part);
             }
         }
         // A parent comes before its children. The total of its parts is known best.
-        let nothing =
-            LightEstimate { scale: 1.0, extra: Rgb::ZERO, bright: all.bright(0.0), own_share: all.own_share(1.0) };
-        let whole = all.estimate(&nothing, noise);
+        let whole = all.estimate(&LightEstimate::links(&all), noise);
         let mut known = vec![whole; arena.elements.len()];
         let roots: Vec<u32> = arena.roots.iter().copied().filter(|&root| root != NONE).collect();
         let parts: Vec<PartSums> = roots.iter().map(|&root| sums[root as usize]).collect();
         for (&root, part) in roots.iter().zip(whole.part_estimates(&all, noise, &parts)) {
             known[root as usize] = part;
         }
+        if let Some(fog) = sums.get(arena.fog as usize) {
+            // The fog is a tree of its own, whose parts have volumes.
+            let nothing = LightEstimate::links(fog);
+            known[arena.fog as usize] = fog.estimate(&nothing, noise);
+        }
         for (index, element) in arena.elements.iter().enumerate() {
-            if element.surface_part().is_none() || element.is_leaf() {
+            if element.is_cluster() || element.is_leaf() {
                 continue;
             }
             let parts = element.children.map(|child| sums[child as usize]);
@@ -386,6 +397,11 @@ struct LightEstimate {
 }
 
 impl LightEstimate {
+    /// Returns the estimate that the links have, for the whole of all parts.
+    fn links(all: &PartSums) -> Self {
+        Self { scale: 1.0, extra: Rgb::ZERO, bright: all.bright(0.0), own_share: all.own_share(1.0) }
+    }
+
     /// Returns the estimates of the parts of a whole. Together they have the light of the whole.
     fn part_estimates(self, whole: &PartSums, noise: Noise, parts: &[PartSums]) -> Vec<Self> {
         let above = Self { bright: whole.bright(self.bright), own_share: whole.own_share(self.own_share), ..self };
@@ -433,8 +449,7 @@ mod tests {
         let parts: Vec<PartSums> = [4, 3, 5, 0, 3, 3, 4, 2].map(part).to_vec();
         let mut all = PartSums::default();
         parts.iter().for_each(|part| all.add(part));
-        let nothing =
-            LightEstimate { scale: 1.0, extra: Rgb::ZERO, bright: all.bright(0.0), own_share: all.own_share(1.0) };
+        let nothing = LightEstimate::links(&all);
         let known = nothing.part_estimates(&all, RARE, &parts);
         let scales: Vec<f32> = known.iter().map(|known| known.scale).collect();
         assert!(scales.iter().all(|scale| (scale - 1.0).abs() < 0.01), "{scales:?}");
@@ -451,8 +466,7 @@ mod tests {
         let parts = [part(3.0), part(5.0)];
         let mut all = PartSums::default();
         parts.iter().for_each(|part| all.add(part));
-        let nothing =
-            LightEstimate { scale: 1.0, extra: Rgb::ZERO, bright: all.bright(0.0), own_share: all.own_share(1.0) };
+        let nothing = LightEstimate::links(&all);
         let known = all.estimate(&nothing, RARE).part_estimates(&all, RARE, &parts);
         for (known, want) in known.iter().zip([3.0, 5.0]) {
             assert!((luminance(known.extra) / want - 1.0).abs() < 0.1, "{known:?} {want}");

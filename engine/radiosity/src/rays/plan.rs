@@ -45,7 +45,7 @@ impl RayPlan {
         let more = (EXTRA_RAYS_RATIO * (parts * each) as f32).min(((fit - each) * parts) as f32);
         let power = |&leaf: &u32| {
             let element = &arena.elements[leaf as usize];
-            element.size() * luminance(lights.elements[leaf as usize].radiosity).max(0.0)
+            element.sending_size() * luminance(lights.elements[leaf as usize].radiosity).max(0.0)
         };
         let whole: f32 = leaves.iter().map(power).sum();
         let by_power = |leaf: &u32| if whole > 0.0 { (more * (power(leaf) / whole)) as usize / MAX_PARTS } else { 0 };
@@ -99,7 +99,7 @@ impl RayPlan {
                             &mut tester,
                         );
                         let (direct, origin_normal) = (direct.to_array(), pack_normal(spot.normal));
-                        if dir.dot(spot.normal) <= 0.0 {
+                        if !element.is_volume() && dir.dot(spot.normal) <= 0.0 {
                             return RayHit { direct, origin_normal, ..RayHit::MISS };
                         }
                         let mut hit = trace_ray(scene, arena, &spot, dir, u, &mut tester);
@@ -126,11 +126,11 @@ impl RayPlan {
     }
 }
 
-/// Returns the leaves of surfaces from which rays begin, by index.
+/// Returns the leaves from which rays begin, by index: parts of surfaces, and boxes of fog.
 pub fn ray_leaves(arena: &Arena) -> Vec<u32> {
     let is_leaf = |index: &u32| {
         let element = &arena.elements[*index as usize];
-        element.is_leaf() && element.surface_part().is_some()
+        element.is_leaf() && !element.is_cluster()
     };
     (0..arena.elements.len() as u32).filter(is_leaf).collect()
 }

@@ -3,7 +3,7 @@
 use super::aims::Aim;
 use super::{RayHit, part_count};
 use crate::arena::Arena;
-use crate::element::Element;
+use crate::element::{Element, FOG_NODES};
 use crate::scene::{MEAN_DIRECTION, SHUTTER_TIME, Scene};
 use crate::tuning::MAX_CLEAR_SURFACES;
 use crate::visibility::{RandomNumbers, VisibilityTester};
@@ -27,6 +27,21 @@ pub(super) fn unpack_normal(normal: [i8; 3]) -> Vec3A {
     Vec3A::from_array(normal.map(f32::from)).normalize_or_zero()
 }
 
+/// Returns the part of a box of fog at a point, m: the part nearest to one of its nodes.
+fn fog_part(element: &Element, point: Vec3A) -> usize {
+    let local = (point - element.center) / element.half_extent;
+    let closeness = FOG_NODES.map(|node| node.dot(local));
+    (1..FOG_NODES.len()).fold(0, |best, k| if closeness[k] > closeness[best] { k } else { best })
+}
+
+/// Returns a random point of a part of a box of fog. The parts are mirror images of each other.
+fn point_of_fog(element: &Element, part: usize, numbers: &mut RandomNumbers) -> SurfaceSpot {
+    let local = Vec3A::new(numbers.next(), numbers.next(), numbers.next()) * 2.0 - 1.0;
+    let from = fog_part(element, element.center + element.half_extent * local);
+    let mirrored = local * FOG_NODES[from].signum() * FOG_NODES[part].signum();
+    SurfaceSpot { position: element.center + element.half_extent * mirrored, ..SurfaceSpot::default() }
+}
+
 /// Returns the part of a leaf at a position in it.
 fn leaf_part(element: &Element, local: Vec2) -> usize {
     if element.is_triangle() {
@@ -37,8 +52,8 @@ fn leaf_part(element: &Element, local: Vec2) -> usize {
     }
 }
 
-/// Returns the origin of a ray of a leaf, its direction, by the cosine distribution, and two further numbers in [0, 1). Successive
-/// rays begin on the parts of the leaf in turn.
+/// Returns the origin of a ray of a leaf, its direction, and two further numbers in [0, 1). The directions have the cosine
+/// distribution; in fog, all directions are equally probable. Successive rays begin on the parts of the leaf in turn.
 /// - `rays_per_part`: number of rays of a part;
 /// - `round`: number of the round; each has different rays.
 pub(super) fn generate_ray(
@@ -54,6 +69,15 @@ pub(super) fn generate_ray(
     let mut numbers = RandomNumbers::new(&[element.key, 11, u64::from(round), part as u64]);
     let shift = [numbers.next(), numbers.next()];
     let mut numbers = RandomNumbers::new(&[element.key, 12, u64::from(round), ray as u64]);
+    let lattice = |turn: usize, of: usize| {
+        // Shifted lattices.
+        [(turn as f32 + shift[0]) / of as f32, (turn as f32 * 0.618_034 + shift[1]).fract()]
+    };
+    if element.is_volume() {
+        let spot = point_of_fog(element, part, &mut numbers);
+        let u = lattice(turn, rays_per_part);
+        return (spot, warp::direction(1.0 - 2.0 * u[0], u[1]), [numbers.next(), numbers.next()]);
+    }
     let mut local = Vec2::new(numbers.next(), numbers.next());
     if parts == 3 {
         // Each of three parts has the points nearest to one corner.
@@ -68,10 +92,9 @@ pub(super) fn generate_ray(
         local = 0.5 * (local + Vec2::new((part % 2) as f32, (part / 2) as f32));
     }
     let spot = element.point_at(scene, local);
-    // Shifted lattices.
     let aimed = aim.number(rays_per_part);
     let (turn, of) = if turn < aimed { (turn, aimed) } else { (turn - aimed, rays_per_part - aimed) };
-    let u = [(turn as f32 + shift[0]) / of as f32, (turn as f32 * 0.618_034 + shift[1]).fract()];
+    let u = lattice(turn, of);
     if ray / parts < aimed
         && let Some(dir) = aim.sample(spot.position, numbers.next(), u)
     {
@@ -81,7 +104,8 @@ pub(super) fn generate_ray(
     (spot, dir, [numbers.next(), numbers.next()])
 }
 
-/// Returns an estimate of the irradiance of a point directly from lamps, lx, by a shadow ray to one of them.
+/// Returns an estimate of the irradiance of a point directly from lamps, lx, by a shadow ray to one of them. In fog it is a quarter
+/// of the light from all directions.
 /// - `key`: key of the random numbers.
 pub(super) fn direct_irradiance(
     scene: &Scene<'_>,
@@ -100,7 +124,7 @@ pub(super) fn direct_irradiance(
     let Some(sample) = lights.sample_light(world, textures, lamp, from.position, SHUTTER_TIME, u) else {
         return Rgb::ZERO;
     };
-    let cosine = from.normal.dot(sample.dir);
+    let cosine = if from.normal == Vec3A::ZERO { 0.25 } else { from.normal.dot(sample.dir) };
     let light = sample.radiance * (cosine / (sample.pdf * probability));
     if cosine <= 0.0 || !light.is_finite() || light == Rgb::ZERO {
         return Rgb::ZERO;
@@ -143,9 +167,11 @@ pub(super) fn trace_ray(
         {
             match media.sample_distance(&tester.media, f64::from(numbers.next()), numbers.next()) {
                 DistanceSample::Scatter(event) => {
-                    let leaf = arena.fog_at(ray.origin + ray.dir * event.t);
+                    let point = ray.origin + ray.dir * event.t;
+                    let Some(leaf) = arena.fog_at(point) else { return nothing };
+                    let part = fog_part(&arena.elements[leaf as usize], point) as u8;
                     let (share, target) = (share * luminance(event.weight), target(way + event.t));
-                    return leaf.map_or(nothing, |leaf| RayHit { leaf, share, target, ..nothing });
+                    return RayHit { leaf, share, part, target, ..nothing };
                 }
                 DistanceSample::Through { weight } => share *= luminance(weight),
             }

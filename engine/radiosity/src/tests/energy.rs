@@ -1,7 +1,7 @@
 //! Laws of energy: light does not grow, and what rays measure replaces what links get wrong.
 
 use super::{face, outward_box, prepare};
-use crate::gather::{ElementLights, FROM_LAMPS};
+use crate::gather::{ElementLights, FROM_ELEMENTS, FROM_LAMPS};
 use crate::rays::{Aims, Rays, ray_leaves};
 use crate::scene::Scene;
 use crate::solve::SolverState;
@@ -124,4 +124,39 @@ fn rays_measure_the_share_of_light_that_arrives() {
     assert!(!open.is_empty() && open.iter().all(|shares| *shares == [0.0; 4]), "{open:?}");
     let closed = of(&furnace(0.5));
     assert!(closed.iter().flatten().all(|share| (share - 1.0).abs() < 1e-6), "{closed:?}");
+    let foggy = of(&format!("{}{FOG}", furnace(0.5)));
+    assert!(foggy.len() > closed.len(), "no leaves of fog");
+    assert!(foggy.iter().flatten().all(|share| (share - 1.0).abs() < 1e-5), "{foggy:?}");
+}
+
+/// Fog that absorbs nothing, everywhere.
+const FOG: &str = "medium fog =\n  c\n  sigma_s 1\nmglobal fog\n";
+
+/// Links bring half of the light to the fog of an evenly lit box. Rays find the rest.
+#[test]
+fn rays_correct_the_light_in_fog() {
+    let prepared = prepare(&format!("{}{FOG}", furnace(0.5)));
+    let scene = Scene::new(&prepared);
+    let mut state = SolverState::new(&prepared, &OPTIONS, &CANCEL).unwrap();
+    let rays = cast(&scene, &state);
+    let SolverState { arena, lights, links, .. } = &mut state;
+    let is_fog = |index: u32| arena.elements[index as usize].is_volume();
+    let boxes: Vec<u32> = ray_leaves(arena).into_iter().filter(|&leaf| is_fog(leaf)).collect();
+    let light_of_fog = |lights: &ElementLights| {
+        let of = |&leaf: &u32| {
+            let nodes = lights.node_irradiance(leaf as usize, FROM_ELEMENTS);
+            nodes.iter().map(|light| light.y).sum::<f32>() * arena.elements[leaf as usize].size()
+        };
+        boxes.iter().map(of).sum::<f32>()
+    };
+    let truth = light_of_fog(lights);
+    links.iter_mut().filter(|link| is_fog(link.receiver)).for_each(|link| link.factors = link.factors.map(|f| 0.5 * f));
+    lights.gather(arena, links);
+    lights.push_all(arena);
+    let halved = light_of_fog(lights) / truth;
+    assert!(boxes.len() > 8 && (halved - 0.5).abs() < 0.01, "{} boxes, {halved}", boxes.len());
+    // All elements still send the light of the first solution.
+    rays.correct(arena, lights, OPTIONS.error);
+    let ratio = light_of_fog(lights) / truth;
+    assert!((ratio - 1.0).abs() < 0.05, "{ratio}");
 }

@@ -27,7 +27,7 @@ fn tree(depth: u32, color: Rgb) -> FogTree {
             cells.push(FogCell::Split { axis: axis as u8, at });
         } else {
             let mean = [Rgb::ONE, Rgb::splat(0.3), Rgb::splat(-0.2), Rgb::splat(0.1)];
-            let leaf = FogLeaf { mean, sigma_s: color, sigma_t: color * (1.0 + min.x) };
+            let leaf = FogLeaf { mean, anisotropy: Vec3A::ZERO, sigma_s: color, sigma_t: color * (1.0 + min.x) };
             cells.push(FogCell::Leaf(leaf.limit_slopes()));
         }
     }

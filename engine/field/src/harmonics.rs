@@ -2,6 +2,7 @@
 //! (\[ramamoorthi2001\]).
 
 use femc_math::Rgb;
+use femc_math::color::luminance;
 use femc_math::glam::Vec3A;
 use std::f32::consts::PI;
 use std::ops::{Add, AddAssign, Mul};
@@ -61,6 +62,12 @@ impl Harmonics {
         sum.max(Rgb::ZERO)
     }
 
+    /// Returns the sum of the parts' luminance times their unit directions.
+    pub fn luminance_vector(&self) -> Vec3A {
+        let [y, z, x] = [1, 2, 3].map(|k| luminance(self.0[k]) / 0.488_602_5);
+        Vec3A::new(x, y, z)
+    }
+
     /// Returns the sum of the parts, independent of their directions.
     pub fn total(&self) -> Rgb {
         // The first harmonic is constant.
@@ -111,6 +118,7 @@ mod tests {
                 light.cosine_integral(n)
             );
         }
+        assert!((light.luminance_vector() - from).length() < 1e-5, "{}", light.luminance_vector());
         let mut all = Harmonics::ZERO;
         (0..1000).for_each(|k| all += Harmonics::from_direction(towards(k, 1000), Rgb::ONE));
         assert!((all.total().y - 1000.0).abs() < 1e-2);

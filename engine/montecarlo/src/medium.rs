@@ -115,7 +115,7 @@ impl<R: Recorder> Tracer<'_, R> {
             throughput: path.throughput,
         }));
         if let Some(field) = field {
-            let color = path.throughput * field.fog.mean_radiance(position);
+            let color = path.throughput * field.fog.scattered_radiance(position, -path.ray.dir);
             out.color += color;
             record!(recorder.contribution(|| Contribution::from_field(color, path.throughput, path.bounce, position)));
             return ControlFlow::Break(path.end(PathEnd::Field));

@@ -279,6 +279,17 @@ impl Media {
         self.media_at(point).map(|medium| medium.sigma_s * medium.density(point.z)).sum()
     }
 
+    /// Returns the mean cosine between the propagation directions before and after scattering at a point, by luminance; 0 without
+    /// fog. Media inside closed objects do not count.
+    pub fn mean_cosine_at(&self, point: Vec3A) -> f32 {
+        let (mut sum, mut all) = (0.0, 0.0);
+        for medium in self.media_at(point) {
+            let scattering = luminance(medium.sigma_s) * medium.density(point.z);
+            (sum, all) = (sum + scattering * medium.phase.mean_cosine(), all + scattering);
+        }
+        if all > 0.0 { sum / all } else { 0.0 }
+    }
+
     /// Returns bounds of the scattering media outside closed objects, if there are any.
     /// - `around`: bounds assumed for a medium that is everywhere, prepared frame, m.
     pub fn scattering_bounds(&self, around: Aabb) -> Option<Aabb> {

@@ -101,6 +101,8 @@ pub struct Volume {
     pub volume: f32,
     /// Mean scattering coefficient, 1/m.
     pub sigma_s: Rgb,
+    /// Mean extinction coefficient by luminance, 1/m.
+    pub sigma_t: f32,
 }
 
 /// A group of nearby elements, treated as one.
@@ -286,10 +288,11 @@ impl Element {
         let key = combine(&[parent.map_or(0x0f09, |(_, key)| key), part]);
         let (center, half_extent) = (0.5 * (min + max), 0.5 * (max - min));
         // For fog that thins out upward, the mean is used.
-        let scattering = FOG_NODES.map(|place| scene.prepared.media.scattering_at(center + half_extent * place));
+        let (media, points) = (&scene.prepared.media, FOG_NODES.map(|place| center + half_extent * place));
         let volume = Volume {
             volume: 8.0 * half_extent.x * half_extent.y * half_extent.z,
-            sigma_s: scattering.into_iter().sum::<Rgb>() * 0.25,
+            sigma_s: points.iter().map(|&point| media.scattering_at(point)).sum::<Rgb>() * 0.25,
+            sigma_t: points.iter().map(|&point| media.extinction_at(point)).sum::<f32>() * 0.25,
         };
         Self {
             key,
@@ -366,6 +369,11 @@ impl Element {
     /// 1/m.
     pub fn received_share(&self) -> Rgb {
         if let Shape::Volume(fog) = &self.shape { fog.sigma_s * 4.0 } else { Rgb::ONE }
+    }
+
+    /// Returns the flux that the element stops, as [`Element::received_share`]: for fog, with the light that it absorbs.
+    pub fn stopped_share(&self) -> f32 {
+        if let Shape::Volume(fog) = &self.shape { fog.sigma_t * 4.0 } else { 1.0 }
     }
 
     /// Returns the unit normal; zero for curved elements, fog, and clusters with more than one normal.

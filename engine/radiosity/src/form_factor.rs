@@ -55,6 +55,25 @@ pub fn solid_angle(point: Vec3A, corners: &[Vec3A]) -> f32 {
     sum.max(0.0)
 }
 
+/// Returns the mean of the unit directions from a point to a polygon, by solid angle: Lambert's formula as a vector. Zero if there is
+/// no polygon, or if it is seen from behind or from its plane.
+pub fn mean_direction_to(point: Vec3A, corners: &[Vec3A]) -> Vec3A {
+    if corners.len() < 3 {
+        return Vec3A::ZERO;
+    }
+    let solid_angle = solid_angle(point, corners);
+    let mut sum = Vec3A::ZERO;
+    for (k, &corner) in corners.iter().enumerate() {
+        let (a, b) = (corner - point, corners[(k + 1) % corners.len()] - point);
+        let across = cross(a, b);
+        let sine = across.length();
+        if sine > 0.0 {
+            sum -= across * (0.5 * atan2(sine, a.dot(b)) / sine);
+        }
+    }
+    if solid_angle > IN_PLANE { (sum / solid_angle).clamp_length_max(1.0) } else { Vec3A::ZERO }
+}
+
 /// Checks whether a surface is too near to be treated as a point.
 pub fn is_near(distance2: f32, radius: f32) -> bool {
     distance2 < FAR_RADII * FAR_RADII * radius * radius
@@ -111,6 +130,20 @@ mod tests {
         for corners in [zigzag, [zigzag[3], zigzag[2], zigzag[1], zigzag[0]]] {
             assert!(polygon_form_factor(Vec3A::ZERO, Vec3A::Z, &corners) < 1e-6);
         }
+    }
+
+    /// The mean cosine of a cap of half angle a is (1 + cos a) / 2; a square of the same solid angle has nearly as much.
+    #[test]
+    fn mean_direction_points_at_the_polygon_and_is_shorter_for_a_larger_one() {
+        for (height, want) in [(100.0, 1.0), (1.0, 0.8), (0.01, 0.5)] {
+            let square = [[-1.0, -1.0], [-1.0, 1.0], [1.0, 1.0], [1.0, -1.0]].map(|[x, y]| Vec3A::new(x, y, height));
+            let mean = mean_direction_to(Vec3A::ZERO, &square);
+            assert!((mean - Vec3A::Z * want).length() < 0.03, "{height}: {mean}");
+            let mut behind = square;
+            behind.reverse();
+            assert_eq!(mean_direction_to(Vec3A::ZERO, &behind), Vec3A::ZERO);
+        }
+        assert_eq!(mean_direction_to(Vec3A::ZERO, &[]), Vec3A::ZERO);
     }
 
     #[test]

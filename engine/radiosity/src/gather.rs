@@ -42,6 +42,15 @@ impl ElementLight {
         min_mean: 0.0,
         intensity: Harmonics::ZERO,
     };
+
+    /// Returns the light that an element sends toward a point, as the factors of links have it: the intensity, cd, of a wide element,
+    /// else the radiosity, lx.
+    pub fn sent_toward(&self, element: &Element, point: Vec3A) -> Rgb {
+        if element.is_directional() {
+            return self.intensity.cosine_integral((point - element.center).normalize_or(-Vec3A::Z));
+        }
+        self.radiosity
+    }
 }
 
 /// Arriving light of a wide element by direction, from sources and from elements: through its own links, and including that of the
@@ -562,14 +571,10 @@ fn gather_row(arena: &Arena, lights: &[ElementLight], row: &[Link]) -> ([Rgb; 4]
     let (mut nodes, mut arriving) = ([Rgb::ZERO; 4], Harmonics::ZERO);
     for link in row {
         let (q, light) = (&arena.elements[link.source as usize], &lights[link.source as usize]);
-        let way: Vec3A = q.center - p.center;
-        let sent = if q.is_directional() {
-            light.intensity.cosine_integral(-way.normalize_or(Vec3A::Z))
-        } else {
-            light.radiosity
-        };
+        let sent = light.sent_toward(q, p.center);
         if p.is_directional() {
-            arriving += Harmonics::from_direction(way.normalize_or(Vec3A::Z), sent * link.factors[0]);
+            let dir = (q.center - p.center).normalize_or(Vec3A::Z);
+            arriving += Harmonics::from_direction(dir, sent * link.factors[0]);
         } else {
             for (node, factor) in nodes.iter_mut().zip(link.factors) {
                 *node += sent * factor;

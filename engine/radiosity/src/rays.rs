@@ -47,12 +47,12 @@ struct RayHit {
     origin_normal: [i8; 3],
     /// Part of the leaf; 0 for fog and for lamps.
     part: u8,
-    /// Whether the leaf receives light through this ray: it is a surface, and no mirror is between.
+    /// Whether the leaf receives light through this ray: no mirror is between.
     is_two_way: bool,
     /// Hit point, m; through a mirror, the mirrored point.
     target: [f32; 3],
-    /// Expected number of rays along such ways, over the density of the cosine distribution and the area, 1/m2: from the ray's own
-    /// leaf, and from the leaf that was hit.
+    /// Expected number of rays along such ways, from the ray's own leaf and from the leaf that was hit, over the density of ways
+    /// from the ray's own leaf: the cosine distribution of directions from evenly distributed points. 1/m2, for fog 1/m3.
     density: [f32; 2],
     /// Estimate of the irradiance of the ray's origin directly from lamps, by one shadow ray, lx.
     direct: [f32; 3],
@@ -263,8 +263,11 @@ impl Rays {
             if number > 0.0 {
                 let leaf = self.leaves[origin];
                 let origin_part = (ray - self.first[origin] as usize) % part_count(&arena.elements[leaf as usize]);
+                // Light in the other direction is scattered here instead of there.
+                let [here, there] =
+                    [element, &arena.elements[leaf as usize]].map(|end| luminance(end.received_share()));
                 let irradiance = light.radiosity(arena, leaf, origin_part, unpack_normal(sight.origin_normal))
-                    * (sight.share / number);
+                    * (sight.share * there / (here * number));
                 each(RaySample {
                     ray,
                     origin: Some(origin),

@@ -369,7 +369,7 @@ fn first_pass() -> Vec<Target> {
                 let hit = Hit { t: 1.0, instance, primitive, u: 0.3, v: 0.6 };
                 let [front, _] =
                     [Side::Front, Side::Back].map(|side| field.irradiance(&hit, side, test_point(), Vec3A::Z));
-                let _ = (front, field.fog.mean_radiance(test_point()));
+                let _ = (front, field.fog.scattered_radiance(test_point(), Vec3A::X));
                 field.fog.radiance_along(test_point(), Vec3A::Z, 0.0, f32::INFINITY, &mut line);
                 if let Some(point) = line.sample(0.4) {
                     assert!(point.pdf == line.pdf(point.t));

@@ -4,7 +4,7 @@
 //! | bytes | what |
 //! | --- | --- |
 //! | 8 | `FEMCFELD` |
-//! | 4 | format version, 3 |
+//! | 4 | format version, 4 |
 //! | 16 | BLAKE3 of everything after this field, first half |
 //! | 8 x 8 | [`SolveStatistics`]: elements, leaves, links, links with light sources, refused links, rays, iterations, bytes |
 //! | 4 | the residual |
@@ -28,7 +28,7 @@
 //! | the box that contains all fog | lower corner, upper corner: 6 |
 //! | boxes of fog, halves in the order of the split boxes | 0, 1, 2: split across this axis, 3: leaf |
 //! | splits, in order | coordinate |
-//! | leaves of fog, in order | mean and its changes, scattering and extinction coefficient: 18 |
+//! | leaves of fog, in order | mean and its changes, anisotropy, scattering and extinction coefficient: 21 |
 //! | guides | first lobe, number of lobes, share |
 //! | lobes | target, half axes, share: 10 |
 //!
@@ -46,7 +46,7 @@ use femc_math::glam::{Affine3A, Mat3A, Vec2, Vec3A};
 use std::io::Read;
 
 const MAGIC: &[u8; 8] = b"FEMCFELD";
-const VERSION: u32 = 3;
+const VERSION: u32 = 4;
 const CHECKSUM: usize = 16;
 const PREFIX: usize = MAGIC.len() + 4 + CHECKSUM;
 /// Maximum number of bytes of all tables: 4 GiB.
@@ -215,8 +215,8 @@ impl Field {
         write_table(out, fog.cells().map(kind));
         let cut = |cell| if let FogCell::Split { at, .. } = cell { Some([at.to_bits()]) } else { None };
         write_table(out, fog.cells().filter_map(cut));
-        let leaf = |&FogLeaf { mean: [a, b, c, d], sigma_s, sigma_t }: &FogLeaf| {
-            color_words::<6, 18>(&[a, b, c, d, sigma_s, sigma_t])
+        let leaf = |&FogLeaf { mean: [a, b, c, d], anisotropy, sigma_s, sigma_t }: &FogLeaf| {
+            color_words::<7, 21>(&[a, b, c, d, anisotropy, sigma_s, sigma_t])
         };
         write_table(out, fog.leaves().map(leaf));
     }
@@ -403,12 +403,12 @@ fn read_fog(tables: &mut TableReader<'_>, roots: u32, boxes: u32) -> Result<FogT
     let kinds: Vec<[u32; 1]> = tables.read_table(boxes)?;
     let count = |is_leaf: bool| kinds.iter().filter(|[kind]| (*kind == 3) == is_leaf).count() as u32;
     let mut cuts = tables.read_table::<1>(count(false))?.into_iter();
-    let mut leaves = tables.read_table::<18>(count(true))?.into_iter();
+    let mut leaves = tables.read_table::<21>(count(true))?.into_iter();
     let Some(root) = root.first() else { return Ok(FogTree::default()) };
     let cell = |[kind]: &[u32; 1]| match kind {
         3 => leaves.next().map(|words| {
-            let [a, b, c, d, sigma_s, sigma_t] = vectors_from_words::<6, 18>(&words);
-            FogCell::Leaf(FogLeaf { mean: [a, b, c, d], sigma_s, sigma_t })
+            let [a, b, c, d, anisotropy, sigma_s, sigma_t] = vectors_from_words::<7, 21>(&words);
+            FogCell::Leaf(FogLeaf { mean: [a, b, c, d], anisotropy, sigma_s, sigma_t })
         }),
         _ => {
             let at = cuts.next().map(|[at]| f32::from_bits(at));

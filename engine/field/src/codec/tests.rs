@@ -23,7 +23,13 @@ fn one_of_everything() -> Field {
     let (none, half) = (Split::None, Split::Half(1));
     let of_fog = |sigma_s| {
         let mean = [Vec3A::splat(9.0), v(2.0), v(3.0), v(-1.0)];
-        FogCell::Leaf(FogLeaf { mean, sigma_s: Vec3A::splat(sigma_s), sigma_t: Vec3A::new(0.5, 0.25, 1e-9) })
+        let anisotropy = Vec3A::new(0.5, -1.0, 0.25);
+        FogCell::Leaf(FogLeaf {
+            mean,
+            anisotropy,
+            sigma_s: Vec3A::splat(sigma_s),
+            sigma_t: Vec3A::new(0.5, 0.25, 1e-9),
+        })
     };
     let fog = [
         FogCell::Split { axis: 1, at: 0.5 },
@@ -90,8 +96,8 @@ fn a_damaged_byte_is_found_and_another_version_is_named() {
         assert!(Field::decode(&bytes[..at]).is_err(), "the first {at} bytes");
     }
     let mut newer = bytes;
-    newer[8] = 4;
-    assert_eq!(Field::decode(&newer).err(), Some(FieldError::Version { found: 4, expected: 3 }));
+    newer[8] = 5;
+    assert_eq!(Field::decode(&newer).err(), Some(FieldError::Version { found: 5, expected: 4 }));
 }
 
 #[test]

@@ -36,8 +36,8 @@ pub struct FogLinePoint {
     pub pdf: f32,
 }
 
-/// Light that fog sends along a line: the light that it scatters toward the line's start, without direct light from light sources,
-/// with isotropic scattering. See [`FogTree::radiance_along`].
+/// Light that fog sends along a line: the light that it scatters toward the line's start, without direct light from light sources.
+/// See [`FogTree::radiance_along`].
 #[derive(Clone, Debug, Default)]
 pub struct FogLine {
     pieces: Vec<LinePiece>,
@@ -149,7 +149,8 @@ impl Walk {
     #[inline]
     fn source_term(&self, placed: &PlacedLeaf, start: f64, length: f32) -> [Rgb; 2] {
         let [from, slope] = placed.value_and_slope(self.origin + self.dir * start, self.dir);
-        [from, from + slope * length].map(|mean| placed.leaf.sigma_s * mean.max(Rgb::ZERO))
+        let scattering = placed.leaf.sigma_s * placed.leaf.directional_factor(-self.dir.as_vec3a());
+        [from, from + slope * length].map(|mean| scattering * mean.max(Rgb::ZERO))
     }
 
     /// Adds the stretch of the line in a leaf, if all fog so far is gray.

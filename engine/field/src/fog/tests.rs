@@ -37,13 +37,15 @@ fn leaf(numbers: &mut Numbers, fog: Fog) -> FogLeaf {
     let scale = if numbers.next() < 0.15 { 0.0 } else { femc_math::elementary::pow(10.0, exponent) };
     let sigma_t = if fog == Fog::Colored { numbers.color(scale) } else { Rgb::splat(scale) };
     if fog == Fog::Furnace {
-        return FogLeaf { mean: [Rgb::splat(3.0), Rgb::ZERO, Rgb::ZERO, Rgb::ZERO], sigma_s: sigma_t, sigma_t };
+        let mean = [Rgb::splat(3.0), Rgb::ZERO, Rgb::ZERO, Rgb::ZERO];
+        return FogLeaf { mean, anisotropy: Vec3A::ZERO, sigma_s: sigma_t, sigma_t };
     }
     // Fog without extinction may still send light.
     let sigma_s = numbers.color(1.0) * sigma_t.max(Rgb::splat(0.01));
     let slope = |numbers: &mut Numbers| numbers.color(6.0) - 3.0;
     let mean = [numbers.color(2.0), slope(numbers), slope(numbers), slope(numbers)];
-    FogLeaf { mean, sigma_s, sigma_t }.limit_slopes()
+    let anisotropy = (numbers.color(2.0) - 1.0) * 1.5;
+    FogLeaf { mean, anisotropy, sigma_s, sigma_t }.limit_slopes()
 }
 
 /// Creates a random tree in [-1, 1] x [-1, 1] x [0, 3].
@@ -162,6 +164,7 @@ fn quadrature(tree: &FogTree, origin: Vec3A, dir: Vec3A, range: [f32; 2]) -> ([f
         let Some((leaf, [low, high])) = leaf_at(tree, o + d * (a + 0.5 * length)) else { continue };
         let sigma = leaf.sigma_t.to_array().map(f64::from);
         let steps = steps(&leaf, length);
+        let toward_start = f64::from(leaf.directional_factor(-dir));
         for step in 0..steps {
             for (x, weight) in GAUSS {
                 let s = (f64::from(step) + x) / f64::from(steps) * length;
@@ -170,7 +173,7 @@ fn quadrature(tree: &FogTree, origin: Vec3A, dir: Vec3A, range: [f32; 2]) -> ([f
                     let [middle, x, y, z] = leaf.mean.map(|color| f64::from(color[k]));
                     let part = |slope: f64, at: f64| if slope == 0.0 { 0.0 } else { slope * at };
                     let mean = (middle + part(x, local.x) + part(y, local.y) + part(z, local.z)).max(0.0);
-                    let sent = f64::from(leaf.sigma_s[k]) * mean;
+                    let sent = f64::from(leaf.sigma_s[k]) * mean * toward_start;
                     sum[k] += weight * length / f64::from(steps) * sent * exp(-depth[k] - sigma[k] * s);
                 }
             }
@@ -353,12 +356,33 @@ fn a_point_has_the_light_of_its_box_and_none_outside() {
         assert!((tree.mean_radiance(point) - want).abs().max_element() <= 1e-5, "{point}");
     }
     assert!(FogTree::default().mean_radiance(Vec3A::ZERO) == Rgb::ZERO);
+    assert!(FogTree::default().scattered_radiance(Vec3A::ZERO, Vec3A::X) == Rgb::ZERO);
+}
+
+/// Over all directions, fog scatters the mean radiance; by more ahead of the light than back.
+#[test]
+fn fog_scatters_more_light_ahead() {
+    let leaf = FogLeaf {
+        mean: [Rgb::splat(2.0), Rgb::ZERO, Rgb::ZERO, Rgb::ZERO],
+        anisotropy: Vec3A::new(0.6, 0.0, -0.8),
+        sigma_s: Rgb::ONE,
+        sigma_t: Rgb::ONE,
+    };
+    let tree = FogTree::new([Vec3A::ZERO, Vec3A::ONE], &[FogCell::Leaf(leaf)]).expect("a box of fog");
+    let toward = |dir: Vec3A| tree.scattered_radiance(Vec3A::splat(0.5), dir).y;
+    assert!((toward(leaf.anisotropy) - 4.0).abs() < 1e-6 && (toward(-leaf.anisotropy) - 0.1).abs() < 1e-6);
+    let mean = (0..1000).map(|k| {
+        let z = 1.0 - (2 * k + 1) as f32 / 1000.0;
+        toward(femc_math::warp::direction(z, (k as f32 * 0.618_034).fract()))
+    });
+    assert!((mean.sum::<f32>() / 1000.0 - 2.0).abs() < 5e-3);
 }
 
 #[test]
 fn cells_that_are_no_tree_of_boxes_or_have_no_light_are_refused() {
     let bounds = [Vec3A::ZERO, Vec3A::ONE];
-    let good = FogLeaf { mean: [Rgb::ONE, Rgb::ONE, Rgb::ZERO, Rgb::ZERO], sigma_s: Rgb::ONE, sigma_t: Rgb::ONE };
+    let mean = [Rgb::ONE, Rgb::ONE, Rgb::ZERO, Rgb::ZERO];
+    let good = FogLeaf { mean, anisotropy: Vec3A::X, sigma_s: Rgb::ONE, sigma_t: Rgb::ONE };
     let cut = |axis, at| FogCell::Split { axis, at };
     let accepted = |cells: &[FogCell]| FogTree::new(bounds, cells).is_some();
     let with = |change: fn(&mut FogLeaf)| {
@@ -381,6 +405,7 @@ fn cells_that_are_no_tree_of_boxes_or_have_no_light_are_refused() {
     assert!(!with(|leaf| leaf.mean[0].y = f32::NAN) && !with(|leaf| leaf.mean[3].z = f32::INFINITY));
     assert!(!with(|leaf| leaf.sigma_s.x = -1e-9) && !with(|leaf| leaf.sigma_t.z = f32::NAN));
     assert!(!with(|leaf| leaf.sigma_t.z = f32::INFINITY));
+    assert!(!with(|leaf| leaf.anisotropy.y = f32::NAN) && !with(|leaf| leaf.anisotropy.y = 3.1));
     let mut large = good;
     large.sigma_s = Rgb::splat(f32::MAX);
     assert!(!accepted(&[FogCell::Leaf(FogLeaf { mean: large.mean.map(|m| m * 4.0), ..large })]), "an infinite product");

@@ -9,6 +9,9 @@ pub struct FogLeaf {
     /// Mean radiance from all directions, cd/m2, without direct light from light sources, at the center; and its change from one
     /// side to the other by axis.
     pub mean: [Rgb; 4],
+    /// First-order change of the scattered radiance with direction, relative to the mean: the fog scatters the mean radiance times
+    /// `1 + anisotropy.dot(w)`, but no less than a twentieth, toward a unit direction `w`.
+    pub anisotropy: Vec3A,
     /// Mean scattering coefficient, 1/m.
     pub sigma_s: Rgb,
     /// Mean extinction coefficient, 1/m.
@@ -16,6 +19,17 @@ pub struct FogLeaf {
 }
 
 impl FogLeaf {
+    /// Maximum length of the anisotropy: all light comes from one direction, and is scattered straight ahead.
+    const MAX_ANISOTROPY: f32 = 3.0;
+    /// Minimum of [`FogLeaf::directional_factor`]. No phase function scatters nothing back.
+    const MIN_FACTOR: f32 = 0.05;
+
+    /// Returns the radiance that the fog scatters toward a unit direction, relative to the mean radiance.
+    #[inline]
+    pub(super) fn directional_factor(&self, toward: Vec3A) -> f32 {
+        (1.0 + self.anisotropy.dot(toward)).max(Self::MIN_FACTOR)
+    }
+
     /// Reduces the changes by channel until no point of the box has a negative value. The mean over the box does not change.
     pub fn limit_slopes(mut self) -> Self {
         let [middle, slopes @ ..] = &mut self.mean;
@@ -39,7 +53,8 @@ impl FogLeaf {
             && middle.is_finite()
             && most.is_finite()
             && (most * (1.0 - 1e-5)).cmple(middle).all()
-            && (self.sigma_s.max_element() * (middle + most).max_element()).is_finite()
+            && self.anisotropy.length() <= Self::MAX_ANISOTROPY * (1.0 + 1e-5)
+            && (self.sigma_s.max_element() * (middle + most).max_element() * (1.0 + Self::MAX_ANISOTROPY)).is_finite()
     }
 }
 
@@ -206,6 +221,13 @@ impl FogTree {
     /// boxes.
     pub fn mean_radiance(&self, point: Vec3A) -> Rgb {
         self.find(point).map_or(Rgb::ZERO, |placed| placed.value_at(point.as_dvec3()))
+    }
+
+    /// Returns the radiance that fog at a point scatters toward a unit direction, per scattering coefficient, cd/m2, without direct
+    /// light from light sources; 0 outside of the boxes.
+    pub fn scattered_radiance(&self, point: Vec3A, toward: Vec3A) -> Rgb {
+        self.find(point)
+            .map_or(Rgb::ZERO, |placed| placed.value_at(point.as_dvec3()) * placed.leaf.directional_factor(toward))
     }
 
     fn find(&self, point: Vec3A) -> Option<&PlacedLeaf> {

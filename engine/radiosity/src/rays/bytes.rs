@@ -3,7 +3,7 @@
 use super::{MAX_PARTS, RayHit, RayHits};
 use crate::bytes::{Reader, StepDecodeError, Writer};
 
-const MAGIC: &[u8; 8] = b"sights 2";
+const MAGIC: &[u8; 8] = b"sights 3";
 
 impl RayHits {
     /// Encodes the hits.

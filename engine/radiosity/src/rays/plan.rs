@@ -38,11 +38,17 @@ impl RayPlan {
     /// - `needs_more_rays`: whether more rays are worth casting, because some must measure the light through portals.
     pub fn new(arena: &Arena, lights: &ElementLights, round: u32, max_bytes: usize, needs_more_rays: bool) -> Self {
         let leaves = ray_leaves(arena);
-        let parts = MAX_PARTS * leaves.len().max(1);
-        let fit = (max_bytes / ((size_of::<RayHit>() + size_of::<[u32; 2]>()) * parts)).max(1);
+        let is_fog = |leaf: u32| arena.elements[leaf as usize].is_volume();
+        let of_fog = MAX_PARTS * leaves.iter().filter(|&&leaf| is_fog(leaf)).count();
+        let of_surfaces = MAX_PARTS * leaves.len() - of_fog;
+        let fit = (max_bytes / ((size_of::<RayHit>() + size_of::<[u32; 2]>()) * (of_surfaces + of_fog).max(1))).max(1);
         let all = if needs_more_rays { TOTAL_RAYS_FOR_PORTALS } else { TOTAL_RAYS };
-        let each = (all / parts).clamp(RAYS_PER_PART[0], RAYS_PER_PART[1]).min(fit);
-        let more = (EXTRA_RAYS_RATIO * (parts * each) as f32).min(((fit - each) * parts) as f32);
+        // The many boxes of fog leave the surfaces their rays.
+        let rays_per_part =
+            |all: usize, parts: usize| (all / parts.max(1)).clamp(RAYS_PER_PART[0], RAYS_PER_PART[1]).min(fit);
+        let (of_surface, of_box) = (rays_per_part(all, of_surfaces), rays_per_part(TOTAL_RAYS, of_fog));
+        let base = of_surfaces * of_surface + of_fog * of_box;
+        let more = (EXTRA_RAYS_RATIO * base as f32).min((fit * (of_surfaces + of_fog) - base) as f32);
         let power = |&leaf: &u32| {
             let element = &arena.elements[leaf as usize];
             element.sending_size() * luminance(lights.elements[leaf as usize].radiosity).max(0.0)
@@ -53,6 +59,7 @@ impl RayPlan {
         let mut density = vec![0.0f32; arena.elements.len()];
         for leaf in &leaves {
             let element = &arena.elements[*leaf as usize];
+            let each = if element.is_volume() { of_box } else { of_surface };
             let number = (part_count(element) * (each + by_power(leaf))) as u32;
             first.push(first[first.len() - 1] + number);
             density[*leaf as usize] = number as f32 / element.size();
@@ -111,7 +118,8 @@ impl RayPlan {
                             let normal = unpack_normal(hit.normal);
                             let spot = SurfaceSpot { position: Vec3A::from_array(hit.target), normal, ..spot };
                             let each = (number * other.size() / part_count(other) as f32).round() as usize;
-                            hit.density[1] = number * aims.get(hit.leaf).ratio(&spot, -dir, each);
+                            let stopped = element.stopped_share() / other.stopped_share();
+                            hit.density[1] = number * stopped * aims.get(hit.leaf).ratio(&spot, -dir, each);
                         }
                         hit
                     };

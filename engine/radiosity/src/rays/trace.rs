@@ -171,7 +171,7 @@ pub(super) fn trace_ray(
                     let Some(leaf) = arena.fog_at(point) else { return nothing };
                     let part = fog_part(&arena.elements[leaf as usize], point) as u8;
                     let (share, target) = (share * luminance(event.weight), target(way + event.t));
-                    return RayHit { leaf, share, part, target, ..nothing };
+                    return RayHit { leaf, share, part, target, is_two_way: !is_turned, ..nothing };
                 }
                 DistanceSample::Through { weight } => share *= luminance(weight),
             }

@@ -5,6 +5,7 @@ use crate::arena::Arena;
 use crate::census::Census;
 use crate::element::{Element, Shape};
 use crate::gather::{ElementLights, FROM_ELEMENTS, FROM_LAMPS};
+use crate::link::Link;
 use crate::scene::Scene;
 use femc_field::{Cell, Field, Guide, Guides, Leaf, Lobe, NONE, Split};
 
@@ -36,7 +37,7 @@ impl SolverState {
                 ..self.report
             }
         };
-        let (field, direct, fog) = build_field(scene, &self.arena, &self.lights);
+        let (field, direct, fog) = build_field(scene, &self.arena, &self.lights, &self.links);
         // `Solution::verify` rejects NaN.
         let residual = if fog == FogLight::Valid { report.residual } else { f32::NAN };
         let report = SolveReport { residual, ..report };
@@ -74,7 +75,12 @@ enum FogLight {
 }
 
 /// Creates the field of a solution, and the direct light from light sources.
-fn build_field(scene: Scene<'_>, arena: &Arena, lights: &ElementLights) -> (Field, Vec<Leaf>, FogLight) {
+fn build_field(
+    scene: Scene<'_>,
+    arena: &Arena,
+    lights: &ElementLights,
+    links: &[Link],
+) -> (Field, Vec<Leaf>, FogLight) {
     let mut field = Field { roots: vec![NONE; scene.surfaces.len()], ..Field::default() };
     let mut direct = Vec::new();
     for (surface, &root) in arena.roots.iter().enumerate() {
@@ -102,7 +108,7 @@ fn build_field(scene: Scene<'_>, arena: &Arena, lights: &ElementLights) -> (Fiel
     }
     let mut fog = FogLight::Valid;
     if arena.fog != NONE {
-        match crate::fog::fog_tree(&scene, arena, lights) {
+        match crate::fog::fog_tree(&scene, arena, lights, links) {
             Some(tree) => field.fog = tree,
             None => fog = FogLight::Invalid,
         }

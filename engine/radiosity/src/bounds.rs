@@ -33,6 +33,7 @@ pub(crate) use cone::{curved_box, spread_of_normals};
 
 use crate::element::{Element, Shape};
 use crate::gather::ElementLight;
+use crate::solve::SolverState;
 use crate::tuning::BEHIND_HEIGHT;
 use femc_geometry::Aabb;
 use femc_math::Rgb;
@@ -265,8 +266,8 @@ pub fn transmittance(media: &Media, a: &Extent, b: &Extent) -> Interval {
     Interval { low, high: high.min(1.0) }
 }
 
-/// Returns the bounds of what a source sends: the luminance of the radiosity at its parts' nodes, lx; for fog per m. Between the
-/// nodes the light is linear, and it may exceed them.
+/// Returns the bounds of what a source sends: the luminance of the radiosity at its parts' nodes, lx; for fog per m. The light is
+/// linear between the nodes, and may exceed these bounds at the edge of a part.
 pub(crate) fn sent(light: &ElementLight) -> Interval {
     Interval { low: light.darkest.max(0.0), high: light.brightest.max(0.0) }
 }
@@ -276,6 +277,14 @@ pub(crate) fn sent(light: &ElementLight) -> Interval {
 /// - `sent`: bounds of the source's radiosity, lx; for fog per m.
 pub fn irradiance(media: &Media, receiver: &Extent, source: &Extent, sent: Interval) -> Interval {
     form_factor(receiver, source).product(transmittance(media, receiver, source)).product(sent)
+}
+
+impl SolverState {
+    /// Returns the geometry of each element, and the bounds of what it sends. The cluster of all surfaces and the fog has none.
+    pub fn bounded_elements(&self) -> impl Iterator<Item = Option<(Extent, Interval)>> {
+        let elements = self.arena.elements.iter().zip(&self.lights.elements);
+        elements.map(|(element, light)| Extent::new(element).map(|extent| (extent, sent(light))))
+    }
 }
 
 /// Checks whether all of `b` is behind all tangent planes of `a`, up to rounding.

@@ -6,11 +6,14 @@ use crate::bounds::{Extent, Interval, form_factor, irradiance, transmittance};
 use crate::element::Element;
 use crate::gather::ElementLights;
 use crate::scene::Scene;
+use crate::solve::{SolveOptions, SolverState};
 use crate::visibility::{RandomNumbers, VisibilityTester};
 use femc_field::{Form, Side};
+use femc_math::color::luminance;
 use femc_math::glam::{DVec3, Vec2};
 use std::f64::consts::PI;
 use std::fmt::Write as _;
+use std::sync::atomic::AtomicBool;
 
 /// Returns surfaces of all kinds and sizes that touch, overlap, or are far from each other, in a box of fog.
 fn random_world(numbers: &mut RandomNumbers) -> String {
@@ -348,6 +351,35 @@ fn factors_of_links_are_within_their_bounds() {
         }
     }
     assert!(checked > 100_000, "{checked}");
+}
+
+/// A lamp, a floor, a wall that hides a part of it, and fog.
+#[test]
+fn links_bring_no_more_than_the_bounds_allow() {
+    let floor = face(&[[-2.0, -2.0, 0.0], [2.0, -2.0, 0.0], [2.0, 2.0, 0.0], [-2.0, 2.0, 0.0]]);
+    let wall = face(&[[-2.0, 0.5, 0.0], [1.6, 0.5, 0.0], [1.6, 0.5, 2.0]]);
+    let lamp = "m bright =\n  c\n  ed 2000\nm bright\nv l =\n  p -1 -1 1\nsph l 0.2\n";
+    let prepared =
+        prepare(&format!("medium haze =\n  sigma_s 0.1\nmbox haze -2 -2 0 2 2 2\n{GRAY}{floor}{wall}{lamp}"));
+    let options = SolveOptions { error: 0.2, ..SolveOptions::default() };
+    let state = SolverState::new(&prepared, &options, &AtomicBool::new(false)).unwrap();
+    let bounded: Vec<Option<(Extent, Interval)>> = state.bounded_elements().collect();
+    let (mut checked, mut lit) = (0, 0);
+    for link in &state.links {
+        let [p, q] = [link.receiver, link.source].map(|index| index as usize);
+        if link.receiver == link.source || [p, q].iter().any(|&index| state.arena.elements[index].is_directional()) {
+            continue;
+        }
+        let (Some((receiver, _)), Some((source, sent))) = (bounded[p], bounded[q]) else { panic!("{link:?}") };
+        let bound = irradiance(&prepared.media, &receiver, &source, sent);
+        let radiosity = luminance(state.lights.elements[q].radiosity);
+        // Light that the nodes miss is spread over a box of fog.
+        let nodes = &link.factors[..state.arena.elements[p].node_count()];
+        let arriving = radiosity * nodes.iter().copied().fold(f32::INFINITY, f32::min);
+        assert!(arriving <= 1.1 * bound.high, "{arriving} {bound:?} {link:?} {receiver:?} {source:?}");
+        (checked, lit) = (checked + 1, lit + usize::from(arriving > 0.05 * bound.high));
+    }
+    assert!(checked > 1000 && lit > 100, "{checked} {lit}");
 }
 
 /// `cargo test --release -p femc-radiosity bounds -- --ignored --nocapture`

@@ -14,12 +14,12 @@
 //!
 //! | distance | flat elements | pairs with curved elements, fog or clusters |
 //! | --- | --- | --- |
-//! | 1 to 2 | 21 | 27 |
-//! | 2 to 4 | 4.7 | 9.9 |
-//! | 4 to 8 | 2.2 | 5.2 |
-//! | 8 to 16 | 1.5 | 3.6 |
+//! | 1 to 2 | 21 | 26 |
+//! | 2 to 4 | 4.9 | 10 |
+//! | 4 to 8 | 2.2 | 5.1 |
+//! | 8 to 16 | 1.5 | 3.7 |
 //! | 16 to 64 | 1.16 | 3.0 |
-//! | above | 1.03 | 2.5 |
+//! | above | 1.03 | 2.6 |
 //!
 //! The refiner takes two decisions with them: it drops pairs that are behind each other (`is_behind`), and it skips sources that
 //! send nothing. A bound of the factor takes about as long as the factor itself (0.2 us), so it decides nothing else there. Of the

@@ -241,6 +241,28 @@ impl Media {
         self.media_at(point).map(|medium| medium.sigma_t * medium.density(point.z)).sum()
     }
 
+    /// Returns bounds of the extinction in a box by channel, 1/m. Media inside closed objects do not count.
+    pub fn extinction_bounds(&self, around: &Aabb) -> [Rgb; 2] {
+        let mut bounds = [Rgb::ZERO; 2];
+        for (medium, region) in &self.regions {
+            let medium = self.medium(*medium);
+            let (is_touched, is_inside) = match region {
+                Bounds::Everywhere => (true, true),
+                Bounds::Box { to_local, min, max } => {
+                    let local = around.transformed(to_local);
+                    (
+                        local.max.cmpge(*min).all() && local.min.cmple(*max).all(),
+                        local.min.cmpge(*min).all() && local.max.cmple(*max).all(),
+                    )
+                }
+            };
+            // Density decreases with height.
+            bounds[0] += medium.sigma_t * if is_inside { medium.density(around.max.z) } else { 0.0 };
+            bounds[1] += medium.sigma_t * if is_touched { medium.density(around.min.z) } else { 0.0 };
+        }
+        bounds
+    }
+
     /// Returns the extinction if all media together are gray and uniform everywhere, 1/m. Media inside closed objects do not count.
     pub fn uniform_extinction(&self) -> Option<f32> {
         let even = |(medium, bounds): &(u16, Bounds)| {

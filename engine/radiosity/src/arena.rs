@@ -2,7 +2,7 @@
 
 use crate::element::{Cluster, Curved, Element, Shape, SurfacePart};
 use crate::scene::Scene;
-use crate::tuning::{EQUAL_NORMALS_COSINE, LARGE_SURFACE_RATIO};
+use crate::tuning::LARGE_SURFACE_RATIO;
 use femc_field::{NONE, Outline, Split};
 use femc_math::glam::{Vec2, Vec3A};
 
@@ -88,16 +88,16 @@ impl Arena {
         };
         let children = [self.build_clusters(a, index, key * 2), self.build_clusters(b, index, key * 2 + 1)];
         let [a, b] = children.map(|child| &self.elements[child as usize]);
+        let (normals, layers) = (a.normals().union(b.normals()), a.layers() + b.layers());
         let (center, radius) = enclosing_sphere((a.center, a.radius), (b.center, b.radius));
         let area = a.size() + b.size();
-        let normal = (a.normal().dot(b.normal()) > EQUAL_NORMALS_COSINE).then_some(a.normal());
         let low = (a.box_center - a.half_extent).min(b.box_center - b.half_extent);
         let high = (a.box_center + a.half_extent).max(b.box_center + b.half_extent);
         let cluster = &mut self.elements[index as usize];
         (cluster.box_center, cluster.half_extent) = (0.5 * (low + high), 0.5 * (high - low));
         (cluster.children, cluster.center, cluster.radius) = (children, center, radius);
         if let Shape::Cluster(cluster) = &mut cluster.shape {
-            (cluster.area, cluster.normal) = (area, normal);
+            (cluster.area, cluster.normals, cluster.layers) = (area, normals, layers);
         }
         index
     }

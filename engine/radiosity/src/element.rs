@@ -1,10 +1,12 @@
 //! Elements: parts of surfaces, boxes of fog, and clusters of them.
 
+use crate::bounds::{NormalCone, curved_box, spread_of_normals};
 use crate::scene::Scene;
-use crate::tuning::{BULGE_BOX, BULGE_RADIUS, MIN_NORMAL_COSINE};
+use crate::tuning::{BULGE_BOX, BULGE_RADIUS, EQUAL_NORMALS_ANGLE, MIN_NORMAL_COSINE};
 use femc_field::{Form, Leaf, NONE, Outline, Side, Split, Surface, SurfaceSpot};
+use femc_geometry::Quadric;
 use femc_math::Rgb;
-use femc_math::glam::{Vec2, Vec3A};
+use femc_math::glam::{DVec3, Vec2, Vec3A};
 use femc_math::hash::combine;
 
 /// An element: its place in the tree, its bounds, and its shape. Lengths in m, prepared frame.
@@ -52,6 +54,12 @@ pub struct SurfacePart {
     pub reflectance: Rgb,
     /// Share that it transmits to the other side.
     pub transmittance: Rgb,
+    /// Greatest angle between the normal at the middle and another normal.
+    pub spread: f32,
+    /// Maximum number of times that a line crosses the part from its back to its front.
+    pub layers: u8,
+    /// Whether the part is in a plane.
+    pub is_flat: bool,
 }
 
 /// Form of a patch.
@@ -80,6 +88,8 @@ pub struct Patch {
 #[derive(Clone, Debug)]
 pub struct Curved {
     pub part: SurfacePart,
+    /// Unit normal at the middle.
+    pub normal: Vec3A,
     /// Index of its light by direction.
     pub directional: u32,
 }
@@ -100,8 +110,10 @@ pub struct Volume {
 pub struct Cluster {
     /// Area of its surfaces, m2.
     pub area: f32,
-    /// Unit normal, if all parts have this one.
-    pub normal: Option<Vec3A>,
+    /// Normals of all parts.
+    pub normals: NormalCone,
+    /// Sum of [`SurfacePart::layers`] over its surfaces.
+    pub layers: f32,
     /// Index of its light by direction.
     pub directional: u32,
 }
@@ -151,7 +163,10 @@ impl SurfacePart {
             Form::Parallelogram(_) | Form::Curved { .. } => longer_half(source, &outline),
         };
         let area = source.area() * outline.edges[0].perp_dot(outline.edges[1]).abs();
-        Self { surface, outline, in_parent, split, area, reflectance, transmittance }
+        let spread = spread_of_normals(source, &outline);
+        let layers = 1 + u8::from(matches!(&source.form, Form::Curved { shape: Quadric::Torus { .. }, .. }));
+        let is_flat = source.is_flat();
+        Self { surface, outline, in_parent, split, area, reflectance, transmittance, spread, layers, is_flat }
     }
 
     /// Returns the point with these coordinates in the part.
@@ -189,7 +204,7 @@ impl Element {
             radius: 0.0,
             box_center: Vec3A::ZERO,
             half_extent: Vec3A::ZERO,
-            shape: Shape::Cluster(Cluster { area: 0.0, normal: None, directional: NONE }),
+            shape: Shape::Cluster(Cluster { area: 0.0, normals: NormalCone::ALL, layers: 0.0, directional: NONE }),
         }
     }
 
@@ -224,8 +239,9 @@ impl Element {
         nodes.iter_mut().zip(places).for_each(|(node, place)| *node = at(*place));
         let SurfaceSpot { position: center, normal, .. } = at(middle);
         let mut corners = ends.map(|local| at(local).position);
-        if form == PatchForm::Bent {
-            return Self::bent(key, parent, Patch { normal, nodes, corners, form, part }, center, at);
+        if let Form::Curved { shape, pose } = &source.form {
+            let exact = curved_box(shape, pose, &outline);
+            return Self::bent(key, parent, Patch { normal, nodes, corners, form, part }, center, exact, at);
         }
         let count = if form == PatchForm::Triangle { 3 } else { 4 };
         let radius = corners[..count].iter().map(|c| c.distance(center)).fold(0.0, f32::max);
@@ -240,20 +256,29 @@ impl Element {
 
     /// Creates a part of a curved surface: a patch, or a curved element if the part has many normals.
     /// - `center`: center of the patch;
+    /// - `exact`: corners of a box that contains the part;
     /// - `at`: the surface at a point in the patch's coordinates.
-    fn bent(key: u64, parent: u32, patch: Patch, center: Vec3A, at: impl Fn(Vec2) -> SurfaceSpot) -> Self {
+    fn bent(
+        key: u64,
+        parent: u32,
+        patch: Patch,
+        center: Vec3A,
+        exact: [DVec3; 2],
+        at: impl Fn(Vec2) -> SurfaceSpot,
+    ) -> Self {
         let grid = || (0..25).map(|k| at(Vec2::new((k % 5) as f32, (k / 5) as f32) * 0.25));
         let (box_center, half) = bounding_box(grid().map(|spot| spot.position));
         let least = grid().map(|spot| spot.normal.dot(patch.normal)).fold(1.0, f32::min);
-        let diagonal = (half * 2.0).length();
+        let (diagonal, error) = ((half * 2.0).length(), patch.nodes[0].error);
         let (center, shape) = if least < MIN_NORMAL_COSINE {
-            (box_center, Shape::Curved(Curved { part: patch.part, directional: NONE }))
+            (box_center, Shape::Curved(Curved { part: patch.part, normal: patch.normal, directional: NONE }))
         } else {
             (center, Shape::Patch(patch))
         };
         // Between the points of the grid the surface may bulge.
         let radius = BULGE_RADIUS * 0.5 * diagonal;
-        let half_extent = half + BULGE_BOX * radius;
+        let [low, high] = exact.map(|corner| (corner - box_center.as_dvec3()).as_vec3a());
+        let half_extent = (half + BULGE_BOX * radius).max(high.max(-low) + error);
         Self { key, parent, children: [NONE; 2], center, radius, box_center, half_extent, shape }
     }
 
@@ -355,8 +380,37 @@ impl Element {
     pub fn normal(&self) -> Vec3A {
         match &self.shape {
             Shape::Patch(patch) => patch.normal,
-            Shape::Cluster(cluster) => cluster.normal.unwrap_or(Vec3A::ZERO),
+            Shape::Cluster(_) => self.single_normal().unwrap_or(Vec3A::ZERO),
             Shape::Curved(_) | Shape::Volume(_) => Vec3A::ZERO,
+        }
+    }
+
+    /// Returns a cone of all normals; for fog, which has none, a cone of all directions.
+    pub fn normals(&self) -> NormalCone {
+        match &self.shape {
+            Shape::Patch(Patch { part, normal, .. }) | Shape::Curved(Curved { part, normal, .. }) => {
+                NormalCone { axis: *normal, angle: part.spread }
+            }
+            Shape::Cluster(cluster) => cluster.normals,
+            Shape::Volume(_) => NormalCone::ALL,
+        }
+    }
+
+    /// Returns the unit normal, if all points have this one.
+    pub fn single_normal(&self) -> Option<Vec3A> {
+        match &self.shape {
+            Shape::Patch(patch) => patch.part.is_flat.then_some(patch.normal),
+            Shape::Cluster(cluster) => (cluster.normals.angle < EQUAL_NORMALS_ANGLE).then_some(cluster.normals.axis),
+            Shape::Curved(_) | Shape::Volume(_) => None,
+        }
+    }
+
+    /// Returns the maximum number of times that a line crosses its surfaces from their back to their front.
+    pub fn layers(&self) -> f32 {
+        match &self.shape {
+            Shape::Patch(Patch { part, .. }) | Shape::Curved(Curved { part, .. }) => f32::from(part.layers),
+            Shape::Cluster(cluster) => cluster.layers,
+            Shape::Volume(_) => 0.0,
         }
     }
 

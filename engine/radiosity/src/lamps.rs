@@ -143,12 +143,8 @@ impl<'a> Oracle<'a> {
     /// Checks whether a source is behind an element with one normal.
     fn is_behind_receiver(&self, p: &Element, lamp: u32) -> bool {
         let Lamp { center, radius, .. } = self.scene.lamps[lamp as usize];
-        let has_one_normal = match &p.shape {
-            Shape::Patch(patch) => self.scene.surfaces[patch.part.surface as usize].is_flat(),
-            Shape::Cluster(cluster) => cluster.normal.is_some(),
-            Shape::Curved(_) | Shape::Volume(_) => false,
-        };
-        has_one_normal && p.normal().dot(center - p.center) + radius + p.radius * BEHIND_HEIGHT <= 0.0
+        let height = |normal: Vec3A| normal.dot(center - p.center) + radius + p.radius * BEHIND_HEIGHT;
+        p.single_normal().is_some_and(|normal| height(normal) <= 0.0)
     }
 
     /// Checks whether an element is too close to a source: a few points do not represent a large element's light from a near or

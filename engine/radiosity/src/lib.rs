@@ -14,6 +14,7 @@
 #![deny(missing_docs)]
 
 mod arena;
+pub mod bounds;
 mod bytes;
 mod census;
 mod element;

@@ -6,13 +6,12 @@ mod occlusion;
 pub use occlusion::occlusion_bound;
 
 use crate::arena::Arena;
-use crate::element::{Cluster, Curved, Element, Patch, Shape};
+use crate::bounds::{Interval, is_behind, sent};
+use crate::element::{Curved, Element, Patch, Shape};
 use crate::factor::point_form_factor;
 use crate::gather::ElementLight;
 use crate::scene::Scene;
-use crate::tuning::{
-    BEHIND_HEIGHT, CLOSE_LIGHT, CLOSE_RADII, ERROR_SCALE_BOUNDS, MAX_FINER, THICK_DEPTH, UNPROVED_LIGHT,
-};
+use crate::tuning::{CLOSE_LIGHT, CLOSE_RADII, ERROR_SCALE_BOUNDS, MAX_FINER, THICK_DEPTH, UNPROVED_LIGHT};
 use crate::visibility::VisibilityTester;
 use femc_math::color::luminance;
 use femc_math::glam::Vec3A;
@@ -100,6 +99,11 @@ impl Pair<'_> {
         self.p.is_directional() || self.q.is_directional()
     }
 
+    /// Bounds of the source's radiosity.
+    fn sent(&self) -> Interval {
+        sent(self.from)
+    }
+
     fn keep(&self, factors: [f32; 4], is_inexact: bool) -> LinkDecision {
         LinkDecision::Keep { link: Link { receiver: self.receiver, source: self.source, factors }, is_inexact }
     }
@@ -172,11 +176,11 @@ impl<'a> Oracle<'a> {
         if receiver == source {
             return self.decide_self_link(receiver, p, tester);
         }
-        if is_behind(self.scene, p, q) || is_behind(self.scene, q, p) {
+        if is_behind(p, q) || is_behind(q, p) {
             return LinkDecision::Drop;
         }
         let pair = self.pair(receiver, source);
-        if pair.radiosity <= 0.0 && pair.from.brightest <= 0.0 {
+        if pair.radiosity <= 0.0 && pair.sent().high <= 0.0 {
             return pair.keep([0.0; 4], false);
         }
         if let Some(split) = self.split_close(&pair) {
@@ -184,7 +188,7 @@ impl<'a> Oracle<'a> {
         }
         let estimate = self.estimate(&pair, tester);
         let is_inexact = estimate.errors[0] + estimate.errors[1] > pair.allowed;
-        let brightest = pair.radiosity.max(pair.from.brightest * if q.is_directional() { 0.0 } else { 1.0 });
+        let brightest = pair.radiosity.max(pair.sent().high * if q.is_directional() { 0.0 } else { 1.0 });
         let amount = estimate.mean * brightest;
         if is_inexact {
             if self.is_dark(&pair, amount, tester) {
@@ -268,16 +272,4 @@ impl<'a> Oracle<'a> {
             }
         }
     }
-}
-
-/// Checks whether all of `b` is behind the flat element `a`.
-fn is_behind(scene: &Scene<'_>, a: &Element, b: &Element) -> bool {
-    let lowest = match &a.shape {
-        Shape::Patch(patch) if scene.surfaces[patch.part.surface as usize].is_flat() => a.center,
-        Shape::Cluster(Cluster { normal: Some(normal), .. }) => {
-            a.box_center - *normal * normal.abs().dot(a.half_extent)
-        }
-        Shape::Patch(_) | Shape::Cluster(_) | Shape::Curved(_) | Shape::Volume(_) => return false,
-    };
-    b.max_height(lowest, a.normal()) <= BEHIND_HEIGHT * (a.radius + b.radius)
 }

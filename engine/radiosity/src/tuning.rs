@@ -14,8 +14,8 @@ pub const MIN_NORMAL_COSINE: f32 = 0.85;
 /// suffice for spheres, cylinders, cones, rings and tori (test `bounds_contain_all_parts`).
 pub const BULGE_RADIUS: f32 = 1.1;
 pub const BULGE_BOX: f32 = 0.05;
-/// Minimum cosine between normals of a cluster's parts that count as equal. It allows for rounding alone.
-pub const EQUAL_NORMALS_COSINE: f32 = 0.999_999;
+/// Maximum angle between normals of a cluster's parts that count as equal. It allows for rounding alone.
+pub const EQUAL_NORMALS_ANGLE: f32 = 1.4e-3;
 /// Minimum ratio of the radius of the largest surface of a cluster to that of the next, for it to be separated first. Not
 /// measured: it keeps a floor out of the clusters of the things on it.
 pub const LARGE_SURFACE_RATIO: f32 = 2.0;

@@ -11,7 +11,7 @@ mod torus;
 
 use crate::Aabb;
 use femc_math::{
-    elementary::double::{atan2, sin_cos},
+    elementary::double::{acos, atan2, sin_cos},
     glam::{DVec3, Vec3A},
 };
 use std::f64::consts::{PI, TAU};
@@ -262,13 +262,38 @@ impl Quadric {
 
     /// Returns the second parameter below which a share of the area lies: the inverse of [`Self::share_below`].
     pub fn parameter_at_share(&self, share: f64) -> f64 {
-        let (mut low, mut high) = (0.0, 1.0);
-        // The share increases with the parameter. The remaining error is a third of a step of bisection in double precision.
-        for _ in 0..52 {
+        // The share increases with the parameter, so bisection passes through the cell that contains the closed form. It begins
+        // there, and has the same result as from the whole interval (test `bisection_has_the_same_bits_from_the_closed_form`).
+        const CELLS: f64 = (1u64 << 40) as f64;
+        if let Some(near) = self.closed_parameter_at_share(share) {
+            let cell = [0.0, 1.0].map(|end| ((near * CELLS).floor() + end) / CELLS);
+            if self.share_below(cell[0]) < share && self.share_below(cell[1]) >= share {
+                return self.bisect_share(share, cell, 12);
+            }
+        }
+        self.bisect_share(share, [0.0, 1.0], 52)
+    }
+
+    /// Returns the middle of the interval after some steps of bisection. After 52 steps from [0, 1], the remaining error is a third
+    /// of a step in double precision.
+    pub(crate) fn bisect_share(&self, share: f64, [mut low, mut high]: [f64; 2], steps: u32) -> f64 {
+        for _ in 0..steps {
             let middle = 0.5 * (low + high);
             if self.share_below(middle) < share { low = middle } else { high = middle }
         }
         0.5 * (low + high)
+    }
+
+    /// Returns the parameter at a share up to rounding, if there is a closed form.
+    fn closed_parameter_at_share(&self, share: f64) -> Option<f64> {
+        match *self {
+            Self::Sphere { .. } => Some(acos(1.0 - 2.0 * share) / PI),
+            Self::Cone { start_radius: a, end_radius: b, .. } | Self::Ring { inner: a, outer: b, .. } => {
+                let (a, b) = (f64::from(a), f64::from(b));
+                Some(share * (a + b) / (a + (a * a + (b * b - a * a) * share).sqrt()))
+            }
+            Self::Torus { .. } => None,
+        }
     }
 
     /// Returns the surface point closest to `p`, which must be near the surface.

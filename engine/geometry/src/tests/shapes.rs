@@ -274,3 +274,19 @@ fn band_area(quadric: &Quadric, share: f64, width: f64) -> f64 {
     let across = at(0.0, share + 0.5 * width) - at(0.0, share - 0.5 * width);
     along.cross(across).length()
 }
+
+#[test]
+fn bisection_has_the_same_bits_from_the_closed_form() {
+    let mut random = Random(12);
+    for _ in 0..20 {
+        for quadric in quadrics(&mut random, 1.0) {
+            let dyadic = (0..=64u32).map(|k| f64::from(k) / 64.0);
+            let tiny = (1..60).flat_map(|k| [0.5f64.powi(k), 1.0 - 0.5f64.powi(k)]);
+            let shares: Vec<f64> = (0..200).map(|_| f64::from(random.unit())).chain(dyadic).chain(tiny).collect();
+            for share in shares {
+                let (found, whole) = (quadric.parameter_at_share(share), quadric.bisect_share(share, [0.0, 1.0], 52));
+                assert_eq!(found.to_bits(), whole.to_bits(), "{quadric:?}: {share}");
+            }
+        }
+    }
+}

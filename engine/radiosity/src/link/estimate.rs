@@ -112,8 +112,8 @@ fn source_error(pair: &Pair<'_>, mean: f32) -> f32 {
     // A few points represent a shape that is not a polygon.
     let is_bent = q.patch().is_some_and(|patch| patch.form == PatchForm::Bent);
     let shape = if is_bent { SHAPE_WEIGHT * near_q * near_q } else { 0.0 };
-    let spread = 0.5 * (pair.from.brightest - pair.from.darkest);
-    mean * (spread * (2.0 * near_q).min(1.0) + shape * radiosity)
+    let sent = pair.sent();
+    mean * (0.5 * (sent.high - sent.low) * (2.0 * near_q).min(1.0) + shape * radiosity)
 }
 
 /// Returns the error of an element with light by direction, as a share of the light.

@@ -133,6 +133,19 @@ fn bounds_contain_all_parts() {
     assert_eq!(clusters, 6);
 }
 
+/// The extreme points of a tilted ring are between the points of its grid.
+#[test]
+fn boxes_contain_tilted_rings() {
+    let prepared = prepare(&format!("{GRAY}v a =\n  p 0 0 0\n  n 1 1 0\nring a 0.5 1\n"));
+    let scene = Scene::new(&prepared);
+    let arena = Arena::new(&scene);
+    let ring = &arena.elements[arena.roots[0] as usize];
+    let inside = |point: Vec3A| ((point - ring.box_center).abs() - ring.half_extent).max_element() <= 1e-6;
+    assert!(points(&scene, ring).into_iter().all(inside), "{ring:?}");
+    // The ring is 2 m high and sqrt(2) m wide.
+    assert!((ring.half_extent - Vec3A::new(0.5f32.sqrt(), 0.5f32.sqrt(), 1.0)).abs().max_element() < 0.1, "{ring:?}");
+}
+
 #[test]
 fn corners_are_counterclockwise_around_the_normal_on_both_sides() {
     let text = GRAY.replace("sides 1", "sides 2")

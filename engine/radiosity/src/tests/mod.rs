@@ -3,6 +3,7 @@
 
 #![expect(clippy::disallowed_methods, reason = "references may differ in their last bits between platforms")]
 
+mod bounds;
 mod elements;
 mod energy;
 mod factors;

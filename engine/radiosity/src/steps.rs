@@ -108,7 +108,7 @@ impl SolverState {
         let leaves = surface_leaves(&self.arena);
         let (guides, lobes) = join_guides(guides, &leaves);
         let mut aims = Aims::new(&self.arena, &leaves, &guides, &lobes);
-        if self.arena.root != NONE {
+        if self.arena.root != NONE && !self.is_finished() {
             self.split_uneven_leaves(&scene);
         }
         aims.grow(&self.arena);

@@ -2,7 +2,7 @@
 
 use super::{face, prepare};
 use crate::solve::SolverState;
-use crate::{BlockGuides, CastingState, RayHits, SolveOptions};
+use crate::{BlockGuides, CastingState, RAY_ROUNDS, RayHits, Solution, SolveOptions, solve};
 use femc_field::Lobe;
 use femc_math::glam::Vec3A;
 use femc_prepared::Prepared;
@@ -78,4 +78,50 @@ fn hits_and_guides_of_blocks_are_encoded_without_loss() {
     assert_eq!(BlockGuides::decode(&bytes).unwrap(), guides);
     assert!((0..bytes.len()).all(|end| BlockGuides::decode(&bytes[..end]).is_err()));
     assert!(RayHits::decode(&bytes).is_err() && BlockGuides::decode(&after.state().encode_links()).is_err());
+}
+
+/// A foggy room with a lamp.
+fn room() -> Prepared {
+    let corner = |x: f64, y: f64, z: f64| [x, y, z];
+    let walls = [
+        [corner(-1.0, -1.0, 0.0), corner(1.0, -1.0, 0.0), corner(1.0, 1.0, 0.0), corner(-1.0, 1.0, 0.0)],
+        [corner(-1.0, -1.0, 2.0), corner(-1.0, 1.0, 2.0), corner(1.0, 1.0, 2.0), corner(1.0, -1.0, 2.0)],
+        [corner(-1.0, 1.0, 0.0), corner(1.0, 1.0, 0.0), corner(1.0, 1.0, 2.0), corner(-1.0, 1.0, 2.0)],
+    ];
+    let lamp = face(&[[-0.3, -0.3, 1.98], [-0.3, 0.3, 1.98], [0.3, 0.3, 1.98], [0.3, -0.3, 1.98]]);
+    prepare(&format!(
+        "medium fog =\n  sigma_s 0.1\n  phase hg 0.4\nmbox fog -1 -1 0 1 1 2\nm wall =\n  sides 2\n  c\n  rd 0.6\nm wall\n{}\
+         m lamp =\n  sides 2\n  c\n  ed 300\nm lamp\n{lamp}",
+        walls.iter().map(|wall| face(wall)).collect::<String>()
+    ))
+}
+
+/// Steps whose states travel as bytes have the solution of one process, to the bit, also if the last rays are not needed.
+#[test]
+fn steps_through_bytes_have_the_solution_of_one_process() {
+    let world = room();
+    for guides in [false, true] {
+        let options = SolveOptions { error: 1.0, memory: 1 << 24, guides };
+        let whole = solve(&world, &options, &CANCEL).unwrap();
+        let start = SolverState::new(&world, &options, &CANCEL).unwrap();
+        let (mut elements, links) = (start.encode_elements(), start.encode_links());
+        let mut of_blocks = Vec::new();
+        for _ in 0..RAY_ROUNDS {
+            let state = SolverState::decode(&world, &elements, &links).unwrap();
+            let casting = state.plan_rays(&world, &options, of_blocks);
+            let cast = |block: u32| RayHits::decode(&casting.cast(&world, block, 3).encode()).unwrap();
+            let hits: Vec<RayHits> = (0..3).map(cast).collect();
+            let corrected = casting.apply_hits(&world, &options, hits.clone(), &CANCEL).unwrap().expect("all hits");
+            elements = corrected.state().encode_elements();
+            if guides {
+                let again = SolverState::decode(&world, &elements, &links).unwrap().with_hits(hits).unwrap();
+                of_blocks = (0..3).map(|block| again.guides(&world, block, 3)).collect();
+            } else {
+                of_blocks = Vec::new();
+            }
+        }
+        let found = SolverState::decode(&world, &elements, &links).unwrap().solution(&world, of_blocks);
+        let text = |solution: &Solution| format!("{:?}", solution.field);
+        assert!(text(&found) == text(&whole), "guides: {guides}");
+    }
 }

@@ -19,7 +19,8 @@ const BLOCK: usize = 8;
 /// Samples a pixel of the picture of the solution.
 const SOLUTION_SPP: u32 = 32;
 
-/// Pixels in which the camera sees lamps straight. They have the same light in all pictures.
+/// Pixels in which the camera sees lamps straight, and their neighbors: few samples of these hit a lamp. They have the same light in
+/// all pictures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LampPixels {
     /// They are compared as well.
@@ -84,7 +85,9 @@ impl PictureComparison {
             LampPixels::Included => vec![true; a.len()],
             LampPixels::Excluded => {
                 let straight = Settings { max_depth: 1, ..settings(Method::Pt, 1, LAMP_SPP) };
-                render(&source, &straight, None)?.into_iter().map(|light| light == 0.0).collect()
+                without_neighbors(
+                    &render(&source, &straight, None)?.into_iter().map(|light| light > 0.0).collect::<Vec<_>>(),
+                )
             }
         };
         let paths: Vec<f64> = a.iter().zip(&b).map(|(a, b)| 0.5 * (a + b)).collect();
@@ -165,6 +168,16 @@ fn block_difference(one: &[f64], other: &[f64], truth: &[f64]) -> f64 {
     mean(&squares).sqrt()
 }
 
+/// Returns for each pixel whether neither it nor a neighbor is lit.
+fn without_neighbors(is_lit: &[bool]) -> Vec<bool> {
+    let [width, height] = SIZE.map(|pixels| pixels as usize);
+    let is_far = |at: usize| {
+        let near = |k: usize, size: usize| k.saturating_sub(1)..(k + 2).min(size);
+        !near(at / width, height).any(|y| near(at % width, width).any(|x| is_lit[y * width + x]))
+    };
+    (0..is_lit.len()).map(is_far).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -178,6 +191,15 @@ mod tests {
         assert!(found.blocks[0] < 0.03 && found.verdict() == "trusted", "{found:?}");
         let found = PictureComparison::new(scene, 1, LampPixels::Excluded).unwrap_or_else(|e| panic!("{e}"));
         assert!(found.mean[0].is_nan() && found.median.is_nan(), "{found:?}");
+    }
+
+    #[test]
+    fn neighbors_of_lit_pixels_are_left_out() {
+        let [width, height] = SIZE.map(|pixels| pixels as usize);
+        let mut is_lit = vec![false; width * height];
+        (is_lit[0], is_lit[width * 5 + 7]) = (true, true);
+        let left_out = without_neighbors(&is_lit).iter().filter(|is_compared| !**is_compared).count();
+        assert_eq!(left_out, 4 + 9);
     }
 
     #[test]

@@ -7,7 +7,6 @@ use femc_math::Rgb;
 use femc_math::glam::Vec3A;
 use femc_prepared::{Orientation, Prepared};
 use femc_scattering::Sides;
-use rayon::prelude::*;
 
 /// Time of the shutter. Moving objects are at their position in the middle of the shutter interval.
 pub const SHUTTER_TIME: f32 = 0.5;
@@ -57,7 +56,7 @@ impl Lamp {
 
 impl<'a> Scene<'a> {
     pub fn new(prepared: &'a Prepared) -> Self {
-        let albedos: Vec<_> = prepared.materials.par_iter().map(|material| material.bsdf.diffuse_albedos()).collect();
+        let albedos: Vec<_> = prepared.materials.iter().map(|material| material.bsdf.diffuse_albedos()).collect();
         let mut surfaces = Vec::new();
         let mut sides = Vec::with_capacity(prepared.instances.len());
         for (instance, group) in prepared.instances.iter().enumerate() {

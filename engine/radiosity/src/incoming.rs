@@ -10,7 +10,7 @@ use crate::gather::ElementLights;
 use crate::link::Link;
 use crate::lobes::{Part, fit};
 use crate::portals::{self, Line, Portal};
-use crate::rays::{IncidentSegment, Rays};
+use crate::rays::{IncidentSegment, Rays, SentLight};
 use crate::scene::Scene;
 use femc_field::{Block, Directions, Guide, LOBES, Lobe, NONE, SurfaceSpot};
 use femc_math::color::luminance;
@@ -66,6 +66,7 @@ pub fn of_groups(
     portals: &[Portal],
     purpose: Purpose,
 ) -> Vec<(f32, Vec<Lobe>)> {
+    let light_sent = SentLight::new(arena, lights);
     groups
         .par_iter()
         .map(|(group, leaves)| {
@@ -85,7 +86,7 @@ pub fn of_groups(
                 by_links(arena, lights, links, leaf, &mut ways);
                 ways[first..].iter_mut().for_each(|part: &mut Part| part.amount *= scale);
                 let of = rays
-                    .incident_segments((scene, arena), lights, leaf, |irradiance, _| irradiance.is_finite())
+                    .incident_segments((scene, arena), &light_sent, leaf, |irradiance, _| irradiance.is_finite())
                     .into_iter();
                 let number = area / element.size();
                 seen.extend(of.map(|ray| IncidentSegment {
@@ -126,6 +127,7 @@ pub fn portals(scene: &Scene<'_>, arena: &Arena, lights: &ElementLights, rays: &
 
 /// Returns ways that are much brighter than the mean of their leaf.
 fn bright(scene: &Scene<'_>, arena: &Arena, lights: &ElementLights, rays: &Rays, leaves: &[u32]) -> Vec<Line> {
+    let light_sent = SentLight::new(arena, lights);
     let light = |leaf: u32| f64::from(arena.elements[leaf as usize].size() * lights.elements[leaf as usize].mean);
     let roots: Vec<u32> = leaves.iter().map(|&leaf| root(arena, leaf)).collect();
     let mut sums: HashMap<u32, [f64; 2]> = HashMap::new();
@@ -145,7 +147,7 @@ fn bright(scene: &Scene<'_>, arena: &Arena, lights: &ElementLights, rays: &Rays,
             Line { origin: ray.origin.as_dvec3(), dir: way / length, length, weight }
         };
         let is_lit = mean > f32::MIN_POSITIVE;
-        let of = if is_lit { rays.incident_segments((scene, arena), lights, leaf, is_bright) } else { Vec::new() };
+        let of = if is_lit { rays.incident_segments((scene, arena), &light_sent, leaf, is_bright) } else { Vec::new() };
         let lines = of.into_iter().map(line);
         lines.filter(|line| line.length > 0.0 && line.weight.is_finite()).collect::<Vec<_>>()
     };

@@ -4,7 +4,7 @@
 //! table is in the shadow of all of them. So rays from each leaf estimate the arriving light. They are few and noisy, but unbiased.
 //! The links' light is scaled to that of the rays, over parts of surfaces as small as the rays can distinguish. The correction goes
 //! from each surface down its tree, as far as the rays of a part differ from the estimate of the part above by more than chance
-//! (James and Stein's estimator, \[efron1973\]).
+//! (James and Stein's estimator, \[efron1973\]). The boxes of fog are a tree of their own.
 
 mod aims;
 mod bytes;
@@ -239,7 +239,7 @@ impl Rays {
     fn visit_samples(
         &self,
         arena: &Arena,
-        light: SentLight<'_>,
+        light: &SentLight<'_>,
         leaf_index: usize,
         weights: MisHeuristic,
         mut each: impl FnMut(RaySample),
@@ -286,14 +286,14 @@ impl Rays {
         generate_ray(scene, element, &Aim::NONE, ray - first, (end - first) / part_count(element), self.round).0
     }
 
-    /// Returns by leaf, in the order of their indices, the light of its ways, lm, and the sum of its squares.
+    /// Returns by leaf of a surface, in the order of their indices, the light of its ways, lm, and the sum of its squares.
     pub fn leaf_light(&self, arena: &Arena, lights: &ElementLights) -> Vec<(u32, [f32; 2])> {
+        let light = SentLight::new(arena, lights);
         let of = |place: usize| {
             let leaf = self.leaves[place];
             let size = arena.elements[leaf as usize].size();
             let mut sums = [0.0f32; 2];
-            let light = SentLight { lights, parts: None };
-            self.visit_samples(arena, light, place, MisHeuristic::Balance, |RaySample { irradiance, .. }| {
+            self.visit_samples(arena, &light, place, MisHeuristic::Balance, |RaySample { irradiance, .. }| {
                 let light = luminance(irradiance) * size;
                 if light.is_finite() {
                     sums = [sums[0] + light, sums[1] + light * light];
@@ -301,7 +301,8 @@ impl Rays {
             });
             (leaf, sums)
         };
-        (0..self.leaves.len()).into_par_iter().map(of).collect()
+        let is_surface = |&place: &usize| !arena.elements[self.leaves[place] as usize].is_volume();
+        (0..self.leaves.len()).into_par_iter().filter(is_surface).map(of).collect()
     }
 
     /// Returns the ways along which light reaches a leaf, with the current light.
@@ -310,7 +311,7 @@ impl Rays {
     pub fn incident_segments(
         &self,
         (scene, arena): (&Scene<'_>, &Arena),
-        lights: &ElementLights,
+        light: &SentLight<'_>,
         leaf: u32,
         is_wanted: impl Fn(f32, f32) -> bool,
     ) -> Vec<IncidentSegment> {
@@ -318,7 +319,7 @@ impl Rays {
         let mut segments = Vec::new();
         self.visit_samples(
             arena,
-            SentLight { lights, parts: None },
+            light,
             place,
             MisHeuristic::Balance,
             |RaySample { ray, origin, irradiance, ray_count: number, .. }| {
@@ -336,15 +337,22 @@ impl Rays {
     }
 }
 
-/// Light that elements send, as rays find it.
-#[derive(Clone, Copy, Debug)]
-struct SentLight<'a> {
+/// Light that elements send, as rays find it. Many rays hit the same leaf, so the light of the parts of leaves is computed once.
+#[derive(Debug)]
+pub struct SentLight<'a> {
     lights: &'a ElementLights,
-    /// Output of [`ElementLights::part_radiosity`] by element; `None`: it is computed for each ray.
-    parts: Option<&'a [[Rgb; 4]]>,
+    /// Output of [`ElementLights::part_radiosity`] by element; 0 for elements that are not leaves.
+    parts: Vec<[Rgb; 4]>,
 }
 
-impl SentLight<'_> {
+impl<'a> SentLight<'a> {
+    pub fn new(arena: &Arena, lights: &'a ElementLights) -> Self {
+        let of = |(index, element): (usize, &Element)| {
+            if element.is_leaf() { lights.part_radiosity(element, index) } else { [Rgb::ZERO; 4] }
+        };
+        Self { lights, parts: arena.elements.par_iter().enumerate().map(of).collect() }
+    }
+
     /// Returns the irradiance of a ray's origin, if all rays had this hit, lx.
     fn received_irradiance(&self, arena: &Arena, hit: &RayHit) -> Rgb {
         if hit.leaf == NONE {
@@ -363,10 +371,7 @@ impl SentLight<'_> {
                 let of = |from: usize| lights.directional_irradiance(curved, index, from).cosine_integral(normal);
                 curved.part.reflectance * (of(FROM_LAMPS) + of(FROM_ELEMENTS))
             }
-            _ => match self.parts {
-                Some(parts) => parts[index][part],
-                None => lights.part_radiosity(&arena.elements[index], index)[part],
-            },
+            _ => self.parts[index][part],
         };
         radiosity.max(Rgb::ZERO)
     }

@@ -288,12 +288,7 @@ impl Rays {
         let chance = CHANCE_VARIANCES * (ROUGH_ERROR / error).max(1.0);
         let estimator = if kind == FROM_LAMPS { VarianceEstimator::Measured } else { VarianceEstimator::RareHits };
         let noise = Noise { chance, estimator };
-        // Many rays hit the same leaf.
-        let of_parts = |(index, element): (usize, &Element)| lights.part_radiosity(element, index);
-        let is_sent = kind == FROM_ELEMENTS;
-        let parts_sent: Vec<[Rgb; 4]> =
-            if is_sent { arena.elements.iter().enumerate().map(of_parts).collect() } else { Vec::new() };
-        let light = SentLight { lights, parts: Some(&parts_sent) };
+        let sent = (kind == FROM_ELEMENTS).then(|| SentLight::new(arena, lights));
         let by_leaf: Vec<[PartSums; MAX_PARTS]> = (0..self.leaves.len())
             .into_par_iter()
             .map(|place| {
@@ -309,10 +304,9 @@ impl Rays {
                     let bright = luminance(irradiance) * own as f32;
                     sums[part.min(parts - 1)].add_sample(irradiance * element.size(), bright, origin.is_none());
                 };
-                if is_sent {
-                    self.visit_samples(arena, light, place, MisHeuristic::Maximum, add);
-                } else {
-                    self.visit_shadow_rays(arena, place, add);
+                match &sent {
+                    Some(light) => self.visit_samples(arena, light, place, MisHeuristic::Maximum, add),
+                    None => self.visit_shadow_rays(arena, place, add),
                 }
                 if estimator == VarianceEstimator::Measured {
                     sums[..parts].iter_mut().for_each(|part| part.measure_variance(number));

@@ -112,6 +112,10 @@ impl RayPlan {
                         let mut hit = trace_ray(scene, arena, &spot, dir, u, &mut tester);
                         (hit.direct, hit.origin_normal) = (direct, origin_normal);
                         hit.density[0] = density[leaf as usize] * aims.get(leaf).ratio(&spot, dir, each);
+                        // A ray may hit fog in a box that has none at its nodes, and so none in the mean.
+                        hit.is_two_way &= arena.elements.get(hit.leaf as usize).is_some_and(|other| {
+                            other.stopped_share() > 0.0 && luminance(other.received_share()) > 0.0
+                        });
                         if hit.is_two_way {
                             let number = density[hit.leaf as usize];
                             let other = &arena.elements[hit.leaf as usize];

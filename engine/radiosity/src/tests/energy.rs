@@ -160,3 +160,27 @@ fn rays_correct_the_light_in_fog() {
     let ratio = light_of_fog(lights) / truth;
     assert!((ratio - 1.0).abs() < 0.05, "{ratio}");
 }
+
+/// Two small clouds in opposite corners: none of the nodes of the box around both is in fog, but rays hit it there.
+#[test]
+fn fog_between_the_nodes_of_a_box_leaves_light_finite() {
+    let cloud = |low: f64, high: f64| format!("mbox fog {low} {low} {low} {high} {high} {high}\n");
+    let fog = format!("medium fog =\n  c\n  sigma_s 8\n{}{}", cloud(0.01, 0.15), cloud(0.85, 0.99));
+    let prepared = prepare(&format!("{}{fog}", furnace(0.5)));
+    let scene = Scene::new(&prepared);
+    let mut state = SolverState::new(&prepared, &OPTIONS, &CANCEL).unwrap();
+    let rays = cast(&scene, &state);
+    let SolverState { arena, lights, .. } = &mut state;
+    let correction = rays.correct(arena, lights, OPTIONS.error);
+    assert!(
+        correction.ratio.is_finite() && correction.changed.is_finite(),
+        "{} {}",
+        correction.ratio,
+        correction.changed
+    );
+    for leaf in ray_leaves(arena) {
+        let nodes = lights.node_irradiance(leaf as usize, FROM_ELEMENTS);
+        assert!(nodes.iter().all(|light| light.is_finite()), "{leaf}: {nodes:?}");
+    }
+    assert!(solve(&prepared, &OPTIONS, &CANCEL).unwrap().verify(&prepared).is_ok());
+}

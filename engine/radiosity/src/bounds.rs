@@ -6,8 +6,8 @@
 //! Close to the source, its solid angle bounds the factor instead.
 //!
 //! The bounds hold for patches, curved elements, boxes of fog and clusters of surfaces, also if they touch or overlap. They are
-//! rounded outward. Surfaces may hide any part of the source, and nothing is known about them here: the bounds are those of the
-//! light without occlusion, and of the occluded light only the upper one holds.
+//! rounded outward. They ignore other surfaces, so they are the bounds of the light without occlusion. With occlusion, only the
+//! upper bound holds.
 //!
 //! Median of the upper bound over the factor at a point, in a million random pairs, by the distance of the centers in sums of the
 //! radii (test `a_million_random_pairs_are_within_their_bounds`):

@@ -197,7 +197,7 @@ pub const COARSE_RAY_CHECKS: usize = 2;
 /// noise of the rays.
 pub const RAY_CHECK_CHANGE: f32 = 1e-3;
 /// Minimum and maximum number of rays from each part of a leaf, and the total number of rays if the number per part is between
-/// these. Rays take 14 % of the time of the roundabout (docs/first-pass.md).
+/// these. Rays take 26 % of the time of the roundabout (docs/first-pass.md).
 pub const RAYS_PER_PART: [usize; 2] = [8, 1024];
 pub const TOTAL_RAYS: usize = 1 << 16;
 /// Total number of rays if few rays have found portals, so that each leaf measures their light with its own rays. Not measured.

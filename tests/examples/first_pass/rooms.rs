@@ -142,7 +142,9 @@ fn summarize(rows: &[Row]) {
     quartiles("rms of blocks", &|row| row.rms);
     quartiles("flux kept or escaped, of sent", &|row| row.balance);
     quartiles("seconds of the solver", &|row| row.seconds[0]);
-    quartiles("seconds of the solver over those of 32 samples", &|row| row.seconds[0] / row.seconds[1]);
+    quartiles("seconds of the solver, divided by the seconds of path tracing with 32 samples", &|row| {
+        row.seconds[0] / row.seconds[1]
+    });
     println!(
         "\nfeature\trooms with it\tmean-1 with it\twithout it\tdifference\tits error\trms with it\twithout it\tflux-1 with it\twithout it"
     );

@@ -318,7 +318,10 @@ impl Machine {
         if has_counted {
             let again = self.farm.complete_with(worker.0, &held, result);
             let is_heard = |c: &Command| matches!(c, Command::Accept { epoch, .. } if *epoch == held.epoch);
-            assert!(again.iter().any(is_heard), "the farm accepts a recorded result again: {again:?}");
+            assert!(
+                again.iter().any(is_heard),
+                "a result that is already recorded must be accepted when it is reported again: {again:?}"
+            );
             assert!(!Self::is_recorded(&again, &held), "it counts twice");
             self.check_commands(again);
         }

@@ -2,9 +2,10 @@
 
 use crate::arena::Arena;
 use crate::element::{Curved, Element, Patch, Shape, SurfacePart};
+use crate::exits::ClusterWeights;
 use crate::link::Link;
 use crate::scene::Scene;
-use crate::tuning::{CHANCE_VARIANCES, CURVED_NORMALS, MAX_BALANCE, MAX_ROW_SUM};
+use crate::tuning::{BALANCE_VARIANCES, CURVED_NORMALS, MAX_BALANCE, MAX_ROW_SUM};
 use femc_field::{Harmonics, NONE};
 use femc_math::Rgb;
 use femc_math::color::luminance;
@@ -77,6 +78,8 @@ pub const FROM_ELEMENTS: usize = 1;
 pub struct ElementLights {
     pub elements: Vec<ElementLight>,
     pub incident: Vec<IncidentLight>,
+    /// Distribution of the clusters' light among their surfaces.
+    pub cluster_weights: ClusterWeights,
     /// Factor of the links' light at the nodes, by element. It bounds the row sums ([`ElementLights::bound_rows`]).
     pub row_scale: Vec<[f32; 4]>,
     /// Factor of the light of lamps at the nodes, by element, and the light that rays find in addition to that, lx.
@@ -133,6 +136,7 @@ impl ElementLights {
         Self {
             elements: vec![ElementLight::ZERO; count],
             incident: vec![IncidentLight::ZERO; arena.directional_count],
+            cluster_weights: ClusterWeights::new(arena),
             row_scale: vec![[1.0; 4]; count],
             lamp_scale: vec![[1.0; 4]; count],
             lamp_correction: vec![[Rgb::ZERO; 4]; count],
@@ -173,7 +177,11 @@ impl ElementLights {
     /// surface, as `total` of [`FROM_ELEMENTS`]: the row sums of the links. With exact links, it is the share of the elements'
     /// light among all directions, which is at most 1.
     fn unit_irradiance(&self, scene: &Scene<'_>, arena: &Arena, links: &[Link]) -> Self {
-        let mut unit = Self { incident: vec![IncidentLight::ZERO; self.incident.len()], ..Self::new(arena) };
+        let mut unit = Self {
+            incident: vec![IncidentLight::ZERO; self.incident.len()],
+            cluster_weights: self.cluster_weights.clone(),
+            ..Self::new(arena)
+        };
         for index in (0..arena.elements.len()).rev() {
             let element = &arena.elements[index];
             if !element.is_leaf() {
@@ -278,7 +286,7 @@ impl ElementLights {
         let mut measured = 1.0;
         if self.has_measured_shares && leaving > 0.0 && arriving > 0.0 {
             let difference = leaving / arriving - 1.0;
-            let noise = f64::from(CHANCE_VARIANCES * self.share_variance);
+            let noise = f64::from(BALANCE_VARIANCES * self.share_variance);
             let sure = (1.0 - noise / (difference * difference).max(f64::MIN_POSITIVE)).max(0.0);
             measured = (1.0 + sure * difference).min(MAX_BALANCE);
         }
@@ -395,19 +403,23 @@ impl ElementLights {
             let mut arriving = self.incident[directional];
             arriving.total = arriving.gathered;
             if let Some(above) = parent.and_then(Element::directional) {
-                let above = self.incident[above].total;
-                (0..2).for_each(|kind| arriving.total[kind] += above[kind]);
+                let light = self.light_from_clusters(arena, index).unwrap_or(self.incident[above].total);
+                (0..2).for_each(|kind| arriving.total[kind] += light[kind]);
             }
             self.incident[directional] = arriving;
             return;
         }
         let mut whole = self.elements[index].gathered;
+        let from_clusters = self.light_from_clusters(arena, index);
         if let Some(above) = parent {
             for kind in [FROM_LAMPS, FROM_ELEMENTS] {
                 for (node, value) in whole[kind].iter_mut().enumerate().take(element.node_count()) {
                     *value += match above.directional() {
                         Some(directional) => {
-                            let light = &self.incident[directional].total[kind];
+                            let light = match &from_clusters {
+                                Some(light) => &light[kind],
+                                None => &self.incident[directional].total[kind],
+                            };
                             match &element.shape {
                                 // A point of fog receives a quarter of the light from all directions.
                                 Shape::Volume(_) => (light.total() * 0.25).max(Rgb::ZERO),
@@ -423,6 +435,18 @@ impl ElementLights {
             }
         }
         self.elements[index].total = whole;
+    }
+
+    /// Returns the light by direction, from sources and from elements, that a whole surface receives from the clusters around it.
+    /// `None` for other elements.
+    fn light_from_clusters(&self, arena: &Arena, index: usize) -> Option<[Harmonics; 2]> {
+        let mut light = None;
+        for (cluster, weight) in self.cluster_weights.of(arena, index) {
+            let gathered = self.incident[arena.elements[cluster as usize].directional()? as usize].gathered;
+            let sum = light.get_or_insert([Harmonics::ZERO; 2]);
+            (0..2).for_each(|kind| sum[kind] += gathered[kind] * Rgb::splat(weight));
+        }
+        light
     }
 
     /// Returns the irradiance at an element's nodes from sources or from elements.

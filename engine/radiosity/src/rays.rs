@@ -9,6 +9,7 @@
 mod aims;
 mod bytes;
 mod correct;
+mod exits;
 mod plan;
 mod trace;
 

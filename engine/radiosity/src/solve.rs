@@ -245,7 +245,10 @@ impl<'a> Solver<'a> {
             return Ok(());
         }
         let mut contrast = Vec::new();
-        let SolverState { arena, lights, .. } = &mut self.state;
+        let SolverState { arena, lights, links, report, .. } = &mut self.state;
+        lights.cluster_weights.set_exit_shares(arena, rays.exit_shares(arena));
+        report.row_sum = lights.bound_rows(self.scene, arena, links);
+        lights.push_all(arena);
         let lamp_contrast = rays.correct_lamps(arena, lights, self.options.error);
         rays.measure_arriving_shares(arena, lights);
         let checks = if self.state.is_finished() { RAY_CHECKS } else { COARSE_RAY_CHECKS };

@@ -78,7 +78,7 @@ pub struct BlockGuides {
     pub(crate) guides: Vec<(f32, Vec<Lobe>)>,
 }
 
-const ELEMENTS_MAGIC: &[u8; 8] = b"element3";
+const ELEMENTS_MAGIC: &[u8; 8] = b"element4";
 const LINKS_MAGIC: &[u8; 8] = b"links  1";
 const GUIDES_MAGIC: &[u8; 8] = b"guides 2";
 
@@ -189,6 +189,7 @@ impl SolverState {
         let ElementLights {
             elements: lights,
             incident,
+            cluster_weights,
             row_scale,
             lamp_scale,
             lamp_correction,
@@ -202,6 +203,8 @@ impl SolverState {
             [r, g, b, *darkest, *brightest, *mean, *least]
         };
         writer.rows(&lights.iter().map(brightness).collect::<Vec<_>>());
+        writer.number(cluster_weights.weights.len() as u64);
+        writer.rows(&cluster_weights.weights.iter().map(|weight| [*weight]).collect::<Vec<_>>());
         writer.rows(row_scale);
         writer.rows(lamp_scale);
         writer.rows(&lamp_correction.iter().map(to_floats::<4, 12>).collect::<Vec<_>>());
@@ -282,6 +285,11 @@ impl SolverState {
             let radiosity = Rgb::from_array([r, g, b]);
             *light = ElementLight { radiosity, darkest, brightest, mean, min_mean: least, ..ElementLight::ZERO };
         }
+        let number = usize::try_from(reader.number()?).unwrap_or(usize::MAX);
+        if number != lights.cluster_weights.weights.len() {
+            return Err(OTHER_ELEMENTS);
+        }
+        lights.cluster_weights.weights = reader.rows::<1>(number)?.into_iter().map(|[weight]| weight).collect();
         lights.row_scale = reader.rows::<4>(count)?;
         lights.lamp_scale = reader.rows::<4>(count)?;
         lights.lamp_correction = reader.rows::<12>(count)?.iter().map(|row| colors_from_floats(row)).collect();

@@ -160,7 +160,7 @@ pub struct PathEnd {
     pub is_turned: bool,
 }
 
-/// What ends a path.
+/// Kind of end of a path.
 #[derive(Clone, Copy, Debug)]
 pub enum Landing {
     /// A side of a surface that scatters, with the point's parameters and the normal of the side.

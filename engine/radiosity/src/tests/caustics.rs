@@ -89,12 +89,11 @@ const INTENSITY: f64 = 1e6 * 1e-4;
 
 /// A bulb in the middle of a ball of glass shines evenly in all directions, so the floor has the light of a point.
 #[test]
-fn floor_below_a_bulb_in_a_ball_of_glass_has_the_light_of_a_point() {
+fn a_bulb_in_a_ball_of_glass_lights_a_floor_as_a_point_does() {
     let at = [0.0, 0.0, 1.0];
     let prepared = bulb(at, "m glass =\n  sides 1\n  ir 1.52 0\n  c\n  ts 1 0\nm glass\nsph s 0.05\n");
     // The ball reflects 4.26 % at normal incidence, to the bulb, which absorbs it.
     let FloorLight { whole, rings, rms, direct } = floor_light(&prepared, at, INTENSITY * (1.0 - 0.0426));
-    println!("{whole} {rings:?} {rms} {direct}");
     assert!((whole - 1.0).abs() < 0.02, "{whole}");
     assert!(rings.iter().all(|ring| (ring - 1.0).abs() < 0.05), "{rings:?}");
     assert!(rms < 0.1 && direct < 1e-3, "{rms} {direct}");
@@ -106,7 +105,6 @@ fn mirror_beside_a_floor_shows_a_second_bulb() {
     let wall = face(&[[-2.0, -20.0, 0.0], [-2.0, 20.0, 0.0], [-2.0, 20.0, 20.0], [-2.0, -20.0, 20.0]]);
     let prepared = bulb([-1.2, 0.4, 1.0], &format!("m mirror =\n  sides 2\n  c\n  rs 0.9 0\nm mirror\n{wall}"));
     let FloorLight { whole, rings, rms, direct } = floor_light(&prepared, [-2.8, 0.4, 1.0], 0.9 * INTENSITY);
-    println!("{whole} {rings:?} {rms} {direct}");
     assert!((whole - 1.0).abs() < 0.02, "{whole}");
     assert!(rings.iter().all(|ring| (ring - 1.0).abs() < 0.06), "{rings:?}");
     assert!(rms < 0.13 && direct > 50.0, "{rms} {direct}");
@@ -144,6 +142,27 @@ fn mirror_shows_the_reflection_of_a_lamp() {
         points(prepared, &solution(prepared), 0).iter().map(|point| point.size * point.field).sum::<f64>()
     };
     let [dark, lamp] = ["", "  ed 1e-6\n"].map(|emitted| received(&scene(emitted)));
-    println!("{dark} {lamp}");
     assert!(dark > 1.0 && (lamp / dark - 1.0).abs() < 0.05, "{lamp} lm instead of {dark}");
+}
+
+/// Fog of four free paths in all directions scatters nearly all light of a bulb in a ball of glass, in which there is no fog.
+#[test]
+fn fog_around_a_bulb_in_a_ball_of_glass_scatters_its_light() {
+    let at = [0.0, 0.0, 2.5];
+    let around = "m glass =\n  sides 1\n  ir 1.52 0\n  c\n  ts 1 0\nm glass\nsph s 0.3\n\
+                  medium fog =\n  sigma_s 2\nmbox fog -2 -2 0.1 2 2 5\n";
+    let prepared = bulb(at, around);
+    let scene = Scene::new(&prepared);
+    let mut arena = Arena::new(&scene);
+    let fog = arena.fog;
+    super::split(&mut arena, &scene, fog, 6);
+    let light = Caustics::trace(&scene, &arena).0.light(&arena);
+    let scattered = |leaf: u32| {
+        let (element, nodes) = (&arena.elements[leaf as usize], light.nodes[leaf as usize]);
+        let mean = nodes.iter().map(|node| f64::from(luminance(*node))).sum::<f64>() / 4.0;
+        mean * f64::from(luminance(element.received_share()) * element.size())
+    };
+    let found: f64 = super::leaves_of(&arena, fog).into_iter().map(scattered).sum();
+    let sent = 4.0 * std::f64::consts::PI * INTENSITY * (1.0 - 0.0426);
+    assert!((found / sent - 1.0).abs() < 0.03, "{found} lm of {sent}");
 }

@@ -90,9 +90,8 @@ pub struct ElementLights {
     /// Share of the light of an element that reaches other elements, by element: 1 minus what escapes, what mirrors and clear
     /// surfaces absorb, and what fog absorbs. 1 if no rays have measured it.
     pub arriving_share: Vec<[f32; 4]>,
-    /// Luminous flux, by channel, that reaches elements from lamps through mirrors and refracting solids, lm. Rays measure it. It is
-    /// part of `ray_correction`.
-    pub bent_lamp_flux: f32,
+    /// Irradiance at the nodes by light of lamps that mirrors reflect or clear solids refract, by element, lx; empty without such light.
+    pub caustics: Vec<[Rgb; 4]>,
     /// Variance of the flux that arrives by these shares, relative to its square, from the noise of the rays.
     pub share_variance: f32,
     /// Whether rays have measured the shares of all elements.
@@ -142,7 +141,7 @@ impl ElementLights {
             lamp_correction: vec![[Rgb::ZERO; 4]; count],
             ray_correction: vec![[Rgb::ZERO; 4]; count],
             arriving_share: vec![[1.0; 4]; count],
-            bent_lamp_flux: 0.0,
+            caustics: Vec::new(),
             share_variance: 0.0,
             has_measured_shares: false,
             balance: Rgb::ONE,
@@ -167,6 +166,13 @@ impl ElementLights {
             self.row_scale.push(mean(&self.row_scale[above]));
             self.lamp_scale.push(mean(&self.lamp_scale[above]));
             self.arriving_share.push(mean(&self.arriving_share[above]));
+            if !self.caustics.is_empty() {
+                let (whole, nodes) = (&arena.elements[above], self.caustics[above]);
+                let at = |node: usize| whole.interpolate(&nodes, whole.node_in_parent(element, node)).max(Rgb::ZERO);
+                let is_linear = !element.is_directional() && !whole.is_directional();
+                let count = element.node_count();
+                self.caustics.push(if is_linear { [0, 1, 2, 3].map(|node| at(node.min(count - 1))) } else { nodes });
+            }
         }
         self.incident.resize(arena.directional_count, IncidentLight::ZERO);
         self.ray_correction.resize(arena.elements.len(), [Rgb::ZERO; 4]);
@@ -266,8 +272,7 @@ impl ElementLights {
     /// that may be the noise of the rays. In any case, no more arrives than all light that they send.
     fn balance_flux(&mut self, scene: &Scene<'_>, arena: &Arena) {
         self.balance = Rgb::ONE;
-        let bent = [f64::from(self.bent_lamp_flux); 3];
-        let (mut all, mut sent, mut received) = (bent, bent, [0.0f64; 3]);
+        let (mut all, mut sent, mut received) = ([0.0f64; 3], [0.0f64; 3], [0.0f64; 3]);
         for (index, element) in arena.elements.iter().enumerate().filter(|(_, element)| element.is_leaf()) {
             // Light that a mirror passes on may arrive several times.
             let shares = &self.arriving_share[index][..element.node_count()];
@@ -329,27 +334,29 @@ impl ElementLights {
         irradiance.map(|irradiance| (sent + reflectance * (irradiance - mean)).max(Rgb::ZERO))
     }
 
-    /// Returns the mean irradiance of a leaf from elements, lx.
+    /// Returns the mean irradiance of a leaf from elements, without caustics, lx.
     fn mean_irradiance_from_elements(&self, scene: &Scene<'_>, element: &Element, index: usize) -> Rgb {
         if let Shape::Curved(curved) = &element.shape {
-            let arriving = self.directional_irradiance(curved, index, FROM_ELEMENTS);
+            let arriving = self.directional_irradiance_from_elements(curved, index);
             let at = |normal: Vec3A| arriving.cosine_integral(normal);
             return curved_normals(scene, &curved.part).map(at).sum::<Rgb>() / CURVED_NORMALS as f32;
         }
-        let nodes = self.node_irradiance(index, FROM_ELEMENTS);
+        let nodes = self.node_irradiance_from_elements(index);
         let count = element.node_count();
         nodes[..count].iter().copied().sum::<Rgb>() / count as f32
     }
 
-    /// Returns the radiosity of a leaf by light that it receives and reflects directly from light sources, lx; for fog per m.
+    /// Returns the radiosity of a leaf by light that it receives and reflects from light sources, directly or as caustics, lx; for fog per m.
     fn first_radiosity(&self, element: &Element, index: usize) -> Rgb {
-        let nodes = self.node_irradiance(index, FROM_LAMPS);
+        let mut nodes = self.node_irradiance(index, FROM_LAMPS);
+        nodes.iter_mut().zip(self.caustic_irradiance(index)).for_each(|(light, caustic)| *light += caustic);
         let mean = || nodes[..element.node_count()].iter().copied().sum::<Rgb>() / element.node_count() as f32;
         match &element.shape {
             Shape::Patch(patch) => patch.part.reflectance * mean(),
             Shape::Volume(fog) => fog.sigma_s * mean(),
             Shape::Curved(curved) => {
-                curved.part.reflectance * self.directional_irradiance(curved, index, FROM_LAMPS).total() * 0.25
+                let direct = self.directional_irradiance(curved, index, FROM_LAMPS).total() * 0.25;
+                curved.part.reflectance * (direct + self.caustic_irradiance(index)[0])
             }
             Shape::Cluster(_) => Rgb::ZERO,
         }
@@ -449,30 +456,47 @@ impl ElementLights {
         light
     }
 
-    /// Returns the irradiance at an element's nodes from sources or from elements.
+    /// Returns the irradiance at an element's nodes from sources, or from elements and as caustics.
     pub fn node_irradiance(&self, index: usize, from: usize) -> [Rgb; 4] {
-        let mut values = self.elements[index].total[from];
         if from == FROM_LAMPS {
+            let mut values = self.elements[index].total[from];
             let beyond = self.lamp_scale[index].into_iter().zip(self.lamp_correction[index]);
             values.iter_mut().zip(beyond).for_each(|(value, (scale, more))| *value = *value * scale + more);
-        } else {
-            let beyond = self.row_scale[index].into_iter().zip(self.ray_correction[index]);
-            values
-                .iter_mut()
-                .zip(beyond)
-                .for_each(|(value, (scale, more))| *value = (*value * scale + more) * self.balance);
+            return values;
         }
+        let mut values = self.node_irradiance_from_elements(index);
+        values.iter_mut().zip(self.caustic_irradiance(index)).for_each(|(value, caustic)| *value += caustic);
         values
     }
 
-    /// Returns the light by direction that a curved element receives from sources or from elements.
+    fn node_irradiance_from_elements(&self, index: usize) -> [Rgb; 4] {
+        let mut values = self.elements[index].total[FROM_ELEMENTS];
+        let beyond = self.row_scale[index].into_iter().zip(self.ray_correction[index]);
+        values
+            .iter_mut()
+            .zip(beyond)
+            .for_each(|(value, (scale, more))| *value = (*value * scale + more) * self.balance);
+        values
+    }
+
+    /// Returns the irradiance at an element's nodes by caustics, lx.
+    fn caustic_irradiance(&self, index: usize) -> [Rgb; 4] {
+        self.caustics.get(index).copied().unwrap_or([Rgb::ZERO; 4])
+    }
+
+    /// Returns the light by direction that a curved element receives from sources, or from elements and as caustics.
     pub fn directional_irradiance(&self, element: &Curved, index: usize, from: usize) -> Harmonics {
-        let IncidentLight { total: whole, ray_correction: more, .. } = self.incident[element.directional as usize];
         if from == FROM_LAMPS {
-            return whole[from] * Rgb::splat(self.lamp_scale[index][0])
+            return self.incident[element.directional as usize].total[from] * Rgb::splat(self.lamp_scale[index][0])
                 + Harmonics::from_irradiance(self.lamp_correction[index][0]);
         }
-        (whole[from] * Rgb::splat(self.row_scale[index][0]) + more) * self.balance
+        self.directional_irradiance_from_elements(element, index)
+            + Harmonics::from_irradiance(self.caustic_irradiance(index)[0])
+    }
+
+    fn directional_irradiance_from_elements(&self, element: &Curved, index: usize) -> Harmonics {
+        let IncidentLight { total: whole, ray_correction: more, .. } = self.incident[element.directional as usize];
+        (whole[FROM_ELEMENTS] * Rgb::splat(self.row_scale[index][0]) + more) * self.balance
     }
 
     /// Computes the light that a leaf sends from the light that it receives.

@@ -8,6 +8,7 @@ pub use solution::Solution;
 pub(crate) use solution::surface_leaves;
 
 use crate::arena::Arena;
+use crate::caustics::Caustics;
 use crate::census::Census;
 use crate::element::Element;
 use crate::gather::ElementLights;
@@ -185,16 +186,20 @@ impl<'a> Solver<'a> {
         }
         solver.estimate_irradiance();
         solver.state.links = vec![Link { receiver: root, source: root, factors: [0.0; 4] }];
+        let (caustics, rays) = Caustics::trace(scene, &solver.state.arena);
+        solver.state.report.rays += rays;
         for (round, coarse) in ERROR_LEVELS.into_iter().enumerate() {
             let is_last = round + 1 == ERROR_LEVELS.len();
             solver.state.report.inexact_links = 0;
             let error = options.error * coarse;
             // Direct light first, then the light between elements.
             solver.link_lamps(error.min(MAX_LAMP_ERROR))?;
+            solver.refine_caustics(&caustics, error)?;
             if round == 0 {
                 solver.state.lights.push_pull(scene, &solver.state.arena);
             }
             solver.refine_links(error)?;
+            solver.set_caustics(&caustics);
             let SolverState { arena, lights, links, report, .. } = &mut solver.state;
             report.row_sum = lights.bound_rows(scene, arena, links);
             solver.iterate(if is_last { TARGET_RESIDUAL } else { COARSE_RESIDUAL })?;

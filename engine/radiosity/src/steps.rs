@@ -182,7 +182,7 @@ impl SolverState {
         writer.number(rays);
         writer.rows(&[[residual, row_sum, imbalance, checked, corrected]]);
         let [r, g, b] = self.lights.balance.to_array();
-        writer.rows(&[[r, g, b, self.lights.bent_lamp_flux, self.lights.share_variance]]);
+        writer.rows(&[[r, g, b, self.lights.share_variance]]);
         writer.numbers(self.arena.splits.iter().copied());
         writer.numbers(self.uneven_leaves.iter().copied());
         portals::write(&self.portals, &mut writer);
@@ -195,6 +195,7 @@ impl SolverState {
             lamp_correction,
             ray_correction,
             arriving_share,
+            caustics,
             ..
         } = &self.lights;
         let brightness = |light: &ElementLight| {
@@ -210,6 +211,8 @@ impl SolverState {
         writer.rows(&lamp_correction.iter().map(to_floats::<4, 12>).collect::<Vec<_>>());
         writer.rows(arriving_share);
         writer.rows(&ray_correction.iter().map(to_floats::<4, 12>).collect::<Vec<_>>());
+        writer.number(caustics.len() as u64);
+        writer.rows(&caustics.iter().map(to_floats::<4, 12>).collect::<Vec<_>>());
         // Wide elements store their light by direction, others at their nodes.
         let elements = || self.arena.elements.iter().zip(lights);
         let own = |kind: usize| -> Vec<[f32; 12]> {
@@ -245,7 +248,7 @@ impl SolverState {
             [number()?, number()?, number()?, number()?, number()?, number()?];
         let rays = reader.number()?;
         let [residual, row_sum, imbalance, checked, corrected] = reader.rows::<5>(1)?[0];
-        let [r, g, b, bent_lamp_flux, share_variance] = reader.rows::<5>(1)?[0];
+        let [r, g, b, share_variance] = reader.rows::<4>(1)?[0];
         let needs_more_rays = worth_more != 0;
         let report = SolveReport {
             lamp_links,
@@ -295,8 +298,10 @@ impl SolverState {
         lights.lamp_correction = reader.rows::<12>(count)?.iter().map(|row| colors_from_floats(row)).collect();
         lights.arriving_share = reader.rows::<4>(count)?;
         (lights.has_measured_shares, lights.balance) = (measured != 0, Rgb::from_array([r, g, b]));
-        (lights.bent_lamp_flux, lights.share_variance) = (bent_lamp_flux, share_variance);
+        lights.share_variance = share_variance;
         lights.ray_correction = reader.rows::<12>(count)?.iter().map(|row| colors_from_floats(row)).collect();
+        let of_caustics = if reader.number()? == 0 { 0 } else { count };
+        lights.caustics = reader.rows::<12>(of_caustics)?.iter().map(|row| colors_from_floats(row)).collect();
         let elements = || arena.elements.iter().enumerate();
         let at_nodes: Vec<usize> =
             elements().filter(|(_, element)| !element.is_directional()).map(|(index, _)| index).collect();

@@ -233,6 +233,20 @@ pub const MIN_RELATIVE_VARIANCE: f32 = 0.25;
 /// the true one say little about where it arrives.
 pub const MAX_RAY_SCALE: f32 = 4.0;
 
+// Particles from lamps.
+
+/// Minimum and maximum number of particles. Between them, each has about the same share of the lamps' light.
+pub const CAUSTIC_PARTICLES: [usize; 2] = [1 << 12, 1 << 18];
+/// Number of the first particles, which show from where light gets to mirrors and clear solids.
+pub const CAUSTIC_PILOTS: usize = 1 << 14;
+/// Maximum number of cells of a lamp's directions by height; there are twice as many by azimuth.
+pub const CAUSTIC_CELLS: usize = 16;
+/// Share of particles, relative to the others, that are distributed over all light of the lamps, because the first particles may have
+/// missed some.
+pub const UNSEEN_CAUSTICS: f32 = 0.2;
+/// Squared difference between a part's light and the expected one, in units of its variance, that counts as chance.
+pub const CAUSTIC_CHANCE: f32 = 2.0;
+
 // Verification.
 
 /// Maximum ratio of the absorbed flux to the flux that is sent. Links are approximate: valid solutions of closed rooms, especially

@@ -1,7 +1,7 @@
 //! Scaling of the links' light to that of the rays.
 
 use super::trace::unpack_normal;
-use super::{MAX_PARTS, MisHeuristic, RaySample, Rays, SentLight, part_count};
+use super::{BentLamps, MAX_PARTS, MisHeuristic, RaySample, Rays, SentLight, part_count};
 use crate::arena::Arena;
 use crate::element::Element;
 use crate::exits::is_whole_surface;
@@ -216,7 +216,6 @@ impl Rays {
         let is_surface = |leaf: u32| leaf != NONE && !arena.elements[leaf as usize].is_volume();
         let has_mirrors = self.hits.iter().any(|hit| !hit.is_two_way && is_surface(hit.leaf));
         lights.has_measured_shares = !has_mirrors;
-        lights.bent_lamp_flux = self.bent_lamp_flux(arena);
     }
 
     /// Returns the share of the rays of each part of a leaf that hit something, and its variance.
@@ -235,17 +234,6 @@ impl Rays {
             (shares[part], variances[part]) = (mean, (square - mean * mean).max(0.0) / all[part][1]);
         }
         (shares, variances)
-    }
-
-    /// Returns the luminous flux from lamps that the leaves' rays have found, lm.
-    fn bent_lamp_flux(&self, arena: &Arena) -> f32 {
-        let of_leaf = |(place, &leaf): (usize, &u32)| {
-            let hits = &self.hits[self.first[place] as usize..self.first[place + 1] as usize];
-            let of_lamps = hits.iter().filter(|hit| hit.leaf == NONE && hit.density[0] > 0.0);
-            let irradiance = of_lamps.map(|hit| f64::from(hit.share / hit.density[0])).sum::<f64>();
-            irradiance * f64::from(luminance(arena.elements[leaf as usize].received_share()))
-        };
-        self.leaves.iter().enumerate().map(of_leaf).sum::<f64>() as f32
     }
 
     /// Sets the light that the leaves receive in addition to that of the links.
@@ -315,7 +303,7 @@ impl Rays {
         };
         let chance = chance * (ROUGH_ERROR / error).max(1.0);
         let noise = Noise { chance, estimator };
-        let sent = (kind == FROM_ELEMENTS).then(|| SentLight::new(arena, lights));
+        let sent = (kind == FROM_ELEMENTS).then(|| SentLight::new(arena, lights, BentLamps::Excluded));
         let by_leaf: Vec<[PartSums; MAX_PARTS]> = (0..self.leaves.len())
             .into_par_iter()
             .map(|place| {

@@ -1,11 +1,10 @@
 //! Distribution of the light that a cluster receives among its surfaces.
 
 use crate::arena::Arena;
-use crate::tuning::OPEN_SHARE;
 use femc_field::NONE;
 
 /// Weights of the light that clusters receive, by surface and cluster: the share of the surface's directions that lead out of the
-/// cluster, up to [`OPEN_SHARE`], relative to the mean over the cluster's surfaces. The insides of a closed box receive nothing of the
+/// cluster, relative to the mean over the cluster's surfaces. The insides of a closed box receive nothing of the
 /// box's light, and the outsides all of it.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ClusterWeights {
@@ -43,7 +42,7 @@ impl ClusterWeights {
     /// Sets the weights from the shares of directions that lead out of clusters.
     /// - `shares`: shares by whole surface, in the order of the elements, and by cluster, as the weights.
     pub fn set_exit_shares(&mut self, arena: &Arena, shares: Vec<f32>) {
-        self.weights = shares.into_iter().map(|share| (share / OPEN_SHARE).min(1.0)).collect();
+        self.weights = shares;
         let mut sums = vec![[0.0f64; 2]; arena.elements.len()];
         let surfaces = || (0..self.first.len()).filter(|&index| is_whole_surface(arena, index as u32));
         for index in surfaces() {

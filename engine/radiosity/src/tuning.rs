@@ -163,11 +163,6 @@ pub const NEAR_ELEMENT: f32 = 0.3;
 /// Maximum share of a source's light that a box around the source absorbs, times the error. Not measured.
 pub const MAX_LAMP_ABSORBED: f32 = 0.3;
 
-/// Share of a surface's directions that lead out of a cluster from which it receives the cluster's light like an open surface. The
-/// shadows of other surfaces of the cluster have directions, which a single share does not know: if every share counted, a plate below
-/// another one in fog had 17 % too much light.
-pub const OPEN_SHARE: f32 = 0.25;
-
 // Iteration.
 
 /// Share of the light that leaves all elements. Iteration stops when the change is no more than this. A greater
@@ -218,8 +213,9 @@ pub const MIN_DENSITY_RATIO: f32 = 32.0;
 /// quartiles of the mean are 0.987, 0.993 and 1.001 with 1, and 0.981, 0.991 and 1.004 with 4. With 1, single points of an evenly
 /// lit box without splits, where links are exact, are 0.7 % wrong.
 pub const CHANCE_VARIANCES: f32 = 2.0;
-/// [`CHANCE_VARIANCES`] in scenes with fog. With 1, fog of one free path in an evenly lit box had an rms of 5.1 %, with 4 below 5 %.
-pub const CHANCE_VARIANCES_IN_FOG: f32 = 4.0;
+/// [`CHANCE_VARIANCES`] for shadow rays, and in scenes with fog: few of these rays find most of the light. With 1, fog of one free path
+/// in an evenly lit box had an rms of 5.1 %, and the direct light below a slab was 17 % too much; with 2, 8 % too much.
+pub const CHANCE_VARIANCES_OF_RARE_HITS: f32 = 4.0;
 pub const ROUGH_ERROR: f32 = 0.3;
 /// Number of rays of a part as many as which the estimate of the whole counts in the variance of the part. With a larger one, light
 /// that leaked into closed furniture stays there: with the variance of the whole alone, a white room was 5 % too dark.

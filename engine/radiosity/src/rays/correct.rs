@@ -7,7 +7,7 @@ use crate::element::Element;
 use crate::exits::is_whole_surface;
 use crate::gather::{ElementLights, FROM_ELEMENTS, FROM_LAMPS};
 use crate::tuning::{
-    CHANCE_VARIANCES, CHANCE_VARIANCES_IN_FOG, MAX_RAY_SCALE, MIN_RELATIVE_VARIANCE, RAYS_OF_WHOLE, ROUGH_ERROR,
+    CHANCE_VARIANCES, CHANCE_VARIANCES_OF_RARE_HITS, MAX_RAY_SCALE, MIN_RELATIVE_VARIANCE, RAYS_OF_WHOLE, ROUGH_ERROR,
 };
 use femc_field::{Harmonics, NONE};
 use femc_math::Rgb;
@@ -297,8 +297,8 @@ impl Rays {
     /// - `kind`: [`FROM_LAMPS`] or [`FROM_ELEMENTS`].
     fn compare(&self, arena: &Arena, lights: &ElementLights, kind: usize, error: f32) -> Comparison {
         let (chance, estimator) = match kind {
-            FROM_LAMPS => (CHANCE_VARIANCES, VarianceEstimator::Measured),
-            _ if arena.fog != NONE => (CHANCE_VARIANCES_IN_FOG, VarianceEstimator::RareHitsInFog),
+            FROM_LAMPS => (CHANCE_VARIANCES_OF_RARE_HITS, VarianceEstimator::Measured),
+            _ if arena.fog != NONE => (CHANCE_VARIANCES_OF_RARE_HITS, VarianceEstimator::RareHitsInFog),
             _ => (CHANCE_VARIANCES, VarianceEstimator::RareHits),
         };
         let chance = chance * (ROUGH_ERROR / error).max(1.0);

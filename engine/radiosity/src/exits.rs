@@ -33,7 +33,7 @@ impl ClusterWeights {
 
     /// Returns the clusters around a surface with the weight of their light, the smallest first. Empty for elements that are not
     /// whole surfaces.
-    pub fn of<'a>(&'a self, arena: &'a Arena, index: usize) -> impl Iterator<Item = (u32, f32)> + 'a {
+    pub fn clusters_of<'a>(&'a self, arena: &'a Arena, index: usize) -> impl Iterator<Item = (u32, f32)> + 'a {
         let first = if is_whole_surface(arena, index as u32) { self.first.get(index) } else { None };
         let weights = first.map_or(&[][..], |&first| &self.weights[first as usize..]);
         clusters_around(arena, arena.elements[index].parent).zip(weights.iter().copied())
@@ -47,13 +47,13 @@ impl ClusterWeights {
         let surfaces = || (0..self.first.len()).filter(|&index| is_whole_surface(arena, index as u32));
         for index in surfaces() {
             let area = f64::from(arena.elements[index].size());
-            for (cluster, share) in self.of(arena, index) {
+            for (cluster, share) in self.clusters_of(arena, index) {
                 let [all, out] = &mut sums[cluster as usize];
                 (*all, *out) = (*all + area, *out + area * f64::from(share));
             }
         }
         let mut clusters = Vec::with_capacity(self.weights.len());
-        surfaces().for_each(|index| clusters.extend(self.of(arena, index).map(|(cluster, _)| cluster)));
+        surfaces().for_each(|index| clusters.extend(self.clusters_of(arena, index).map(|(cluster, _)| cluster)));
         for (weight, cluster) in self.weights.iter_mut().zip(clusters) {
             let [all, out] = sums[cluster as usize];
             *weight = if out > 0.0 { (f64::from(*weight) * all / out) as f32 } else { 1.0 };

@@ -448,8 +448,8 @@ impl ElementLights {
     /// `None` for other elements.
     fn light_from_clusters(&self, arena: &Arena, index: usize) -> Option<[Harmonics; 2]> {
         let mut light = None;
-        for (cluster, weight) in self.cluster_weights.of(arena, index) {
-            let gathered = self.incident[arena.elements[cluster as usize].directional()? as usize].gathered;
+        for (cluster, weight) in self.cluster_weights.clusters_of(arena, index) {
+            let gathered = self.incident[arena.elements[cluster as usize].directional()?].gathered;
             let sum = light.get_or_insert([Harmonics::ZERO; 2]);
             (0..2).for_each(|kind| sum[kind] += gathered[kind] * Rgb::splat(weight));
         }

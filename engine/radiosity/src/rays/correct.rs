@@ -37,7 +37,7 @@ struct Noise {
 enum VarianceEstimator {
     /// Few rays hit something bright: the variance follows from the estimate of the part above and the light of such rays.
     RareHits,
-    /// The same in scenes with fog, where very few rays hit the bright fog around a lamp.
+    /// As `RareHits`, for scenes with fog, where very few rays hit the bright fog around a lamp.
     RareHitsInFog,
     /// All rays find similar light: the variance of the rays themselves, and a minimum, since few rays may be alike by chance.
     Measured,

@@ -148,7 +148,7 @@ fn light_of_a_cluster_does_not_reach_the_inside_of_a_box() {
     for &root in &arena.roots {
         let element = &arena.elements[root as usize];
         let is_inside = is_of_box(root as usize) && (middle - element.center).dot(element.normal()) > 0.0;
-        for (cluster, weight) in lights.cluster_weights.of(arena, root as usize) {
+        for (cluster, weight) in lights.cluster_weights.clusters_of(arena, root as usize) {
             sums[cluster as usize][0] += element.size();
             sums[cluster as usize][1] += element.size() * weight;
             let has_whole_box = arena.roots.iter().filter(|&&other| is_of_box(other as usize)).all(|&other| {

@@ -20,7 +20,7 @@ impl ResolvedRequest {
         }
     }
 
-    /// Warns of lamps whose light no method finds.
+    /// Warns of lamps whose light no path finds.
     fn warn_of_hidden_lamps(&self, printer: Printer) {
         if printer.quiet() {
             return;

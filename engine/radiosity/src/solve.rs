@@ -222,7 +222,7 @@ impl<'a> Solver<'a> {
     fn iterate(&mut self, target: f32) -> Result<(), Cancelled> {
         let SolverState { arena, lights, links, report, .. } = &mut self.state;
         let mut acceleration = Acceleration::new(ElementLights::sent_light_weights(arena));
-        for _ in 0..MAX_ITERATIONS {
+        for iteration in 1..=MAX_ITERATIONS {
             if self.cancel.load(Ordering::Relaxed) {
                 return Err(Cancelled);
             }
@@ -230,7 +230,8 @@ impl<'a> Solver<'a> {
             lights.gather(arena, links);
             report.residual = lights.push_pull(self.scene, arena).residual();
             report.iterations += 1;
-            if report.residual <= target || report.residual.is_nan() {
+            // At the end, the elements send what they reflect, not an extrapolation, which rays would compare with the links' light.
+            if report.residual <= target || report.residual.is_nan() || iteration == MAX_ITERATIONS {
                 break;
             }
             let next = acceleration.next_input(&input, lights.sent_light(arena));

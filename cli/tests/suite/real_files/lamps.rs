@@ -80,6 +80,11 @@ fn a_point_in_solid_glass_is_named_and_a_bulb_is_found() {
         let said = all_output(&ran);
         assert!(said.contains("glass-globe.mgf:30: the light of this lamp cannot get through"), "{said}");
         assert!(said.contains("thin sheet (`sides 2`, no `ir`)"), "{said}");
+        if method == "fem" {
+            // Particles from the lamp bring its light through the glass.
+            assert!(mean(&dir, "x.exr") > 0.0, "{said}");
+            continue;
+        }
         assert!(said.contains("no sample met light in any of the 4 blocks") && !said.contains("0.00 %"), "{said}");
         assert!(said.contains("no sample of frame 1 met light"), "{said}");
     }

@@ -234,7 +234,7 @@ impl<'a, 'b> Search<'a, 'b> {
                     named(material)
                 ),
                 "give the lamp a size (in its photometric file, or a small sphere with `ed` instead), or make the glass a \
-                 thin sheet (`sides 2`, no `ir`)",
+                 thin sheet (`sides 2`, no `ir`); only `--method fem` finds this light",
             ),
             HiddenReason::Mirror(material, part) => (
                 format!(
@@ -244,7 +244,7 @@ impl<'a, 'b> Search<'a, 'b> {
                     named(material)
                 ),
                 "give the lamp a size (in its photometric file, or a small sphere with `ed` instead), or give the mirror a \
-                 roughness (`rs .9 .05`)",
+                 roughness (`rs .9 .05`); only `--method fem` finds this light",
             ),
             HiddenReason::Stopped(material) => (
                 format!(

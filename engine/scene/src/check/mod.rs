@@ -173,7 +173,7 @@ pub fn check_scene(scene: &Scene) -> Vec<SceneFault> {
     sorted_faults(faults)
 }
 
-/// Returns the lamps whose light no rendering method finds: a subset of the faults of [`check_scene`], in the same order.
+/// Returns the lamps whose light no path finds: a subset of the faults of [`check_scene`], in the same order.
 pub fn lamps_without_light(scene: &Scene) -> Vec<SceneFault> {
     let mut faults = Faults::default();
     let scope = Scope::new(scene);

@@ -106,23 +106,32 @@ impl Arena {
     /// - `point`: the point, in the surface's parameters;
     /// - returns the part, and the point in the part's parameters.
     pub fn element_at(&self, root: u32, point: Vec2, min_size: f32) -> (u32, Vec2) {
-        let (mut index, mut local) = (root, point);
-        loop {
-            let element = &self.elements[index as usize];
-            let Some(SurfacePart { in_parent, split, area, .. }) = element.surface_part() else {
-                return (index, local);
-            };
-            local = in_parent.local(local);
-            if element.is_leaf() || *area <= min_size {
-                return (index, local);
+        let mut found = (root, point);
+        for (index, local) in self.parts_at(root, point) {
+            found = (index, local);
+            if self.elements[index as usize].surface_part().is_some_and(|part| part.area <= min_size) {
+                break;
             }
-            let second = match split {
+        }
+        found
+    }
+
+    /// Returns the parts of a surface that contain a point, from the whole to a leaf, each with the point in the part's parameters.
+    /// - `point`: the point, in the surface's parameters.
+    pub fn parts_at(&self, root: u32, point: Vec2) -> impl Iterator<Item = (u32, Vec2)> + '_ {
+        let inside = |index: u32, local: Vec2| {
+            let SurfacePart { in_parent, .. } = self.elements.get(index as usize)?.surface_part()?;
+            Some((index, in_parent.local(local)))
+        };
+        std::iter::successors(inside(root, point), move |&(index, local)| {
+            let element = &self.elements[index as usize];
+            let second = match element.surface_part()?.split {
                 Split::Half(0) | Split::None => local.x >= 0.5,
                 Split::Half(_) => local.y >= 0.5,
                 Split::Bisection => local.y > local.x,
             };
-            index = element.children[usize::from(second)];
-        }
+            inside(element.children[usize::from(second)], local)
+        })
     }
 
     /// Returns the smallest box of fog that contains a point, m; `None` outside of the fog.

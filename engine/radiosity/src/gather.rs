@@ -90,7 +90,7 @@ pub struct ElementLights {
     /// Share of the light of an element that reaches other elements, by element: 1 minus what escapes, what mirrors and clear
     /// surfaces absorb, and what fog absorbs. 1 if no rays have measured it.
     pub arriving_share: Vec<[f32; 4]>,
-    /// Irradiance at the nodes by light of lamps that mirrors reflect or clear solids refract, by element, lx; empty without such light.
+    /// Irradiance at the nodes by light of lamps that mirrors reflect or clear solids refract, by element, lx. Empty without such light.
     pub caustics: Vec<[Rgb; 4]>,
     /// Variance of the flux that arrives by these shares, relative to its square, from the noise of the rays.
     pub share_variance: f32,
@@ -183,11 +183,7 @@ impl ElementLights {
     /// surface, as `total` of [`FROM_ELEMENTS`]: the row sums of the links. With exact links, it is the share of the elements'
     /// light among all directions, which is at most 1.
     fn unit_irradiance(&self, scene: &Scene<'_>, arena: &Arena, links: &[Link]) -> Self {
-        let mut unit = Self {
-            incident: vec![IncidentLight::ZERO; self.incident.len()],
-            cluster_weights: self.cluster_weights.clone(),
-            ..Self::new(arena)
-        };
+        let mut unit = Self { cluster_weights: self.cluster_weights.clone(), ..Self::new(arena) };
         for index in (0..arena.elements.len()).rev() {
             let element = &arena.elements[index];
             if !element.is_leaf() {
@@ -346,7 +342,8 @@ impl ElementLights {
         nodes[..count].iter().copied().sum::<Rgb>() / count as f32
     }
 
-    /// Returns the radiosity of a leaf by light that it receives and reflects from light sources, directly or as caustics, lx; for fog per m.
+    /// Returns the radiosity of a leaf by light that it receives and reflects from light sources, directly or as caustics, lx; for fog
+    /// per m.
     fn first_radiosity(&self, element: &Element, index: usize) -> Rgb {
         let mut nodes = self.node_irradiance(index, FROM_LAMPS);
         nodes.iter_mut().zip(self.caustic_irradiance(index)).for_each(|(light, caustic)| *light += caustic);

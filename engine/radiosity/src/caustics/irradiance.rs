@@ -5,10 +5,10 @@
 
 use super::{Caustics, Particle};
 use crate::arena::Arena;
-use crate::element::{Element, PatchForm, Shape, SurfacePart};
+use crate::element::{Element, PatchForm, Shape};
 use crate::rays::{fog_part, leaf_part, part_count};
 use crate::tuning::CAUSTIC_CHANCE;
-use femc_field::{NONE, Split};
+use femc_field::NONE;
 use femc_math::Rgb;
 use femc_math::color::luminance;
 use femc_math::glam::{Vec2, Vec3A};
@@ -133,29 +133,18 @@ impl Caustics {
                 }
                 continue;
             }
-            let (mut index, mut local) = (arena.roots[surface as usize], Vec2::new(place.x, place.y));
-            while let Some(element) = arena.elements.get(index as usize) {
-                let Some(SurfacePart { in_parent, split, .. }) = element.surface_part() else { break };
-                local = in_parent.local(local);
-                parts[index as usize][leaf_part(element, local)].add(flux);
-                if element.is_leaf() {
-                    break;
-                }
-                let second = match split {
-                    Split::Half(0) | Split::None => local.x >= 0.5,
-                    Split::Half(_) => local.y >= 0.5,
-                    Split::Bisection => local.y > local.x,
-                };
-                index = element.children[usize::from(second)];
+            for (index, local) in arena.parts_at(arena.roots[surface as usize], Vec2::new(place.x, place.y)) {
+                parts[index as usize][leaf_part(&arena.elements[index as usize], local)].add(flux);
             }
         }
         parts
     }
 }
 
-/// Position of the center of a part of a triangle, of that of its corner, in [`Leaf::TRIANGLE_POINTS`]' coordinates.
+/// Barycentric coordinate of the center of a third of a triangle (the points nearest to one corner), for that corner.
 const TRIANGLE_PART: f32 = 11.0 / 18.0;
-/// Distances of nodes from the middle, relative to those of the parts' centers.
+/// A node of an element and the center of the node's part have different distances from the middle of the element. These are the
+/// distances of the nodes, divided by the distances of the centers: for triangles, and for rectangles.
 const TRIANGLE_NODES: f32 = (2.0 / 3.0 - 1.0 / 3.0) / (TRIANGLE_PART - 1.0 / 3.0);
 const RECTANGLE_NODES: f32 = 1.154_700_5;
 

@@ -263,8 +263,6 @@ pub fn follow_path(
         end.length += length;
         let point = prepared.shading_point(&ray, &hit);
         let is_back = point.normal.dot(ray.dir) > 0.0;
-        let surface = scene.sides[hit.instance as usize][hit.primitive as usize][usize::from(is_back)];
-        let has_element = surface != NONE && arena.roots[surface as usize] != NONE;
         if kind == PathKind::Radiance && end.is_bent && point.light != NONE {
             // Light that arrives without a change of direction is covered by the links with lamps.
             let (lights, world, textures) = (&prepared.lights, &prepared.world, &prepared.textures);
@@ -308,7 +306,8 @@ pub fn follow_path(
                 continue;
             }
         }
-        if !has_element || end.share <= 0.0 {
+        let surface = scene.sides[hit.instance as usize][hit.primitive as usize][usize::from(is_back)];
+        if surface == NONE || arena.roots[surface as usize] == NONE || end.share <= 0.0 {
             return end;
         }
         let place = scene.surfaces[surface as usize].parameters(point.position, [hit.u, hit.v]);

@@ -4,6 +4,7 @@
 //!   light is known.
 //! - `first_pass growth [--error E] [--faces N,N..] [--kind room|terrain] [--memory MB]` solves scenes with increasing numbers of
 //!   faces, within a memory limit.
+//! - `first_pass solve SCENE [--error E,E..] [--memory MB] [--guides]` prints the cost of a solution, and a digest of its field.
 //! - `first_pass steps SCENE` prints the cost of each step of a first pass that guides paths.
 //! - `first_pass pictures SCENE..` compares pictures of the solution with path-traced ones, and prints the flux of the solution. Set
 //!   `SPP` for the samples a pixel of path tracing.
@@ -18,11 +19,14 @@
 mod laws;
 mod rooms;
 
-use femc_pipeline::radiosity::{SolveOptions, solve};
-use femc_pipeline::{BlockPhase, Method, SceneSource, Settings, first_pass_world, prepare_frame, solver};
+use femc_pipeline::radiosity::{Census, KindCounts, SolveOptions, solve};
+use femc_pipeline::{
+    BlockPhase, FirstPassStatistics, Method, SceneSource, Settings, first_pass_world, prepare_frame, solver,
+};
 use femc_tests::clock::processor_seconds;
 use femc_tests::closed_forms::{Case, SolvedScene, all_cases, relative_errors};
 use femc_tests::fog_light::{self, FogComparison, compare_points, compare_rays};
+use femc_tests::fuzz::peak_memory;
 use femc_tests::generated_scenes::{Kind, generate_scene};
 use femc_tests::picture_comparison::{LampPixels, PictureComparison};
 use std::error::Error;
@@ -55,6 +59,14 @@ fn main() -> Result<(), Box<dyn Error>> {
             let error = option("--error").unwrap_or("0.3").parse()?;
             laws::run(option("--only"), error, args.iter().any(|arg| arg == "--all"));
         }
+        Some("solve") => {
+            let scene = args.get(1).ok_or("which scene?")?;
+            let errors = numbers(option("--error").unwrap_or("2,1,0.3"))?;
+            let memory = option("--memory").map(str::parse::<usize>).transpose()?.map(|megabytes| megabytes << 20);
+            let memory = memory.unwrap_or(SolveOptions::default().memory);
+            let guides = args.iter().any(|arg| arg == "--guides");
+            cost(Path::new(scene), &errors, SolveOptions { memory, guides, ..SolveOptions::default() })?;
+        }
         Some("steps") => steps(Path::new(args.get(1).ok_or("which scene?")?))?,
         Some("fog") => {
             let scene = args.get(1).ok_or("which scene?")?;
@@ -63,7 +75,7 @@ fn main() -> Result<(), Box<dyn Error>> {
                 .map(|(name, otherwise)| option(name).unwrap_or(otherwise).parse());
             fog(Path::new(scene), &errors, rays?, samples?)?;
         }
-        _ => return Err("usage: first_pass errors [--error E,E..] [--only WORD] | pictures SCENE.. | rooms [--count N] [--from SEED] [--out FILE.tsv] [--without F,F..] [--fog] [--write SEED] | laws [--only T1,T2..] [--error E] [--all] | growth [--error E] [--faces N,N..] [--kind room|terrain] [--memory MB] | steps SCENE | fog SCENE [--error E,E..] [--rays N] [--samples N]".into()),
+        _ => return Err("usage: first_pass errors [--error E,E..] [--only WORD] | pictures SCENE.. | rooms [--count N] [--from SEED] [--out FILE.tsv] [--without F,F..] [--fog] [--write SEED] | laws [--only T1,T2..] [--error E] [--all] | growth [--error E] [--faces N,N..] [--kind room|terrain] [--memory MB] | solve SCENE [--error E,E..] [--memory MB] [--guides] | steps SCENE | fog SCENE [--error E,E..] [--rays N] [--samples N]".into()),
     }
     Ok(())
 }
@@ -177,6 +189,43 @@ fn fog(path: &Path, errors: &[f32], rays: u32, samples: u32) -> Result<(), Box<d
         for (what, FogComparison { ratio, rms, relative, error: of_paths }) in found {
             let boxes = fog.leaves().count();
             println!("{error}\t{seconds:.1}\t{boxes}\t{what}\t{ratio:.4}\t{of_paths:.4}\t{rms:.4}\t{relative:.4}");
+        }
+    }
+    Ok(())
+}
+
+/// Prints the cost of solutions. The greatest memory of the process is that of all solutions so far.
+fn cost(path: &Path, errors: &[f32], options: SolveOptions) -> Result<(), Box<dyn Error>> {
+    let scene = Arc::new(femc_import::load_scene_file(path)?.scene);
+    let prepared = prepare_frame(&SceneSource::new(scene), &Settings::default(), 1, None)?;
+    println!(
+        "error\tprocessor seconds\telements\tleaves\tboxes\tlinks\tlamp links\trefused\trays\tMB\tprocess MB\tchecked\tcorrected\tdigest"
+    );
+    for &error in errors {
+        let before = processor_seconds().unwrap_or(0.0);
+        let solution = solve(&prepared, &SolveOptions { error, ..options }, &AtomicBool::new(false));
+        let solution = solution.map_err(|_| "cancelled")?;
+        let seconds = processor_seconds().unwrap_or(0.0) - before;
+        let report = solution.report;
+        println!(
+            "{error}\t{seconds:.2}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{:.1}\t{}\t{:.4}\t{:.4}\t{}",
+            report.elements,
+            report.leaves,
+            solution.field.fog.leaves().count(),
+            report.links,
+            report.lamp_links,
+            report.inexact_links,
+            report.rays,
+            report.bytes as f64 / f64::from(1 << 20),
+            peak_memory().unwrap_or(0) >> 20,
+            report.ray_link_ratio,
+            report.ray_correction,
+            &blake3::hash(&solution.field.encode(&FirstPassStatistics::default())).to_hex()[..12],
+        );
+        let Census { elements, receivers, sources } = report.census;
+        for (what, counts) in [("elements", elements), ("links by receiver", receivers), ("links by source", sources)] {
+            let KindCounts { clusters, patches, curved, fog } = counts;
+            println!("  {what}: {clusters} of clusters, {patches} of patches, {curved} curved, {fog} of fog");
         }
     }
     Ok(())

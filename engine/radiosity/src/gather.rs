@@ -1,7 +1,7 @@
 //! Gathering of light through links, and its transport down and up the tree.
 
 use crate::arena::Arena;
-use crate::element::{Curved, Element, Patch, Shape, SurfacePart};
+use crate::element::{Cluster, Curved, Element, Patch, Shape, SurfacePart};
 use crate::link::Link;
 use crate::scene::Scene;
 use crate::tuning::{CHANCE_VARIANCES, CURVED_NORMALS, MAX_BALANCE, MAX_ROW_SUM};
@@ -15,9 +15,8 @@ use std::f32::consts::PI;
 /// The light of an element.
 #[derive(Clone, Copy, Debug)]
 pub struct ElementLight {
-    /// Irradiance at the nodes, lx, received through the element's own links from light sources, and from elements.
-    pub gathered: [[Rgb; 4]; 2],
-    /// Irradiance at the nodes including that of the elements above it, lx.
+    /// Irradiance at the nodes from light sources, and from elements, lx: through the element's own links and those of the elements
+    /// above it.
     pub total: [[Rgb; 4]; 2],
     /// Mean radiosity, lx; for fog per m.
     pub radiosity: Rgb,
@@ -27,45 +26,30 @@ pub struct ElementLight {
     /// Mean irradiance, by luminance, and the mean irradiance of the darkest part.
     pub mean: f32,
     pub min_mean: f32,
-    /// Intensity by direction that wide elements send, cd.
-    pub intensity: Harmonics,
 }
 
 impl ElementLight {
     pub const ZERO: Self = Self {
-        gathered: [[Rgb::ZERO; 4]; 2],
         total: [[Rgb::ZERO; 4]; 2],
         radiosity: Rgb::ZERO,
         darkest: 0.0,
         brightest: 0.0,
         mean: 0.0,
         min_mean: 0.0,
-        intensity: Harmonics::ZERO,
     };
-
-    /// Returns the light that an element sends toward a point, as the factors of links have it: the intensity, cd, of a wide element,
-    /// else the radiosity, lx.
-    pub fn sent_toward(&self, element: &Element, point: Vec3A) -> Rgb {
-        if element.is_directional() {
-            return self.intensity.cosine_integral((point - element.center).normalize_or(-Vec3A::Z));
-        }
-        self.radiosity
-    }
 }
 
-/// Arriving light of a wide element by direction, from sources and from elements: through its own links, and including that of the
-/// elements above.
+/// Arriving light of a wide element by direction, from sources and from elements: through its own links and those of the elements
+/// above it.
 #[derive(Clone, Copy, Debug)]
 pub struct IncidentLight {
-    pub gathered: [Harmonics; 2],
     pub total: [Harmonics; 2],
     /// Light of a ball that rays find in addition to that of the links.
     pub ray_correction: Harmonics,
 }
 
 impl IncidentLight {
-    pub const ZERO: Self =
-        Self { gathered: [Harmonics::ZERO; 2], total: [Harmonics::ZERO; 2], ray_correction: Harmonics::ZERO };
+    pub const ZERO: Self = Self { total: [Harmonics::ZERO; 2], ray_correction: Harmonics::ZERO };
 }
 
 /// Indices of the kinds of light.
@@ -77,6 +61,8 @@ pub const FROM_ELEMENTS: usize = 1;
 pub struct ElementLights {
     pub elements: Vec<ElementLight>,
     pub incident: Vec<IncidentLight>,
+    /// Intensity that wide elements send, cd.
+    pub intensity: Vec<Harmonics>,
     /// Factor of the links' light at the nodes, by element. It bounds the row sums ([`ElementLights::bound_rows`]).
     pub row_scale: Vec<[f32; 4]>,
     /// Factor of the light of lamps at the nodes, by element, and the light that rays find in addition to that, lx.
@@ -127,12 +113,15 @@ impl ElementLights {
     /// Number of bytes of an element's light, without the light by direction.
     pub const BYTES: usize =
         size_of::<ElementLight>() + 2 * (size_of::<[f32; 4]>() + size_of::<[Rgb; 4]>()) + size_of::<[f32; 4]>();
+    /// Number of bytes of an element's light by direction.
+    pub const DIRECTIONAL_BYTES: usize = size_of::<IncidentLight>() + size_of::<Harmonics>();
 
     pub fn new(arena: &Arena) -> Self {
         let count = arena.elements.len();
         Self {
             elements: vec![ElementLight::ZERO; count],
             incident: vec![IncidentLight::ZERO; arena.directional_count],
+            intensity: vec![Harmonics::ZERO; arena.directional_count],
             row_scale: vec![[1.0; 4]; count],
             lamp_scale: vec![[1.0; 4]; count],
             lamp_correction: vec![[Rgb::ZERO; 4]; count],
@@ -147,6 +136,7 @@ impl ElementLights {
 
     /// Allocates new elements, which begin with their parents' light.
     pub fn grow(&mut self, arena: &Arena) {
+        let first = self.elements.len();
         for element in &arena.elements[self.elements.len()..] {
             let parent = self.elements[element.parent as usize];
             let ElementLight { radiosity, darkest, brightest, mean, min_mean: least, .. } = parent;
@@ -165,6 +155,10 @@ impl ElementLights {
             self.arriving_share.push(mean(&self.arriving_share[above]));
         }
         self.incident.resize(arena.directional_count, IncidentLight::ZERO);
+        self.intensity.resize(arena.directional_count, Harmonics::ZERO);
+        for index in first..arena.elements.len() {
+            [FROM_LAMPS, FROM_ELEMENTS].into_iter().for_each(|kind| self.push_to(arena, index, kind));
+        }
         self.ray_correction.resize(arena.elements.len(), [Rgb::ZERO; 4]);
         self.lamp_correction.resize(arena.elements.len(), [Rgb::ZERO; 4]);
     }
@@ -173,7 +167,7 @@ impl ElementLights {
     /// surface, as `total` of [`FROM_ELEMENTS`]: the row sums of the links. With exact links, it is the share of the elements'
     /// light among all directions, which is at most 1.
     fn unit_irradiance(&self, scene: &Scene<'_>, arena: &Arena, links: &[Link]) -> Self {
-        let mut unit = Self { incident: vec![IncidentLight::ZERO; self.incident.len()], ..Self::new(arena) };
+        let mut unit = Self::new(arena);
         for index in (0..arena.elements.len()).rev() {
             let element = &arena.elements[index];
             if !element.is_leaf() {
@@ -183,11 +177,10 @@ impl ElementLights {
             let light = &mut unit.elements[index];
             light.radiosity = if let Shape::Volume(fog) = &element.shape { fog.sigma_s } else { Rgb::ONE };
             if let Shape::Curved(curved) = &element.shape {
-                light.intensity = curved_intensity(scene, &curved.part, |_| Rgb::ONE);
+                unit.intensity[curved.directional as usize] = curved_intensity(scene, &curved.part, |_| Rgb::ONE);
             }
         }
         unit.gather(arena, links);
-        unit.push_all(arena);
         unit
     }
 
@@ -211,30 +204,45 @@ impl ElementLights {
         }
     }
 
-    /// Gathers irradiance through all links, which are sorted by receiver. The light of each receiver is added in the links' order.
-    pub fn gather(&mut self, arena: &Arena, links: &[Link]) {
-        let rows: Vec<&[Link]> = links.chunk_by(|a, b| a.receiver == b.receiver).collect();
-        let lights = &self.elements;
-        let gathered: Vec<([Rgb; 4], Harmonics)> =
-            rows.par_iter().with_min_len(64).map(|row| gather_row(arena, lights, row)).collect();
-        for light in &mut self.elements {
-            light.gathered[FROM_ELEMENTS] = [Rgb::ZERO; 4];
-        }
-        for arriving in &mut self.incident {
-            arriving.gathered[FROM_ELEMENTS] = Harmonics::ZERO;
-        }
-        for (row, (nodes, arriving)) in rows.iter().zip(gathered) {
-            let receiver = row[0].receiver as usize;
-            self.elements[receiver].gathered[FROM_ELEMENTS] = nodes;
-            if let Some(directional) = arena.elements[receiver].directional() {
-                self.incident[directional].gathered[FROM_ELEMENTS] = arriving;
+    /// Returns the light that an element sends toward a point, as the factors of links have it: the intensity, cd, of a wide element,
+    /// else the radiosity, lx.
+    pub fn sent_toward(&self, index: usize, element: &Element, point: Vec3A) -> Rgb {
+        match element.directional() {
+            Some(directional) => {
+                let dir = (point - element.center).normalize_or(-Vec3A::Z);
+                self.intensity[directional].cosine_integral(dir)
             }
+            None => self.elements[index].radiosity,
         }
     }
 
-    /// Transports arriving light down the tree, and sent light up.
-    pub fn push_pull(&mut self, scene: &Scene<'_>, arena: &Arena) -> IterationFlux {
-        self.push_all(arena);
+    /// Gathers irradiance through all links, which are sorted by receiver, and transports it down the tree. The light of each receiver
+    /// is added in the links' order.
+    pub fn gather(&mut self, arena: &Arena, links: &[Link]) {
+        let rows: Vec<&[Link]> = links.chunk_by(|a, b| a.receiver == b.receiver).collect();
+        let lights = &*self;
+        let gathered: Vec<([Rgb; 4], Harmonics)> =
+            rows.par_iter().with_min_len(64).map(|row| gather_row(arena, lights, row)).collect();
+        self.clear(FROM_ELEMENTS);
+        for (row, (nodes, arriving)) in rows.iter().zip(gathered) {
+            let receiver = row[0].receiver as usize;
+            match arena.elements[receiver].directional() {
+                Some(directional) => self.incident[directional].total[FROM_ELEMENTS] = arriving,
+                None => self.elements[receiver].total[FROM_ELEMENTS] = nodes,
+            }
+        }
+        self.push(arena, FROM_ELEMENTS);
+    }
+
+    /// Clears the light that all elements receive.
+    /// - `kind`: [`FROM_LAMPS`] or [`FROM_ELEMENTS`].
+    pub fn clear(&mut self, kind: usize) {
+        self.elements.iter_mut().for_each(|light| light.total[kind] = [Rgb::ZERO; 4]);
+        self.incident.iter_mut().for_each(|arriving| arriving.total[kind] = Harmonics::ZERO);
+    }
+
+    /// Computes the light that all elements send from the light that they receive.
+    pub fn reflect_all(&mut self, scene: &Scene<'_>, arena: &Arena) -> IterationFlux {
         self.balance_flux(scene, arena);
         let mut flux = IterationFlux::default();
         for index in (0..arena.elements.len()).rev() {
@@ -350,18 +358,21 @@ impl ElementLights {
     /// Returns the numbers that determine the light of the next iteration: the radiosity of leaves by channel, lx, and then the
     /// intensity of curved leaves, cd.
     pub fn sent_light(&self, arena: &Arena) -> Vec<f32> {
-        let leaves = || arena.elements.iter().zip(&self.elements).filter(|(element, _)| element.is_leaf());
-        let radiosity = leaves().flat_map(|(_, light)| light.radiosity.to_array());
-        let curved = leaves().filter(|(element, _)| matches!(element.shape, Shape::Curved(_)));
-        let intensity = curved.flat_map(|(_, light)| light.intensity.0.iter().flat_map(|part| part.to_array()));
-        radiosity.chain(intensity).collect()
+        let mut numbers = Vec::with_capacity(3 * self.elements.len());
+        for (_, light) in arena.elements.iter().zip(&self.elements).filter(|(element, _)| element.is_leaf()) {
+            numbers.extend(light.radiosity.to_array());
+        }
+        for directional in directional_leaves(arena) {
+            self.intensity[directional].0.iter().for_each(|part| numbers.extend(part.to_array()));
+        }
+        numbers
     }
 
     /// Returns the weights of the numbers of [`ElementLights::sent_light`] in a sum of flux: m2, for fog m3. The intensity of a curved
     /// leaf belongs to its radiosity and has no weight.
     pub fn sent_light_weights(arena: &Arena) -> Vec<f32> {
         let leaves = || arena.elements.iter().filter(|element| element.is_leaf());
-        let curved = leaves().filter(|element| matches!(element.shape, Shape::Curved(_))).count();
+        let curved = directional_leaves(arena).count();
         leaves().flat_map(|element| [element.sending_size(); 3]).chain(std::iter::repeat_n(0.0, 27 * curved)).collect()
     }
 
@@ -369,60 +380,56 @@ impl ElementLights {
     pub fn set_sent_light(&mut self, arena: &Arena, numbers: &[f32]) {
         let mut numbers = numbers.iter().copied();
         let mut color = || Rgb::from_array(std::array::from_fn(|_| numbers.next().unwrap_or(0.0)));
-        for (element, light) in arena.elements.iter().zip(&mut self.elements).filter(|(element, _)| element.is_leaf()) {
+        for (_, light) in arena.elements.iter().zip(&mut self.elements).filter(|(element, _)| element.is_leaf()) {
             light.radiosity = color().max(Rgb::ZERO);
-            debug_assert!(!element.is_cluster() || light.radiosity == Rgb::ZERO);
         }
-        for (element, light) in arena.elements.iter().zip(&mut self.elements).filter(|(element, _)| element.is_leaf()) {
-            if matches!(element.shape, Shape::Curved(_)) {
-                light.intensity.0.iter_mut().for_each(|part| *part = color());
-            }
+        for directional in directional_leaves(arena) {
+            self.intensity[directional].0.iter_mut().for_each(|part| *part = color());
         }
         for index in (0..arena.elements.len()).rev().filter(|&index| !arena.elements[index].is_leaf()) {
             self.pull(arena, index);
         }
     }
 
-    /// Transports arriving light down the tree.
-    pub fn push_all(&mut self, arena: &Arena) {
-        (0..arena.elements.len()).for_each(|index| self.push(arena, index));
+    /// Transports arriving light down the tree: adds the light of the elements above to that of the elements' own links.
+    /// - `kind`: [`FROM_LAMPS`] or [`FROM_ELEMENTS`].
+    pub fn push(&mut self, arena: &Arena, kind: usize) {
+        (0..arena.elements.len()).for_each(|index| self.push_to(arena, index, kind));
     }
 
-    fn push(&mut self, arena: &Arena, index: usize) {
+    /// Adds the light of the elements above to that of an element.
+    fn push_to(&mut self, arena: &Arena, index: usize, kind: usize) {
         let element = &arena.elements[index];
-        let parent = arena.elements.get(element.parent as usize);
+        let Some(parent) = arena.elements.get(element.parent as usize) else { return };
+        let above = parent.directional().map(|directional| self.incident[directional].total[kind]);
         if let Some(directional) = element.directional() {
-            let mut arriving = self.incident[directional];
-            arriving.total = arriving.gathered;
-            if let Some(above) = parent.and_then(Element::directional) {
-                let above = self.incident[above].total;
-                (0..2).for_each(|kind| arriving.total[kind] += above[kind]);
+            if let Some(above) = above {
+                self.incident[directional].total[kind] += above;
             }
-            self.incident[directional] = arriving;
             return;
         }
-        let mut whole = self.elements[index].gathered;
-        if let Some(above) = parent {
-            for kind in [FROM_LAMPS, FROM_ELEMENTS] {
-                for (node, value) in whole[kind].iter_mut().enumerate().take(element.node_count()) {
-                    *value += match above.directional() {
-                        Some(directional) => {
-                            let light = &self.incident[directional].total[kind];
-                            match &element.shape {
-                                // A point of fog receives a quarter of the light from all directions.
-                                Shape::Volume(_) => (light.total() * 0.25).max(Rgb::ZERO),
-                                _ => light.cosine_integral(element.node(node).normal),
-                            }
-                        }
-                        None => above.interpolate(
-                            &self.elements[element.parent as usize].total[kind],
-                            above.node_in_parent(element, node),
-                        ),
-                    };
-                }
+        let mut whole = self.elements[index].total[kind];
+        let nodes = whole.iter_mut().enumerate().take(element.node_count());
+        match (&above, &element.shape) {
+            (Some(above), Shape::Volume(_)) => {
+                // A point of fog receives a quarter of the light from all directions.
+                let light = (above.total() * 0.25).max(Rgb::ZERO);
+                nodes.for_each(|(_, value)| *value += light);
+            }
+            (Some(above), _) => {
+                let mut irradiance = ByNormal(None);
+                nodes.for_each(|(node, value)| {
+                    *value += irradiance.get(element.node(node).normal, |normal| above.cosine_integral(normal));
+                });
+            }
+            (None, _) => {
+                let above = self.elements[element.parent as usize].total[kind];
+                nodes.for_each(|(node, value)| {
+                    *value += parent.interpolate(&above, parent.node_in_parent(element, node));
+                });
             }
         }
-        self.elements[index].total = whole;
+        self.elements[index].total[kind] = whole;
     }
 
     /// Returns the irradiance at an element's nodes from sources or from elements.
@@ -487,8 +494,8 @@ impl ElementLights {
             (sum, mean) = (sum + radiosity, mean + luminance(irradiance));
             radiosity
         });
+        self.intensity[curved.directional as usize] = sent;
         let light = &mut self.elements[index];
-        light.intensity = sent;
         light.radiosity = sum / CURVED_NORMALS as f32;
         light.mean = mean / CURVED_NORMALS as f32;
         light.min_mean = light.mean;
@@ -520,33 +527,58 @@ impl ElementLights {
 
     fn pull(&mut self, arena: &Arena, index: usize) {
         let element = &arena.elements[index];
-        let [a, b] = element.children.map(|child| (&arena.elements[child as usize], self.elements[child as usize]));
-        let mut out = self.elements[index];
-        let size = a.0.size() + b.0.size();
-        let [wa, wb] = [a, b].map(|(part, _)| if size > 0.0 { part.size() / size } else { 0.5 });
-        if element.is_directional() {
-            out.intensity = Harmonics::ZERO;
-            for (part, light) in [a, b] {
+        let parts = element.children.map(|child| &arena.elements[child as usize]);
+        if let Some(directional) = element.directional() {
+            let mut intensity = Harmonics::ZERO;
+            for (part, child) in parts.into_iter().zip(element.children) {
                 match &part.shape {
-                    Shape::Cluster(_) | Shape::Curved(_) => out.intensity += light.intensity,
+                    Shape::Cluster(Cluster { directional, .. }) | Shape::Curved(Curved { directional, .. }) => {
+                        intensity += self.intensity[*directional as usize];
+                    }
                     Shape::Patch(patch) => {
                         let nodes = patch.nodes();
-                        let amount = light.radiosity * (patch.part.area / (PI * nodes.len() as f32));
+                        let radiosity = self.elements[child as usize].radiosity;
+                        let amount = radiosity * (patch.part.area / (PI * nodes.len() as f32));
+                        let mut sent = ByNormal(None);
                         for node in nodes {
-                            out.intensity += Harmonics::from_direction(node.normal, amount);
+                            intensity += sent.get(node.normal, |normal| Harmonics::from_direction(normal, amount));
                         }
                     }
                     Shape::Volume(_) => {}
                 }
             }
+            self.intensity[directional] = intensity;
         }
-        out.radiosity = a.1.radiosity * wa + b.1.radiosity * wb;
-        out.mean = a.1.mean * wa + b.1.mean * wb;
-        out.min_mean = a.1.min_mean.min(b.1.min_mean);
-        out.darkest = a.1.darkest.min(b.1.darkest);
-        out.brightest = a.1.brightest.max(b.1.brightest);
-        self.elements[index] = out;
+        let size = parts[0].size() + parts[1].size();
+        let [wa, wb] = parts.map(|part| if size > 0.0 { part.size() / size } else { 0.5 });
+        let [a, b] = element.children.map(|child| &self.elements[child as usize]);
+        let (radiosity, mean) = (a.radiosity * wa + b.radiosity * wb, a.mean * wa + b.mean * wb);
+        let min_mean = a.min_mean.min(b.min_mean);
+        let (darkest, brightest) = (a.darkest.min(b.darkest), a.brightest.max(b.brightest));
+        let ElementLight { total, .. } = self.elements[index];
+        self.elements[index] = ElementLight { total, radiosity, darkest, brightest, mean, min_mean };
     }
+}
+
+/// Value of a function of the normal. The nodes of a flat patch have one normal, so it is computed once.
+struct ByNormal<T>(Option<(Vec3A, T)>);
+
+impl<T: Copy> ByNormal<T> {
+    fn get(&mut self, normal: Vec3A, compute: impl FnOnce(Vec3A) -> T) -> T {
+        match self.0 {
+            Some((known, value)) if known == normal => value,
+            _ => {
+                let value = compute(normal);
+                self.0 = Some((normal, value));
+                value
+            }
+        }
+    }
+}
+
+/// Returns the indices of the light by direction of curved leaves.
+fn directional_leaves(arena: &Arena) -> impl Iterator<Item = usize> {
+    arena.elements.iter().filter(|element| element.is_leaf()).filter_map(Element::directional)
 }
 
 /// Returns the intensity of a curved element by direction, cd, from the radiosity at points around it.
@@ -566,12 +598,12 @@ fn curved_normals(scene: &Scene<'_>, part: &SurfacePart) -> impl Iterator<Item =
     })
 }
 
-fn gather_row(arena: &Arena, lights: &[ElementLight], row: &[Link]) -> ([Rgb; 4], Harmonics) {
+fn gather_row(arena: &Arena, lights: &ElementLights, row: &[Link]) -> ([Rgb; 4], Harmonics) {
     let p = &arena.elements[row[0].receiver as usize];
     let (mut nodes, mut arriving) = ([Rgb::ZERO; 4], Harmonics::ZERO);
     for link in row {
-        let (q, light) = (&arena.elements[link.source as usize], &lights[link.source as usize]);
-        let sent = light.sent_toward(q, p.center);
+        let q = &arena.elements[link.source as usize];
+        let sent = lights.sent_toward(link.source as usize, q, p.center);
         if p.is_directional() {
             let dir = (q.center - p.center).normalize_or(Vec3A::Z);
             arriving += Harmonics::from_direction(dir, sent * link.factors[0]);

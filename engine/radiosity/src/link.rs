@@ -13,6 +13,7 @@ use crate::gather::ElementLight;
 use crate::scene::Scene;
 use crate::tuning::{CLOSE_LIGHT, CLOSE_RADII, ERROR_SCALE_BOUNDS, MAX_FINER, THICK_DEPTH, UNPROVED_LIGHT};
 use crate::visibility::VisibilityTester;
+use femc_field::Harmonics;
 use femc_math::color::luminance;
 use femc_math::glam::Vec3A;
 
@@ -48,6 +49,8 @@ pub struct Oracle<'a> {
     pub scene: &'a Scene<'a>,
     pub arena: &'a Arena,
     pub lights: &'a [ElementLight],
+    /// Intensity that elements with light by direction send, cd.
+    pub intensity: &'a [Harmonics],
     /// Maximum error of a link, as a share of the receiver's irradiance.
     pub error: f32,
     /// Irradiance that is added to the receiver's, lx.
@@ -163,7 +166,10 @@ impl<'a> Oracle<'a> {
         let (from, to) = (&self.lights[source as usize], &self.lights[receiver as usize]);
         let distance = p.center.distance(q.center);
         let dir = (p.center - q.center) / distance.max(f32::MIN_POSITIVE);
-        let sent = if q.is_directional() { from.intensity.cosine_integral(dir) } else { from.radiosity };
+        let sent = match q.directional() {
+            Some(directional) => self.intensity[directional].cosine_integral(dir),
+            None => from.radiosity,
+        };
         let close = |element: &Element| (element.radius / distance.max(1e-20)).min(1.0);
         let (near_p, near_q) = (close(p), close(q));
         let (radiosity, allowed) = (luminance(sent), self.allowed_error(p, to));

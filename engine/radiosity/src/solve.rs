@@ -122,7 +122,7 @@ impl SolverState {
     fn bytes(&self, links: usize) -> usize {
         links * size_of::<Link>()
             + self.arena.elements.len() * (size_of::<Element>() + ElementLights::BYTES)
-            + self.arena.directional_count * size_of::<crate::gather::IncidentLight>()
+            + self.arena.directional_count * ElementLights::DIRECTIONAL_BYTES
     }
 
     /// Plans the next rays.
@@ -144,7 +144,7 @@ impl SolverState {
             }
         }
         self.lights.grow(&self.arena);
-        self.lights.push_pull(scene, &self.arena);
+        self.lights.reflect_all(scene, &self.arena);
     }
 }
 
@@ -184,7 +184,7 @@ impl<'a> Solver<'a> {
             return Ok(solver);
         }
         solver.estimate_irradiance();
-        solver.state.links = vec![Link { receiver: root, source: root, factors: [0.0; 4] }];
+        let mut dark = vec![[root, root]];
         for (round, coarse) in ERROR_LEVELS.into_iter().enumerate() {
             let is_last = round + 1 == ERROR_LEVELS.len();
             solver.state.report.inexact_links = 0;
@@ -192,9 +192,9 @@ impl<'a> Solver<'a> {
             // Direct light first, then the light between elements.
             solver.link_lamps(error.min(MAX_LAMP_ERROR))?;
             if round == 0 {
-                solver.state.lights.push_pull(scene, &solver.state.arena);
+                solver.state.lights.reflect_all(scene, &solver.state.arena);
             }
-            solver.refine_links(error)?;
+            solver.refine_links(error, &mut dark)?;
             let SolverState { arena, lights, links, report, .. } = &mut solver.state;
             report.row_sum = lights.bound_rows(scene, arena, links);
             solver.iterate(if is_last { TARGET_RESIDUAL } else { COARSE_RESIDUAL })?;
@@ -223,7 +223,7 @@ impl<'a> Solver<'a> {
             }
             let input = lights.sent_light(arena);
             lights.gather(arena, links);
-            report.residual = lights.push_pull(self.scene, arena).residual();
+            report.residual = lights.reflect_all(self.scene, arena).residual();
             report.iterations += 1;
             if report.residual <= target || report.residual.is_nan() {
                 break;

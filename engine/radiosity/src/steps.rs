@@ -43,8 +43,9 @@ pub fn min_solve_bytes(prepared: &Prepared) -> u64 {
     let surfaces = Scene::new(prepared).surfaces.len();
     // Each surface is an element, and has about one cluster.
     (surfaces
-        * (2 * (size_of::<Element>() + ElementLights::BYTES) + size_of::<IncidentLight>() + crate::rays::MIN_BYTES))
-        as u64
+        * (2 * (size_of::<Element>() + ElementLights::BYTES)
+            + ElementLights::DIRECTIONAL_BYTES
+            + crate::rays::MIN_BYTES)) as u64
 }
 
 /// A first pass before rays are cast, with their guides.
@@ -78,7 +79,7 @@ pub struct BlockGuides {
     pub(crate) guides: Vec<(f32, Vec<Lobe>)>,
 }
 
-const ELEMENTS_MAGIC: &[u8; 8] = b"element3";
+const ELEMENTS_MAGIC: &[u8; 8] = b"element4";
 const LINKS_MAGIC: &[u8; 8] = b"links  1";
 const GUIDES_MAGIC: &[u8; 8] = b"guides 2";
 
@@ -189,6 +190,7 @@ impl SolverState {
         let ElementLights {
             elements: lights,
             incident,
+            intensity,
             row_scale,
             lamp_scale,
             lamp_correction,
@@ -212,19 +214,16 @@ impl SolverState {
         let own = |kind: usize| -> Vec<[f32; 12]> {
             elements()
                 .filter(|(element, _)| !element.is_directional())
-                .map(|(_, light)| to_floats(&light.gathered[kind]))
+                .map(|(_, light)| to_floats(&light.total[kind]))
                 .collect()
         };
         [FROM_LAMPS, FROM_ELEMENTS].into_iter().for_each(|kind| writer.rows(&own(kind)));
-        let sent = elements()
-            .filter(|(element, _)| element.is_directional())
-            .map(|(_, light)| to_floats::<9, 27>(&light.intensity.0));
-        writer.rows(&sent.collect::<Vec<_>>());
+        writer.rows(&intensity.iter().map(|sent| to_floats::<9, 27>(&sent.0)).collect::<Vec<_>>());
         let around = |get: fn(&IncidentLight) -> &Harmonics| -> Vec<[f32; 27]> {
             incident.iter().map(|arriving| to_floats(&get(arriving).0)).collect()
         };
-        writer.rows(&around(|arriving| &arriving.gathered[FROM_LAMPS]));
-        writer.rows(&around(|arriving| &arriving.gathered[FROM_ELEMENTS]));
+        writer.rows(&around(|arriving| &arriving.total[FROM_LAMPS]));
+        writer.rows(&around(|arriving| &arriving.total[FROM_ELEMENTS]));
         writer.rows(&around(|arriving| &arriving.ray_correction));
         writer.finish()
     }
@@ -294,23 +293,19 @@ impl SolverState {
             elements().filter(|(_, element)| !element.is_directional()).map(|(index, _)| index).collect();
         for kind in [FROM_LAMPS, FROM_ELEMENTS] {
             for (&index, row) in at_nodes.iter().zip(reader.rows::<12>(at_nodes.len())?) {
-                lights.elements[index].gathered[kind] = colors_from_floats(&row);
+                lights.elements[index].total[kind] = colors_from_floats(&row);
             }
         }
-        let wide: Vec<usize> =
-            elements().filter(|(_, element)| element.is_directional()).map(|(index, _)| index).collect();
-        for (&index, row) in wide.iter().zip(reader.rows::<27>(wide.len())?) {
-            lights.elements[index].intensity = Harmonics(colors_from_floats(&row));
-        }
+        let count = arena.directional_count;
+        lights.intensity = reader.rows::<27>(count)?.iter().map(|row| Harmonics(colors_from_floats(row))).collect();
         let sets: [fn(&mut IncidentLight) -> &mut Harmonics; 3] =
-            [|it| &mut it.gathered[FROM_LAMPS], |it| &mut it.gathered[FROM_ELEMENTS], |it| &mut it.ray_correction];
+            [|it| &mut it.total[FROM_LAMPS], |it| &mut it.total[FROM_ELEMENTS], |it| &mut it.ray_correction];
         for set in sets {
-            for (arriving, row) in lights.incident.iter_mut().zip(reader.rows::<27>(arena.directional_count)?) {
+            for (arriving, row) in lights.incident.iter_mut().zip(reader.rows::<27>(count)?) {
                 *set(arriving) = Harmonics(colors_from_floats(&row));
             }
         }
         reader.expect_end()?;
-        lights.push_all(&arena);
         let links = read_links(&arena, links)?;
         if links_digest(&links) != digest {
             return Err(OTHER_ELEMENTS);

@@ -1,6 +1,6 @@
 //! Refinement: elements and links as fine as the light requires.
 
-use super::{Cancelled, Solver};
+use super::{Cancelled, Solver, SolverState};
 use crate::gather::FROM_LAMPS;
 use crate::lamps::{LampLink, LampLinkDecision};
 use crate::link::{Link, LinkDecision, Oracle};
@@ -8,7 +8,6 @@ use crate::scene::SHUTTER_TIME;
 use crate::tuning::{IRRADIANCE_FLOOR, MAX_REFERENCE, MIN_AREA_SHARE, MIN_LINK_MEMORY, MIN_VOLUME_SHARE, UNIT_SHARE};
 use crate::visibility::VisibilityTester;
 use femc_field::{Harmonics, NONE, SurfaceSpot};
-use femc_math::Rgb;
 use femc_math::color::luminance;
 use rayon::prelude::*;
 use std::sync::atomic::Ordering;
@@ -90,6 +89,7 @@ impl Solver<'_> {
             scene: self.scene,
             arena: &self.state.arena,
             lights: &self.state.lights.elements,
+            intensity: &self.state.lights.intensity,
             error,
             floor: IRRADIANCE_FLOOR * mean,
             max_reference: MAX_REFERENCE * mean.max(of_lamps),
@@ -139,56 +139,61 @@ impl Solver<'_> {
         }
         done.sort_unstable_by_key(|link| (link.receiver, link.lamp));
         self.state.report.lamp_links = done.len();
-        for light in &mut self.state.lights.elements {
-            light.gathered[FROM_LAMPS] = [Rgb::ZERO; 4];
-        }
-        for arriving in &mut self.state.lights.incident {
-            arriving.gathered[FROM_LAMPS] = Harmonics::ZERO;
-        }
+        let SolverState { arena, lights, .. } = &mut self.state;
+        lights.clear(FROM_LAMPS);
         for link in done {
-            let element = &self.state.arena.elements[link.receiver as usize];
-            if let Some(directional) = element.directional() {
-                self.state.lights.incident[directional].gathered[FROM_LAMPS] +=
-                    Harmonics::from_direction(link.dir, link.light[0]);
+            if let Some(directional) = arena.elements[link.receiver as usize].directional() {
+                lights.incident[directional].total[FROM_LAMPS] += Harmonics::from_direction(link.dir, link.light[0]);
             } else {
-                let own = &mut self.state.lights.elements[link.receiver as usize].gathered[FROM_LAMPS];
+                let own = &mut lights.elements[link.receiver as usize].total[FROM_LAMPS];
                 own.iter_mut().zip(link.light).for_each(|(sum, light)| *sum += light);
             }
         }
+        lights.push(arena, FROM_LAMPS);
         Ok(())
     }
 
     /// Refines links until each is as exact as requested.
-    pub(super) fn refine_links(&mut self, error: f32) -> Result<(), Cancelled> {
-        let mut pending = std::mem::take(&mut self.state.links);
+    /// - `dark`: receivers and sources of links that brought no light at the last level, ascending. They are tested again, and replaced
+    ///   by those of this level. No light goes through them.
+    pub(super) fn refine_links(&mut self, error: f32, dark: &mut Vec<[u32; 2]>) -> Result<(), Cancelled> {
+        let links = std::mem::take(&mut self.state.links);
+        let mut pending: Vec<[u32; 2]> = std::mem::take(dark);
+        pending.extend(links.into_iter().map(|link| [link.receiver, link.source]));
+        // The order determines in which order elements are created.
+        pending.sort_unstable();
         let mut done = Vec::new();
         while !pending.is_empty() {
             if self.cancel.load(Ordering::Relaxed) {
                 return Err(Cancelled);
             }
             let oracle = self.oracle(error, done.len() + pending.len());
-            let (verdicts, rays) = decide_all(&pending, |link, eye| oracle.decide(link.receiver, link.source, eye));
+            let (verdicts, rays) =
+                decide_all(&pending, |&[receiver, source], eye| oracle.decide(receiver, source, eye));
             self.state.report.rays += rays;
             let mut next = Vec::new();
-            let link = |receiver: u32, source: u32| Link { receiver, source, factors: [0.0; 4] };
-            for (Link { receiver, source, .. }, verdict) in pending.into_iter().zip(verdicts) {
+            for ([receiver, source], verdict) in pending.into_iter().zip(verdicts) {
                 match verdict {
                     LinkDecision::Drop => {}
                     LinkDecision::Keep { link, is_inexact: refused } => {
-                        done.push(link);
+                        if link.factors == [0.0; 4] {
+                            dark.push([receiver, source])
+                        } else {
+                            done.push(link)
+                        }
                         self.state.report.inexact_links += usize::from(refused);
                     }
                     LinkDecision::SplitReceiver => {
                         let (children, _) = self.state.arena.ensure_children(self.scene, receiver);
-                        next.extend(children.map(|child| link(child, source)));
+                        next.extend(children.map(|child| [child, source]));
                     }
                     LinkDecision::SplitSource => {
                         let (children, _) = self.state.arena.ensure_children(self.scene, source);
-                        next.extend(children.map(|child| link(receiver, child)));
+                        next.extend(children.map(|child| [receiver, child]));
                     }
                     LinkDecision::SplitBoth => {
                         let ([a, b], _) = self.state.arena.ensure_children(self.scene, receiver);
-                        next.extend([(a, a), (a, b), (b, a), (b, b)].map(|(p, q)| link(p, q)));
+                        next.extend([[a, a], [a, b], [b, a], [b, b]]);
                     }
                 }
             }

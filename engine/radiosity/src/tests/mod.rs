@@ -16,6 +16,7 @@ use crate::arena::Arena;
 use crate::gather::ElementLight;
 use crate::link::Oracle;
 use crate::scene::Scene;
+use femc_field::Harmonics;
 use femc_import::{Bundle, load_scene};
 use femc_math::glam::{DVec3, Vec3A};
 use femc_prepared::{FrameSpec, Prepared, SceneSource, prepare_frame};
@@ -87,6 +88,7 @@ fn oracle<'a>(scene: &'a Scene<'a>, arena: &'a Arena, lights: &'a [ElementLight]
         scene,
         arena,
         lights,
+        intensity: &[Harmonics::ZERO; 1 << 10],
         error: 1.0,
         floor: 0.0,
         max_reference: f32::INFINITY,

@@ -1,6 +1,6 @@
 //! Gathering of light through links, and its transport down and up the tree.
 
-use crate::arena::Arena;
+use crate::arena::{Arena, Member};
 use crate::element::{Cluster, Curved, Element, Patch, Shape, SurfacePart};
 use crate::link::Link;
 use crate::scene::Scene;
@@ -134,8 +134,8 @@ impl ElementLights {
         }
     }
 
-    /// Allocates new elements, which begin with their parents' light.
-    pub fn grow(&mut self, arena: &Arena) {
+    /// Allocates new elements, which begin with their parents' light. Parts of wide elements send what they reflect of it.
+    pub fn grow(&mut self, scene: &Scene<'_>, arena: &Arena) {
         let first = self.elements.len();
         for element in &arena.elements[self.elements.len()..] {
             let parent = self.elements[element.parent as usize];
@@ -156,11 +156,14 @@ impl ElementLights {
         }
         self.incident.resize(arena.directional_count, IncidentLight::ZERO);
         self.intensity.resize(arena.directional_count, Harmonics::ZERO);
-        for index in first..arena.elements.len() {
-            [FROM_LAMPS, FROM_ELEMENTS].into_iter().for_each(|kind| self.push_to(arena, index, kind));
-        }
         self.ray_correction.resize(arena.elements.len(), [Rgb::ZERO; 4]);
         self.lamp_correction.resize(arena.elements.len(), [Rgb::ZERO; 4]);
+        for (index, element) in arena.elements.iter().enumerate().skip(first) {
+            [FROM_LAMPS, FROM_ELEMENTS].into_iter().for_each(|kind| self.push_to(arena, index, kind));
+            if arena.elements[element.parent as usize].is_directional() {
+                self.reflect(scene, arena, index);
+            }
+        }
     }
 
     /// Returns the irradiance by the links if each surface has a radiosity of 1 lx and each point of fog receives as much as a
@@ -176,8 +179,18 @@ impl ElementLights {
             }
             let light = &mut unit.elements[index];
             light.radiosity = if let Shape::Volume(fog) = &element.shape { fog.sigma_s } else { Rgb::ONE };
-            if let Shape::Curved(curved) = &element.shape {
-                unit.intensity[curved.directional as usize] = curved_intensity(scene, &curved.part, |_| Rgb::ONE);
+            match &element.shape {
+                Shape::Curved(curved) => {
+                    unit.intensity[curved.directional as usize] = curved_intensity(scene, &curved.part, |_| Rgb::ONE);
+                }
+                Shape::Cluster(cluster) => {
+                    let mut sent = Harmonics::ZERO;
+                    for_each_normal(scene, arena.members(element), |_, normal, area| {
+                        sent += Harmonics::from_direction(normal, Rgb::splat(area / PI));
+                    });
+                    unit.intensity[cluster.directional as usize] = sent;
+                }
+                Shape::Patch(_) | Shape::Volume(_) => {}
             }
         }
         unit.gather(arena, links);
@@ -275,7 +288,7 @@ impl ElementLights {
             let whole = self.elements[index].radiosity * (most * element.sending_size());
             let leaving = self.arriving_radiosity(element, index) * element.sending_size();
             let arriving =
-                self.mean_irradiance_from_elements(scene, element, index) * (element.received_share() * element.size());
+                self.mean_irradiance_from_elements(scene, arena, index) * (element.received_share() * element.size());
             for (sums, light) in [(&mut all, whole), (&mut sent, leaving), (&mut received, arriving)] {
                 sums.iter_mut().zip(light.to_array()).for_each(|(sum, value)| *sum += f64::from(value));
             }
@@ -330,11 +343,17 @@ impl ElementLights {
     }
 
     /// Returns the mean irradiance of a leaf from elements, lx.
-    fn mean_irradiance_from_elements(&self, scene: &Scene<'_>, element: &Element, index: usize) -> Rgb {
-        if let Shape::Curved(curved) = &element.shape {
-            let arriving = self.directional_irradiance(curved, index, FROM_ELEMENTS);
+    fn mean_irradiance_from_elements(&self, scene: &Scene<'_>, arena: &Arena, index: usize) -> Rgb {
+        let element = &arena.elements[index];
+        if let Some(directional) = element.directional() {
+            let arriving = self.directional_irradiance(directional, index, FROM_ELEMENTS);
             let at = |normal: Vec3A| arriving.cosine_integral(normal);
-            return curved_normals(scene, &curved.part).map(at).sum::<Rgb>() / CURVED_NORMALS as f32;
+            if let Shape::Curved(curved) = &element.shape {
+                return curved_normals(scene, &curved.part).map(at).sum::<Rgb>() / CURVED_NORMALS as f32;
+            }
+            let mut flux = Rgb::ZERO;
+            for_each_normal(scene, arena.members(element), |_, normal, area| flux += at(normal) * area);
+            return flux / element.size();
         }
         let nodes = self.node_irradiance(index, FROM_ELEMENTS);
         let count = element.node_count();
@@ -349,9 +368,13 @@ impl ElementLights {
             Shape::Patch(patch) => patch.part.reflectance * mean(),
             Shape::Volume(fog) => fog.sigma_s * mean(),
             Shape::Curved(curved) => {
-                curved.part.reflectance * self.directional_irradiance(curved, index, FROM_LAMPS).total() * 0.25
+                let light = self.directional_irradiance(curved.directional as usize, index, FROM_LAMPS);
+                curved.part.reflectance * light.total() * 0.25
             }
-            Shape::Cluster(_) => Rgb::ZERO,
+            Shape::Cluster(cluster) => {
+                let light = self.directional_irradiance(cluster.directional as usize, index, FROM_LAMPS);
+                cluster.reflectance * light.total() * 0.25
+            }
         }
     }
 
@@ -448,9 +471,10 @@ impl ElementLights {
         values
     }
 
-    /// Returns the light by direction that a curved element receives from sources or from elements.
-    pub fn directional_irradiance(&self, element: &Curved, index: usize, from: usize) -> Harmonics {
-        let IncidentLight { total: whole, ray_correction: more, .. } = self.incident[element.directional as usize];
+    /// Returns the light by direction that a leaf receives from sources or from elements.
+    /// - `directional`: index of the leaf's light by direction.
+    pub fn directional_irradiance(&self, directional: usize, index: usize, from: usize) -> Harmonics {
+        let IncidentLight { total: whole, ray_correction: more, .. } = self.incident[directional];
         if from == FROM_LAMPS {
             return whole[from] * Rgb::splat(self.lamp_scale[index][0])
                 + Harmonics::from_irradiance(self.lamp_correction[index][0]);
@@ -459,7 +483,7 @@ impl ElementLights {
     }
 
     /// Computes the light that a leaf sends from the light that it receives.
-    fn reflect(&mut self, scene: &Scene<'_>, arena: &Arena, index: usize) {
+    pub fn reflect(&mut self, scene: &Scene<'_>, arena: &Arena, index: usize) {
         let element = &arena.elements[index];
         let behind = element.surface_part().map_or(Rgb::ZERO, |part| self.back_irradiance(scene, arena, element, part));
         let [of_lamps, of_elements] = [FROM_LAMPS, FROM_ELEMENTS].map(|from| self.node_irradiance(index, from));
@@ -467,7 +491,7 @@ impl ElementLights {
             Shape::Curved(curved) => return self.reflect_curved(scene, curved, behind, index),
             Shape::Patch(Patch { part, .. }) => (part.reflectance, part.transmittance),
             Shape::Volume(fog) => (fog.sigma_s, Rgb::ZERO),
-            Shape::Cluster(_) => (Rgb::ZERO, Rgb::ZERO),
+            Shape::Cluster(cluster) => return self.reflect_cluster(scene, arena, cluster, index),
         };
         let light = &mut self.elements[index];
         let (mut sum, mut mean, mut darkest, mut brightest) = (Rgb::ZERO, 0.0, f32::INFINITY, 0.0f32);
@@ -485,8 +509,9 @@ impl ElementLights {
     }
 
     fn reflect_curved(&mut self, scene: &Scene<'_>, curved: &Curved, behind: Rgb, index: usize) {
-        let arriving = self.directional_irradiance(curved, index, FROM_LAMPS)
-            + self.directional_irradiance(curved, index, FROM_ELEMENTS);
+        let directional = curved.directional as usize;
+        let arriving = self.directional_irradiance(directional, index, FROM_LAMPS)
+            + self.directional_irradiance(directional, index, FROM_ELEMENTS);
         let (mut sum, mut mean) = (Rgb::ZERO, 0.0);
         let sent = curved_intensity(scene, &curved.part, |normal| {
             let irradiance = arriving.cosine_integral(normal);
@@ -494,12 +519,38 @@ impl ElementLights {
             (sum, mean) = (sum + radiosity, mean + luminance(irradiance));
             radiosity
         });
-        self.intensity[curved.directional as usize] = sent;
+        self.intensity[directional] = sent;
         let light = &mut self.elements[index];
         light.radiosity = sum / CURVED_NORMALS as f32;
         light.mean = mean / CURVED_NORMALS as f32;
         light.min_mean = light.mean;
         (light.darkest, light.brightest) = (0.0, 2.0 * luminance(light.radiosity));
+    }
+
+    /// Computes the light that the surfaces of a cluster send. The other side of a sheet receives the same light by direction.
+    fn reflect_cluster(&mut self, scene: &Scene<'_>, arena: &Arena, cluster: &Cluster, index: usize) {
+        let directional = cluster.directional as usize;
+        let arriving = self.directional_irradiance(directional, index, FROM_LAMPS)
+            + self.directional_irradiance(directional, index, FROM_ELEMENTS);
+        let (mut sent, mut flux, mut irradiance, mut least) = (Harmonics::ZERO, Rgb::ZERO, 0.0, f32::INFINITY);
+        let (mut darkest, mut brightest) = (f32::INFINITY, 0.0f32);
+        for_each_normal(scene, arena.members(&arena.elements[index]), |surface, normal, area| {
+            let (reflectance, transmittance) = scene.surface_albedos(surface);
+            let light = arriving.cosine_integral(normal);
+            let mut radiosity = reflectance * light;
+            if transmittance != Rgb::ZERO {
+                radiosity += transmittance * arriving.cosine_integral(-normal);
+            }
+            sent += Harmonics::from_direction(normal, radiosity * (area / PI));
+            (flux, irradiance) = (flux + radiosity * area, irradiance + luminance(light) * area);
+            least = least.min(luminance(light));
+            let value = luminance(radiosity);
+            (darkest, brightest) = (darkest.min(value), brightest.max(value));
+        });
+        self.intensity[directional] = sent;
+        let light = &mut self.elements[index];
+        (light.radiosity, light.mean, light.min_mean) = (flux / cluster.area, irradiance / cluster.area, least);
+        (light.darkest, light.brightest) = (darkest, brightest);
     }
 
     /// Returns the mean irradiance of the other side if the surface transmits light.
@@ -516,9 +567,11 @@ impl ElementLights {
         let middle = if element.is_triangle() { Vec2::splat(1.0 / 3.0) } else { Vec2::splat(0.5) };
         let (index, _) = arena.element_at(root, part.outline.point_at(middle), 0.0);
         let other = &arena.elements[index as usize];
-        if let Shape::Curved(other) = &other.shape {
-            let of = |from: usize| self.directional_irradiance(other, index as usize, from).total();
-            return (of(FROM_LAMPS) + of(FROM_ELEMENTS)) * 0.25;
+        if let Some(directional) = other.directional() {
+            let of = |from: usize| self.directional_irradiance(directional, index as usize, from);
+            let light = of(FROM_LAMPS) + of(FROM_ELEMENTS);
+            let is_cluster_of_sheet = other.is_cluster() && element.normal() != Vec3A::ZERO;
+            return if is_cluster_of_sheet { light.cosine_integral(-element.normal()) } else { light.total() * 0.25 };
         }
         let [sources, elements] = [FROM_LAMPS, FROM_ELEMENTS].map(|from| self.node_irradiance(index as usize, from));
         let sum: Rgb = (0..other.node_count()).map(|node| sources[node] + elements[node]).sum();
@@ -576,7 +629,20 @@ impl<T: Copy> ByNormal<T> {
     }
 }
 
-/// Returns the indices of the light by direction of curved leaves.
+/// Visits the normals of surfaces, each with the number of its surface and the area that it represents, m2.
+fn for_each_normal(scene: &Scene<'_>, members: &[Member], mut each: impl FnMut(u32, Vec3A, f32)) {
+    for member in members {
+        let source = &scene.surfaces[member.surface as usize];
+        if source.is_flat() {
+            each(member.surface, member.normal(), member.area);
+        } else {
+            let area = member.area / CURVED_NORMALS as f32;
+            curved_places().for_each(|place| each(member.surface, source.point_at(place).normal, area));
+        }
+    }
+}
+
+/// Returns the indices of the light by direction of leaves.
 fn directional_leaves(arena: &Arena) -> impl Iterator<Item = usize> {
     arena.elements.iter().filter(|element| element.is_leaf()).filter_map(Element::directional)
 }
@@ -592,10 +658,12 @@ fn curved_intensity(scene: &Scene<'_>, part: &SurfacePart, mut radiosity: impl F
 
 /// Returns the normals at evenly distributed points of a curved element.
 fn curved_normals(scene: &Scene<'_>, part: &SurfacePart) -> impl Iterator<Item = Vec3A> {
-    (0..CURVED_NORMALS).map(move |k| {
-        let place = Vec2::new((k % 4) as f32 + 0.5, (k / 4) as f32 + 0.5) * 0.25;
-        part.point_at(scene, place).normal
-    })
+    curved_places().map(move |place| part.point_at(scene, place).normal)
+}
+
+/// Returns evenly distributed points of a curved element, in its coordinates.
+fn curved_places() -> impl Iterator<Item = Vec2> {
+    (0..CURVED_NORMALS).map(|k| Vec2::new((k % 4) as f32 + 0.5, (k / 4) as f32 + 0.5) * 0.25)
 }
 
 fn gather_row(arena: &Arena, lights: &ElementLights, row: &[Link]) -> ([Rgb; 4], Harmonics) {

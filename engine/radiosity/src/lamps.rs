@@ -6,8 +6,8 @@ use crate::form_factor::{polygon_form_factor, solid_angle};
 use crate::link::{Oracle, occlusion_bound};
 use crate::scene::{Lamp, SHUTTER_TIME};
 use crate::tuning::{
-    BEHIND_HEIGHT, DIRECTIONAL_ERROR, DIRECTIONAL_LAMP_ERROR, FACE_POINTS, LAMP_NODES_WEIGHT, LAMP_STRATA,
-    LAMP_VISIBILITY_RAYS, LARGE_SOURCE, MAX_LAMP_ABSORBED, NEAR_ELEMENT,
+    BEHIND_HEIGHT, DIRECTIONAL_ERROR, DIRECTIONAL_LAMP_ERROR, DIRECTIONAL_SHADOW_RAYS, FACE_POINTS, FACING_ATTEMPTS,
+    LAMP_NODES_WEIGHT, LAMP_STRATA, LAMP_VISIBILITY_RAYS, LARGE_SOURCE, MAX_LAMP_ABSORBED, NEAR_ELEMENT,
 };
 use crate::visibility::{RandomNumbers, VisibilityTester, sample_point};
 use femc_field::SurfaceSpot;
@@ -224,20 +224,21 @@ impl<'a> Oracle<'a> {
         let LampPair { p, .. } = *pair;
         let (mut light_at, mut shares) = ([Rgb::ZERO; 4], [1.0f32; 4]);
         for (index, node) in p.nodes().enumerate() {
-            let mut got = Rgb::ZERO;
+            let (node, mut got) = (&node, Rgb::ZERO);
             for (light, to) in open.points[index].iter().flatten() {
-                let from = if p.is_directional() {
-                    let part = numbers.next();
-                    let spot = sample_point(self.arena, self.scene, p, (part * 4.0) as u32, numbers, |_| 1.0);
-                    if spot.normal != Vec3A::ZERO && spot.normal.dot(to.position - spot.position) <= 0.0 {
-                        node
-                    } else {
-                        spot
-                    }
-                } else {
-                    node
-                };
-                got += *light * tester.transmittance(self.scene, &from, to);
+                if !p.is_directional() {
+                    got += *light * tester.transmittance(self.scene, node, to);
+                    continue;
+                }
+                for part in 0..DIRECTIONAL_SHADOW_RAYS {
+                    let is_facing = |spot: &SurfaceSpot| {
+                        spot.normal == Vec3A::ZERO || spot.normal.dot(to.position - spot.position) > 0.0
+                    };
+                    let mut sample = || sample_point(self.arena, self.scene, p, part, numbers, |_| 1.0);
+                    let from = (0..FACING_ATTEMPTS).map(|_| sample()).find(is_facing);
+                    let through = tester.transmittance(self.scene, from.as_ref().unwrap_or(node), to);
+                    got += *light * (through / DIRECTIONAL_SHADOW_RAYS as f32);
+                }
             }
             if open.weight[index] > 0.0 {
                 shares[index] = luminance(got) / open.weight[index];

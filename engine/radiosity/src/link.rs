@@ -118,9 +118,9 @@ impl<'a> Oracle<'a> {
         let element = &self.arena.elements[index as usize];
         match &element.shape {
             _ if self.link_budget_exhausted => false,
-            Shape::Cluster(_) => true,
             _ if !element.is_leaf() => true,
             _ if self.element_budget_exhausted => false,
+            Shape::Cluster(_) => true,
             Shape::Volume(fog) => fog.volume > self.min_volume,
             Shape::Patch(Patch { part, .. }) | Shape::Curved(Curved { part, .. }) => {
                 // Bright places are split more finely.
@@ -242,7 +242,16 @@ impl<'a> Oracle<'a> {
             |factors| LinkDecision::Keep { link: Link { receiver, source: receiver, factors }, is_inexact: false };
         let is_convex = |surface: u32| !self.scene.surfaces[surface as usize].is_concave();
         match &p.shape {
-            Shape::Cluster(_) => LinkDecision::SplitBoth,
+            Shape::Cluster(_) => {
+                // What the surfaces of a small cluster send to each other is found by rays.
+                let light = &self.lights[receiver as usize];
+                let is_bright = || luminance(light.radiosity) > CLOSE_LIGHT * self.allowed_error(p, light);
+                if !p.is_leaf() || is_bright() && self.may_split(receiver) {
+                    LinkDecision::SplitBoth
+                } else {
+                    keep([0.0; 4])
+                }
+            }
             Shape::Patch(Patch { part, .. }) | Shape::Curved(Curved { part, .. }) if is_convex(part.surface) => {
                 LinkDecision::Drop
             }

@@ -30,8 +30,6 @@ use trace::{generate_ray, unpack_normal};
 
 /// Maximum number of parts of a leaf, which its nodes represent.
 const MAX_PARTS: usize = 4;
-/// Number of bytes of the minimum number of rays of a surface.
-pub const MIN_BYTES: usize = MAX_PARTS * (size_of::<RayHit>() + size_of::<[u32; 2]>());
 
 /// Hit of a ray.
 #[derive(Clone, Copy, Debug)]
@@ -283,7 +281,7 @@ impl Rays {
     fn ray_origin(&self, scene: &Scene<'_>, arena: &Arena, leaf_index: usize, ray: usize) -> SurfaceSpot {
         let element = &arena.elements[self.leaves[leaf_index] as usize];
         let [first, end] = [self.first[leaf_index], self.first[leaf_index + 1]].map(|at| at as usize);
-        generate_ray(scene, element, &Aim::NONE, ray - first, (end - first) / part_count(element), self.round).0
+        generate_ray(scene, arena, element, &Aim::NONE, ray - first, (end - first) / part_count(element), self.round).0
     }
 
     /// Returns by leaf of a surface, in the order of their indices, the light of its ways, lm, and the sum of its squares.
@@ -366,12 +364,14 @@ impl<'a> SentLight<'a> {
     /// - `normal`: normal at the point, for a curved leaf.
     fn radiosity(&self, arena: &Arena, leaf: u32, part: usize, normal: Vec3A) -> Rgb {
         let (lights, index) = (self.lights, leaf as usize);
+        let of = |directional: u32, from: usize| {
+            lights.directional_irradiance(directional as usize, index, from).cosine_integral(normal)
+        };
+        let all = |directional: u32| of(directional, FROM_LAMPS) + of(directional, FROM_ELEMENTS);
         let radiosity = match &arena.elements[index].shape {
-            Shape::Curved(curved) => {
-                let of = |from: usize| lights.directional_irradiance(curved, index, from).cosine_integral(normal);
-                curved.part.reflectance * (of(FROM_LAMPS) + of(FROM_ELEMENTS))
-            }
-            _ => self.parts[index][part],
+            Shape::Curved(curved) => curved.part.reflectance * all(curved.directional),
+            Shape::Cluster(cluster) => cluster.reflectance * all(cluster.directional),
+            Shape::Patch(_) | Shape::Volume(_) => self.parts[index][part],
         };
         radiosity.max(Rgb::ZERO)
     }

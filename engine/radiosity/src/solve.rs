@@ -143,7 +143,7 @@ impl SolverState {
                 self.arena.ensure_children(scene, half);
             }
         }
-        self.lights.grow(&self.arena);
+        self.lights.grow(scene, &self.arena);
         self.lights.reflect_all(scene, &self.arena);
     }
 }
@@ -183,14 +183,14 @@ impl<'a> Solver<'a> {
         if root == NONE {
             return Ok(solver);
         }
-        solver.estimate_irradiance();
+        solver.estimate_irradiance(0);
         let mut dark = vec![[root, root]];
         for (round, coarse) in ERROR_LEVELS.into_iter().enumerate() {
             let is_last = round + 1 == ERROR_LEVELS.len();
             solver.state.report.inexact_links = 0;
             let error = options.error * coarse;
             // Direct light first, then the light between elements.
-            solver.link_lamps(error.min(MAX_LAMP_ERROR))?;
+            solver.link_lamps(error.min(MAX_LAMP_ERROR), round == 0)?;
             if round == 0 {
                 solver.state.lights.reflect_all(scene, &solver.state.arena);
             }

@@ -16,7 +16,7 @@ use crate::portals::{self, Portal};
 use crate::rays::{Aims, RayHits, RayPlan, Rays, are_complete, block_range, ray_leaves};
 use crate::scene::Scene;
 use crate::solve::{Cancelled, Solution, SolveOptions, SolveReport, Solver, SolverState, surface_leaves};
-use femc_field::{Guide, Harmonics, Lobe, NONE};
+use femc_field::{Cell, Guide, Harmonics, Leaf, Lobe, NONE};
 use femc_math::Rgb;
 use femc_math::hash::mix64;
 use femc_prepared::Prepared;
@@ -37,15 +37,11 @@ pub fn solve(prepared: &Prepared, options: &SolveOptions, cancel: &AtomicBool) -
     Ok(state.solution(prepared, guides))
 }
 
-/// Returns the minimum number of bytes of the first pass of a prepared frame: for elements that are not split, and for one ray from
-/// each part of them. Memory for splits and links beyond that follows from [`SolveOptions::memory`].
+/// Returns the minimum number of bytes of the first pass of a prepared frame: for the tree of clusters over all surfaces, and for
+/// the leaves of the field. Memory for elements, links and rays beyond that follows from [`SolveOptions::memory`].
 pub fn min_solve_bytes(prepared: &Prepared) -> u64 {
-    let surfaces = Scene::new(prepared).surfaces.len();
-    // Each surface is an element, and has about one cluster.
-    (surfaces
-        * (2 * (size_of::<Element>() + ElementLights::BYTES)
-            + ElementLights::DIRECTIONAL_BYTES
-            + crate::rays::MIN_BYTES)) as u64
+    let surface = Arena::SURFACE_BYTES + 2 * size_of::<Leaf>() + size_of::<Cell>();
+    (Scene::new(prepared).surfaces.len() * surface) as u64
 }
 
 /// A first pass before rays are cast, with their guides.
@@ -98,7 +94,7 @@ impl SolverState {
 
     /// Returns the statistics so far.
     pub fn report(&self) -> SolveReport {
-        let elements = self.arena.elements.iter().filter(|element| !element.is_cluster()).count();
+        let elements = self.arena.elements.iter().filter(|element| element.is_leaf() || !element.is_cluster()).count();
         SolveReport { elements, links: self.links.len(), ..self.report }
     }
 
@@ -257,8 +253,7 @@ impl SolverState {
         };
         let mut arena = Arena::new(&scene);
         for cut in reader.numbers()? {
-            let may_be_cut = |element: &Element| element.is_leaf() && !element.is_cluster();
-            if !arena.elements.get(cut as usize).is_some_and(may_be_cut) {
+            if !arena.elements.get(cut as usize).is_some_and(Element::is_leaf) {
                 return Err(OTHER_ELEMENTS);
             }
             arena.ensure_children(&scene, cut);
@@ -418,14 +413,14 @@ impl CorrectedState {
     /// Finds the portals of the scene, which all blocks of groups of leaves need.
     fn find_portals(&mut self, scene: &Scene<'_>) {
         let SolverState { arena, lights, .. } = &self.state;
-        let portals = incoming::portals(scene, arena, lights, &self.rays, &surface_leaves(arena));
+        let portals = incoming::portals(scene, arena, lights, &self.rays, &parts_of_surfaces(arena));
         self.state.needs_more_rays |= portals.iter().any(Portal::is_rare);
         self.state.portals = portals;
     }
 
     fn build_groups(&self) -> GuideGroups {
         let SolverState { arena, lights, .. } = &self.state;
-        let leaves = surface_leaves(arena);
+        let leaves = parts_of_surfaces(arena);
         let groups = incoming::groups(arena, &leaves, &self.rays.leaf_light(arena, lights));
         let numbers = groups.iter().scan(0, |sum, (_, leaves)| {
             *sum += self.rays.ray_count(leaves) + leaves.len() as u32;
@@ -434,6 +429,13 @@ impl CorrectedState {
         let first = [0].into_iter().chain(numbers).collect();
         GuideGroups { groups, first }
     }
+}
+
+/// Returns the leaves of surfaces that are parts of single surfaces, in the order of the field.
+fn parts_of_surfaces(arena: &Arena) -> Vec<u32> {
+    let mut leaves = surface_leaves(arena);
+    leaves.retain(|&leaf| !arena.elements[leaf as usize].is_cluster());
+    leaves
 }
 
 fn join_guides(guides: Vec<BlockGuides>, leaves: &[u32]) -> (Vec<Guide>, Vec<Lobe>) {

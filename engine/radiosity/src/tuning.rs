@@ -34,6 +34,9 @@ pub const CURVED_NORMALS: usize = 16;
 /// Allowed errors of a link in successive levels, as multiples of the requested error. Light found at one level says where the next
 /// must be exact. The closed forms are calibrated on these levels.
 pub const ERROR_LEVELS: [f32; 3] = [8.0, 2.5, 1.0];
+/// Number of surfaces of a cluster that represent all of them in the first estimate of their irradiance. Not measured: light found
+/// later replaces the estimate.
+pub const CLUSTER_SAMPLES: usize = 16;
 /// Maximum error of a link with a light source, whatever the requested error. Direct light determines all other light, and its
 /// links are few. Not measured.
 pub const MAX_LAMP_ERROR: f32 = 0.1;
@@ -154,6 +157,9 @@ pub const MAX_CLEAR_SURFACES: u32 = 64;
 
 /// Number of rays that test whether any light of a source arrives. Not measured.
 pub const LAMP_VISIBILITY_RAYS: u32 = 16;
+/// Number of shadow rays from an element with light by direction to a point of a source, at most four. They begin on different parts
+/// that face the source. Not measured.
+pub const DIRECTIONAL_SHADOW_RAYS: u32 = 4;
 /// Number of points by axis on a source that is large as seen from the element. Not measured: occlusion has as many levels.
 pub const LAMP_STRATA: u32 = 2;
 /// Minimum radius of a large source, as a share of the distance. A point instead of a disc of this radius has an error of 1 %.

@@ -331,7 +331,8 @@ impl Rays {
         // A parent comes before its children. The total of its parts is known best.
         let whole = all.estimate(&LightEstimate::links(&all), noise);
         let mut known = vec![whole; arena.elements.len()];
-        let roots: Vec<u32> = arena.roots.iter().copied().filter(|&root| root != NONE).collect();
+        let roots: Vec<u32> =
+            (0..arena.elements.len() as u32).filter(|&index| is_root(arena, &arena.elements[index as usize])).collect();
         let parts: Vec<PartSums> = roots.iter().map(|&root| sums[root as usize]).collect();
         for (&root, part) in roots.iter().zip(whole.part_estimates(&all, noise, &parts)) {
             known[root as usize] = part;
@@ -419,9 +420,12 @@ fn part_contrast(sums: &[PartSums], parts: &[LightEstimate]) -> f32 {
     high - low
 }
 
+/// Checks whether an element is a whole surface, or a cluster without parts.
 fn is_root(arena: &Arena, element: &Element) -> bool {
     let parent = arena.elements.get(element.parent as usize);
-    element.surface_part().is_some() && parent.is_none_or(|parent| parent.surface_part().is_none())
+    let is_surface_root =
+        element.surface_part().is_some() && parent.is_none_or(|parent| parent.surface_part().is_none());
+    is_surface_root || element.is_cluster() && element.is_leaf()
 }
 
 #[cfg(test)]

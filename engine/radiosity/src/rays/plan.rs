@@ -98,7 +98,7 @@ impl RayPlan {
                     let element = &arena.elements[leaf as usize];
                     let each = count as usize / part_count(element);
                     let sight = |ray: usize| {
-                        let (spot, dir, u) = generate_ray(scene, element, aims.get(leaf), ray, each, self.round);
+                        let (spot, dir, u) = generate_ray(scene, arena, element, aims.get(leaf), ray, each, self.round);
                         let direct = direct_irradiance(
                             scene,
                             &spot,
@@ -138,12 +138,9 @@ impl RayPlan {
     }
 }
 
-/// Returns the leaves from which rays begin, by index: parts of surfaces, and boxes of fog.
+/// Returns the leaves from which rays begin, by index: parts of surfaces, clusters without parts, and boxes of fog.
 pub fn ray_leaves(arena: &Arena) -> Vec<u32> {
-    let is_leaf = |index: &u32| {
-        let element = &arena.elements[*index as usize];
-        element.is_leaf() && !element.is_cluster()
-    };
+    let is_leaf = |index: &u32| arena.elements[*index as usize].is_leaf();
     (0..arena.elements.len() as u32).filter(is_leaf).collect()
 }
 

@@ -1,58 +1,72 @@
 //! Refinement: elements and links as fine as the light requires.
 
 use super::{Cancelled, Solver, SolverState};
+use crate::arena::Arena;
+use crate::element::Element;
 use crate::gather::FROM_LAMPS;
 use crate::lamps::{LampLink, LampLinkDecision};
 use crate::link::{Link, LinkDecision, Oracle};
 use crate::scene::SHUTTER_TIME;
-use crate::tuning::{IRRADIANCE_FLOOR, MAX_REFERENCE, MIN_AREA_SHARE, MIN_LINK_MEMORY, MIN_VOLUME_SHARE, UNIT_SHARE};
+use crate::tuning::{
+    CLUSTER_SAMPLES, IRRADIANCE_FLOOR, MAX_REFERENCE, MIN_AREA_SHARE, MIN_LINK_MEMORY, MIN_VOLUME_SHARE, UNIT_SHARE,
+};
 use crate::visibility::VisibilityTester;
 use femc_field::{Harmonics, NONE, SurfaceSpot};
 use femc_math::color::luminance;
+use femc_math::glam::{Vec2, Vec3A};
 use rayon::prelude::*;
 use std::sync::atomic::Ordering;
 
 impl Solver<'_> {
     /// Returns the mean irradiance of all surfaces, by luminance, lx.
     fn mean(&self) -> f32 {
-        let roots = self.state.arena.roots.iter().filter(|&&root| root != NONE);
-        let (sum, area) = roots.fold((0.0f64, 0.0f64), |(sum, area), &root| {
-            let size = f64::from(self.state.arena.elements[root as usize].size());
-            (sum + size * f64::from(self.state.lights.elements[root as usize].mean), area + size)
-        });
-        if area > 0.0 { (sum / area) as f32 } else { self.state.lights.elements[self.state.arena.root as usize].mean }
+        let Arena { surfaces, root, .. } = self.state.arena;
+        self.state.lights.elements[if surfaces == NONE { root } else { surfaces } as usize].mean
     }
 
-    /// Makes a first estimate of the irradiance of elements, without occlusion of the light sources.
-    pub(super) fn estimate_irradiance(&mut self) {
+    /// Makes a first estimate of the irradiance of the elements from index `first` on, without occlusion of the light sources. Parts
+    /// of surfaces and of fog have the estimate of the whole.
+    pub(super) fn estimate_irradiance(&mut self, first: usize) {
         let (lights, world) = (&self.scene.prepared.lights, &self.scene.prepared.world);
-        let estimates: Vec<f32> = self
-            .state
-            .arena
-            .elements
+        let arena = &self.state.arena;
+        let estimates: Vec<Option<[f32; 2]>> = arena.elements[first..]
             .par_iter()
             .map(|element| {
-                if element.is_cluster() {
-                    return 0.0;
+                let has_parts = element.is_cluster() && !element.is_leaf();
+                if has_parts || arena.elements.get(element.parent as usize).is_some_and(|parent| !parent.is_cluster()) {
+                    return None;
                 }
                 let at = |spot: &SurfaceSpot, lamp: u32| {
                     let textures = &self.scene.prepared.textures;
                     let sample = lights.sample_light(world, textures, lamp, spot.position, SHUTTER_TIME, [0.5; 2]);
                     sample.map_or(0.0, |sample| {
-                        let share = if element.patch().is_some() { spot.normal.dot(sample.dir).max(0.0) } else { 0.25 };
+                        let has_normal = spot.normal != Vec3A::ZERO;
+                        let share = if has_normal { spot.normal.dot(sample.dir).max(0.0) } else { 0.25 };
                         luminance(sample.radiance) * share / sample.pdf
                     })
                 };
                 let of = |spot: SurfaceSpot| (0..lights.len() as u32).map(|lamp| at(&spot, lamp)).sum::<f32>();
-                let sum: f32 = element.nodes().map(of).sum();
-                sum / element.node_count() as f32
+                let finite = |mean: f32| if mean.is_finite() { mean } else { 0.0 };
+                let members = arena.members(element);
+                if members.is_empty() {
+                    let mean = finite(element.nodes().map(of).sum::<f32>() / element.node_count() as f32);
+                    return Some([mean; 2]);
+                }
+                let (mut sum, mut area, mut least) = (0.0, 0.0, f32::INFINITY);
+                for member in members.iter().step_by(members.len().div_ceil(CLUSTER_SAMPLES)) {
+                    let source = &self.scene.surfaces[member.surface as usize];
+                    let mean = finite(of(source.point_at(Vec2::splat(1.0 / 3.0))));
+                    (sum, area, least) = (sum + mean * member.area, area + member.area, mean.min(least));
+                }
+                Some([sum / area, least])
             })
             .collect();
-        for (light, mean) in self.state.lights.elements.iter_mut().zip(estimates) {
-            light.mean = if mean.is_finite() { mean } else { 0.0 };
-            light.min_mean = light.mean;
+        for (light, estimate) in self.state.lights.elements[first..].iter_mut().zip(estimates) {
+            if let Some([mean, least]) = estimate {
+                (light.mean, light.min_mean) = (mean, least);
+            }
         }
-        for index in (0..self.state.arena.elements.len()).rev() {
+        for index in (first..self.state.arena.elements.len()).rev() {
             let element = &self.state.arena.elements[index];
             if !element.is_leaf() {
                 let [a, b] = element.children.map(|child| child as usize);
@@ -68,19 +82,8 @@ impl Solver<'_> {
     }
 
     pub(super) fn oracle(&self, error: f32, links: usize) -> Oracle<'_> {
-        let area: f32 = self
-            .state
-            .arena
-            .roots
-            .iter()
-            .filter(|&&root| root != NONE)
-            .map(|&root| self.state.arena.elements[root as usize].size())
-            .sum();
-        let volume = if self.state.arena.fog == NONE {
-            0.0
-        } else {
-            self.state.arena.elements[self.state.arena.fog as usize].size()
-        };
+        let size = |element: u32| self.state.arena.elements.get(element as usize).map_or(0.0, Element::size);
+        let (area, volume) = (size(self.state.arena.surfaces), size(self.state.arena.fog));
         let mean = self.mean();
         // If all light of the lamps arrived once. The mean may be unknown in the beginning.
         let lamps = &self.scene.prepared.lights;
@@ -108,7 +111,8 @@ impl Solver<'_> {
     }
 
     /// Computes the light of the sources, on elements that are as fine as it requires.
-    pub(super) fn link_lamps(&mut self, error: f32) -> Result<(), Cancelled> {
+    /// - `is_first`: whether no light is known yet.
+    pub(super) fn link_lamps(&mut self, error: f32, is_first: bool) -> Result<(), Cancelled> {
         let mut pending: Vec<(u32, u32)> =
             (0..self.scene.prepared.lights.len() as u32).map(|lamp| (self.state.arena.root, lamp)).collect();
         let mut done: Vec<LampLink> = Vec::new();
@@ -134,7 +138,11 @@ impl Solver<'_> {
                     }
                 }
             }
-            self.state.lights.grow(&self.state.arena);
+            let first = self.state.lights.elements.len();
+            self.state.lights.grow(self.scene, &self.state.arena);
+            if is_first {
+                self.estimate_irradiance(first);
+            }
             pending = next;
         }
         done.sort_unstable_by_key(|link| (link.receiver, link.lamp));
@@ -197,7 +205,7 @@ impl Solver<'_> {
                     }
                 }
             }
-            self.state.lights.grow(&self.state.arena);
+            self.state.lights.grow(self.scene, &self.state.arena);
             pending = next;
         }
         done.sort_unstable_by_key(|link| (link.receiver, link.source));

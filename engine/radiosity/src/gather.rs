@@ -532,7 +532,7 @@ impl ElementLights {
         let directional = cluster.directional as usize;
         let arriving = self.directional_irradiance(directional, index, FROM_LAMPS)
             + self.directional_irradiance(directional, index, FROM_ELEMENTS);
-        let (mut sent, mut flux, mut irradiance, mut least) = (Harmonics::ZERO, Rgb::ZERO, 0.0, f32::INFINITY);
+        let (mut sent, mut flux, mut irradiance) = (Harmonics::ZERO, Rgb::ZERO, 0.0);
         let (mut darkest, mut brightest) = (f32::INFINITY, 0.0f32);
         for_each_normal(scene, arena.members(&arena.elements[index]), |surface, normal, area| {
             let (reflectance, transmittance) = scene.surface_albedos(surface);
@@ -543,13 +543,13 @@ impl ElementLights {
             }
             sent += Harmonics::from_direction(normal, radiosity * (area / PI));
             (flux, irradiance) = (flux + radiosity * area, irradiance + luminance(light) * area);
-            least = least.min(luminance(light));
             let value = luminance(radiosity);
             (darkest, brightest) = (darkest.min(value), brightest.max(value));
         });
         self.intensity[directional] = sent;
         let light = &mut self.elements[index];
-        (light.radiosity, light.mean, light.min_mean) = (flux / cluster.area, irradiance / cluster.area, least);
+        (light.radiosity, light.mean) = (flux / cluster.area, irradiance / cluster.area);
+        light.min_mean = light.mean;
         (light.darkest, light.brightest) = (darkest, brightest);
     }
 

@@ -6,8 +6,9 @@ use crate::form_factor::{polygon_form_factor, solid_angle};
 use crate::link::{Oracle, occlusion_bound};
 use crate::scene::{Lamp, SHUTTER_TIME};
 use crate::tuning::{
-    BEHIND_HEIGHT, DIRECTIONAL_ERROR, DIRECTIONAL_LAMP_ERROR, DIRECTIONAL_SHADOW_RAYS, FACE_POINTS, FACING_ATTEMPTS,
-    LAMP_NODES_WEIGHT, LAMP_STRATA, LAMP_VISIBILITY_RAYS, LARGE_SOURCE, MAX_LAMP_ABSORBED, NEAR_ELEMENT,
+    BEHIND_HEIGHT, DIRECTIONAL_ERROR, DIRECTIONAL_LAMP_ERROR, DIRECTIONAL_SHADOW_RAYS, DIRECTIONAL_SHARE, FACE_POINTS,
+    FACING_ATTEMPTS, LAMP_NODES_WEIGHT, LAMP_STRATA, LAMP_VISIBILITY_RAYS, LARGE_SOURCE, MAX_LAMP_ABSORBED,
+    NEAR_ELEMENT,
 };
 use crate::visibility::{RandomNumbers, VisibilityTester, sample_point};
 use femc_field::SurfaceSpot;
@@ -199,7 +200,7 @@ impl<'a> Oracle<'a> {
         let most = amounts.iter().copied().fold(0.0, f32::max);
         let least = amounts.iter().copied().fold(f32::INFINITY, f32::min);
         let error = if p.is_directional() {
-            mean * (DIRECTIONAL_ERROR[0] + DIRECTIONAL_LAMP_ERROR * pair.near * pair.near)
+            DIRECTIONAL_SHARE * mean * (DIRECTIONAL_ERROR[0] + DIRECTIONAL_LAMP_ERROR * pair.near * pair.near)
         } else {
             // A linear function has the mean of its nodes at the center, so the difference there is what the points miss.
             let spot = p.center_spot();

@@ -18,6 +18,7 @@ pub mod bounds;
 mod bytes;
 mod census;
 mod element;
+mod enclosed;
 mod factor;
 mod fewer;
 mod fog;

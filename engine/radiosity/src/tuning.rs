@@ -34,6 +34,12 @@ pub const CURVED_NORMALS: usize = 16;
 /// Allowed errors of a link in successive levels, as multiples of the requested error. Light found at one level says where the next
 /// must be exact. The closed forms are calibrated on these levels.
 pub const ERROR_LEVELS: [f32; 3] = [8.0, 2.5, 1.0];
+/// Numbers of rays from a side of a surface until which it is tested whether the side sees the open: in a first test, and in a second
+/// one of the sides that did not.
+pub const ENCLOSED_RAYS: [u32; 3] = [0, 6, 24];
+/// Maximum area of the sides of a closed space without elements, as a share of the area of all sides. A keyhole of a room may be
+/// missed by its rays.
+pub const ENCLOSED_AREA_SHARE: f32 = 1e-3;
 /// Number of surfaces of a cluster that represent all of them in the first estimate of their irradiance. Not measured: light found
 /// later replaces the estimate.
 pub const CLUSTER_SAMPLES: usize = 16;
@@ -77,6 +83,9 @@ pub const CLOSE_LIGHT: f32 = 0.5;
 /// Error of an element with light by direction, as a share of the light: nine harmonics represent the cosine to 7 % of its greatest
 /// value, and the second term, times (radius over distance) squared, stands for the positions of its parts.
 pub const DIRECTIONAL_ERROR: [f32; 2] = [0.1, 2.0];
+/// Mean irradiance of an element with light by direction, relative to that of a surface that faces the source. It is exact for convex
+/// bodies.
+pub const DIRECTIONAL_SHARE: f32 = 0.25;
 /// Second term of [`DIRECTIONAL_ERROR`] for light sources, which are closer to points.
 pub const DIRECTIONAL_LAMP_ERROR: f32 = 4.0;
 /// Weight of the difference between the center and the mean of the nodes. The nodes are exact for linear functions, so it is the

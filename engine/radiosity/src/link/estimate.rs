@@ -3,8 +3,8 @@
 use super::{Oracle, Pair};
 use crate::element::{PatchForm, Shape};
 use crate::tuning::{
-    CENTER_WEIGHT, DIRECTIONAL_ERROR, EDGE_WEIGHT, MIN_NEIGHBOR_RADII, MIN_SOURCE_SHARE, NODES_WEIGHT, SHAPE_WEIGHT,
-    SURFACE_EDGE_WEIGHT, THICKNESS_WEIGHT,
+    CENTER_WEIGHT, DIRECTIONAL_ERROR, DIRECTIONAL_SHARE, EDGE_WEIGHT, MIN_NEIGHBOR_RADII, MIN_SOURCE_SHARE,
+    NODES_WEIGHT, SHAPE_WEIGHT, SURFACE_EDGE_WEIGHT, THICKNESS_WEIGHT,
 };
 use crate::visibility::VisibilityTester;
 
@@ -35,7 +35,7 @@ impl Oracle<'_> {
         let missed =
             if self.is_beside(pair) { self.add_missed_light(pair, (&mut factors, &mut mean), tester) } else { 0.0 };
         let receiver_error = if p.is_directional() {
-            mean * pair.radiosity * directional_error(pair.near_p)
+            DIRECTIONAL_SHARE * mean * pair.radiosity * directional_error(pair.near_p)
         } else {
             let edge = match (&p.shape, &q.shape) {
                 (Shape::Volume(_), Shape::Volume(_)) => EDGE_WEIGHT * self.edge_error(p, q, &factors, tester),

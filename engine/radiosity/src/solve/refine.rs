@@ -29,7 +29,7 @@ impl Solver<'_> {
     pub(super) fn estimate_irradiance(&mut self, first: usize) {
         let (lights, world) = (&self.scene.prepared.lights, &self.scene.prepared.world);
         let arena = &self.state.arena;
-        let estimates: Vec<Option<[f32; 2]>> = arena.elements[first..]
+        let estimates: Vec<Option<f32>> = arena.elements[first..]
             .par_iter()
             .map(|element| {
                 let has_parts = element.is_cluster() && !element.is_leaf();
@@ -49,21 +49,20 @@ impl Solver<'_> {
                 let finite = |mean: f32| if mean.is_finite() { mean } else { 0.0 };
                 let members = arena.members(element);
                 if members.is_empty() {
-                    let mean = finite(element.nodes().map(of).sum::<f32>() / element.node_count() as f32);
-                    return Some([mean; 2]);
+                    return Some(finite(element.nodes().map(of).sum::<f32>() / element.node_count() as f32));
                 }
-                let (mut sum, mut area, mut least) = (0.0, 0.0, f32::INFINITY);
+                let (mut sum, mut area) = (0.0, 0.0);
                 for member in members.iter().step_by(members.len().div_ceil(CLUSTER_SAMPLES)) {
                     let source = &self.scene.surfaces[member.surface as usize];
                     let mean = finite(of(source.point_at(Vec2::splat(1.0 / 3.0))));
-                    (sum, area, least) = (sum + mean * member.area, area + member.area, mean.min(least));
+                    (sum, area) = (sum + mean * member.area, area + member.area);
                 }
-                Some([sum / area, least])
+                Some(sum / area)
             })
             .collect();
         for (light, estimate) in self.state.lights.elements[first..].iter_mut().zip(estimates) {
-            if let Some([mean, least]) = estimate {
-                (light.mean, light.min_mean) = (mean, least);
+            if let Some(mean) = estimate {
+                (light.mean, light.min_mean) = (mean, mean);
             }
         }
         for index in (first..self.state.arena.elements.len()).rev() {

@@ -3,11 +3,11 @@
 use super::{SolveReport, SolverState};
 use crate::arena::{Arena, root_outline};
 use crate::census::Census;
-use crate::element::{Element, Shape};
+use crate::element::{Cluster, Element, Shape};
 use crate::gather::{ElementLights, FROM_ELEMENTS, FROM_LAMPS};
 use crate::link::Link;
 use crate::scene::Scene;
-use femc_field::{Cell, Field, Form, Guide, Guides, Leaf, Lobe, NONE, Split};
+use femc_field::{Cell, Field, Form, Guide, Guides, Harmonics, Leaf, Lobe, NONE, Split};
 use femc_math::glam::Vec2;
 
 /// Light of a scene, with a report.
@@ -48,9 +48,16 @@ impl SolverState {
 }
 
 /// Returns the leaves of surfaces, in the order of the field. A cluster without parts is the leaf of each of its surfaces.
+/// Surfaces that no light reaches have the leaf [`NONE`].
 pub(crate) fn surface_leaves(arena: &Arena) -> Vec<u32> {
     let mut leaves = Vec::new();
-    for &root in arena.roots.iter().filter(|&&root| root != NONE) {
+    for (surface, &root) in arena.roots.iter().enumerate() {
+        if root == NONE {
+            if arena.is_enclosed(surface as u32) {
+                leaves.push(NONE);
+            }
+            continue;
+        }
         let mut order = vec![root];
         let mut at = 0;
         while at < order.len() {
@@ -86,6 +93,14 @@ fn build_field(
     let mut direct = Vec::new();
     for (surface, &root) in arena.roots.iter().enumerate() {
         if root == NONE {
+            if arena.is_enclosed(surface as u32) {
+                field.roots[surface] = field.cells.len() as u32;
+                let outline = root_outline(&scene, surface as u32);
+                field.cells.push(Cell { outline, split: Split::None, next: field.leaves.len() as u32 });
+                let dark = surface_leaf(&scene, surface, Harmonics::ZERO);
+                field.leaves.push(dark);
+                direct.push(dark);
+            }
             continue;
         }
         // Breadth first, so that two halves are adjacent.
@@ -97,7 +112,10 @@ fn build_field(
             let element = &arena.elements[order[at] as usize];
             let next = if element.is_leaf() {
                 let leaf = |from: usize| match element.shape {
-                    Shape::Cluster(_) => surface_leaf(&scene, element, surface, (order[at], lights), from),
+                    Shape::Cluster(Cluster { directional, .. }) => {
+                        let light = lights.directional_irradiance(directional as usize, order[at] as usize, from);
+                        surface_leaf(&scene, surface, light)
+                    }
                     _ => field_leaf(element, order[at], lights, from),
                 };
                 field.leaves.push(leaf(FROM_ELEMENTS));
@@ -129,16 +147,9 @@ fn build_field(
     (field, direct, fog)
 }
 
-/// Returns the leaf of a surface of a cluster without parts.
-fn surface_leaf(
-    scene: &Scene<'_>,
-    cluster: &Element,
-    surface: usize,
-    (index, lights): (u32, &ElementLights),
-    from: usize,
-) -> Leaf {
-    let directional = cluster.directional().unwrap_or_default();
-    let light = lights.directional_irradiance(directional, index as usize, from);
+/// Returns the leaf of a whole surface.
+/// - `light`: arriving light by direction.
+fn surface_leaf(scene: &Scene<'_>, surface: usize, light: Harmonics) -> Leaf {
     let source = &scene.surfaces[surface];
     let irradiance = || light.cosine_integral(source.point_at(Vec2::splat(1.0 / 3.0)).normal);
     match source.form {

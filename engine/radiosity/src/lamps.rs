@@ -98,7 +98,17 @@ impl<'a> Oracle<'a> {
         }
         let mut numbers = RandomNumbers::new(&[p.key, u64::from(lamp), 7]);
         let open = self.open_light(&pair, &mut numbers);
-        if open.error > pair.allowed && self.may_split(receiver) {
+        let mut error = open.error;
+        if error > pair.allowed && self.may_split(receiver) {
+            if p.is_cluster() && p.is_leaf() {
+                let seen = self.visible_share(p, lamp, tester);
+                error *= seen;
+                if seen == 0.0 {
+                    return LampLinkDecision::Drop;
+                }
+            }
+        }
+        if error > pair.allowed && self.may_split(receiver) {
             let unproved_error = self.unproved_error(p, pair.allowed);
             let looks =
                 pair.allowed < unproved_error && open.mean * occlusion_bound(LAMP_VISIBILITY_RAYS) <= unproved_error;
@@ -123,7 +133,7 @@ impl<'a> Oracle<'a> {
         }
         let dir = (pair.source.center - p.center).normalize_or(Vec3A::Z);
         let link = LampLink { receiver, lamp, light, dir };
-        LampLinkDecision::Keep { link, is_inexact: is_uneven || open.error > pair.allowed }
+        LampLinkDecision::Keep { link, is_inexact: is_uneven || error > pair.allowed }
     }
 
     fn lamp_pair(&self, receiver: u32, lamp: u32) -> LampPair<'a> {
@@ -323,12 +333,33 @@ impl<'a> Oracle<'a> {
 
     /// Checks whether all rays between points of an element and of a source are occluded.
     fn is_occluded(&self, p: &Element, lamp: u32, tester: &mut VisibilityTester) -> bool {
+        !self.test_visibility(p, lamp, tester).any(|is_visible| is_visible == Some(true))
+    }
+
+    /// Returns the share of the rays from points of an element that face a source that are not occluded; 0 if no points face it.
+    fn visible_share(&self, p: &Element, lamp: u32, tester: &mut VisibilityTester) -> f32 {
+        let (mut visible, mut all) = (0, 0);
+        for is_visible in self.test_visibility(p, lamp, tester).flatten() {
+            (visible, all) = (visible + u32::from(is_visible), all + 1);
+        }
+        if all > 0 { visible as f32 / all as f32 } else { 0.0 }
+    }
+
+    /// Tests rays between points of an element and of a source. `None` for points that do not face the source.
+    fn test_visibility<'b>(
+        &'b self,
+        p: &'b Element,
+        lamp: u32,
+        tester: &'b mut VisibilityTester,
+    ) -> impl Iterator<Item = Option<bool>> + 'b {
         let mut numbers = RandomNumbers::new(&[p.key, u64::from(lamp), 8]);
-        !(0..LAMP_VISIBILITY_RAYS).any(|part| {
+        (0..LAMP_VISIBILITY_RAYS).map(move |part| {
             let from = sample_point(self.arena, self.scene, p, part % 4, &mut numbers, |_| 1.0);
             let u = [numbers.next(), numbers.next()];
-            let to = self.unoccluded_light(p, &from, lamp, u);
-            to.is_some_and(|(_, to)| tester.visibility(self.scene, &from, &to) > 0.0)
+            let is_facing =
+                |to: &SurfaceSpot| from.normal == Vec3A::ZERO || from.normal.dot(to.position - from.position) > 0.0;
+            let to = self.unoccluded_light(p, &from, lamp, u).map(|(_, to)| to).filter(is_facing)?;
+            Some(tester.visibility(self.scene, &from, &to) > 0.0)
         })
     }
 

@@ -6,9 +6,9 @@ use crate::form_factor::{polygon_form_factor, solid_angle};
 use crate::link::{Oracle, occlusion_bound};
 use crate::scene::{Lamp, SHUTTER_TIME};
 use crate::tuning::{
-    BEHIND_HEIGHT, DIRECTIONAL_ERROR, DIRECTIONAL_LAMP_ERROR, DIRECTIONAL_SHADOW_RAYS, DIRECTIONAL_SHARE, FACE_POINTS,
-    FACING_ATTEMPTS, LAMP_NODES_WEIGHT, LAMP_STRATA, LAMP_VISIBILITY_RAYS, LARGE_SOURCE, MAX_LAMP_ABSORBED,
-    NEAR_ELEMENT,
+    BEHIND_HEIGHT, CLUSTER_REACH, DIRECTIONAL_ERROR, DIRECTIONAL_LAMP_ERROR, DIRECTIONAL_SHADOW_RAYS,
+    DIRECTIONAL_SHARE, FACE_POINTS, FACING_ATTEMPTS, LAMP_NODES_WEIGHT, LAMP_STRATA, LAMP_VISIBILITY_RAYS,
+    LARGE_SOURCE, MAX_LAMP_ABSORBED, NEAR_ELEMENT,
 };
 use crate::visibility::{RandomNumbers, VisibilityTester, sample_point};
 use femc_field::SurfaceSpot;
@@ -101,11 +101,12 @@ impl<'a> Oracle<'a> {
         let mut error = open.error;
         if error > pair.allowed && self.may_split(receiver) {
             if p.is_cluster() && p.is_leaf() {
-                let seen = self.visible_share(p, lamp, tester);
-                error *= seen;
-                if seen == 0.0 {
+                // Only the surfaces that see the source have the error.
+                let (seen, bound) = (self.visible_share(p, lamp, tester), occlusion_bound(LAMP_VISIBILITY_RAYS));
+                if seen == 0.0 && DIRECTIONAL_SHARE * open.mean * bound <= self.unproved_error(p, pair.allowed) {
                     return LampLinkDecision::Drop;
                 }
+                error *= (seen + bound).min(1.0);
             }
         }
         if error > pair.allowed && self.may_split(receiver) {
@@ -166,7 +167,11 @@ impl<'a> Oracle<'a> {
         if p.patch().is_some() || near <= NEAR_ELEMENT {
             return false;
         }
-        let reach = pair.distance.max(0.5 * p.radius);
+        // Surfaces of a cluster may be much closer to the source than its center.
+        let reach = match p.shape {
+            Shape::Cluster(_) if p.is_leaf() => (pair.distance - p.radius).max(CLUSTER_REACH * p.radius),
+            _ => pair.distance.max(0.5 * p.radius),
+        };
         let share = if p.is_volume() { 0.25 } else { 1.0 };
         let hidden_part =
             share * intensity * near / (reach * reach) * tester.fog_transmittance(self.scene, p.center, center);

@@ -175,6 +175,9 @@ pub const LAMP_STRATA: u32 = 2;
 pub const LARGE_SOURCE: f32 = 0.1;
 /// Minimum radius of an element near a source, as a share of the distance. Not measured.
 pub const NEAR_ELEMENT: f32 = 0.3;
+/// Minimum distance of a source from the surfaces of a cluster, as a share of the cluster's radius, in the estimate of the light that
+/// its center does not show. Not measured.
+pub const CLUSTER_REACH: f32 = 0.25;
 /// Maximum share of a source's light that a box around the source absorbs, times the error. Not measured.
 pub const MAX_LAMP_ABSORBED: f32 = 0.3;
 

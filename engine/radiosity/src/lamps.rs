@@ -8,7 +8,7 @@ use crate::scene::{Lamp, SHUTTER_TIME};
 use crate::tuning::{
     BEHIND_HEIGHT, CLUSTER_REACH, DIRECTIONAL_ERROR, DIRECTIONAL_LAMP_ERROR, DIRECTIONAL_SHADOW_RAYS,
     DIRECTIONAL_SHARE, FACE_POINTS, FACING_ATTEMPTS, LAMP_NODES_WEIGHT, LAMP_STRATA, LAMP_VISIBILITY_RAYS,
-    LARGE_SOURCE, MAX_LAMP_ABSORBED, NEAR_ELEMENT,
+    LARGE_SOURCE, MAX_LAMP_ABSORBED, MAX_MEMBERS, NEAR_ELEMENT,
 };
 use crate::visibility::{RandomNumbers, VisibilityTester, sample_point};
 use femc_field::SurfaceSpot;
@@ -89,6 +89,9 @@ impl<'a> Oracle<'a> {
             // Surfaces and fog together cannot be judged as one.
             return LampLinkDecision::SplitReceiver;
         }
+        if self.is_large_cluster(p) && self.may_split(receiver) {
+            return LampLinkDecision::SplitReceiver;
+        }
         if self.is_behind_receiver(p, lamp) {
             return LampLinkDecision::Drop;
         }
@@ -135,6 +138,11 @@ impl<'a> Oracle<'a> {
         let dir = (pair.source.center - p.center).normalize_or(Vec3A::Z);
         let link = LampLink { receiver, lamp, light, dir };
         LampLinkDecision::Keep { link, is_inexact: is_uneven || error > pair.allowed }
+    }
+
+    /// Checks whether a cluster without parts is too large for a few rays to represent its surfaces.
+    fn is_large_cluster(&self, p: &Element) -> bool {
+        self.arena.members(p).len() > MAX_MEMBERS || p.is_cluster() && p.is_leaf() && p.size() > self.unit_area
     }
 
     fn lamp_pair(&self, receiver: u32, lamp: u32) -> LampPair<'a> {

@@ -175,6 +175,8 @@ pub const LAMP_STRATA: u32 = 2;
 pub const LARGE_SOURCE: f32 = 0.1;
 /// Minimum radius of an element near a source, as a share of the distance. Not measured.
 pub const NEAR_ELEMENT: f32 = 0.3;
+/// Maximum number of surfaces of a cluster that is not split. Not measured: its light is found by some dozens of rays.
+pub const MAX_MEMBERS: usize = 64;
 /// Minimum distance of a source from the surfaces of a cluster, as a share of the cluster's radius, in the estimate of the light that
 /// its center does not show. Not measured.
 pub const CLUSTER_REACH: f32 = 0.25;

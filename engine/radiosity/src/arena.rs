@@ -2,7 +2,6 @@
 
 use crate::bounds::NormalCone;
 use crate::element::{Cluster, Curved, Element, Shape, SurfacePart};
-use crate::enclosed::{Side, enclosed_surfaces};
 use crate::scene::Scene;
 use crate::tuning::LARGE_SURFACE_RATIO;
 use femc_field::{Form, NONE, Outline, Split, SurfaceSpot};
@@ -19,8 +18,6 @@ pub struct Arena {
     pub directional_count: usize,
     /// Element that contains all others.
     pub root: u32,
-    /// Surfaces without elements, because no light reaches them, ascending ([`enclosed_surfaces`]).
-    pub enclosed: Vec<u32>,
     /// Element that contains all surfaces, or [`NONE`].
     pub surfaces: u32,
     /// Root element by surface, or the cluster without parts that contains the surface, or [`NONE`].
@@ -136,29 +133,11 @@ impl Arena {
     /// Number of bytes of a surface in the tree of clusters.
     pub const SURFACE_BYTES: usize = Node::SURFACE_BYTES;
 
-    /// Creates a cluster of all surfaces that light may reach, and the fog beside them.
+    /// Creates a cluster of all surfaces, and the fog beside them.
     pub fn new(scene: &Scene<'_>) -> Self {
-        let roots = roots(scene);
-        let side = |(Member { surface, area, .. }, bounds): &(Member, Bounds)| Side {
-            surface: *surface,
-            area: *area,
-            low: bounds.low,
-            high: bounds.high,
-        };
-        let enclosed = enclosed_surfaces(scene, &roots.iter().map(side).collect::<Vec<_>>());
-        Self::from_roots(scene, roots, enclosed)
-    }
-
-    /// Creates a cluster of all surfaces except for those without light, and the fog beside them.
-    /// - `enclosed`: surfaces that no light reaches, ascending.
-    pub fn without_enclosed(scene: &Scene<'_>, enclosed: Vec<u32>) -> Self {
-        Self::from_roots(scene, roots(scene), enclosed)
-    }
-
-    fn from_roots(scene: &Scene<'_>, mut roots: Vec<(Member, Bounds)>, enclosed: Vec<u32>) -> Self {
-        roots.retain(|(member, _)| enclosed.binary_search(&member.surface).is_err());
         let (surfaces, fog) = (NONE, NONE);
-        let mut arena = Self { roots: vec![NONE; scene.surfaces.len()], surfaces, fog, enclosed, ..Self::default() };
+        let mut arena = Self { roots: vec![NONE; scene.surfaces.len()], surfaces, fog, ..Self::default() };
+        let mut roots = roots(scene);
         if !roots.is_empty() {
             arena.build_clusters(&mut roots);
         }
@@ -257,11 +236,6 @@ impl Arena {
         let bounds = a.union(&self.build_clusters(b));
         self.nodes[index] = Node::new(&bounds, first_part);
         bounds
-    }
-
-    /// Checks whether a surface has no element because no light reaches it.
-    pub fn is_enclosed(&self, surface: u32) -> bool {
-        self.enclosed.binary_search(&surface).is_ok()
     }
 
     /// Returns the surfaces of a leaf that is a cluster; none for other elements.

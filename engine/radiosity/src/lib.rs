@@ -18,7 +18,6 @@ pub mod bounds;
 mod bytes;
 mod census;
 mod element;
-mod enclosed;
 mod factor;
 mod fewer;
 mod fog;

@@ -224,7 +224,11 @@ impl<'a> Oracle<'a> {
         let length = if q.is_volume() { q.radius.min(1.0 / self.extinction(q)) } else { 1.0 };
         let is_bright = luminance(pair.from.radiosity) * length * share > CLOSE_LIGHT * pair.allowed;
         let larger_first = if p.radius > q.radius { [1.0, 0.0] } else { [0.0, 1.0] };
-        is_bright.then(|| self.choose_split(pair, larger_first)).flatten()
+        is_bright.then(|| self.choose_split(pair, larger_first)).flatten().filter(|split| {
+            // The parts of a small cluster would be as close.
+            let is_small = q.is_cluster() && q.is_leaf() && q.radius < p.radius;
+            !(is_small && matches!(split, LinkDecision::SplitSource))
+        })
     }
 
     /// Splits the element that causes the error, or else the other one. `None` if neither can be split.

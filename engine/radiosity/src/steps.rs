@@ -180,7 +180,6 @@ impl SolverState {
         writer.rows(&[[residual, row_sum, imbalance, checked, corrected]]);
         let [r, g, b] = self.lights.balance.to_array();
         writer.rows(&[[r, g, b, self.lights.bent_lamp_flux, self.lights.share_variance]]);
-        writer.numbers(self.arena.enclosed.iter().copied());
         writer.numbers(self.arena.splits.iter().copied());
         writer.numbers(self.uneven_leaves.iter().copied());
         portals::write(&self.portals, &mut writer);
@@ -252,7 +251,7 @@ impl SolverState {
             ray_correction: corrected,
             ..SolveReport::default()
         };
-        let mut arena = Arena::without_enclosed(&scene, reader.numbers()?);
+        let mut arena = Arena::new(&scene);
         for cut in reader.numbers()? {
             if !arena.elements.get(cut as usize).is_some_and(Element::is_leaf) {
                 return Err(OTHER_ELEMENTS);
@@ -435,7 +434,7 @@ impl CorrectedState {
 /// Returns the leaves of surfaces that are parts of single surfaces, in the order of the field.
 fn parts_of_surfaces(arena: &Arena) -> Vec<u32> {
     let mut leaves = surface_leaves(arena);
-    leaves.retain(|&leaf| leaf != NONE && !arena.elements[leaf as usize].is_cluster());
+    leaves.retain(|&leaf| !arena.elements[leaf as usize].is_cluster());
     leaves
 }
 

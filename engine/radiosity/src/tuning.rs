@@ -34,12 +34,6 @@ pub const CURVED_NORMALS: usize = 16;
 /// Allowed errors of a link in successive levels, as multiples of the requested error. Light found at one level says where the next
 /// must be exact. The closed forms are calibrated on these levels.
 pub const ERROR_LEVELS: [f32; 3] = [8.0, 2.5, 1.0];
-/// Numbers of rays from a side of a surface until which it is tested whether the side sees the open: in a first test, and in a second
-/// one of the sides that did not.
-pub const ENCLOSED_RAYS: [u32; 3] = [0, 6, 24];
-/// Maximum area of the sides of a closed space without elements, as a share of the area of all sides. A keyhole of a room may be
-/// missed by its rays.
-pub const ENCLOSED_AREA_SHARE: f32 = 1e-3;
 /// Number of surfaces of a cluster that represent all of them in the first estimate of their irradiance. Not measured: light found
 /// later replaces the estimate.
 pub const CLUSTER_SAMPLES: usize = 16;
@@ -220,6 +214,10 @@ pub const RAY_CHECK_CHANGE: f32 = 1e-3;
 /// these. Rays take 26 % of the time of the roundabout (docs/first-pass.md).
 pub const RAYS_PER_PART: [usize; 2] = [8, 1024];
 pub const TOTAL_RAYS: usize = 1 << 16;
+/// Minimum number of rays from each part of a small leaf, and the area of such a leaf as a share of the area of all surfaces. Such leaves
+/// are not split.
+pub const MIN_SMALL_RAYS: usize = 2;
+pub const SMALL_AREA_SHARE: f32 = 1e-4;
 /// Total number of rays if few rays have found portals, so that each leaf measures their light with its own rays. Not measured.
 pub const TOTAL_RAYS_FOR_PORTALS: usize = 4 * TOTAL_RAYS;
 /// Number of additional rays, distributed among the leaves by the light that they send, relative to the other rays. Not measured.

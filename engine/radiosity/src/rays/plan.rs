@@ -5,7 +5,9 @@ use super::{Aims, MAX_PARTS, RayHit, RayHits, Rays, part_count};
 use crate::arena::Arena;
 use crate::gather::ElementLights;
 use crate::scene::Scene;
-use crate::tuning::{EXTRA_RAYS_RATIO, RAYS_PER_PART, TOTAL_RAYS, TOTAL_RAYS_FOR_PORTALS};
+use crate::tuning::{
+    EXTRA_RAYS_RATIO, MIN_SMALL_RAYS, RAYS_PER_PART, SMALL_AREA_SHARE, TOTAL_RAYS, TOTAL_RAYS_FOR_PORTALS,
+};
 use crate::visibility::VisibilityTester;
 use femc_field::{NONE, SurfaceSpot};
 use femc_math::color::luminance;
@@ -45,9 +47,17 @@ impl RayPlan {
         let all = if needs_more_rays { TOTAL_RAYS_FOR_PORTALS } else { TOTAL_RAYS };
         // The many boxes of fog leave the surfaces their rays.
         let rays_per_part =
-            |all: usize, parts: usize| (all / parts.max(1)).clamp(RAYS_PER_PART[0], RAYS_PER_PART[1]).min(fit);
-        let (of_surface, of_box) = (rays_per_part(all, of_surfaces), rays_per_part(TOTAL_RAYS, of_fog));
-        let base = of_surfaces * of_surface + of_fog * of_box;
+            |all: usize, parts: usize, least: usize| (all / parts.max(1)).clamp(least, RAYS_PER_PART[1]).min(fit);
+        let [of_surface, of_small] =
+            [RAYS_PER_PART[0], MIN_SMALL_RAYS].map(|least| rays_per_part(all, of_surfaces, least));
+        let of_box = rays_per_part(TOTAL_RAYS, of_fog, RAYS_PER_PART[0]);
+        let small = arena.elements.get(arena.surfaces as usize).map_or(0.0, |all| SMALL_AREA_SHARE * all.size());
+        let each = |leaf: u32| match &arena.elements[leaf as usize] {
+            element if element.is_volume() => of_box,
+            element if element.surface_part().is_some_and(|part| part.area < small) => of_small,
+            _ => of_surface,
+        };
+        let base = MAX_PARTS * leaves.iter().map(|&leaf| each(leaf)).sum::<usize>();
         let more = (EXTRA_RAYS_RATIO * base as f32).min((fit * (of_surfaces + of_fog) - base) as f32);
         let power = |&leaf: &u32| {
             let element = &arena.elements[leaf as usize];
@@ -59,8 +69,7 @@ impl RayPlan {
         let mut density = vec![0.0f32; arena.elements.len()];
         for leaf in &leaves {
             let element = &arena.elements[*leaf as usize];
-            let each = if element.is_volume() { of_box } else { of_surface };
-            let number = (part_count(element) * (each + by_power(leaf))) as u32;
+            let number = (part_count(element) * (each(*leaf) + by_power(leaf))) as u32;
             first.push(first[first.len() - 1] + number);
             density[*leaf as usize] = number as f32 / element.size();
         }

@@ -48,16 +48,9 @@ impl SolverState {
 }
 
 /// Returns the leaves of surfaces, in the order of the field. A cluster without parts is the leaf of each of its surfaces.
-/// Surfaces that no light reaches have the leaf [`NONE`].
 pub(crate) fn surface_leaves(arena: &Arena) -> Vec<u32> {
     let mut leaves = Vec::new();
-    for (surface, &root) in arena.roots.iter().enumerate() {
-        if root == NONE {
-            if arena.is_enclosed(surface as u32) {
-                leaves.push(NONE);
-            }
-            continue;
-        }
+    for &root in arena.roots.iter().filter(|&&root| root != NONE) {
         let mut order = vec![root];
         let mut at = 0;
         while at < order.len() {
@@ -93,14 +86,6 @@ fn build_field(
     let mut direct = Vec::new();
     for (surface, &root) in arena.roots.iter().enumerate() {
         if root == NONE {
-            if arena.is_enclosed(surface as u32) {
-                field.roots[surface] = field.cells.len() as u32;
-                let outline = root_outline(&scene, surface as u32);
-                field.cells.push(Cell { outline, split: Split::None, next: field.leaves.len() as u32 });
-                let dark = surface_leaf(&scene, surface, Harmonics::ZERO);
-                field.leaves.push(dark);
-                direct.push(dark);
-            }
             continue;
         }
         // Breadth first, so that two halves are adjacent.

@@ -3,12 +3,12 @@
 use crate::element::{Element, PatchForm, Shape};
 use crate::fog_factor::attenuated_length;
 use crate::form_factor::{polygon_form_factor, solid_angle};
-use crate::link::{Oracle, occlusion_bound};
+use crate::link::{Oracle, directional_share, occlusion_bound};
 use crate::scene::{Lamp, SHUTTER_TIME};
 use crate::tuning::{
-    BEHIND_HEIGHT, CLUSTER_REACH, DIRECTIONAL_ERROR, DIRECTIONAL_LAMP_ERROR, DIRECTIONAL_SHADOW_RAYS,
-    DIRECTIONAL_SHARE, FACE_POINTS, FACING_ATTEMPTS, LAMP_NODES_WEIGHT, LAMP_STRATA, LAMP_VISIBILITY_RAYS,
-    LARGE_SOURCE, MAX_LAMP_ABSORBED, MAX_MEMBERS, NEAR_ELEMENT,
+    BEHIND_HEIGHT, CLUSTER_REACH, CLUSTER_SHARE, DIRECTIONAL_ERROR, DIRECTIONAL_LAMP_ERROR, DIRECTIONAL_SHADOW_RAYS,
+    FACE_POINTS, FACING_ATTEMPTS, LAMP_NODES_WEIGHT, LAMP_STRATA, LAMP_VISIBILITY_RAYS, LARGE_SOURCE,
+    MAX_LAMP_ABSORBED, MAX_MEMBERS, NEAR_ELEMENT,
 };
 use crate::visibility::{RandomNumbers, VisibilityTester, sample_point};
 use femc_field::SurfaceSpot;
@@ -106,7 +106,7 @@ impl<'a> Oracle<'a> {
             if p.is_cluster() && p.is_leaf() {
                 // Only the surfaces that see the source have the error.
                 let (seen, bound) = (self.visible_share(p, lamp, tester), occlusion_bound(LAMP_VISIBILITY_RAYS));
-                if seen == 0.0 && DIRECTIONAL_SHARE * open.mean * bound <= self.unproved_error(p, pair.allowed) {
+                if seen == 0.0 && CLUSTER_SHARE * open.mean * bound <= self.unproved_error(p, pair.allowed) {
                     return LampLinkDecision::Drop;
                 }
                 error *= (seen + bound).min(1.0);
@@ -223,7 +223,7 @@ impl<'a> Oracle<'a> {
         let most = amounts.iter().copied().fold(0.0, f32::max);
         let least = amounts.iter().copied().fold(f32::INFINITY, f32::min);
         let error = if p.is_directional() {
-            DIRECTIONAL_SHARE * mean * (DIRECTIONAL_ERROR[0] + DIRECTIONAL_LAMP_ERROR * pair.near * pair.near)
+            directional_share(p) * mean * (DIRECTIONAL_ERROR[0] + DIRECTIONAL_LAMP_ERROR * pair.near * pair.near)
         } else {
             // A linear function has the mean of its nodes at the center, so the difference there is what the points miss.
             let spot = p.center_spot();

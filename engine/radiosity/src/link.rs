@@ -3,6 +3,7 @@
 mod estimate;
 mod occlusion;
 
+pub use estimate::directional_share;
 pub use occlusion::occlusion_bound;
 
 use crate::arena::Arena;

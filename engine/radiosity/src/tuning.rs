@@ -77,9 +77,8 @@ pub const CLOSE_LIGHT: f32 = 0.5;
 /// Error of an element with light by direction, as a share of the light: nine harmonics represent the cosine to 7 % of its greatest
 /// value, and the second term, times (radius over distance) squared, stands for the positions of its parts.
 pub const DIRECTIONAL_ERROR: [f32; 2] = [0.1, 2.0];
-/// Mean irradiance of an element with light by direction, relative to that of a surface that faces the source. It is exact for convex
-/// bodies.
-pub const DIRECTIONAL_SHARE: f32 = 0.25;
+/// Mean irradiance of a cluster without parts, relative to that of a surface that faces the source. It is exact for convex bodies.
+pub const CLUSTER_SHARE: f32 = 0.25;
 /// Second term of [`DIRECTIONAL_ERROR`] for light sources, which are closer to points.
 pub const DIRECTIONAL_LAMP_ERROR: f32 = 4.0;
 /// Weight of the difference between the center and the mean of the nodes. The nodes are exact for linear functions, so it is the

@@ -1,7 +1,6 @@
 //! Transport of light down and up the tree.
 
-use super::{GRAY, face, leaves_of, outward_box, prepare, split};
-use crate::arena::Arena;
+use super::{GRAY, face, full_arena, leaves_of, outward_box, prepare, split};
 use crate::element::{Element, Shape};
 use crate::gather::{ElementLights, FROM_ELEMENTS, FROM_LAMPS, IterationFlux};
 use crate::link::Link;
@@ -26,7 +25,7 @@ fn pushing_keeps_linear_light_and_its_flux() {
     );
     let prepared = prepare(&text);
     let scene = Scene::new(&prepared);
-    let mut arena = Arena::new(&scene);
+    let mut arena = full_arena(&scene);
     let roots = [arena.roots[0], arena.roots[1], arena.fog];
     for root in roots {
         split(&mut arena, &scene, root, 2);
@@ -67,7 +66,7 @@ fn pushing_keeps_linear_light_and_its_flux() {
 fn pulling_keeps_the_flux_and_the_bounds_of_brightness() {
     let prepared = prepare(&format!("{GRAY}{}", outward_box([0.0; 3], [1.0, 2.0, 3.0])));
     let scene = Scene::new(&prepared);
-    let mut arena = Arena::new(&scene);
+    let mut arena = full_arena(&scene);
     for (k, root) in arena.roots.clone().into_iter().enumerate() {
         split(&mut arena, &scene, root, k as u32);
     }
@@ -107,7 +106,7 @@ fn the_intensity_of_a_cluster_is_that_of_its_projected_area() {
     let [a, b, c] = [1.0, 2.0, 3.0];
     let prepared = prepare(&format!("{GRAY}{}", outward_box([0.0; 3], [a, b, c])));
     let scene = Scene::new(&prepared);
-    let mut arena = Arena::new(&scene);
+    let mut arena = full_arena(&scene);
     for root in arena.roots.clone() {
         split(&mut arena, &scene, root, 2);
     }
@@ -141,7 +140,7 @@ fn light_of_a_cluster_is_pushed_by_the_cosine_of_each_surface() {
     );
     let prepared = prepare(&text);
     let scene = Scene::new(&prepared);
-    let arena = Arena::new(&scene);
+    let arena = full_arena(&scene);
     let mut lights = ElementLights::new(&arena);
     let dir = Vec3A::new(0.48, -0.6, 0.64);
     let root = arena.elements[arena.root as usize].directional().expect("a cluster");
@@ -168,7 +167,7 @@ fn gathered_light_is_the_sum_of_radiosity_times_factor() {
     let square = |z: f64| face(&[[0.0, 0.0, z], [1.0, 0.0, z], [1.0, 1.0, z], [0.0, 1.0, z]]);
     let prepared = prepare(&format!("{GRAY}{}{}{}", square(0.0), square(1.0), square(2.5)));
     let scene = Scene::new(&prepared);
-    let arena = Arena::new(&scene);
+    let arena = full_arena(&scene);
     let mut lights = ElementLights::new(&arena);
     let [a, b, c] = [0, 1, 2].map(|surface| arena.roots[surface]);
     lights.elements[b as usize].radiosity = Rgb::new(1.0, 2.0, 3.0);
@@ -197,7 +196,7 @@ fn a_translucent_sheet_sends_what_its_other_side_receives() {
     );
     let prepared = prepare(&text);
     let scene = Scene::new(&prepared);
-    let mut arena = Arena::new(&scene);
+    let mut arena = full_arena(&scene);
     let [front, back] = [0, 1].map(|side| arena.roots[side]);
     split(&mut arena, &scene, front, 2);
     let mut lights = ElementLights::new(&arena);

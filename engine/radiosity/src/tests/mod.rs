@@ -4,6 +4,7 @@
 #![expect(clippy::disallowed_methods, reason = "references may differ in their last bits between platforms")]
 
 mod bounds;
+mod clusters;
 mod elements;
 mod energy;
 mod factors;
@@ -63,6 +64,19 @@ fn outward_box([x0, y0, z0]: [f64; 3], [x1, y1, z1]: [f64; 3]) -> String {
 /// Converts a position of the description to the prepared frame.
 fn prepared_position(prepared: &Prepared, position: [f64; 3]) -> Vec3A {
     (DVec3::from_array(position) - prepared.origin).as_vec3a()
+}
+
+/// Creates the roots of all surfaces, with all clusters split.
+fn full_arena(scene: &Scene<'_>) -> Arena {
+    let mut arena = Arena::new(scene);
+    let mut index = 0;
+    while index < arena.elements.len() {
+        if arena.elements[index].is_cluster() {
+            arena.ensure_children(scene, index as u32);
+        }
+        index += 1;
+    }
+    arena
 }
 
 /// Splits an element and its parts `depth` times.

@@ -6,7 +6,7 @@ use crate::arena::Arena;
 use crate::gather::ElementLights;
 use crate::scene::Scene;
 use crate::tuning::{
-    EXTRA_RAYS_RATIO, MIN_SMALL_RAYS, RAYS_PER_PART, SMALL_AREA_SHARE, TOTAL_RAYS, TOTAL_RAYS_FOR_PORTALS,
+    EXTRA_RAYS_RATIO, MIN_FOG_RAYS, MIN_SMALL_RAYS, RAYS_PER_PART, SMALL_AREA_SHARE, TOTAL_RAYS, TOTAL_RAYS_FOR_PORTALS,
 };
 use crate::visibility::VisibilityTester;
 use femc_field::{NONE, SurfaceSpot};
@@ -50,7 +50,7 @@ impl RayPlan {
             |all: usize, parts: usize, least: usize| (all / parts.max(1)).clamp(least, RAYS_PER_PART[1]).min(fit);
         let [of_surface, of_small] =
             [RAYS_PER_PART[0], MIN_SMALL_RAYS].map(|least| rays_per_part(all, of_surfaces, least));
-        let of_box = rays_per_part(TOTAL_RAYS, of_fog, RAYS_PER_PART[0]);
+        let of_box = rays_per_part(TOTAL_RAYS, of_fog, MIN_FOG_RAYS);
         let small = arena.elements.get(arena.surfaces as usize).map_or(0.0, |all| SMALL_AREA_SHARE * all.size());
         let each = |leaf: u32| match &arena.elements[leaf as usize] {
             element if element.is_volume() => of_box,
@@ -58,7 +58,8 @@ impl RayPlan {
             _ => of_surface,
         };
         let base = MAX_PARTS * leaves.iter().map(|&leaf| each(leaf)).sum::<usize>();
-        let more = (EXTRA_RAYS_RATIO * base as f32).min((fit * (of_surfaces + of_fog) - base) as f32);
+        let regular = (of_surfaces * of_surface + of_fog * of_box) as f32;
+        let more = (EXTRA_RAYS_RATIO * regular).min((fit * (of_surfaces + of_fog) - base) as f32);
         let power = |&leaf: &u32| {
             let element = &arena.elements[leaf as usize];
             element.sending_size() * luminance(lights.elements[leaf as usize].radiosity).max(0.0)

@@ -222,8 +222,8 @@ pub const MIN_SMALL_RAYS: usize = 2;
 pub const SMALL_AREA_SHARE: f32 = 1e-4;
 /// Total number of rays if few rays have found portals, so that each leaf measures their light with its own rays. Not measured.
 pub const TOTAL_RAYS_FOR_PORTALS: usize = 4 * TOTAL_RAYS;
-/// Number of additional rays, distributed among the leaves by the light that they send, relative to the other rays if no leaf were
-/// small. Not measured.
+/// Number of additional rays, distributed among the leaves by the light that they send, relative to the other rays if each
+/// surface were an element and no leaf were small. Not measured.
 pub const EXTRA_RAYS_RATIO: f32 = 1.0;
 /// Minimum ratio of the density of rays from the other end to that of a leaf's own rays, for the former to be preferred. At a ratio
 /// of 4 a furnace lost a hundredth of its light.

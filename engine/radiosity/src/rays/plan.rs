@@ -58,7 +58,10 @@ impl RayPlan {
             _ => of_surface,
         };
         let base = MAX_PARTS * leaves.iter().map(|&leaf| each(leaf)).sum::<usize>();
-        let regular = (of_surfaces * of_surface + of_fog * of_box) as f32;
+        // Clusters count as their surfaces: they do not lower the number of rays from bright leaves.
+        let merged: usize =
+            leaves.iter().map(|&leaf| arena.members(&arena.elements[leaf as usize]).len().saturating_sub(1)).sum();
+        let regular = ((of_surfaces + MAX_PARTS * merged) * of_surface + of_fog * of_box) as f32;
         let more = (EXTRA_RAYS_RATIO * regular).min((fit * (of_surfaces + of_fog) - base) as f32);
         let power = |&leaf: &u32| {
             let element = &arena.elements[leaf as usize];

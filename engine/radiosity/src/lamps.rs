@@ -102,15 +102,14 @@ impl<'a> Oracle<'a> {
         let mut numbers = RandomNumbers::new(&[p.key, u64::from(lamp), 7]);
         let open = self.open_light(&pair, &mut numbers);
         let mut error = open.error;
-        if error > pair.allowed && self.may_split(receiver) {
-            if p.is_cluster() && p.is_leaf() {
-                // Only the surfaces that see the source have the error.
-                let (seen, bound) = (self.visible_share(p, lamp, tester), occlusion_bound(LAMP_VISIBILITY_RAYS));
-                if seen == 0.0 && CLUSTER_SHARE * open.mean * bound <= self.unproved_error(p, pair.allowed) {
-                    return LampLinkDecision::Drop;
-                }
-                error *= (seen + bound).min(1.0);
+        let is_whole_cluster = p.is_cluster() && p.is_leaf();
+        if error > pair.allowed && is_whole_cluster && self.may_split(receiver) {
+            // Only the surfaces that see the source have the error.
+            let (seen, bound) = (self.visible_share(p, lamp, tester), occlusion_bound(LAMP_VISIBILITY_RAYS));
+            if seen == 0.0 && CLUSTER_SHARE * open.mean * bound <= self.unproved_error(p, pair.allowed) {
+                return LampLinkDecision::Drop;
             }
+            error *= (seen + bound).min(1.0);
         }
         if error > pair.allowed && self.may_split(receiver) {
             let unproved_error = self.unproved_error(p, pair.allowed);

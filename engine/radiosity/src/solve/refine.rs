@@ -184,9 +184,9 @@ impl Solver<'_> {
                     LinkDecision::Drop => {}
                     LinkDecision::Keep { link, is_inexact: refused } => {
                         if link.factors == [0.0; 4] {
-                            dark.push([receiver, source])
+                            dark.push([receiver, source]);
                         } else {
-                            done.push(link)
+                            done.push(link);
                         }
                         self.state.report.inexact_links += usize::from(refused);
                     }

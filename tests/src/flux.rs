@@ -217,7 +217,8 @@ impl FluxTracer<'_> {
             let u = [self.number(), self.number()];
             let Some(sample) = material.bsdf.without_lambertian().sample(wo, u, self.number()) else { return };
             is_bent = true;
-            flux *= f64::from(luminance(sample.weight));
+            // Radiance changes with the square of the index, flux does not.
+            flux *= f64::from(luminance(sample.weight) * sample.eta * sample.eta);
             let dir = frame.to_world(sample.wi).normalize_or(normal);
             ray = Ray { origin: offset_origin(point.position, point.error, point.normal, dir), dir, ..ray };
         }

@@ -8,7 +8,7 @@ use femc_scene::{Photometry, PhotometryType, SceneFault, estimate_caustic_flux, 
 
 /// Number of lamps that are listed one by one; `femc check` lists all.
 const MAX_LISTED: usize = 4;
-/// Share of the lamps' light through solids and from mirrors above which the first pass is inexact.
+/// Share of the lamps' light through solids and from mirrors above which blurred bright spots matter.
 const MIN_CAUSTIC_SHARE: f64 = 0.1;
 
 impl ResolvedRequest {
@@ -42,14 +42,14 @@ impl ResolvedRequest {
         }
     }
 
-    /// Warns of light that the first pass alone loses or puts in wrong places.
+    /// Warns of light whose bright spots the first pass alone blurs.
     pub fn warn_of_caustics(&self, printer: Printer) {
         let bent = estimate_caustic_flux(self.scene(), &luminous_flux);
         if bent.share >= MIN_CAUSTIC_SHARE {
             printer.warning(format!(
                 "{} of the lamps' light ({:.0} lm) first passes through clear solids or comes from mirrors: the first pass \
-                 finds it with few rays, loses a part and spreads the rest evenly over surfaces; render with `--method femc` or \
-                 `--method pt`",
+                 shows its bright spots only as sharply as its elements are small; for sharp ones, render with `--method femc` \
+                 or `--method pt`",
                 human::percent(bent.share),
                 bent.lumens
             ));

@@ -2,9 +2,10 @@
 
 use crate::arena::{Arena, Member};
 use crate::element::{Cluster, Curved, Element, Patch, Shape, SurfacePart};
+use crate::exits::ClusterWeights;
 use crate::link::Link;
 use crate::scene::Scene;
-use crate::tuning::{CHANCE_VARIANCES, CURVED_NORMALS, MAX_BALANCE, MAX_ROW_SUM};
+use crate::tuning::{BALANCE_VARIANCES, CURVED_NORMALS, MAX_BALANCE, MAX_ROW_SUM};
 use femc_field::{Harmonics, NONE};
 use femc_math::Rgb;
 use femc_math::color::luminance;
@@ -63,6 +64,8 @@ pub struct ElementLights {
     pub incident: Vec<IncidentLight>,
     /// Intensity that wide elements send, cd.
     pub intensity: Vec<Harmonics>,
+    /// Distribution of the clusters' light among their surfaces.
+    pub cluster_weights: ClusterWeights,
     /// Factor of the links' light at the nodes, by element. It bounds the row sums ([`ElementLights::bound_rows`]).
     pub row_scale: Vec<[f32; 4]>,
     /// Factor of the light of lamps at the nodes, by element, and the light that rays find in addition to that, lx.
@@ -73,9 +76,8 @@ pub struct ElementLights {
     /// Share of the light of an element that reaches other elements, by element: 1 minus what escapes, what mirrors and clear
     /// surfaces absorb, and what fog absorbs. 1 if no rays have measured it.
     pub arriving_share: Vec<[f32; 4]>,
-    /// Luminous flux, by channel, that reaches elements from lamps through mirrors and refracting solids, lm. Rays measure it. It is
-    /// part of `ray_correction`.
-    pub bent_lamp_flux: f32,
+    /// Irradiance at the nodes by light of lamps that mirrors reflect or clear solids refract, by element, lx; empty without such light.
+    pub caustics: Vec<[Rgb; 4]>,
     /// Variance of the flux that arrives by these shares, relative to its square, from the noise of the rays.
     pub share_variance: f32,
     /// Whether rays have measured the shares of all elements.
@@ -122,12 +124,13 @@ impl ElementLights {
             elements: vec![ElementLight::ZERO; count],
             incident: vec![IncidentLight::ZERO; arena.directional_count],
             intensity: vec![Harmonics::ZERO; arena.directional_count],
+            cluster_weights: ClusterWeights::default(),
             row_scale: vec![[1.0; 4]; count],
             lamp_scale: vec![[1.0; 4]; count],
             lamp_correction: vec![[Rgb::ZERO; 4]; count],
             ray_correction: vec![[Rgb::ZERO; 4]; count],
             arriving_share: vec![[1.0; 4]; count],
-            bent_lamp_flux: 0.0,
+            caustics: Vec::new(),
             share_variance: 0.0,
             has_measured_shares: false,
             balance: Rgb::ONE,
@@ -153,6 +156,13 @@ impl ElementLights {
             self.row_scale.push(mean(&self.row_scale[above]));
             self.lamp_scale.push(mean(&self.lamp_scale[above]));
             self.arriving_share.push(mean(&self.arriving_share[above]));
+            if !self.caustics.is_empty() {
+                let (whole, nodes) = (&arena.elements[above], self.caustics[above]);
+                let at = |node: usize| whole.interpolate(&nodes, whole.node_in_parent(element, node)).max(Rgb::ZERO);
+                let is_linear = !element.is_directional() && !whole.is_directional();
+                let count = element.node_count();
+                self.caustics.push(if is_linear { [0, 1, 2, 3].map(|node| at(node.min(count - 1))) } else { nodes });
+            }
         }
         self.incident.resize(arena.directional_count, IncidentLight::ZERO);
         self.intensity.resize(arena.directional_count, Harmonics::ZERO);
@@ -170,7 +180,7 @@ impl ElementLights {
     /// surface, as `total` of [`FROM_ELEMENTS`]: the row sums of the links. With exact links, it is the share of the elements'
     /// light among all directions, which is at most 1.
     fn unit_irradiance(&self, scene: &Scene<'_>, arena: &Arena, links: &[Link]) -> Self {
-        let mut unit = Self::new(arena);
+        let mut unit = Self { cluster_weights: self.cluster_weights.clone(), ..Self::new(arena) };
         for index in (0..arena.elements.len()).rev() {
             let element = &arena.elements[index];
             if !element.is_leaf() {
@@ -279,8 +289,7 @@ impl ElementLights {
     /// that may be the noise of the rays. In any case, no more arrives than all light that they send.
     fn balance_flux(&mut self, scene: &Scene<'_>, arena: &Arena) {
         self.balance = Rgb::ONE;
-        let bent = [f64::from(self.bent_lamp_flux); 3];
-        let (mut all, mut sent, mut received) = (bent, bent, [0.0f64; 3]);
+        let (mut all, mut sent, mut received) = ([0.0f64; 3], [0.0f64; 3], [0.0f64; 3]);
         for (index, element) in arena.elements.iter().enumerate().filter(|(_, element)| element.is_leaf()) {
             // Light that a mirror passes on may arrive several times.
             let shares = &self.arriving_share[index][..element.node_count()];
@@ -299,7 +308,7 @@ impl ElementLights {
         let mut measured = 1.0;
         if self.has_measured_shares && leaving > 0.0 && arriving > 0.0 {
             let difference = leaving / arriving - 1.0;
-            let noise = f64::from(CHANCE_VARIANCES * self.share_variance);
+            let noise = f64::from(BALANCE_VARIANCES * self.share_variance);
             let sure = (1.0 - noise / (difference * difference).max(f64::MIN_POSITIVE)).max(0.0);
             measured = (1.0 + sure * difference).min(MAX_BALANCE);
         }
@@ -342,11 +351,11 @@ impl ElementLights {
         irradiance.map(|irradiance| (sent + reflectance * (irradiance - mean)).max(Rgb::ZERO))
     }
 
-    /// Returns the mean irradiance of a leaf from elements, lx.
+    /// Returns the mean irradiance of a leaf from elements, without caustics, lx.
     fn mean_irradiance_from_elements(&self, scene: &Scene<'_>, arena: &Arena, index: usize) -> Rgb {
         let element = &arena.elements[index];
         if let Some(directional) = element.directional() {
-            let arriving = self.directional_irradiance(directional, index, FROM_ELEMENTS);
+            let arriving = self.directional_irradiance_from_elements(directional, index);
             let at = |normal: Vec3A| arriving.cosine_integral(normal);
             if let Shape::Curved(curved) = &element.shape {
                 return curved_normals(scene, &curved.part).map(at).sum::<Rgb>() / CURVED_NORMALS as f32;
@@ -355,25 +364,26 @@ impl ElementLights {
             for_each_normal(scene, arena.members(element), |_, normal, area| flux += at(normal) * area);
             return flux / element.size();
         }
-        let nodes = self.node_irradiance(index, FROM_ELEMENTS);
+        let nodes = self.node_irradiance_from_elements(index);
         let count = element.node_count();
         nodes[..count].iter().copied().sum::<Rgb>() / count as f32
     }
 
-    /// Returns the radiosity of a leaf by light that it receives and reflects directly from light sources, lx; for fog per m.
+    /// Returns the radiosity of a leaf by light that it receives and reflects from light sources, directly or as caustics, lx; for fog per m.
     fn first_radiosity(&self, element: &Element, index: usize) -> Rgb {
-        let nodes = self.node_irradiance(index, FROM_LAMPS);
+        let mut nodes = self.node_irradiance(index, FROM_LAMPS);
+        nodes.iter_mut().zip(self.caustic_irradiance(index)).for_each(|(light, caustic)| *light += caustic);
         let mean = || nodes[..element.node_count()].iter().copied().sum::<Rgb>() / element.node_count() as f32;
         match &element.shape {
             Shape::Patch(patch) => patch.part.reflectance * mean(),
             Shape::Volume(fog) => fog.sigma_s * mean(),
             Shape::Curved(curved) => {
                 let light = self.directional_irradiance(curved.directional as usize, index, FROM_LAMPS);
-                curved.part.reflectance * light.total() * 0.25
+                curved.part.reflectance * (light.total() * 0.25 + self.caustic_irradiance(index)[0])
             }
             Shape::Cluster(cluster) => {
                 let light = self.directional_irradiance(cluster.directional as usize, index, FROM_LAMPS);
-                cluster.reflectance * light.total() * 0.25
+                cluster.reflectance * (light.total() * 0.25 + self.caustic_irradiance(index)[0])
             }
         }
     }
@@ -424,7 +434,9 @@ impl ElementLights {
     fn push_to(&mut self, arena: &Arena, index: usize, kind: usize) {
         let element = &arena.elements[index];
         let Some(parent) = arena.elements.get(element.parent as usize) else { return };
-        let above = parent.directional().map(|directional| self.incident[directional].total[kind]);
+        // Shadow rays measure the light of lamps better than weights.
+        let weighted = (kind == FROM_ELEMENTS).then(|| self.light_from_clusters(arena, index)).flatten();
+        let above = parent.directional().map(|above| weighted.unwrap_or(self.incident[above].total[kind]));
         if let Some(directional) = element.directional() {
             if let Some(above) = above {
                 self.incident[directional].total[kind] += above;
@@ -455,31 +467,64 @@ impl ElementLights {
         self.elements[index].total[kind] = whole;
     }
 
-    /// Returns the irradiance at an element's nodes from sources or from elements.
+    /// Returns the light by direction that a whole surface receives from elements through the links of the clusters around it, each with
+    /// the surface's weight. `None` if no weights are known.
+    fn light_from_clusters(&self, arena: &Arena, index: usize) -> Option<Harmonics> {
+        let total = |cluster: u32| {
+            let directional = arena.elements.get(cluster as usize)?.directional()?;
+            Some(self.incident[directional].total[FROM_ELEMENTS])
+        };
+        let mut light = None;
+        for (cluster, weight) in self.cluster_weights.clusters_of(arena, index) {
+            let above = total(arena.elements[cluster as usize].parent).unwrap_or(Harmonics::ZERO);
+            let own = total(cluster)? + above * Rgb::splat(-1.0);
+            *light.get_or_insert(Harmonics::ZERO) += own * Rgb::splat(weight);
+        }
+        light
+    }
+
+    /// Returns the irradiance at an element's nodes from sources, or from elements and as caustics.
     pub fn node_irradiance(&self, index: usize, from: usize) -> [Rgb; 4] {
-        let mut values = self.elements[index].total[from];
         if from == FROM_LAMPS {
+            let mut values = self.elements[index].total[from];
             let beyond = self.lamp_scale[index].into_iter().zip(self.lamp_correction[index]);
             values.iter_mut().zip(beyond).for_each(|(value, (scale, more))| *value = *value * scale + more);
-        } else {
-            let beyond = self.row_scale[index].into_iter().zip(self.ray_correction[index]);
-            values
-                .iter_mut()
-                .zip(beyond)
-                .for_each(|(value, (scale, more))| *value = (*value * scale + more) * self.balance);
+            return values;
         }
+        let mut values = self.node_irradiance_from_elements(index);
+        values.iter_mut().zip(self.caustic_irradiance(index)).for_each(|(value, caustic)| *value += caustic);
         values
     }
 
-    /// Returns the light by direction that a leaf receives from sources or from elements.
+    fn node_irradiance_from_elements(&self, index: usize) -> [Rgb; 4] {
+        let mut values = self.elements[index].total[FROM_ELEMENTS];
+        let beyond = self.row_scale[index].into_iter().zip(self.ray_correction[index]);
+        values
+            .iter_mut()
+            .zip(beyond)
+            .for_each(|(value, (scale, more))| *value = (*value * scale + more) * self.balance);
+        values
+    }
+
+    /// Returns the irradiance at an element's nodes by caustics, lx.
+    fn caustic_irradiance(&self, index: usize) -> [Rgb; 4] {
+        self.caustics.get(index).copied().unwrap_or([Rgb::ZERO; 4])
+    }
+
+    /// Returns the light by direction that a leaf receives from sources, or from elements and as caustics.
     /// - `directional`: index of the leaf's light by direction.
     pub fn directional_irradiance(&self, directional: usize, index: usize, from: usize) -> Harmonics {
-        let IncidentLight { total: whole, ray_correction: more, .. } = self.incident[directional];
         if from == FROM_LAMPS {
-            return whole[from] * Rgb::splat(self.lamp_scale[index][0])
+            return self.incident[directional].total[from] * Rgb::splat(self.lamp_scale[index][0])
                 + Harmonics::from_irradiance(self.lamp_correction[index][0]);
         }
-        (whole[from] * Rgb::splat(self.row_scale[index][0]) + more) * self.balance
+        self.directional_irradiance_from_elements(directional, index)
+            + Harmonics::from_irradiance(self.caustic_irradiance(index)[0])
+    }
+
+    fn directional_irradiance_from_elements(&self, directional: usize, index: usize) -> Harmonics {
+        let IncidentLight { total: whole, ray_correction: more } = self.incident[directional];
+        (whole[FROM_ELEMENTS] * Rgb::splat(self.row_scale[index][0]) + more) * self.balance
     }
 
     /// Computes the light that a leaf sends from the light that it receives.

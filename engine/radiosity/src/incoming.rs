@@ -10,7 +10,7 @@ use crate::gather::ElementLights;
 use crate::link::Link;
 use crate::lobes::{Part, fit};
 use crate::portals::{self, Line, Portal};
-use crate::rays::{IncidentSegment, Rays, SentLight};
+use crate::rays::{BentLamps, IncidentSegment, Rays, SentLight};
 use crate::scene::Scene;
 use femc_field::{Block, Directions, Guide, LOBES, Lobe, NONE, SurfaceSpot};
 use femc_math::color::luminance;
@@ -66,7 +66,7 @@ pub fn of_groups(
     portals: &[Portal],
     purpose: Purpose,
 ) -> Vec<(f32, Vec<Lobe>)> {
-    let light_sent = SentLight::new(arena, lights);
+    let light_sent = SentLight::new(arena, lights, BentLamps::Included);
     groups
         .par_iter()
         .map(|(group, leaves)| {
@@ -127,7 +127,7 @@ pub fn portals(scene: &Scene<'_>, arena: &Arena, lights: &ElementLights, rays: &
 
 /// Returns ways that are much brighter than the mean of their leaf.
 fn bright(scene: &Scene<'_>, arena: &Arena, lights: &ElementLights, rays: &Rays, leaves: &[u32]) -> Vec<Line> {
-    let light_sent = SentLight::new(arena, lights);
+    let light_sent = SentLight::new(arena, lights, BentLamps::Included);
     let light = |leaf: u32| f64::from(arena.elements[leaf as usize].size() * lights.elements[leaf as usize].mean);
     let roots: Vec<u32> = leaves.iter().map(|&leaf| root(arena, leaf)).collect();
     let mut sums: HashMap<u32, [f64; 2]> = HashMap::new();

@@ -9,15 +9,17 @@
 //! pi cd/m2), lengths in m, prepared frame. Sources: \[hanrahan1991\] (links between levels), \[smits1994\] (clusters),
 //! \[sillion1995\] (fog), \[bekaert1996\] (the error of a link from the values at its receiver's points).
 //!
-//! Only rays find the light that mirrors and clear solids pass on. Glossy reflection counts as diffuse. Light is passed on with
+//! Only rays find the light of elements that mirrors and clear solids pass on, and only particles that of lamps. Glossy reflection counts as diffuse. Light is passed on with
 //! isotropic phase functions; the field has the mean direction of the light in fog.
 #![deny(missing_docs)]
 
 mod arena;
 pub mod bounds;
 mod bytes;
+mod caustics;
 mod census;
 mod element;
+mod exits;
 mod factor;
 mod fewer;
 mod fog;

@@ -9,11 +9,13 @@
 mod aims;
 mod bytes;
 mod correct;
+mod exits;
 mod plan;
 mod trace;
 
 pub use aims::Aims;
 pub use plan::{RayPlan, are_complete, block_range, ray_leaves};
+pub use trace::{Landing, PathKind, fog_part, follow_path, leaf_part};
 
 use crate::arena::Arena;
 use crate::element::{Element, Shape};
@@ -34,16 +36,18 @@ const MAX_PARTS: usize = 4;
 /// Hit of a ray.
 #[derive(Clone, Copy, Debug)]
 struct RayHit {
-    /// Leaf that was hit; [`NONE`] for a lamp, or for no hit.
+    /// Leaf that was hit, or [`NONE`].
     leaf: u32,
     /// Irradiance of the ray's origin, if all rays had this hit, relative to the leaf's radiosity; for fog, relative to its
-    /// irradiance; for a lamp, in lx.
+    /// irradiance.
     share: f32,
+    /// Irradiance of the ray's origin by lamps that it sees through mirrors or refracting solids, if all rays had this hit, lx.
+    lamp: f32,
     /// Normal at the hit, in 127ths.
     normal: [i8; 3],
     /// Normal at the ray's origin, in 127ths.
     origin_normal: [i8; 3],
-    /// Part of the leaf; 0 for fog and for lamps.
+    /// Part of the leaf.
     part: u8,
     /// Whether the leaf receives light through this ray: no mirror is between.
     is_two_way: bool,
@@ -139,6 +143,7 @@ impl RayHit {
     const MISS: Self = Self {
         leaf: NONE,
         share: 0.0,
+        lamp: 0.0,
         normal: [0; 3],
         origin_normal: [0; 3],
         part: 0,
@@ -150,7 +155,7 @@ impl RayHit {
 }
 
 /// Returns the number of parts of a leaf from which rays begin.
-fn part_count(element: &Element) -> usize {
+pub fn part_count(element: &Element) -> usize {
     if element.is_triangle() { 3 } else { MAX_PARTS }
 }
 
@@ -286,7 +291,7 @@ impl Rays {
 
     /// Returns by leaf of a surface, in the order of their indices, the light of its ways, lm, and the sum of its squares.
     pub fn leaf_light(&self, arena: &Arena, lights: &ElementLights) -> Vec<(u32, [f32; 2])> {
-        let light = SentLight::new(arena, lights);
+        let light = SentLight::new(arena, lights, BentLamps::Included);
         let of = |place: usize| {
             let leaf = self.leaves[place];
             let size = arena.elements[leaf as usize].size();
@@ -339,24 +344,36 @@ impl Rays {
 #[derive(Debug)]
 pub struct SentLight<'a> {
     lights: &'a ElementLights,
+    /// Light of lamps behind mirrors and clear solids.
+    lamps: BentLamps,
     /// Output of [`ElementLights::part_radiosity`] by element; 0 for elements that are not leaves.
     parts: Vec<[Rgb; 4]>,
 }
 
+/// Light of lamps that rays see through mirrors and clear solids.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BentLamps {
+    /// It counts: guides lead to such lamps.
+    Included,
+    /// It does not count: the particles of [`crate::caustics`] bring it.
+    Excluded,
+}
+
 impl<'a> SentLight<'a> {
-    pub fn new(arena: &Arena, lights: &'a ElementLights) -> Self {
+    pub fn new(arena: &Arena, lights: &'a ElementLights, lamps: BentLamps) -> Self {
         let of = |(index, element): (usize, &Element)| {
             if element.is_leaf() { lights.part_radiosity(element, index) } else { [Rgb::ZERO; 4] }
         };
-        Self { lights, parts: arena.elements.par_iter().enumerate().map(of).collect() }
+        Self { lights, lamps, parts: arena.elements.par_iter().enumerate().map(of).collect() }
     }
 
     /// Returns the irradiance of a ray's origin, if all rays had this hit, lx.
     fn received_irradiance(&self, arena: &Arena, hit: &RayHit) -> Rgb {
+        let of_lamps = if self.lamps == BentLamps::Included { Rgb::splat(hit.lamp) } else { Rgb::ZERO };
         if hit.leaf == NONE {
-            return Rgb::splat(hit.share);
+            return of_lamps;
         }
-        self.radiosity(arena, hit.leaf, usize::from(hit.part), unpack_normal(hit.normal)) * hit.share
+        self.radiosity(arena, hit.leaf, usize::from(hit.part), unpack_normal(hit.normal)) * hit.share + of_lamps
     }
 
     /// Returns the radiosity of a part of a leaf, as [`ElementLights::part_radiosity`], lx. A leaf that is bright only in a place that few rays reach, such

@@ -8,8 +8,10 @@ pub use solution::Solution;
 pub(crate) use solution::surface_leaves;
 
 use crate::arena::Arena;
+use crate::caustics::Caustics;
 use crate::census::Census;
 use crate::element::Element;
+use crate::exits::ClusterWeights;
 use crate::gather::ElementLights;
 use crate::link::Link;
 use crate::portals::Portal;
@@ -185,16 +187,20 @@ impl<'a> Solver<'a> {
         }
         solver.estimate_irradiance(0);
         let mut dark = vec![[root, root]];
+        let (caustics, rays) = Caustics::trace(scene, &solver.state.arena);
+        solver.state.report.rays += rays;
         for (round, coarse) in ERROR_LEVELS.into_iter().enumerate() {
             let is_last = round + 1 == ERROR_LEVELS.len();
             solver.state.report.inexact_links = 0;
             let error = options.error * coarse;
             // Direct light first, then the light between elements.
             solver.link_lamps(error.min(MAX_LAMP_ERROR), round == 0)?;
+            solver.refine_caustics(&caustics, error)?;
             if round == 0 {
                 solver.state.lights.reflect_all(scene, &solver.state.arena);
             }
             solver.refine_links(error, &mut dark)?;
+            solver.set_caustics(&caustics);
             let SolverState { arena, lights, links, report, .. } = &mut solver.state;
             report.row_sum = lights.bound_rows(scene, arena, links);
             solver.iterate(if is_last { TARGET_RESIDUAL } else { COARSE_RESIDUAL })?;
@@ -245,7 +251,10 @@ impl<'a> Solver<'a> {
             return Ok(());
         }
         let mut contrast = Vec::new();
-        let SolverState { arena, lights, .. } = &mut self.state;
+        let SolverState { arena, lights, links, report, .. } = &mut self.state;
+        lights.cluster_weights = ClusterWeights::from_exit_shares(arena, rays.exit_shares(arena));
+        report.row_sum = lights.bound_rows(self.scene, arena, links);
+        lights.gather(arena, links);
         let lamp_contrast = rays.correct_lamps(arena, lights, self.options.error);
         rays.measure_arriving_shares(arena, lights);
         let checks = if self.state.is_finished() { RAY_CHECKS } else { COARSE_RAY_CHECKS };

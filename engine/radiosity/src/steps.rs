@@ -9,6 +9,7 @@
 use crate::arena::Arena;
 use crate::bytes::{Reader, StepDecodeError, Writer, colors_from_floats, position_from_floats, to_floats};
 use crate::element::Element;
+use crate::exits::ClusterWeights;
 use crate::gather::{ElementLight, ElementLights, FROM_ELEMENTS, FROM_LAMPS, IncidentLight};
 use crate::incoming::{self, Purpose};
 use crate::link::Link;
@@ -179,7 +180,7 @@ impl SolverState {
         writer.number(rays);
         writer.rows(&[[residual, row_sum, imbalance, checked, corrected]]);
         let [r, g, b] = self.lights.balance.to_array();
-        writer.rows(&[[r, g, b, self.lights.bent_lamp_flux, self.lights.share_variance]]);
+        writer.rows(&[[r, g, b, self.lights.share_variance]]);
         writer.numbers(self.arena.splits.iter().copied());
         writer.numbers(self.uneven_leaves.iter().copied());
         portals::write(&self.portals, &mut writer);
@@ -187,11 +188,13 @@ impl SolverState {
             elements: lights,
             incident,
             intensity,
+            cluster_weights,
             row_scale,
             lamp_scale,
             lamp_correction,
             ray_correction,
             arriving_share,
+            caustics,
             ..
         } = &self.lights;
         let brightness = |light: &ElementLight| {
@@ -200,11 +203,15 @@ impl SolverState {
             [r, g, b, *darkest, *brightest, *mean, *least]
         };
         writer.rows(&lights.iter().map(brightness).collect::<Vec<_>>());
+        writer.number(cluster_weights.weights.len() as u64);
+        writer.rows(&cluster_weights.weights.iter().map(|weight| [*weight]).collect::<Vec<_>>());
         writer.rows(row_scale);
         writer.rows(lamp_scale);
         writer.rows(&lamp_correction.iter().map(to_floats::<4, 12>).collect::<Vec<_>>());
         writer.rows(arriving_share);
         writer.rows(&ray_correction.iter().map(to_floats::<4, 12>).collect::<Vec<_>>());
+        writer.number(caustics.len() as u64);
+        writer.rows(&caustics.iter().map(to_floats::<4, 12>).collect::<Vec<_>>());
         // Wide elements store their light by direction, others at their nodes.
         let elements = || self.arena.elements.iter().zip(lights);
         let own = |kind: usize| -> Vec<[f32; 12]> {
@@ -237,7 +244,7 @@ impl SolverState {
             [number()?, number()?, number()?, number()?, number()?, number()?];
         let rays = reader.number()?;
         let [residual, row_sum, imbalance, checked, corrected] = reader.rows::<5>(1)?[0];
-        let [r, g, b, bent_lamp_flux, share_variance] = reader.rows::<5>(1)?[0];
+        let [r, g, b, share_variance] = reader.rows::<4>(1)?[0];
         let needs_more_rays = worth_more != 0;
         let report = SolveReport {
             lamp_links,
@@ -276,13 +283,18 @@ impl SolverState {
             let radiosity = Rgb::from_array([r, g, b]);
             *light = ElementLight { radiosity, darkest, brightest, mean, min_mean: least, ..ElementLight::ZERO };
         }
+        let number = usize::try_from(reader.number()?).unwrap_or(usize::MAX);
+        let weights = reader.rows::<1>(number)?.into_iter().map(|[weight]| weight).collect();
+        lights.cluster_weights = ClusterWeights::from_numbers(&arena, weights).ok_or(OTHER_ELEMENTS)?;
         lights.row_scale = reader.rows::<4>(count)?;
         lights.lamp_scale = reader.rows::<4>(count)?;
         lights.lamp_correction = reader.rows::<12>(count)?.iter().map(|row| colors_from_floats(row)).collect();
         lights.arriving_share = reader.rows::<4>(count)?;
         (lights.has_measured_shares, lights.balance) = (measured != 0, Rgb::from_array([r, g, b]));
-        (lights.bent_lamp_flux, lights.share_variance) = (bent_lamp_flux, share_variance);
+        lights.share_variance = share_variance;
         lights.ray_correction = reader.rows::<12>(count)?.iter().map(|row| colors_from_floats(row)).collect();
+        let of_caustics = if reader.number()? == 0 { 0 } else { count };
+        lights.caustics = reader.rows::<12>(of_caustics)?.iter().map(|row| colors_from_floats(row)).collect();
         let elements = || arena.elements.iter().enumerate();
         let at_nodes: Vec<usize> =
             elements().filter(|(_, element)| !element.is_directional()).map(|(index, _)| index).collect();

@@ -1,7 +1,7 @@
 //! Estimate of the lamps' light that reaches a clear solid or a mirror before anything scatters it.
 //!
-//! Shadow rays do not find this light. The finite-element first pass has few rays for it, and path tracing hits such lamps only by
-//! chance.
+//! Shadow rays do not find this light. The finite-element first pass has it as sharply as its elements are small, and path tracing
+//! hits such lamps only by chance.
 
 use crate::description::{Photometry, Scene};
 use crate::world::{EmissionSampler, LightPathEnd, Scope, SplitMix64, light_sources, trace_light};

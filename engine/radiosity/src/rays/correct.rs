@@ -1,11 +1,14 @@
 //! Scaling of the links' light to that of the rays.
 
 use super::trace::unpack_normal;
-use super::{MAX_PARTS, MisHeuristic, RaySample, Rays, SentLight, part_count};
+use super::{BentLamps, MAX_PARTS, MisHeuristic, RaySample, Rays, SentLight, part_count};
 use crate::arena::Arena;
 use crate::element::Element;
+use crate::exits::is_root;
 use crate::gather::{ElementLights, FROM_ELEMENTS, FROM_LAMPS};
-use crate::tuning::{CHANCE_VARIANCES, MAX_RAY_SCALE, MIN_RELATIVE_VARIANCE, ROUGH_ERROR};
+use crate::tuning::{
+    CHANCE_VARIANCES, CHANCE_VARIANCES_OF_RARE_HITS, MAX_RAY_SCALE, MIN_RELATIVE_VARIANCE, RAYS_OF_WHOLE, ROUGH_ERROR,
+};
 use femc_field::{Harmonics, NONE};
 use femc_math::Rgb;
 use femc_math::color::luminance;
@@ -34,6 +37,8 @@ struct Noise {
 enum VarianceEstimator {
     /// Few rays hit something bright: the variance follows from the estimate of the part above and the light of such rays.
     RareHits,
+    /// As `RareHits`, for scenes with fog, where very few rays hit the bright fog around a lamp.
+    RareHitsInFog,
     /// All rays find similar light: the variance of the rays themselves, and a minimum, since few rays may be alike by chance.
     Measured,
 }
@@ -48,8 +53,9 @@ struct PartSums {
     color: Rgb,
     /// Light of the leaves' own rays, which are stratified, lm.
     own_rays: f32,
-    /// Sum over the ways of their light times the light if all rays of the leaf found as much, lm lx.
-    squares: f32,
+    /// Sums over the ways of their light times the light if all rays of the leaf found as much, lm lx: of the leaves' own rays, and of
+    /// others' rays.
+    squares: [f32; 2],
     /// Light of the brightest way, lm.
     max_sample: f32,
     /// Measured variance of the rays' light, lm2.
@@ -78,14 +84,14 @@ impl PartSums {
         self.rays += light;
         self.own_rays += if is_own { light } else { 0.0 };
         self.color += color;
-        self.squares += light * bright;
+        self.squares[usize::from(!is_own)] += light * bright;
         self.max_sample = self.max_sample.max(light);
     }
 
     /// Measures the variance of the rays' light, after the light of all rays of a part was added, one sample for each ray.
     /// - `number`: number of rays of the part.
     fn measure_variance(&mut self, number: f32) {
-        let variance = self.area * self.squares - self.rays * self.rays;
+        let variance = self.area * self.squares[0] - self.rays * self.rays;
         self.measured_variance = variance.max(0.0) / (number - 1.0).max(1.0);
     }
 
@@ -96,15 +102,29 @@ impl PartSums {
         self.own_rays += other.own_rays;
         self.links += other.links;
         self.color += other.color;
-        self.squares += other.squares;
+        self.squares.iter_mut().zip(other.squares).for_each(|(sum, part)| *sum += part);
         self.max_sample = self.max_sample.max(other.max_sample);
         self.variances.iter_mut().zip(other.variances).for_each(|(sum, part)| *sum += part);
     }
 
-    /// Returns the irradiance of a ray that hits something bright, lx. It is no less than in the part above, since few rays may
-    /// have missed that.
-    fn bright(&self, above: f32) -> f32 {
-        if self.rays > 0.0 { above.max(self.squares / self.rays) } else { above }
+    /// Returns the irradiance of a ray that hits something bright, lx, of the leaves' own rays and of others' rays. Few of the own rays
+    /// may have missed what is bright, so the part above counts like [`RAYS_OF_WHOLE`] further rays; in fog, there is no less than above. Nothing is known about the number
+    /// of others' rays, so that irradiance is no less than in the part above.
+    fn bright(&self, above: [f32; 2], estimator: VarianceEstimator) -> [f32; 2] {
+        let others_rays = self.rays - self.own_rays;
+        let mut bright = above;
+        if self.own_rays > 0.0 {
+            let number = self.area * self.area / self.variances[0].max(f32::MIN_POSITIVE);
+            let own = self.squares[0] / self.own_rays;
+            bright[0] = match estimator {
+                VarianceEstimator::RareHitsInFog => own.max(above[0]),
+                _ => (number * own + RAYS_OF_WHOLE * above[0]) / (number + RAYS_OF_WHOLE),
+            };
+        }
+        if others_rays > 0.0 {
+            bright[1] = bright[1].max(self.squares[1] / others_rays);
+        }
+        bright
     }
 
     /// Returns the share of the leaves' own rays in the light. It is no more than in the part above, since the others' rays may
@@ -121,8 +141,8 @@ impl PartSums {
     /// Returns the estimate of the light here.
     /// - `above`: estimate of the part above;
     fn estimate(&self, above: &LightEstimate, noise: Noise) -> LightEstimate {
-        let (scale, extra, LightEstimate { bright, own_share: own, .. }) =
-            (above.scale, luminance(above.extra), *above);
+        let (scale, extra, LightEstimate { own_share: own, .. }) = (above.scale, luminance(above.extra), *above);
+        let bright = self.bright(above.bright, noise.estimator);
         let before = self.light(above);
         // A single ray that hit the fog at a lamp does not prove more light.
         let rays = if self.rays > before { (self.rays - self.max_sample).max(before) } else { self.rays };
@@ -131,7 +151,10 @@ impl PartSums {
         let once = scale * links + extra * area;
         let twice = scale * scale * squares + 2.0 * scale * extra * links + extra * extra * area;
         let variance = match noise.estimator {
-            VarianceEstimator::RareHits => (bright * once - own * own * twice).max(0.0),
+            VarianceEstimator::RareHits | VarianceEstimator::RareHitsInFog => {
+                let bright = own * bright[0] + (1.0 - own) * bright[1];
+                (bright * once - own * own * twice).max(0.0)
+            }
             VarianceEstimator::Measured => self.measured_variance + MIN_RELATIVE_VARIANCE * twice,
         };
         let difference = rays - before;
@@ -193,7 +216,6 @@ impl Rays {
         let is_surface = |leaf: u32| leaf != NONE && !arena.elements[leaf as usize].is_volume();
         let has_mirrors = self.hits.iter().any(|hit| !hit.is_two_way && is_surface(hit.leaf));
         lights.has_measured_shares = !has_mirrors;
-        lights.bent_lamp_flux = self.bent_lamp_flux(arena);
     }
 
     /// Returns the share of the rays of each part of a leaf that hit something, and its variance.
@@ -212,17 +234,6 @@ impl Rays {
             (shares[part], variances[part]) = (mean, (square - mean * mean).max(0.0) / all[part][1]);
         }
         (shares, variances)
-    }
-
-    /// Returns the luminous flux from lamps that the leaves' rays have found, lm.
-    fn bent_lamp_flux(&self, arena: &Arena) -> f32 {
-        let of_leaf = |(place, &leaf): (usize, &u32)| {
-            let hits = &self.hits[self.first[place] as usize..self.first[place + 1] as usize];
-            let of_lamps = hits.iter().filter(|hit| hit.leaf == NONE && hit.density[0] > 0.0);
-            let irradiance = of_lamps.map(|hit| f64::from(hit.share / hit.density[0])).sum::<f64>();
-            irradiance * f64::from(luminance(arena.elements[leaf as usize].received_share()))
-        };
-        self.leaves.iter().enumerate().map(of_leaf).sum::<f64>() as f32
     }
 
     /// Sets the light that the leaves receive in addition to that of the links.
@@ -285,10 +296,14 @@ impl Rays {
     /// Compares the light of rays with that of links.
     /// - `kind`: [`FROM_LAMPS`] or [`FROM_ELEMENTS`].
     fn compare(&self, arena: &Arena, lights: &ElementLights, kind: usize, error: f32) -> Comparison {
-        let chance = CHANCE_VARIANCES * (ROUGH_ERROR / error).max(1.0);
-        let estimator = if kind == FROM_LAMPS { VarianceEstimator::Measured } else { VarianceEstimator::RareHits };
+        let (chance, estimator) = match kind {
+            FROM_LAMPS => (CHANCE_VARIANCES_OF_RARE_HITS, VarianceEstimator::Measured),
+            _ if arena.fog != NONE => (CHANCE_VARIANCES_OF_RARE_HITS, VarianceEstimator::RareHitsInFog),
+            _ => (CHANCE_VARIANCES, VarianceEstimator::RareHits),
+        };
+        let chance = chance * (ROUGH_ERROR / error).max(1.0);
         let noise = Noise { chance, estimator };
-        let sent = (kind == FROM_ELEMENTS).then(|| SentLight::new(arena, lights));
+        let sent = (kind == FROM_ELEMENTS).then(|| SentLight::new(arena, lights, BentLamps::Excluded));
         let by_leaf: Vec<[PartSums; MAX_PARTS]> = (0..self.leaves.len())
             .into_par_iter()
             .map(|place| {
@@ -322,24 +337,23 @@ impl Rays {
         for index in (0..arena.elements.len()).rev() {
             let element = &arena.elements[index];
             let part = sums[index];
-            if is_root(arena, element) {
+            if is_root(arena, index as u32) {
                 all.add(&part);
             } else if element.surface_part().is_some() || (element.is_volume() && index != arena.fog as usize) {
                 sums[element.parent as usize].add(&part);
             }
         }
         // A parent comes before its children. The total of its parts is known best.
-        let whole = all.estimate(&LightEstimate::links(&all), noise);
+        let whole = all.estimate(&LightEstimate::links(&all, noise.estimator), noise);
         let mut known = vec![whole; arena.elements.len()];
-        let roots: Vec<u32> =
-            (0..arena.elements.len() as u32).filter(|&index| is_root(arena, &arena.elements[index as usize])).collect();
+        let roots: Vec<u32> = (0..arena.elements.len() as u32).filter(|&index| is_root(arena, index)).collect();
         let parts: Vec<PartSums> = roots.iter().map(|&root| sums[root as usize]).collect();
         for (&root, part) in roots.iter().zip(whole.part_estimates(&all, noise, &parts)) {
             known[root as usize] = part;
         }
         if let Some(fog) = sums.get(arena.fog as usize) {
             // The fog is a tree of its own, whose parts have volumes.
-            let nothing = LightEstimate::links(fog);
+            let nothing = LightEstimate::links(fog, noise.estimator);
             known[arena.fog as usize] = fog.estimate(&nothing, noise);
         }
         for (index, element) in arena.elements.iter().enumerate() {
@@ -385,28 +399,32 @@ struct LightEstimate {
     scale: f32,
     /// Additional irradiance, lx.
     extra: Rgb,
-    /// Irradiance of a ray that hits something bright, lx.
-    bright: f32,
+    /// Irradiance of a ray that hits something bright, lx: of the leaves' own rays, and of others' rays.
+    bright: [f32; 2],
     /// Share of the leaves' own rays in the light.
     own_share: f32,
 }
 
 impl LightEstimate {
     /// Returns the estimate that the links have, for the whole of all parts.
-    fn links(all: &PartSums) -> Self {
-        Self { scale: 1.0, extra: Rgb::ZERO, bright: all.bright(0.0), own_share: all.own_share(1.0) }
+    fn links(all: &PartSums, estimator: VarianceEstimator) -> Self {
+        Self { scale: 1.0, extra: Rgb::ZERO, bright: all.bright([0.0; 2], estimator), own_share: all.own_share(1.0) }
     }
 
     /// Returns the estimates of the parts of a whole. Together they have the light of the whole.
     fn part_estimates(self, whole: &PartSums, noise: Noise, parts: &[PartSums]) -> Vec<Self> {
-        let above = Self { bright: whole.bright(self.bright), own_share: whole.own_share(self.own_share), ..self };
+        let above = Self {
+            bright: whole.bright(self.bright, noise.estimator),
+            own_share: whole.own_share(self.own_share),
+            ..self
+        };
         let known: Vec<Self> = parts.iter().map(|part| part.estimate(&above, noise)).collect();
         let together: f32 = parts.iter().zip(&known).map(|(part, known)| part.light(known)).sum();
         let more = (whole.light(&self) / together.max(f32::MIN_POSITIVE)).min(MAX_RAY_SCALE);
         let of = |(part, known): (&PartSums, Self)| Self {
             scale: known.scale * more,
             extra: known.extra * more,
-            bright: part.bright(above.bright),
+            bright: part.bright(above.bright, noise.estimator),
             own_share: part.own_share(above.own_share),
         };
         parts.iter().zip(known).map(of).collect()
@@ -420,21 +438,14 @@ fn part_contrast(sums: &[PartSums], parts: &[LightEstimate]) -> f32 {
     high - low
 }
 
-/// Checks whether an element is a whole surface, or a cluster without parts.
-fn is_root(arena: &Arena, element: &Element) -> bool {
-    let parent = arena.elements.get(element.parent as usize);
-    let is_surface_root =
-        element.surface_part().is_some() && parent.is_none_or(|parent| parent.surface_part().is_none());
-    is_surface_root || element.is_cluster() && element.is_leaf()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     const RARE: Noise = Noise { chance: CHANCE_VARIANCES, estimator: VarianceEstimator::RareHits };
 
-    /// Rays of other leaves find a third of the light of all parts, but none reached one of them. That is chance, not a shadow.
+    /// Rays of other leaves find a third of the light of all parts, but none reached one of them. That is chance, not a shadow: the
+    /// difference is no more than two standard deviations.
     #[test]
     fn part_missed_by_rays_of_other_leaves_is_not_darkened() {
         let gray = |light: f32| Rgb::splat(light);
@@ -447,10 +458,28 @@ mod tests {
         let parts: Vec<PartSums> = [4, 3, 5, 0, 3, 3, 4, 2].map(part).to_vec();
         let mut all = PartSums::default();
         parts.iter().for_each(|part| all.add(part));
-        let nothing = LightEstimate::links(&all);
-        let known = nothing.part_estimates(&all, RARE, &parts);
+        let nothing = LightEstimate::links(&all, RARE.estimator);
+        let known = nothing.part_estimates(&all, Noise { chance: 4.0, ..RARE }, &parts);
         let scales: Vec<f32> = known.iter().map(|known| known.scale).collect();
         assert!(scales.iter().all(|scale| (scale - 1.0).abs() < 0.01), "{scales:?}");
+    }
+
+    /// Light has leaked into a closed box in a room with places that are twice as bright as the mean. All rays in the box find
+    /// the same light, 7 % less than the links. That is no chance.
+    #[test]
+    fn light_that_leaks_into_a_closed_box_is_removed() {
+        let part = |number: u16, links: f32, light: f32, brightest: f32| {
+            let mut sums = PartSums::new(1.0, f32::from(number), links);
+            let hits = f32::from(number) * light / brightest;
+            let each = |k: u16| if f32::from(k) < hits { brightest } else { 0.0 };
+            (0..number).for_each(|k| sums.add_sample(Rgb::splat(each(k) / f32::from(number)), each(k), true));
+            sums
+        };
+        let parts = [part(1000, 1.0, 1.0, 2.0), part(300, 0.215, 0.2, 0.2)];
+        let mut all = PartSums::default();
+        parts.iter().for_each(|part| all.add(part));
+        let known = LightEstimate::links(&all, RARE.estimator).part_estimates(&all, RARE, &parts);
+        assert!((known[1].scale * 0.215 / 0.2 - 1.0).abs() < 0.03, "{known:?}");
     }
 
     /// If links have no light, that of the rays is added, in the parts as in the whole.
@@ -464,7 +493,7 @@ mod tests {
         let parts = [part(3.0), part(5.0)];
         let mut all = PartSums::default();
         parts.iter().for_each(|part| all.add(part));
-        let nothing = LightEstimate::links(&all);
+        let nothing = LightEstimate::links(&all, RARE.estimator);
         let known = all.estimate(&nothing, RARE).part_estimates(&all, RARE, &parts);
         for (known, want) in known.iter().zip([3.0, 5.0]) {
             assert!((luminance(known.extra) / want - 1.0).abs() < 0.1, "{known:?} {want}");

@@ -28,7 +28,7 @@ pub(super) fn unpack_normal(normal: [i8; 3]) -> Vec3A {
 }
 
 /// Returns the part of a box of fog at a point, m: the part nearest to one of its nodes.
-fn fog_part(element: &Element, point: Vec3A) -> usize {
+pub fn fog_part(element: &Element, point: Vec3A) -> usize {
     let local = (point - element.center) / element.half_extent;
     let closeness = FOG_NODES.map(|node| node.dot(local));
     (1..FOG_NODES.len()).fold(0, |best, k| if closeness[k] > closeness[best] { k } else { best })
@@ -43,7 +43,7 @@ fn point_of_fog(element: &Element, part: usize, numbers: &mut RandomNumbers) -> 
 }
 
 /// Returns the part of a leaf at a position in it.
-fn leaf_part(element: &Element, local: Vec2) -> usize {
+pub fn leaf_part(element: &Element, local: Vec2) -> usize {
     if element.is_triangle() {
         let weights = [1.0 - local.x - local.y, local.x, local.y];
         (1..3).fold(0, |best, k| if weights[k] > weights[best] { k } else { best })
@@ -138,8 +138,45 @@ pub(super) fn direct_irradiance(
     light * tester.transmittance(scene, from, &to)
 }
 
-/// Traces a ray to its hit: a surface that scatters, the fog, or a lamp seen through a mirror or refracting glass. Mirrors and
-/// clear surfaces pass it on.
+/// Kind of quantity that a path carries.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PathKind {
+    /// Radiance along a ray of a leaf.
+    Radiance,
+    /// Flux from a lamp.
+    Flux,
+}
+
+/// End of a path through mirrors and clear surfaces.
+#[derive(Clone, Copy, Debug)]
+pub struct PathEnd {
+    pub at: Landing,
+    /// Luminance of lamps, for [`PathKind::Radiance`], that arrives at the path's origin, cd/m2.
+    pub lamp: f32,
+    /// Share of the radiance, by luminance, that arrives at the path's origin.
+    pub share: f32,
+    /// Share of the flux from the origin that arrives here, divided by the probability of the path.
+    pub flux: Rgb,
+    /// Length, m.
+    pub length: f32,
+    /// Whether a mirror or a refracting surface has changed the direction.
+    pub is_bent: bool,
+    /// Whether the path has left a surface by its specular lobes.
+    pub is_turned: bool,
+}
+
+/// Kind of end of a path.
+#[derive(Clone, Copy, Debug)]
+pub enum Landing {
+    /// A side of a surface that scatters, with the point's parameters and the normal of the side.
+    Surface { surface: u32, place: Vec2, normal: Vec3A },
+    /// A point in the fog, m.
+    Fog(Vec3A),
+    /// No element.
+    Nowhere,
+}
+
+/// Traces a ray to its hit: a surface that scatters, or the fog. Mirrors and clear surfaces pass it on.
 /// - `u`: numbers in [0, 1).
 pub(super) fn trace_ray(
     scene: &Scene<'_>,
@@ -149,56 +186,103 @@ pub(super) fn trace_ray(
     u: [f32; 2],
     tester: &mut VisibilityTester,
 ) -> RayHit {
-    let nothing = RayHit::MISS;
-    let mut way = 0.0;
-    let target = |way: f32| (from.position + dir * way).to_array();
-    let prepared = scene.prepared;
     let mut numbers = RandomNumbers::new(&[u64::from(u[0].to_bits()), u64::from(u[1].to_bits())]);
+    let end = follow_path(scene, arena, from, dir, PathKind::Radiance, &mut numbers, tester);
+    let PathEnd { share, is_turned, .. } = end;
+    let way = RayHit { lamp: PI * end.lamp, target: (from.position + dir * end.length).to_array(), ..RayHit::MISS };
+    let nothing = if end.lamp > 0.0 { way } else { RayHit::MISS };
+    match end.at {
+        Landing::Surface { surface, place, normal } => {
+            let (leaf, local) = arena.element_at(arena.roots[surface as usize], place, 0.0);
+            let part = leaf_part(&arena.elements[leaf as usize], local) as u8;
+            RayHit { leaf, share, normal: pack_normal(normal), part, is_two_way: !is_turned, ..way }
+        }
+        Landing::Fog(point) => {
+            let Some(leaf) = arena.fog_at(point) else { return nothing };
+            let part = fog_part(&arena.elements[leaf as usize], point) as u8;
+            RayHit { leaf, share, part, is_two_way: !is_turned, ..way }
+        }
+        Landing::Nowhere => nothing,
+    }
+}
+
+/// Follows a path through mirrors and clear surfaces.
+pub fn follow_path(
+    scene: &Scene<'_>,
+    arena: &Arena,
+    from: &SurfaceSpot,
+    dir: Vec3A,
+    kind: PathKind,
+    numbers: &mut RandomNumbers,
+    tester: &mut VisibilityTester,
+) -> PathEnd {
+    let prepared = scene.prepared;
     let mut ray = Ray {
         origin: offset_origin(from.position, from.error, from.normal, dir),
         dir,
         t_max: f32::INFINITY,
         time: SHUTTER_TIME,
     };
-    let (mut share, mut is_bent, mut is_turned, mut is_inside) = (1.0f32, false, false, false);
+    let mut end = PathEnd {
+        at: Landing::Nowhere,
+        lamp: 0.0,
+        share: 1.0,
+        flux: Rgb::ONE,
+        length: 0.0,
+        is_bent: false,
+        is_turned: false,
+    };
+    let mut is_inside = false;
     for _ in 0..=MAX_CLEAR_SURFACES {
         tester.rays += 1;
         let hit = prepared.world.intersect(&ray);
         let length = hit.as_ref().map_or(f32::INFINITY, |hit| hit.t);
         let media = &prepared.media;
+        // The light of a lamp in a clear solid begins inside.
+        is_inside |= kind == PathKind::Flux
+            && !media.is_empty()
+            && hit.as_ref().is_some_and(|hit| {
+                let point = prepared.shading_point(&ray, hit);
+                prepared.materials[point.material as usize].orientation != Orientation::TowardViewer
+                    && point.normal.dot(ray.dir) > 0.0
+            });
         if !media.is_empty()
             && !is_inside
             && media.find_intervals(ray.origin, ray.dir, length, &MediumStack::default(), &mut tester.media)
         {
             match media.sample_distance(&tester.media, f64::from(numbers.next()), numbers.next()) {
                 DistanceSample::Scatter(event) => {
-                    let point = ray.origin + ray.dir * event.t;
-                    let Some(leaf) = arena.fog_at(point) else { return nothing };
-                    let part = fog_part(&arena.elements[leaf as usize], point) as u8;
-                    let (share, target) = (share * luminance(event.weight), target(way + event.t));
-                    return RayHit { leaf, share, part, target, is_two_way: !is_turned, ..nothing };
+                    end.at = Landing::Fog(ray.origin + ray.dir * event.t);
+                    end.share *= luminance(event.weight);
+                    end.flux *= event.weight;
+                    end.length += event.t;
+                    return end;
                 }
-                DistanceSample::Through { weight } => share *= luminance(weight),
+                DistanceSample::Through { weight } => {
+                    end.share *= luminance(weight);
+                    end.flux *= weight;
+                }
             }
         }
-        let Some(hit) = hit else { return nothing };
-        way += length;
+        let Some(hit) = hit else { return end };
+        end.length += length;
         let point = prepared.shading_point(&ray, &hit);
         let is_back = point.normal.dot(ray.dir) > 0.0;
-        if is_bent && point.light != NONE {
+        let surface = scene.sides[hit.instance as usize][hit.primitive as usize][usize::from(is_back)];
+        let has_element = surface != NONE && arena.roots[surface as usize] != NONE;
+        if kind == PathKind::Radiance && end.is_bent && point.light != NONE {
             // Light that arrives without a change of direction is covered by the links with lamps.
             let (lights, world, textures) = (&prepared.lights, &prepared.world, &prepared.textures);
             let lamp = EmitterPoint { light: point.light, normal: point.normal, parametric: point.parametric };
             let radiance = lights.radiance(world, textures, &lamp, -ray.dir, SHUTTER_TIME);
-            if radiance != Rgb::ZERO {
-                return RayHit { share: share * PI * luminance(radiance), target: target(way), ..nothing };
-            }
+            end.lamp += end.share * luminance(radiance);
         }
         let material = &prepared.materials[point.material as usize];
         let crossing = material.crossing[usize::from(is_back)];
         let straight_through = luminance(crossing.straight_through());
-        if matches!(crossing, Crossing::Null { .. }) {
-            share *= straight_through;
+        if let Crossing::Null { tint } = crossing {
+            end.share *= straight_through;
+            end.flux *= tint;
             ray.origin = offset_origin(point.position, point.error, point.normal, ray.dir);
             continue;
         }
@@ -213,13 +297,15 @@ pub(super) fn trace_ray(
             specular_probability = if passed > 0.0 { passed / (passed + sent) } else { 0.0 };
             if numbers.next() < specular_probability {
                 let Some(sample) = delta.sample(wo, [numbers.next(), numbers.next()], numbers.next()) else {
-                    return nothing;
+                    return end;
                 };
-                share *= luminance(sample.weight) / specular_probability;
+                end.share *= luminance(sample.weight) / specular_probability;
+                // Radiance changes with the square of the index, flux does not.
+                end.flux *= sample.weight * (sample.eta * sample.eta / specular_probability);
                 let is_through = sample.transmitted == Transmitted::Yes;
                 let is_straight = sample.lobe == LobeKind::Delta && is_through && straight_through > 0.0;
-                is_bent |= !is_straight;
-                is_turned = true;
+                end.is_bent |= !is_straight;
+                end.is_turned = true;
                 is_inside ^= is_through && sample.eta != 1.0;
                 let dir = frame.to_world(sample.wi).normalize_or(normal);
                 let origin = offset_origin(point.position, point.error, point.normal, dir);
@@ -227,16 +313,15 @@ pub(super) fn trace_ray(
                 continue;
             }
         }
-        let surface = scene.sides[hit.instance as usize][hit.primitive as usize][usize::from(is_back)];
-        if surface == NONE || arena.roots[surface as usize] == NONE || share <= 0.0 {
-            return nothing;
+        if !has_element || end.share <= 0.0 {
+            return end;
         }
         let place = scene.surfaces[surface as usize].parameters(point.position, [hit.u, hit.v]);
-        let (leaf, local) = arena.element_at(arena.roots[surface as usize], place, 0.0);
-        let part = leaf_part(&arena.elements[leaf as usize], local) as u8;
         let normal = if is_back { -point.normal } else { point.normal };
-        let (share, normal) = (share / (1.0 - specular_probability), pack_normal(normal));
-        return RayHit { leaf, share, normal, part, is_two_way: !is_turned, target: target(way), ..nothing };
+        end.share /= 1.0 - specular_probability;
+        end.flux *= 1.0 / (1.0 - specular_probability);
+        end.at = Landing::Surface { surface, place, normal };
+        return end;
     }
-    nothing
+    end
 }

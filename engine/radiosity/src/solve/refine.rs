@@ -2,6 +2,7 @@
 
 use super::{Cancelled, Solver, SolverState};
 use crate::arena::Arena;
+use crate::caustics::{CausticLight, Caustics};
 use crate::element::Element;
 use crate::gather::FROM_LAMPS;
 use crate::lamps::{LampLink, LampLinkDecision};
@@ -158,6 +159,45 @@ impl Solver<'_> {
         }
         lights.push(arena, FROM_LAMPS);
         Ok(())
+    }
+
+    /// Sets the light of caustics on all elements. Returns the leaves that have some, and the difference between the irradiances of
+    /// their parts, lx.
+    pub(super) fn set_caustics(&mut self, caustics: &Caustics) -> Vec<(u32, f32)> {
+        if caustics.is_empty() {
+            return Vec::new();
+        }
+        let CausticLight { nodes, contrast } = caustics.light(&self.state.arena);
+        self.state.lights.caustics = nodes;
+        contrast
+    }
+
+    /// Splits leaves until each represents the light of caustics as exactly as requested.
+    pub(super) fn refine_caustics(&mut self, caustics: &Caustics, error: f32) -> Result<(), Cancelled> {
+        loop {
+            let contrast = self.set_caustics(caustics);
+            if contrast.is_empty() {
+                return Ok(());
+            }
+            if self.cancel.load(Ordering::Relaxed) {
+                return Err(Cancelled);
+            }
+            self.state.lights.reflect_all(self.scene, &self.state.arena);
+            let oracle = self.oracle(error, self.state.links.len());
+            let is_uneven = |&&(leaf, contrast): &&(u32, f32)| {
+                let element = &oracle.arena.elements[leaf as usize];
+                let allowed = oracle.allowed_error(element, &oracle.lights[leaf as usize]);
+                0.5 * contrast > allowed && oracle.may_split(leaf)
+            };
+            let uneven: Vec<u32> = contrast.iter().filter(is_uneven).map(|&(leaf, _)| leaf).collect();
+            if uneven.is_empty() {
+                return Ok(());
+            }
+            for leaf in uneven {
+                self.state.arena.ensure_children(self.scene, leaf);
+            }
+            self.state.lights.grow(self.scene, &self.state.arena);
+        }
     }
 
     /// Refines links until each is as exact as requested.

@@ -128,6 +128,47 @@ fn rays_measure_the_share_of_light_that_arrives() {
     assert!(foggy.iter().flatten().all(|share| (share - 1.0).abs() < 1e-5), "{foggy:?}");
 }
 
+/// A closed box of two-sided faces above a floor: what the clusters that contain the whole box receive goes to its outsides alone. All
+/// light of a cluster is distributed.
+#[test]
+fn light_of_a_cluster_does_not_reach_the_inside_of_a_box() {
+    let inner = outward_box([0.4; 3], [0.6; 3]);
+    let floor = face(&[[-1.0, -1.0, 0.0], [2.0, -1.0, 0.0], [2.0, 2.0, 0.0], [-1.0, 2.0, 0.0]]);
+    let prepared = prepare(&format!("m wood =\n  c\n  rd 0.9\nm wood\n{floor}{inner}"));
+    let scene = Scene::new(&prepared);
+    let mut state = SolverState::new(&prepared, &OPTIONS, &CANCEL).unwrap();
+    state.arena = super::full_arena(&scene);
+    state.lights = ElementLights::new(&state.arena);
+    let rays = cast(&scene, &state);
+    let SolverState { arena, lights, .. } = &mut state;
+    lights.cluster_weights = crate::exits::ClusterWeights::from_exit_shares(arena, rays.exit_shares(arena));
+    let middle = super::prepared_position(&prepared, [0.5; 3]);
+    let is_of_box = |index: usize| arena.elements[index].center.distance(middle) < 0.11;
+    let (mut inside, mut outside) = (0, 0);
+    let mut sums = vec![[0.0f32; 2]; arena.elements.len()];
+    for &root in &arena.roots {
+        let element = &arena.elements[root as usize];
+        let is_inside = is_of_box(root as usize) && (middle - element.center).dot(element.normal()) > 0.0;
+        for (cluster, weight) in lights.cluster_weights.clusters_of(arena, root as usize) {
+            sums[cluster as usize][0] += element.size();
+            sums[cluster as usize][1] += element.size() * weight;
+            let has_whole_box = arena.roots.iter().filter(|&&other| is_of_box(other as usize)).all(|&other| {
+                crate::exits::clusters_around(arena, arena.elements[other as usize].parent).any(|it| it == cluster)
+            });
+            if has_whole_box && is_inside {
+                assert_eq!(weight, 0.0, "{} in {cluster}", element.center);
+                inside += 1;
+            } else if is_of_box(root as usize) {
+                outside += i32::from(weight > 0.0);
+            }
+        }
+    }
+    assert!(inside >= 6 && outside >= 6, "{inside} {outside}");
+    for [area, weighted] in sums.into_iter().filter(|[area, _]| *area > 0.0) {
+        assert!((weighted / area - 1.0).abs() < 1e-4, "{weighted} of {area}");
+    }
+}
+
 /// Fog that absorbs nothing, everywhere.
 const FOG: &str = "medium fog =\n  c\n  sigma_s 1\nmglobal fog\n";
 

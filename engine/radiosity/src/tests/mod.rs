@@ -4,6 +4,7 @@
 #![expect(clippy::disallowed_methods, reason = "references may differ in their last bits between platforms")]
 
 mod bounds;
+mod caustics;
 mod clusters;
 mod elements;
 mod energy;

@@ -11,11 +11,12 @@ use std::sync::atomic::AtomicBool;
 static CANCEL: AtomicBool = AtomicBool::new(false);
 const OPTIONS: SolveOptions = SolveOptions { error: 2.0, memory: 1 << 22, guides: true };
 
-/// A floor, a screen, a ball, a lamp and fog: elements of all shapes.
+/// A floor, a screen, a ball, a lamp in glass and fog: elements of all shapes.
 fn world() -> Prepared {
     prepare(&format!(
         "medium haze =\n  sigma_s 0.1\nmbox haze -2 -2 0 2 2 2\nm gray =\n  sides 2\n  c\n  rd 0.6\nm gray\n{}{}\
-         v s =\n  p 0.5 -0.5 0.4\nsph s 0.3\nm bright =\n  c\n  ed 2000\nm bright\nv l =\n  p -1 1.5 1\nsph l 0.2\n",
+         v s =\n  p 0.5 -0.5 0.4\nsph s 0.3\nm bright =\n  c\n  ed 2000\nm bright\nv l =\n  p -1 1.5 1\nsph l 0.2\n\
+         m glass =\n  sides 1\n  ir 1.5 0\n  c\n  ts 1 0\nm glass\nsph l 0.3\n",
         face(&[[-2.0, -2.0, 0.0], [2.0, -2.0, 0.0], [2.0, 2.0, 0.0], [-2.0, 2.0, 0.0]]),
         face(&[[-2.0, 0.5, 0.0], [1.6, 0.5, 0.0], [1.6, 0.5, 2.0]]),
     ))
@@ -32,6 +33,10 @@ fn the_state_is_encoded_without_loss() {
     let state = SolverState::new(&world, &OPTIONS, &CANCEL).unwrap();
     let (elements, links) = (state.encode_elements(), state.encode_links());
     let again = SolverState::decode(&world, &elements, &links).unwrap();
+    assert!(
+        state.lights.caustics.iter().flatten().any(|light| light.x > 0.0)
+            && again.lights.caustics == state.lights.caustics
+    );
     assert!(again.encode_elements() == elements && again.encode_links() == links);
     assert_eq!(again.report().rays, state.report().rays);
     let [before, after] = [&state, &again].map(|state| {
@@ -80,7 +85,7 @@ fn hits_and_guides_of_blocks_are_encoded_without_loss() {
     assert!(RayHits::decode(&bytes).is_err() && BlockGuides::decode(&after.state().encode_links()).is_err());
 }
 
-/// A foggy room with a lamp.
+/// A foggy room with a lamp and a mirror.
 fn room() -> Prepared {
     let corner = |x: f64, y: f64, z: f64| [x, y, z];
     let walls = [
@@ -89,9 +94,10 @@ fn room() -> Prepared {
         [corner(-1.0, 1.0, 0.0), corner(1.0, 1.0, 0.0), corner(1.0, 1.0, 2.0), corner(-1.0, 1.0, 2.0)],
     ];
     let lamp = face(&[[-0.3, -0.3, 1.98], [-0.3, 0.3, 1.98], [0.3, 0.3, 1.98], [0.3, -0.3, 1.98]]);
+    let mirror = face(&[[-0.9, -0.5, 0.1], [-0.5, -0.5, 0.1], [-0.5, 0.5, 0.1], [-0.9, 0.5, 0.1]]);
     prepare(&format!(
         "medium fog =\n  sigma_s 0.1\n  phase hg 0.4\nmbox fog -1 -1 0 1 1 2\nm wall =\n  sides 2\n  c\n  rd 0.6\nm wall\n{}\
-         m lamp =\n  sides 2\n  c\n  ed 300\nm lamp\n{lamp}",
+         m mirror =\n  sides 2\n  c\n  rs 0.8 0\nm mirror\n{mirror}m lamp =\n  sides 2\n  c\n  ed 300\nm lamp\n{lamp}",
         walls.iter().map(|wall| face(wall)).collect::<String>()
     ))
 }

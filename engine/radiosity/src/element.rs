@@ -8,6 +8,7 @@ use femc_geometry::Quadric;
 use femc_math::Rgb;
 use femc_math::glam::{DVec3, Vec2, Vec3A};
 use femc_math::hash::combine;
+use std::ops::Range;
 
 /// An element: its place in the tree, its bounds, and its shape. Lengths in m, prepared frame.
 #[derive(Clone, Debug)]
@@ -90,6 +91,8 @@ pub struct Curved {
     pub part: SurfacePart,
     /// Unit normal at the middle.
     pub normal: Vec3A,
+    /// Index of its normals in the arena.
+    pub normals: u32,
     /// Index of its light by direction.
     pub directional: u32,
 }
@@ -105,7 +108,8 @@ pub struct Volume {
     pub sigma_t: f32,
 }
 
-/// A group of nearby elements, treated as one.
+/// A group of nearby surfaces, treated as one. Without parts it stands for all of its surfaces: each receives the cluster's light by
+/// its normal.
 #[derive(Clone, Debug)]
 pub struct Cluster {
     /// Area of its surfaces, m2.
@@ -114,6 +118,12 @@ pub struct Cluster {
     pub normals: NormalCone,
     /// Sum of [`SurfacePart::layers`] over its surfaces.
     pub layers: f32,
+    /// Mean reflectance of its surfaces, by area.
+    pub reflectance: Rgb,
+    /// Range of its surfaces among the arena's members, and its index in the tree of clusters. The cluster of all surfaces and the fog
+    /// has no members of its own.
+    pub members: Range<u32>,
+    pub node: u32,
     /// Index of its light by direction.
     pub directional: u32,
 }
@@ -204,7 +214,15 @@ impl Element {
             radius: 0.0,
             box_center: Vec3A::ZERO,
             half_extent: Vec3A::ZERO,
-            shape: Shape::Cluster(Cluster { area: 0.0, normals: NormalCone::ALL, layers: 0.0, directional: NONE }),
+            shape: Shape::Cluster(Cluster {
+                area: 0.0,
+                normals: NormalCone::ALL,
+                layers: 0.0,
+                reflectance: Rgb::ZERO,
+                members: 0..0,
+                node: NONE,
+                directional: NONE,
+            }),
         }
     }
 
@@ -271,7 +289,10 @@ impl Element {
         let least = grid().map(|spot| spot.normal.dot(patch.normal)).fold(1.0, f32::min);
         let (diagonal, error) = ((half * 2.0).length(), patch.nodes[0].error);
         let (center, shape) = if least < MIN_NORMAL_COSINE {
-            (box_center, Shape::Curved(Curved { part: patch.part, normal: patch.normal, directional: NONE }))
+            (
+                box_center,
+                Shape::Curved(Curved { part: patch.part, normal: patch.normal, normals: NONE, directional: NONE }),
+            )
         } else {
             (center, Shape::Patch(patch))
         };

@@ -63,7 +63,7 @@ fn mean_directions(arena: &Arena, lights: &ElementLights, links: &[Link]) -> Vec
         for link in row {
             let q = &arena.elements[link.source as usize];
             let factor = link.factors.iter().sum::<f32>() * 0.25;
-            let sent = luminance(lights.elements[link.source as usize].sent_toward(q, p.center)) * factor;
+            let sent = luminance(lights.sent_toward(link.source as usize, q, p.center)) * factor;
             *light += sent;
             *direction += sent * mean_propagation(q, p.center);
         }

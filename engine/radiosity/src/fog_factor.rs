@@ -172,6 +172,14 @@ pub fn attenuated_length(extinction: f32, distance: f32) -> f32 {
         let more = x * (1.0 / 24.0 - x * (1.0 / 120.0 - x / 720.0));
         return distance * (1.0 - x * (0.5 - x * (1.0 / 6.0 - more)));
     }
+    if x < 2.8 {
+        // The eighth power of the exponential of an eighth, by its series.
+        let y = 0.125 * x;
+        let e = 1.0 - y * (1.0 - y * (0.5 - y * (1.0 / 6.0 - y * (1.0 / 24.0 - y * (1.0 / 120.0 - y / 720.0)))));
+        let squared = e * e;
+        let fourth = squared * squared;
+        return (1.0 - fourth * fourth) / extinction;
+    }
     (1.0 - exp(-x)) / extinction
 }
 

@@ -1,7 +1,7 @@
 //! Gathering of light through links, and its transport down and up the tree.
 
 use crate::arena::Arena;
-use crate::element::{Curved, Element, Patch, Shape, SurfacePart};
+use crate::element::{Cluster, Curved, Element, Patch, Shape, SurfacePart};
 use crate::exits::ClusterWeights;
 use crate::link::Link;
 use crate::scene::Scene;
@@ -16,9 +16,8 @@ use std::f32::consts::PI;
 /// The light of an element.
 #[derive(Clone, Copy, Debug)]
 pub struct ElementLight {
-    /// Irradiance at the nodes, lx, received through the element's own links from light sources, and from elements.
-    pub gathered: [[Rgb; 4]; 2],
-    /// Irradiance at the nodes including that of the elements above it, lx.
+    /// Irradiance at the nodes from light sources, and from elements, lx: through the element's own links and those of the elements
+    /// above it.
     pub total: [[Rgb; 4]; 2],
     /// Mean radiosity, lx; for fog per m.
     pub radiosity: Rgb,
@@ -28,45 +27,30 @@ pub struct ElementLight {
     /// Mean irradiance, by luminance, and the mean irradiance of the darkest part.
     pub mean: f32,
     pub min_mean: f32,
-    /// Intensity by direction that wide elements send, cd.
-    pub intensity: Harmonics,
 }
 
 impl ElementLight {
     pub const ZERO: Self = Self {
-        gathered: [[Rgb::ZERO; 4]; 2],
         total: [[Rgb::ZERO; 4]; 2],
         radiosity: Rgb::ZERO,
         darkest: 0.0,
         brightest: 0.0,
         mean: 0.0,
         min_mean: 0.0,
-        intensity: Harmonics::ZERO,
     };
-
-    /// Returns the light that an element sends toward a point, as the factors of links have it: the intensity, cd, of a wide element,
-    /// else the radiosity, lx.
-    pub fn sent_toward(&self, element: &Element, point: Vec3A) -> Rgb {
-        if element.is_directional() {
-            return self.intensity.cosine_integral((point - element.center).normalize_or(-Vec3A::Z));
-        }
-        self.radiosity
-    }
 }
 
-/// Arriving light of a wide element by direction, from sources and from elements: through its own links, and including that of the
-/// elements above.
+/// Arriving light of a wide element by direction, from sources and from elements: through its own links and those of the elements
+/// above it.
 #[derive(Clone, Copy, Debug)]
 pub struct IncidentLight {
-    pub gathered: [Harmonics; 2],
     pub total: [Harmonics; 2],
     /// Light of a ball that rays find in addition to that of the links.
     pub ray_correction: Harmonics,
 }
 
 impl IncidentLight {
-    pub const ZERO: Self =
-        Self { gathered: [Harmonics::ZERO; 2], total: [Harmonics::ZERO; 2], ray_correction: Harmonics::ZERO };
+    pub const ZERO: Self = Self { total: [Harmonics::ZERO; 2], ray_correction: Harmonics::ZERO };
 }
 
 /// Indices of the kinds of light.
@@ -78,6 +62,8 @@ pub const FROM_ELEMENTS: usize = 1;
 pub struct ElementLights {
     pub elements: Vec<ElementLight>,
     pub incident: Vec<IncidentLight>,
+    /// Intensity that wide elements send, cd.
+    pub intensity: Vec<Harmonics>,
     /// Distribution of the clusters' light among their surfaces.
     pub cluster_weights: ClusterWeights,
     /// Factor of the links' light at the nodes, by element. It bounds the row sums ([`ElementLights::bound_rows`]).
@@ -129,13 +115,16 @@ impl ElementLights {
     /// Number of bytes of an element's light, without the light by direction.
     pub const BYTES: usize =
         size_of::<ElementLight>() + 2 * (size_of::<[f32; 4]>() + size_of::<[Rgb; 4]>()) + size_of::<[f32; 4]>();
+    /// Number of bytes of an element's light by direction.
+    pub const DIRECTIONAL_BYTES: usize = size_of::<IncidentLight>() + size_of::<Harmonics>();
 
     pub fn new(arena: &Arena) -> Self {
         let count = arena.elements.len();
         Self {
             elements: vec![ElementLight::ZERO; count],
             incident: vec![IncidentLight::ZERO; arena.directional_count],
-            cluster_weights: ClusterWeights::new(arena),
+            intensity: vec![Harmonics::ZERO; arena.directional_count],
+            cluster_weights: ClusterWeights::default(),
             row_scale: vec![[1.0; 4]; count],
             lamp_scale: vec![[1.0; 4]; count],
             lamp_correction: vec![[Rgb::ZERO; 4]; count],
@@ -148,8 +137,9 @@ impl ElementLights {
         }
     }
 
-    /// Allocates new elements, which begin with their parents' light.
-    pub fn grow(&mut self, arena: &Arena) {
+    /// Allocates new elements, which begin with their parents' light. Parts of wide elements send what they reflect of it.
+    pub fn grow(&mut self, scene: &Scene<'_>, arena: &Arena) {
+        let first = self.elements.len();
         for element in &arena.elements[self.elements.len()..] {
             let parent = self.elements[element.parent as usize];
             let ElementLight { radiosity, darkest, brightest, mean, min_mean: least, .. } = parent;
@@ -175,14 +165,21 @@ impl ElementLights {
             }
         }
         self.incident.resize(arena.directional_count, IncidentLight::ZERO);
+        self.intensity.resize(arena.directional_count, Harmonics::ZERO);
         self.ray_correction.resize(arena.elements.len(), [Rgb::ZERO; 4]);
         self.lamp_correction.resize(arena.elements.len(), [Rgb::ZERO; 4]);
+        for (index, element) in arena.elements.iter().enumerate().skip(first) {
+            [FROM_LAMPS, FROM_ELEMENTS].into_iter().for_each(|kind| self.push_to(arena, index, kind));
+            if arena.elements[element.parent as usize].is_directional() {
+                self.reflect(scene, arena, index);
+            }
+        }
     }
 
     /// Returns the irradiance by the links if each surface has a radiosity of 1 lx and each point of fog receives as much as a
     /// surface, as `total` of [`FROM_ELEMENTS`]: the row sums of the links. With exact links, it is the share of the elements'
     /// light among all directions, which is at most 1.
-    fn unit_irradiance(&self, scene: &Scene<'_>, arena: &Arena, links: &[Link]) -> Self {
+    fn unit_irradiance(&self, arena: &Arena, links: &[Link]) -> Self {
         let mut unit = Self { cluster_weights: self.cluster_weights.clone(), ..Self::new(arena) };
         for index in (0..arena.elements.len()).rev() {
             let element = &arena.elements[index];
@@ -192,18 +189,27 @@ impl ElementLights {
             }
             let light = &mut unit.elements[index];
             light.radiosity = if let Shape::Volume(fog) = &element.shape { fog.sigma_s } else { Rgb::ONE };
-            if let Shape::Curved(curved) = &element.shape {
-                light.intensity = curved_intensity(scene, &curved.part, |_| Rgb::ONE);
+            match &element.shape {
+                Shape::Curved(curved) => {
+                    unit.intensity[curved.directional as usize] = curved_intensity(arena, curved, |_| Rgb::ONE);
+                }
+                Shape::Cluster(cluster) => {
+                    let mut sent = Harmonics::ZERO;
+                    arena.for_each_normal(element, |_, normal, area| {
+                        sent += Harmonics::from_direction(normal, Rgb::splat(area / PI));
+                    });
+                    unit.intensity[cluster.directional as usize] = sent;
+                }
+                Shape::Patch(_) | Shape::Volume(_) => {}
             }
         }
         unit.gather(arena, links);
-        unit.push_all(arena);
         unit
     }
 
     /// Scales the links' light where the row sums exceed [`MAX_ROW_SUM`]. Returns the greatest row sum before that.
-    pub fn bound_rows(&mut self, scene: &Scene<'_>, arena: &Arena, links: &[Link]) -> f32 {
-        let unit = self.unit_irradiance(scene, arena, links);
+    pub fn bound_rows(&mut self, arena: &Arena, links: &[Link]) -> f32 {
+        let unit = self.unit_irradiance(arena, links);
         let mut most = 0.0f32;
         for (index, element) in arena.elements.iter().enumerate().filter(|(_, element)| element.is_leaf()) {
             let sums = unit.row_sums(element, index);
@@ -221,31 +227,46 @@ impl ElementLights {
         }
     }
 
-    /// Gathers irradiance through all links, which are sorted by receiver. The light of each receiver is added in the links' order.
-    pub fn gather(&mut self, arena: &Arena, links: &[Link]) {
-        let rows: Vec<&[Link]> = links.chunk_by(|a, b| a.receiver == b.receiver).collect();
-        let lights = &self.elements;
-        let gathered: Vec<([Rgb; 4], Harmonics)> =
-            rows.par_iter().with_min_len(64).map(|row| gather_row(arena, lights, row)).collect();
-        for light in &mut self.elements {
-            light.gathered[FROM_ELEMENTS] = [Rgb::ZERO; 4];
-        }
-        for arriving in &mut self.incident {
-            arriving.gathered[FROM_ELEMENTS] = Harmonics::ZERO;
-        }
-        for (row, (nodes, arriving)) in rows.iter().zip(gathered) {
-            let receiver = row[0].receiver as usize;
-            self.elements[receiver].gathered[FROM_ELEMENTS] = nodes;
-            if let Some(directional) = arena.elements[receiver].directional() {
-                self.incident[directional].gathered[FROM_ELEMENTS] = arriving;
+    /// Returns the light that an element sends toward a point, as the factors of links have it: the intensity, cd, of a wide element,
+    /// else the radiosity, lx.
+    pub fn sent_toward(&self, index: usize, element: &Element, point: Vec3A) -> Rgb {
+        match element.directional() {
+            Some(directional) => {
+                let dir = (point - element.center).normalize_or(-Vec3A::Z);
+                self.intensity[directional].cosine_integral(dir)
             }
+            None => self.elements[index].radiosity,
         }
     }
 
-    /// Transports arriving light down the tree, and sent light up.
-    pub fn push_pull(&mut self, scene: &Scene<'_>, arena: &Arena) -> IterationFlux {
-        self.push_all(arena);
-        self.balance_flux(scene, arena);
+    /// Gathers irradiance through all links, which are sorted by receiver, and transports it down the tree. The light of each receiver
+    /// is added in the links' order.
+    pub fn gather(&mut self, arena: &Arena, links: &[Link]) {
+        let rows: Vec<&[Link]> = links.chunk_by(|a, b| a.receiver == b.receiver).collect();
+        let lights = &*self;
+        let gathered: Vec<([Rgb; 4], Harmonics)> =
+            rows.par_iter().with_min_len(64).map(|row| gather_row(arena, lights, row)).collect();
+        self.clear(FROM_ELEMENTS);
+        for (row, (nodes, arriving)) in rows.iter().zip(gathered) {
+            let receiver = row[0].receiver as usize;
+            match arena.elements[receiver].directional() {
+                Some(directional) => self.incident[directional].total[FROM_ELEMENTS] = arriving,
+                None => self.elements[receiver].total[FROM_ELEMENTS] = nodes,
+            }
+        }
+        self.push(arena, FROM_ELEMENTS);
+    }
+
+    /// Clears the light that all elements receive.
+    /// - `kind`: [`FROM_LAMPS`] or [`FROM_ELEMENTS`].
+    pub fn clear(&mut self, kind: usize) {
+        self.elements.iter_mut().for_each(|light| light.total[kind] = [Rgb::ZERO; 4]);
+        self.incident.iter_mut().for_each(|arriving| arriving.total[kind] = Harmonics::ZERO);
+    }
+
+    /// Computes the light that all elements send from the light that they receive.
+    pub fn reflect_all(&mut self, scene: &Scene<'_>, arena: &Arena) -> IterationFlux {
+        self.balance_flux(arena);
         let mut flux = IterationFlux::default();
         for index in (0..arena.elements.len()).rev() {
             let before = self.elements[index].radiosity;
@@ -266,7 +287,7 @@ impl ElementLights {
 
     /// Sets the factor of all light between elements: as much arrives as the elements send to each other, except for a difference
     /// that may be the noise of the rays. In any case, no more arrives than all light that they send.
-    fn balance_flux(&mut self, scene: &Scene<'_>, arena: &Arena) {
+    fn balance_flux(&mut self, arena: &Arena) {
         self.balance = Rgb::ONE;
         let (mut all, mut sent, mut received) = ([0.0f64; 3], [0.0f64; 3], [0.0f64; 3]);
         for (index, element) in arena.elements.iter().enumerate().filter(|(_, element)| element.is_leaf()) {
@@ -276,7 +297,7 @@ impl ElementLights {
             let whole = self.elements[index].radiosity * (most * element.sending_size());
             let leaving = self.arriving_radiosity(element, index) * element.sending_size();
             let arriving =
-                self.mean_irradiance_from_elements(scene, element, index) * (element.received_share() * element.size());
+                self.mean_irradiance_from_elements(arena, index) * (element.received_share() * element.size());
             for (sums, light) in [(&mut all, whole), (&mut sent, leaving), (&mut received, arriving)] {
                 sums.iter_mut().zip(light.to_array()).for_each(|(sum, value)| *sum += f64::from(value));
             }
@@ -331,11 +352,17 @@ impl ElementLights {
     }
 
     /// Returns the mean irradiance of a leaf from elements, without caustics, lx.
-    fn mean_irradiance_from_elements(&self, scene: &Scene<'_>, element: &Element, index: usize) -> Rgb {
-        if let Shape::Curved(curved) = &element.shape {
-            let arriving = self.directional_irradiance_from_elements(curved, index);
+    pub fn mean_irradiance_from_elements(&self, arena: &Arena, index: usize) -> Rgb {
+        let element = &arena.elements[index];
+        if let Some(directional) = element.directional() {
+            let arriving = self.directional_irradiance_from_elements(directional, index);
             let at = |normal: Vec3A| arriving.cosine_integral(normal);
-            return curved_normals(scene, &curved.part).map(at).sum::<Rgb>() / CURVED_NORMALS as f32;
+            if let Shape::Curved(curved) = &element.shape {
+                return arena.curved_normals(curved).map(at).sum::<Rgb>() / CURVED_NORMALS as f32;
+            }
+            let mut flux = Rgb::ZERO;
+            arena.for_each_normal(element, |_, normal, area| flux += at(normal) * area);
+            return flux / element.size();
         }
         let nodes = self.node_irradiance_from_elements(index);
         let count = element.node_count();
@@ -352,28 +379,34 @@ impl ElementLights {
             Shape::Patch(patch) => patch.part.reflectance * mean(),
             Shape::Volume(fog) => fog.sigma_s * mean(),
             Shape::Curved(curved) => {
-                let direct = self.directional_irradiance(curved, index, FROM_LAMPS).total() * 0.25;
-                curved.part.reflectance * (direct + self.caustic_irradiance(index)[0])
+                let light = self.directional_irradiance(curved.directional as usize, index, FROM_LAMPS);
+                curved.part.reflectance * (light.total() * 0.25 + self.caustic_irradiance(index)[0])
             }
-            Shape::Cluster(_) => Rgb::ZERO,
+            Shape::Cluster(cluster) => {
+                let light = self.directional_irradiance(cluster.directional as usize, index, FROM_LAMPS);
+                cluster.reflectance * (light.total() * 0.25 + self.caustic_irradiance(index)[0])
+            }
         }
     }
 
     /// Returns the numbers that determine the light of the next iteration: the radiosity of leaves by channel, lx, and then the
     /// intensity of curved leaves, cd.
     pub fn sent_light(&self, arena: &Arena) -> Vec<f32> {
-        let leaves = || arena.elements.iter().zip(&self.elements).filter(|(element, _)| element.is_leaf());
-        let radiosity = leaves().flat_map(|(_, light)| light.radiosity.to_array());
-        let curved = leaves().filter(|(element, _)| matches!(element.shape, Shape::Curved(_)));
-        let intensity = curved.flat_map(|(_, light)| light.intensity.0.iter().flat_map(|part| part.to_array()));
-        radiosity.chain(intensity).collect()
+        let mut numbers = Vec::with_capacity(3 * self.elements.len());
+        for (_, light) in arena.elements.iter().zip(&self.elements).filter(|(element, _)| element.is_leaf()) {
+            numbers.extend(light.radiosity.to_array());
+        }
+        for directional in directional_leaves(arena) {
+            self.intensity[directional].0.iter().for_each(|part| numbers.extend(part.to_array()));
+        }
+        numbers
     }
 
     /// Returns the weights of the numbers of [`ElementLights::sent_light`] in a sum of flux: m2, for fog m3. The intensity of a curved
     /// leaf belongs to its radiosity and has no weight.
     pub fn sent_light_weights(arena: &Arena) -> Vec<f32> {
         let leaves = || arena.elements.iter().filter(|element| element.is_leaf());
-        let curved = leaves().filter(|element| matches!(element.shape, Shape::Curved(_))).count();
+        let curved = directional_leaves(arena).count();
         leaves().flat_map(|element| [element.sending_size(); 3]).chain(std::iter::repeat_n(0.0, 27 * curved)).collect()
     }
 
@@ -381,74 +414,72 @@ impl ElementLights {
     pub fn set_sent_light(&mut self, arena: &Arena, numbers: &[f32]) {
         let mut numbers = numbers.iter().copied();
         let mut color = || Rgb::from_array(std::array::from_fn(|_| numbers.next().unwrap_or(0.0)));
-        for (element, light) in arena.elements.iter().zip(&mut self.elements).filter(|(element, _)| element.is_leaf()) {
+        for (_, light) in arena.elements.iter().zip(&mut self.elements).filter(|(element, _)| element.is_leaf()) {
             light.radiosity = color().max(Rgb::ZERO);
-            debug_assert!(!element.is_cluster() || light.radiosity == Rgb::ZERO);
         }
-        for (element, light) in arena.elements.iter().zip(&mut self.elements).filter(|(element, _)| element.is_leaf()) {
-            if matches!(element.shape, Shape::Curved(_)) {
-                light.intensity.0.iter_mut().for_each(|part| *part = color());
-            }
+        for directional in directional_leaves(arena) {
+            self.intensity[directional].0.iter_mut().for_each(|part| *part = color());
         }
         for index in (0..arena.elements.len()).rev().filter(|&index| !arena.elements[index].is_leaf()) {
             self.pull(arena, index);
         }
     }
 
-    /// Transports arriving light down the tree.
-    pub fn push_all(&mut self, arena: &Arena) {
-        (0..arena.elements.len()).for_each(|index| self.push(arena, index));
+    /// Transports arriving light down the tree: adds the light of the elements above to that of the elements' own links.
+    /// - `kind`: [`FROM_LAMPS`] or [`FROM_ELEMENTS`].
+    pub fn push(&mut self, arena: &Arena, kind: usize) {
+        (0..arena.elements.len()).for_each(|index| self.push_to(arena, index, kind));
     }
 
-    fn push(&mut self, arena: &Arena, index: usize) {
+    /// Adds the light of the elements above to that of an element.
+    fn push_to(&mut self, arena: &Arena, index: usize, kind: usize) {
         let element = &arena.elements[index];
-        let parent = arena.elements.get(element.parent as usize);
+        let Some(parent) = arena.elements.get(element.parent as usize) else { return };
+        // Shadow rays measure the light of lamps better than weights.
+        let weighted = (kind == FROM_ELEMENTS).then(|| self.light_from_clusters(arena, index)).flatten();
+        let above = parent.directional().map(|above| weighted.unwrap_or(self.incident[above].total[kind]));
         if let Some(directional) = element.directional() {
-            let mut arriving = self.incident[directional];
-            arriving.total = arriving.gathered;
-            if let Some(above) = parent.and_then(Element::directional) {
-                let light = self.light_from_clusters(arena, index).unwrap_or(self.incident[above].total);
-                (0..2).for_each(|kind| arriving.total[kind] += light[kind]);
+            if let Some(above) = above {
+                self.incident[directional].total[kind] += above;
             }
-            self.incident[directional] = arriving;
             return;
         }
-        let mut whole = self.elements[index].gathered;
-        let from_clusters = self.light_from_clusters(arena, index);
-        if let Some(above) = parent {
-            for kind in [FROM_LAMPS, FROM_ELEMENTS] {
-                for (node, value) in whole[kind].iter_mut().enumerate().take(element.node_count()) {
-                    *value += match above.directional() {
-                        Some(directional) => {
-                            let light = match &from_clusters {
-                                Some(light) => &light[kind],
-                                None => &self.incident[directional].total[kind],
-                            };
-                            match &element.shape {
-                                // A point of fog receives a quarter of the light from all directions.
-                                Shape::Volume(_) => (light.total() * 0.25).max(Rgb::ZERO),
-                                _ => light.cosine_integral(element.node(node).normal),
-                            }
-                        }
-                        None => above.interpolate(
-                            &self.elements[element.parent as usize].total[kind],
-                            above.node_in_parent(element, node),
-                        ),
-                    };
-                }
+        let mut whole = self.elements[index].total[kind];
+        let nodes = whole.iter_mut().enumerate().take(element.node_count());
+        match (&above, &element.shape) {
+            (Some(above), Shape::Volume(_)) => {
+                // A point of fog receives a quarter of the light from all directions.
+                let light = (above.total() * 0.25).max(Rgb::ZERO);
+                nodes.for_each(|(_, value)| *value += light);
+            }
+            (Some(above), _) => {
+                let mut irradiance = ByNormal(None);
+                nodes.for_each(|(node, value)| {
+                    *value += irradiance.get(element.node(node).normal, |normal| above.cosine_integral(normal));
+                });
+            }
+            (None, _) => {
+                let above = self.elements[element.parent as usize].total[kind];
+                nodes.for_each(|(node, value)| {
+                    *value += parent.interpolate(&above, parent.node_in_parent(element, node));
+                });
             }
         }
-        self.elements[index].total = whole;
+        self.elements[index].total[kind] = whole;
     }
 
-    /// Returns the light by direction, from sources and from elements, that a whole surface receives from the clusters around it.
-    /// `None` for other elements.
-    fn light_from_clusters(&self, arena: &Arena, index: usize) -> Option<[Harmonics; 2]> {
+    /// Returns the light by direction that a whole surface receives from elements through the links of the clusters around it, each with
+    /// the surface's weight. `None` if no weights are known.
+    fn light_from_clusters(&self, arena: &Arena, index: usize) -> Option<Harmonics> {
+        let total = |cluster: u32| {
+            let directional = arena.elements.get(cluster as usize)?.directional()?;
+            Some(self.incident[directional].total[FROM_ELEMENTS])
+        };
         let mut light = None;
         for (cluster, weight) in self.cluster_weights.clusters_of(arena, index) {
-            let gathered = self.incident[arena.elements[cluster as usize].directional()?].gathered;
-            let sum = light.get_or_insert([Harmonics::ZERO; 2]);
-            (0..2).for_each(|kind| sum[kind] += gathered[kind] * Rgb::splat(weight));
+            let above = total(arena.elements[cluster as usize].parent).unwrap_or(Harmonics::ZERO);
+            let own = total(cluster)? + above * Rgb::splat(-1.0);
+            *light.get_or_insert(Harmonics::ZERO) += own * Rgb::splat(weight);
         }
         light
     }
@@ -481,31 +512,32 @@ impl ElementLights {
         self.caustics.get(index).copied().unwrap_or([Rgb::ZERO; 4])
     }
 
-    /// Returns the light by direction that a curved element receives from sources, or from elements and as caustics.
-    pub fn directional_irradiance(&self, element: &Curved, index: usize, from: usize) -> Harmonics {
+    /// Returns the light by direction that a leaf receives from sources, or from elements and as caustics.
+    /// - `directional`: index of the leaf's light by direction.
+    pub fn directional_irradiance(&self, directional: usize, index: usize, from: usize) -> Harmonics {
         if from == FROM_LAMPS {
-            return self.incident[element.directional as usize].total[from] * Rgb::splat(self.lamp_scale[index][0])
+            return self.incident[directional].total[from] * Rgb::splat(self.lamp_scale[index][0])
                 + Harmonics::from_irradiance(self.lamp_correction[index][0]);
         }
-        self.directional_irradiance_from_elements(element, index)
+        self.directional_irradiance_from_elements(directional, index)
             + Harmonics::from_irradiance(self.caustic_irradiance(index)[0])
     }
 
-    fn directional_irradiance_from_elements(&self, element: &Curved, index: usize) -> Harmonics {
-        let IncidentLight { total: whole, ray_correction: more, .. } = self.incident[element.directional as usize];
+    fn directional_irradiance_from_elements(&self, directional: usize, index: usize) -> Harmonics {
+        let IncidentLight { total: whole, ray_correction: more } = self.incident[directional];
         (whole[FROM_ELEMENTS] * Rgb::splat(self.row_scale[index][0]) + more) * self.balance
     }
 
     /// Computes the light that a leaf sends from the light that it receives.
-    fn reflect(&mut self, scene: &Scene<'_>, arena: &Arena, index: usize) {
+    pub fn reflect(&mut self, scene: &Scene<'_>, arena: &Arena, index: usize) {
         let element = &arena.elements[index];
         let behind = element.surface_part().map_or(Rgb::ZERO, |part| self.back_irradiance(scene, arena, element, part));
         let [of_lamps, of_elements] = [FROM_LAMPS, FROM_ELEMENTS].map(|from| self.node_irradiance(index, from));
         let (reflectance, transmittance) = match &element.shape {
-            Shape::Curved(curved) => return self.reflect_curved(scene, curved, behind, index),
+            Shape::Curved(curved) => return self.reflect_curved(arena, curved, behind, index),
             Shape::Patch(Patch { part, .. }) => (part.reflectance, part.transmittance),
             Shape::Volume(fog) => (fog.sigma_s, Rgb::ZERO),
-            Shape::Cluster(_) => (Rgb::ZERO, Rgb::ZERO),
+            Shape::Cluster(cluster) => return self.reflect_cluster(scene, arena, cluster, index),
         };
         let light = &mut self.elements[index];
         let (mut sum, mut mean, mut darkest, mut brightest) = (Rgb::ZERO, 0.0, f32::INFINITY, 0.0f32);
@@ -522,22 +554,49 @@ impl ElementLights {
         (light.darkest, light.brightest) = (darkest, brightest);
     }
 
-    fn reflect_curved(&mut self, scene: &Scene<'_>, curved: &Curved, behind: Rgb, index: usize) {
-        let arriving = self.directional_irradiance(curved, index, FROM_LAMPS)
-            + self.directional_irradiance(curved, index, FROM_ELEMENTS);
+    fn reflect_curved(&mut self, arena: &Arena, curved: &Curved, behind: Rgb, index: usize) {
+        let directional = curved.directional as usize;
+        let arriving = self.directional_irradiance(directional, index, FROM_LAMPS)
+            + self.directional_irradiance(directional, index, FROM_ELEMENTS);
         let (mut sum, mut mean) = (Rgb::ZERO, 0.0);
-        let sent = curved_intensity(scene, &curved.part, |normal| {
+        let sent = curved_intensity(arena, curved, |normal| {
             let irradiance = arriving.cosine_integral(normal);
             let radiosity = curved.part.reflectance * irradiance + curved.part.transmittance * behind;
             (sum, mean) = (sum + radiosity, mean + luminance(irradiance));
             radiosity
         });
+        self.intensity[directional] = sent;
         let light = &mut self.elements[index];
-        light.intensity = sent;
         light.radiosity = sum / CURVED_NORMALS as f32;
         light.mean = mean / CURVED_NORMALS as f32;
         light.min_mean = light.mean;
         (light.darkest, light.brightest) = (0.0, 2.0 * luminance(light.radiosity));
+    }
+
+    /// Computes the light that the surfaces of a cluster send. The other side of a sheet receives the same light by direction.
+    fn reflect_cluster(&mut self, scene: &Scene<'_>, arena: &Arena, cluster: &Cluster, index: usize) {
+        let directional = cluster.directional as usize;
+        let arriving = self.directional_irradiance(directional, index, FROM_LAMPS)
+            + self.directional_irradiance(directional, index, FROM_ELEMENTS);
+        let (mut sent, mut flux, mut irradiance) = (Harmonics::ZERO, Rgb::ZERO, 0.0);
+        let (mut darkest, mut brightest) = (f32::INFINITY, 0.0f32);
+        arena.for_each_normal(&arena.elements[index], |surface, normal, area| {
+            let (reflectance, transmittance) = scene.surface_albedos(surface);
+            let light = arriving.cosine_integral(normal);
+            let mut radiosity = reflectance * light;
+            if transmittance != Rgb::ZERO {
+                radiosity += transmittance * arriving.cosine_integral(-normal);
+            }
+            sent += Harmonics::from_direction(normal, radiosity * (area / PI));
+            (flux, irradiance) = (flux + radiosity * area, irradiance + luminance(light) * area);
+            let value = luminance(radiosity);
+            (darkest, brightest) = (darkest.min(value), brightest.max(value));
+        });
+        self.intensity[directional] = sent;
+        let light = &mut self.elements[index];
+        (light.radiosity, light.mean) = (flux / cluster.area, irradiance / cluster.area);
+        light.min_mean = light.mean;
+        (light.darkest, light.brightest) = (darkest, brightest);
     }
 
     /// Returns the mean irradiance of the other side if the surface transmits light.
@@ -554,9 +613,11 @@ impl ElementLights {
         let middle = if element.is_triangle() { Vec2::splat(1.0 / 3.0) } else { Vec2::splat(0.5) };
         let (index, _) = arena.element_at(root, part.outline.point_at(middle), 0.0);
         let other = &arena.elements[index as usize];
-        if let Shape::Curved(other) = &other.shape {
-            let of = |from: usize| self.directional_irradiance(other, index as usize, from).total();
-            return (of(FROM_LAMPS) + of(FROM_ELEMENTS)) * 0.25;
+        if let Some(directional) = other.directional() {
+            let of = |from: usize| self.directional_irradiance(directional, index as usize, from);
+            let light = of(FROM_LAMPS) + of(FROM_ELEMENTS);
+            let is_cluster_of_sheet = other.is_cluster() && element.normal() != Vec3A::ZERO;
+            return if is_cluster_of_sheet { light.cosine_integral(-element.normal()) } else { light.total() * 0.25 };
         }
         let [sources, elements] = [FROM_LAMPS, FROM_ELEMENTS].map(|from| self.node_irradiance(index as usize, from));
         let sum: Rgb = (0..other.node_count()).map(|node| sources[node] + elements[node]).sum();
@@ -565,58 +626,76 @@ impl ElementLights {
 
     fn pull(&mut self, arena: &Arena, index: usize) {
         let element = &arena.elements[index];
-        let [a, b] = element.children.map(|child| (&arena.elements[child as usize], self.elements[child as usize]));
-        let mut out = self.elements[index];
-        let size = a.0.size() + b.0.size();
-        let [wa, wb] = [a, b].map(|(part, _)| if size > 0.0 { part.size() / size } else { 0.5 });
-        if element.is_directional() {
-            out.intensity = Harmonics::ZERO;
-            for (part, light) in [a, b] {
+        let parts = element.children.map(|child| &arena.elements[child as usize]);
+        if let Some(directional) = element.directional() {
+            let mut intensity = Harmonics::ZERO;
+            for (part, child) in parts.into_iter().zip(element.children) {
                 match &part.shape {
-                    Shape::Cluster(_) | Shape::Curved(_) => out.intensity += light.intensity,
+                    Shape::Cluster(Cluster { directional, .. }) | Shape::Curved(Curved { directional, .. }) => {
+                        intensity += self.intensity[*directional as usize];
+                    }
                     Shape::Patch(patch) => {
                         let nodes = patch.nodes();
-                        let amount = light.radiosity * (patch.part.area / (PI * nodes.len() as f32));
+                        let radiosity = self.elements[child as usize].radiosity;
+                        let amount = radiosity * (patch.part.area / (PI * nodes.len() as f32));
+                        let mut sent = ByNormal(None);
                         for node in nodes {
-                            out.intensity += Harmonics::from_direction(node.normal, amount);
+                            intensity += sent.get(node.normal, |normal| Harmonics::from_direction(normal, amount));
                         }
                     }
                     Shape::Volume(_) => {}
                 }
             }
+            self.intensity[directional] = intensity;
         }
-        out.radiosity = a.1.radiosity * wa + b.1.radiosity * wb;
-        out.mean = a.1.mean * wa + b.1.mean * wb;
-        out.min_mean = a.1.min_mean.min(b.1.min_mean);
-        out.darkest = a.1.darkest.min(b.1.darkest);
-        out.brightest = a.1.brightest.max(b.1.brightest);
-        self.elements[index] = out;
+        let size = parts[0].size() + parts[1].size();
+        let [wa, wb] = parts.map(|part| if size > 0.0 { part.size() / size } else { 0.5 });
+        let [a, b] = element.children.map(|child| &self.elements[child as usize]);
+        let (radiosity, mean) = (a.radiosity * wa + b.radiosity * wb, a.mean * wa + b.mean * wb);
+        let min_mean = a.min_mean.min(b.min_mean);
+        let (darkest, brightest) = (a.darkest.min(b.darkest), a.brightest.max(b.brightest));
+        let ElementLight { total, .. } = self.elements[index];
+        self.elements[index] = ElementLight { total, radiosity, darkest, brightest, mean, min_mean };
     }
 }
 
+/// Value of a function of the normal. The nodes of a flat patch have one normal, so it is computed once.
+struct ByNormal<T>(Option<(Vec3A, T)>);
+
+impl<T: Copy> ByNormal<T> {
+    fn get(&mut self, normal: Vec3A, compute: impl FnOnce(Vec3A) -> T) -> T {
+        match self.0 {
+            Some((known, value)) if known == normal => value,
+            _ => {
+                let value = compute(normal);
+                self.0 = Some((normal, value));
+                value
+            }
+        }
+    }
+}
+
+/// Returns the indices of the light by direction of leaves.
+fn directional_leaves(arena: &Arena) -> impl Iterator<Item = usize> {
+    arena.elements.iter().filter(|element| element.is_leaf()).filter_map(Element::directional)
+}
+
 /// Returns the intensity of a curved element by direction, cd, from the radiosity at points around it.
-fn curved_intensity(scene: &Scene<'_>, part: &SurfacePart, mut radiosity: impl FnMut(Vec3A) -> Rgb) -> Harmonics {
+fn curved_intensity(arena: &Arena, curved: &Curved, mut radiosity: impl FnMut(Vec3A) -> Rgb) -> Harmonics {
     let mut sent = Harmonics::ZERO;
-    for normal in curved_normals(scene, part) {
-        sent += Harmonics::from_direction(normal, radiosity(normal) * (part.area / (PI * CURVED_NORMALS as f32)));
+    for normal in arena.curved_normals(curved) {
+        sent +=
+            Harmonics::from_direction(normal, radiosity(normal) * (curved.part.area / (PI * CURVED_NORMALS as f32)));
     }
     sent
 }
 
-/// Returns the normals at evenly distributed points of a curved element.
-fn curved_normals(scene: &Scene<'_>, part: &SurfacePart) -> impl Iterator<Item = Vec3A> {
-    (0..CURVED_NORMALS).map(move |k| {
-        let place = Vec2::new((k % 4) as f32 + 0.5, (k / 4) as f32 + 0.5) * 0.25;
-        part.point_at(scene, place).normal
-    })
-}
-
-fn gather_row(arena: &Arena, lights: &[ElementLight], row: &[Link]) -> ([Rgb; 4], Harmonics) {
+fn gather_row(arena: &Arena, lights: &ElementLights, row: &[Link]) -> ([Rgb; 4], Harmonics) {
     let p = &arena.elements[row[0].receiver as usize];
     let (mut nodes, mut arriving) = ([Rgb::ZERO; 4], Harmonics::ZERO);
     for link in row {
-        let (q, light) = (&arena.elements[link.source as usize], &lights[link.source as usize]);
-        let sent = light.sent_toward(q, p.center);
+        let q = &arena.elements[link.source as usize];
+        let sent = lights.sent_toward(link.source as usize, q, p.center);
         if p.is_directional() {
             let dir = (q.center - p.center).normalize_or(Vec3A::Z);
             arriving += Harmonics::from_direction(dir, sent * link.factors[0]);

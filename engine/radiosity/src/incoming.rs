@@ -236,11 +236,9 @@ fn by_links(arena: &Arena, lights: &ElementLights, links: &[Link], leaf: u32, pa
         let p = &arena.elements[at as usize];
         let first = links.partition_point(|link| link.receiver < at);
         for link in links[first..].iter().take_while(|link| link.receiver == at) {
-            let (q, light) = (&arena.elements[link.source as usize], &lights.elements[link.source as usize]);
-            let way = q.center - p.center;
-            let dir = way.normalize_or(Vec3A::Z);
-            let sent =
-                luminance(if q.is_directional() { light.intensity.cosine_integral(-dir) } else { light.radiosity });
+            let q = &arena.elements[link.source as usize];
+            let dir = (q.center - p.center).normalize_or(Vec3A::Z);
+            let sent = luminance(lights.sent_toward(link.source as usize, q, p.center));
             let factor = if p.is_directional() {
                 link.factors[0] * cosine(receiver, dir)
             } else {

@@ -3,11 +3,12 @@
 use crate::element::{Element, PatchForm, Shape};
 use crate::fog_factor::attenuated_length;
 use crate::form_factor::{polygon_form_factor, solid_angle};
-use crate::link::{Oracle, occlusion_bound};
+use crate::link::{Oracle, directional_share, occlusion_bound};
 use crate::scene::{Lamp, SHUTTER_TIME};
 use crate::tuning::{
-    BEHIND_HEIGHT, DIRECTIONAL_ERROR, DIRECTIONAL_LAMP_ERROR, FACE_POINTS, LAMP_NODES_WEIGHT, LAMP_STRATA,
-    LAMP_VISIBILITY_RAYS, LARGE_SOURCE, MAX_LAMP_ABSORBED, NEAR_ELEMENT,
+    BEHIND_HEIGHT, CLUSTER_REACH, CLUSTER_SHARE, DIRECTIONAL_ERROR, DIRECTIONAL_LAMP_ERROR, DIRECTIONAL_SHADOW_RAYS,
+    FACE_POINTS, FACING_ATTEMPTS, LAMP_NODES_WEIGHT, LAMP_STRATA, LAMP_VISIBILITY_RAYS, LARGE_SOURCE,
+    MAX_LAMP_ABSORBED, MAX_MEMBERS, NEAR_ELEMENT,
 };
 use crate::visibility::{RandomNumbers, VisibilityTester, sample_point};
 use femc_field::SurfaceSpot;
@@ -88,6 +89,9 @@ impl<'a> Oracle<'a> {
             // Surfaces and fog together cannot be judged as one.
             return LampLinkDecision::SplitReceiver;
         }
+        if self.is_large_cluster(p) && self.may_split(receiver) {
+            return LampLinkDecision::SplitReceiver;
+        }
         if self.is_behind_receiver(p, lamp) {
             return LampLinkDecision::Drop;
         }
@@ -97,7 +101,17 @@ impl<'a> Oracle<'a> {
         }
         let mut numbers = RandomNumbers::new(&[p.key, u64::from(lamp), 7]);
         let open = self.open_light(&pair, &mut numbers);
-        if open.error > pair.allowed && self.may_split(receiver) {
+        let mut error = open.error;
+        let is_whole_cluster = p.is_cluster() && p.is_leaf();
+        if error > pair.allowed && is_whole_cluster && self.may_split(receiver) {
+            // Only the surfaces that see the source have the error.
+            let (seen, bound) = (self.visible_share(p, lamp, tester), occlusion_bound(LAMP_VISIBILITY_RAYS));
+            if seen == 0.0 && CLUSTER_SHARE * open.mean * bound <= self.unproved_error(p, pair.allowed) {
+                return LampLinkDecision::Drop;
+            }
+            error *= (seen + bound).min(1.0);
+        }
+        if error > pair.allowed && self.may_split(receiver) {
             let unproved_error = self.unproved_error(p, pair.allowed);
             let looks =
                 pair.allowed < unproved_error && open.mean * occlusion_bound(LAMP_VISIBILITY_RAYS) <= unproved_error;
@@ -122,7 +136,12 @@ impl<'a> Oracle<'a> {
         }
         let dir = (pair.source.center - p.center).normalize_or(Vec3A::Z);
         let link = LampLink { receiver, lamp, light, dir };
-        LampLinkDecision::Keep { link, is_inexact: is_uneven || open.error > pair.allowed }
+        LampLinkDecision::Keep { link, is_inexact: is_uneven || error > pair.allowed }
+    }
+
+    /// Checks whether a cluster without parts is too large for a few rays to represent its surfaces.
+    fn is_large_cluster(&self, p: &Element) -> bool {
+        self.arena.members(p).len() > MAX_MEMBERS || p.is_cluster() && p.is_leaf() && p.size() > self.unit_area
     }
 
     fn lamp_pair(&self, receiver: u32, lamp: u32) -> LampPair<'a> {
@@ -155,7 +174,11 @@ impl<'a> Oracle<'a> {
         if p.patch().is_some() || near <= NEAR_ELEMENT {
             return false;
         }
-        let reach = pair.distance.max(0.5 * p.radius);
+        // Surfaces of a cluster may be much closer to the source than its center.
+        let reach = match p.shape {
+            Shape::Cluster(_) if p.is_leaf() => (pair.distance - p.radius).max(CLUSTER_REACH * p.radius),
+            _ => pair.distance.max(0.5 * p.radius),
+        };
         let share = if p.is_volume() { 0.25 } else { 1.0 };
         let hidden_part =
             share * intensity * near / (reach * reach) * tester.fog_transmittance(self.scene, p.center, center);
@@ -199,7 +222,7 @@ impl<'a> Oracle<'a> {
         let most = amounts.iter().copied().fold(0.0, f32::max);
         let least = amounts.iter().copied().fold(f32::INFINITY, f32::min);
         let error = if p.is_directional() {
-            mean * (DIRECTIONAL_ERROR[0] + DIRECTIONAL_LAMP_ERROR * pair.near * pair.near)
+            directional_share(p) * mean * (DIRECTIONAL_ERROR[0] + DIRECTIONAL_LAMP_ERROR * pair.near * pair.near)
         } else {
             // A linear function has the mean of its nodes at the center, so the difference there is what the points miss.
             let spot = p.center_spot();
@@ -224,20 +247,21 @@ impl<'a> Oracle<'a> {
         let LampPair { p, .. } = *pair;
         let (mut light_at, mut shares) = ([Rgb::ZERO; 4], [1.0f32; 4]);
         for (index, node) in p.nodes().enumerate() {
-            let mut got = Rgb::ZERO;
+            let (node, mut got) = (&node, Rgb::ZERO);
             for (light, to) in open.points[index].iter().flatten() {
-                let from = if p.is_directional() {
-                    let part = numbers.next();
-                    let spot = sample_point(self.arena, self.scene, p, (part * 4.0) as u32, numbers, |_| 1.0);
-                    if spot.normal != Vec3A::ZERO && spot.normal.dot(to.position - spot.position) <= 0.0 {
-                        node
-                    } else {
-                        spot
-                    }
-                } else {
-                    node
-                };
-                got += *light * tester.transmittance(self.scene, &from, to);
+                if !p.is_directional() {
+                    got += *light * tester.transmittance(self.scene, node, to);
+                    continue;
+                }
+                for part in 0..DIRECTIONAL_SHADOW_RAYS {
+                    let is_facing = |spot: &SurfaceSpot| {
+                        spot.normal == Vec3A::ZERO || spot.normal.dot(to.position - spot.position) > 0.0
+                    };
+                    let mut sample = || sample_point(self.arena, self.scene, p, part, numbers, |_| 1.0);
+                    let from = (0..FACING_ATTEMPTS).map(|_| sample()).find(is_facing);
+                    let through = tester.transmittance(self.scene, from.as_ref().unwrap_or(node), to);
+                    got += *light * (through / DIRECTIONAL_SHADOW_RAYS as f32);
+                }
             }
             if open.weight[index] > 0.0 {
                 shares[index] = luminance(got) / open.weight[index];
@@ -321,12 +345,33 @@ impl<'a> Oracle<'a> {
 
     /// Checks whether all rays between points of an element and of a source are occluded.
     fn is_occluded(&self, p: &Element, lamp: u32, tester: &mut VisibilityTester) -> bool {
+        !self.test_visibility(p, lamp, tester).any(|is_visible| is_visible == Some(true))
+    }
+
+    /// Returns the share of the rays from points of an element that face a source that are not occluded; 0 if no points face it.
+    fn visible_share(&self, p: &Element, lamp: u32, tester: &mut VisibilityTester) -> f32 {
+        let (mut visible, mut all) = (0, 0);
+        for is_visible in self.test_visibility(p, lamp, tester).flatten() {
+            (visible, all) = (visible + u32::from(is_visible), all + 1);
+        }
+        if all > 0 { visible as f32 / all as f32 } else { 0.0 }
+    }
+
+    /// Tests rays between points of an element and of a source. `None` for points that do not face the source.
+    fn test_visibility<'b>(
+        &'b self,
+        p: &'b Element,
+        lamp: u32,
+        tester: &'b mut VisibilityTester,
+    ) -> impl Iterator<Item = Option<bool>> + 'b {
         let mut numbers = RandomNumbers::new(&[p.key, u64::from(lamp), 8]);
-        !(0..LAMP_VISIBILITY_RAYS).any(|part| {
+        (0..LAMP_VISIBILITY_RAYS).map(move |part| {
             let from = sample_point(self.arena, self.scene, p, part % 4, &mut numbers, |_| 1.0);
             let u = [numbers.next(), numbers.next()];
-            let to = self.unoccluded_light(p, &from, lamp, u);
-            to.is_some_and(|(_, to)| tester.visibility(self.scene, &from, &to) > 0.0)
+            let is_facing =
+                |to: &SurfaceSpot| from.normal == Vec3A::ZERO || from.normal.dot(to.position - from.position) > 0.0;
+            let to = self.unoccluded_light(p, &from, lamp, u).map(|(_, to)| to).filter(is_facing)?;
+            Some(tester.visibility(self.scene, &from, &to) > 0.0)
         })
     }
 

@@ -3,6 +3,7 @@
 mod estimate;
 mod occlusion;
 
+pub use estimate::directional_share;
 pub use occlusion::occlusion_bound;
 
 use crate::arena::Arena;
@@ -13,6 +14,7 @@ use crate::gather::ElementLight;
 use crate::scene::Scene;
 use crate::tuning::{CLOSE_LIGHT, CLOSE_RADII, ERROR_SCALE_BOUNDS, MAX_FINER, THICK_DEPTH, UNPROVED_LIGHT};
 use crate::visibility::VisibilityTester;
+use femc_field::Harmonics;
 use femc_math::color::luminance;
 use femc_math::glam::Vec3A;
 
@@ -48,6 +50,8 @@ pub struct Oracle<'a> {
     pub scene: &'a Scene<'a>,
     pub arena: &'a Arena,
     pub lights: &'a [ElementLight],
+    /// Intensity that elements with light by direction send, cd.
+    pub intensity: &'a [Harmonics],
     /// Maximum error of a link, as a share of the receiver's irradiance.
     pub error: f32,
     /// Irradiance that is added to the receiver's, lx.
@@ -115,9 +119,9 @@ impl<'a> Oracle<'a> {
         let element = &self.arena.elements[index as usize];
         match &element.shape {
             _ if self.link_budget_exhausted => false,
-            Shape::Cluster(_) => true,
             _ if !element.is_leaf() => true,
             _ if self.element_budget_exhausted => false,
+            Shape::Cluster(_) => true,
             Shape::Volume(fog) => fog.volume > self.min_volume,
             Shape::Patch(Patch { part, .. }) | Shape::Curved(Curved { part, .. }) => {
                 // Bright places are split more finely.
@@ -163,7 +167,10 @@ impl<'a> Oracle<'a> {
         let (from, to) = (&self.lights[source as usize], &self.lights[receiver as usize]);
         let distance = p.center.distance(q.center);
         let dir = (p.center - q.center) / distance.max(f32::MIN_POSITIVE);
-        let sent = if q.is_directional() { from.intensity.cosine_integral(dir) } else { from.radiosity };
+        let sent = match q.directional() {
+            Some(directional) => self.intensity[directional].cosine_integral(dir),
+            None => from.radiosity,
+        };
         let close = |element: &Element| (element.radius / distance.max(1e-20)).min(1.0);
         let (near_p, near_q) = (close(p), close(q));
         let (radiosity, allowed) = (luminance(sent), self.allowed_error(p, to));
@@ -218,7 +225,11 @@ impl<'a> Oracle<'a> {
         let length = if q.is_volume() { q.radius.min(1.0 / self.extinction(q)) } else { 1.0 };
         let is_bright = luminance(pair.from.radiosity) * length * share > CLOSE_LIGHT * pair.allowed;
         let larger_first = if p.radius > q.radius { [1.0, 0.0] } else { [0.0, 1.0] };
-        is_bright.then(|| self.choose_split(pair, larger_first)).flatten()
+        is_bright.then(|| self.choose_split(pair, larger_first)).flatten().filter(|split| {
+            // The parts of a small cluster would be as close.
+            let is_small = q.is_cluster() && q.is_leaf() && q.radius < p.radius;
+            !(is_small && matches!(split, LinkDecision::SplitSource))
+        })
     }
 
     /// Splits the element that causes the error, or else the other one. `None` if neither can be split.
@@ -236,7 +247,16 @@ impl<'a> Oracle<'a> {
             |factors| LinkDecision::Keep { link: Link { receiver, source: receiver, factors }, is_inexact: false };
         let is_convex = |surface: u32| !self.scene.surfaces[surface as usize].is_concave();
         match &p.shape {
-            Shape::Cluster(_) => LinkDecision::SplitBoth,
+            Shape::Cluster(_) => {
+                // What the surfaces of a small cluster send to each other is found by rays.
+                let light = &self.lights[receiver as usize];
+                let is_bright = || luminance(light.radiosity) > CLOSE_LIGHT * self.allowed_error(p, light);
+                if !p.is_leaf() || is_bright() && self.may_split(receiver) {
+                    LinkDecision::SplitBoth
+                } else {
+                    keep([0.0; 4])
+                }
+            }
             Shape::Patch(Patch { part, .. }) | Shape::Curved(Curved { part, .. }) if is_convex(part.surface) => {
                 LinkDecision::Drop
             }

@@ -21,7 +21,7 @@ use crate::arena::Arena;
 use crate::element::{Element, Shape};
 use crate::gather::{ElementLights, FROM_ELEMENTS, FROM_LAMPS};
 use crate::scene::Scene;
-use crate::tuning::MIN_DENSITY_RATIO;
+use crate::tuning::DENSITY_RATIOS;
 use aims::Aim;
 use femc_field::{NONE, SurfaceSpot};
 use femc_math::Rgb;
@@ -32,8 +32,6 @@ use trace::{generate_ray, unpack_normal};
 
 /// Maximum number of parts of a leaf, which its nodes represent.
 const MAX_PARTS: usize = 4;
-/// Number of bytes of the minimum number of rays of a surface.
-pub const MIN_BYTES: usize = MAX_PARTS * (size_of::<RayHit>() + size_of::<[u32; 2]>());
 
 /// Hit of a ray.
 #[derive(Clone, Copy, Debug)]
@@ -67,7 +65,7 @@ struct RayHit {
 enum MisHeuristic {
     /// Balance heuristic over the rays of both leaves.
     Balance,
-    /// Only the leaf's own rays count, unless the other leaf's rays are denser by [`MIN_DENSITY_RATIO`]. Rays of the other leaf are
+    /// Only the leaf's own rays count, unless the other leaf's rays are denser by [`min_density_ratio`]. Rays of the other leaf are
     /// not stratified here and add noise.
     Maximum,
 }
@@ -75,11 +73,12 @@ enum MisHeuristic {
 impl MisHeuristic {
     /// Returns the rays per area by which a way's light is divided; 0: the way does not count.
     /// - `own`, `other`: densities from the leaf itself, and from the other end;
-    /// - `is_own`: whether the leaf's own ray found the way.
-    fn density(self, own: f32, other: f32, is_own: bool) -> f32 {
+    /// - `is_own`: whether the leaf's own ray found the way;
+    /// - `contrast`: light of the other leaf relative to the mean of what the leaf receives.
+    fn density(self, own: f32, other: f32, is_own: bool, contrast: f32) -> f32 {
         match self {
             Self::Balance => own + other,
-            Self::Maximum if is_own == (other <= MIN_DENSITY_RATIO * own) => {
+            Self::Maximum if is_own == (other <= min_density_ratio(contrast) * own) => {
                 if is_own {
                     own
                 } else {
@@ -89,6 +88,14 @@ impl MisHeuristic {
             Self::Maximum => 0.0,
         }
     }
+}
+
+/// Returns the minimum ratio of the density of rays from the other end to that of a leaf's own rays, for the former to be preferred.
+/// - `contrast`: light of the other leaf relative to the mean of what the leaf receives. Few of the own rays hit what is much brighter
+///   than the rest.
+fn min_density_ratio(contrast: f32) -> f32 {
+    let [least, most] = DENSITY_RATIOS;
+    (most / contrast).clamp(least, most)
 }
 
 /// A way along which light reaches a leaf.
@@ -252,8 +259,11 @@ impl Rays {
         let element = &arena.elements[self.leaves[leaf_index] as usize];
         let [first, end] = [self.first[leaf_index], self.first[leaf_index + 1]].map(|at| at as usize);
         let parts = part_count(element);
+        let mean = light.mean_irradiance(arena, self.leaves[leaf_index]);
+        let contrast = |other: u32| if other == NONE { 1.0 } else { light.mean_radiosity(other) / mean };
         for (ray, sight) in self.hits[first..end].iter().enumerate() {
-            let number = weights.density(sight.density[0], sight.density[1], true) * element.size();
+            let [own, other] = sight.density;
+            let number = weights.density(own, other, true, contrast(sight.leaf)) * element.size();
             if number > 0.0 {
                 let irradiance = light.received_irradiance(arena, sight) * (1.0 / number);
                 each(RaySample { ray: first + ray, origin: None, part: ray % parts, irradiance, ray_count: number });
@@ -264,9 +274,9 @@ impl Rays {
         {
             let (ray, origin) = (ray as usize, origin as usize);
             let sight = &self.hits[ray];
-            let number = weights.density(sight.density[1], sight.density[0], false) * element.size();
+            let (leaf, [other, own]) = (self.leaves[origin], sight.density);
+            let number = weights.density(own, other, false, contrast(leaf)) * element.size();
             if number > 0.0 {
-                let leaf = self.leaves[origin];
                 let origin_part = (ray - self.first[origin] as usize) % part_count(&arena.elements[leaf as usize]);
                 // Light in the other direction is scattered here instead of there.
                 let [here, there] =
@@ -288,7 +298,7 @@ impl Rays {
     fn ray_origin(&self, scene: &Scene<'_>, arena: &Arena, leaf_index: usize, ray: usize) -> SurfaceSpot {
         let element = &arena.elements[self.leaves[leaf_index] as usize];
         let [first, end] = [self.first[leaf_index], self.first[leaf_index + 1]].map(|at| at as usize);
-        generate_ray(scene, element, &Aim::NONE, ray - first, (end - first) / part_count(element), self.round).0
+        generate_ray(scene, arena, element, &Aim::NONE, ray - first, (end - first) / part_count(element), self.round).0
     }
 
     /// Returns by leaf of a surface, in the order of their indices, the light of its ways, lm, and the sum of its squares.
@@ -369,6 +379,19 @@ impl<'a> SentLight<'a> {
         Self { lights, lamps, parts: arena.elements.par_iter().enumerate().map(of).collect() }
     }
 
+    /// Returns the mean irradiance of a leaf from elements by luminance, lx; infinite for fog.
+    fn mean_irradiance(&self, arena: &Arena, leaf: u32) -> f32 {
+        if arena.elements[leaf as usize].is_volume() {
+            return f32::INFINITY;
+        }
+        luminance(self.lights.mean_irradiance_from_elements(arena, leaf as usize)).max(f32::MIN_POSITIVE)
+    }
+
+    /// Returns the mean radiosity of the parts of a leaf by luminance, lx.
+    fn mean_radiosity(&self, leaf: u32) -> f32 {
+        self.parts[leaf as usize].into_iter().map(luminance).sum::<f32>() * 0.25
+    }
+
     /// Returns the irradiance of a ray's origin, if all rays had this hit, lx.
     fn received_irradiance(&self, arena: &Arena, hit: &RayHit) -> Rgb {
         let of_lamps = if self.lamps == BentLamps::Included { Rgb::splat(hit.lamp) } else { Rgb::ZERO };
@@ -383,12 +406,14 @@ impl<'a> SentLight<'a> {
     /// - `normal`: normal at the point, for a curved leaf.
     fn radiosity(&self, arena: &Arena, leaf: u32, part: usize, normal: Vec3A) -> Rgb {
         let (lights, index) = (self.lights, leaf as usize);
+        let of = |directional: u32, from: usize| {
+            lights.directional_irradiance(directional as usize, index, from).cosine_integral(normal)
+        };
+        let all = |directional: u32| of(directional, FROM_LAMPS) + of(directional, FROM_ELEMENTS);
         let radiosity = match &arena.elements[index].shape {
-            Shape::Curved(curved) => {
-                let of = |from: usize| lights.directional_irradiance(curved, index, from).cosine_integral(normal);
-                curved.part.reflectance * (of(FROM_LAMPS) + of(FROM_ELEMENTS))
-            }
-            _ => self.parts[index][part],
+            Shape::Curved(curved) => curved.part.reflectance * all(curved.directional),
+            Shape::Cluster(cluster) => cluster.reflectance * all(cluster.directional),
+            Shape::Patch(_) | Shape::Volume(_) => self.parts[index][part],
         };
         radiosity.max(Rgb::ZERO)
     }

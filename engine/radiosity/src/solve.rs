@@ -11,14 +11,15 @@ use crate::arena::Arena;
 use crate::caustics::Caustics;
 use crate::census::Census;
 use crate::element::Element;
+use crate::exits::ClusterWeights;
 use crate::gather::ElementLights;
 use crate::link::Link;
 use crate::portals::Portal;
 use crate::rays::{RayPlan, Rays};
 use crate::scene::Scene;
 use crate::tuning::{
-    COARSE_RAY_CHECKS, COARSE_RESIDUAL, ERROR_LEVELS, MAX_ITERATIONS, MAX_LAMP_ERROR, RAY_CHECK_CHANGE, RAY_CHECKS,
-    RAY_ROUNDS, TARGET_RESIDUAL,
+    COARSE_RAY_CHECKS, COARSE_RESIDUAL, ERROR_LEVELS, MAX_ITERATIONS, MAX_LAMP_ERROR, MAX_RAY_CHECK_RATIO,
+    RAY_CHECK_CHANGE, RAY_CHECKS, RAY_ROUNDS, TARGET_RESIDUAL,
 };
 use acceleration::Acceleration;
 use femc_field::NONE;
@@ -123,7 +124,7 @@ impl SolverState {
     fn bytes(&self, links: usize) -> usize {
         links * size_of::<Link>()
             + self.arena.elements.len() * (size_of::<Element>() + ElementLights::BYTES)
-            + self.arena.directional_count * size_of::<crate::gather::IncidentLight>()
+            + self.arena.directional_count * ElementLights::DIRECTIONAL_BYTES
     }
 
     /// Plans the next rays.
@@ -144,8 +145,8 @@ impl SolverState {
                 self.arena.ensure_children(scene, half);
             }
         }
-        self.lights.grow(&self.arena);
-        self.lights.push_pull(scene, &self.arena);
+        self.lights.grow(scene, &self.arena);
+        self.lights.reflect_all(scene, &self.arena);
     }
 }
 
@@ -184,8 +185,8 @@ impl<'a> Solver<'a> {
         if root == NONE {
             return Ok(solver);
         }
-        solver.estimate_irradiance();
-        solver.state.links = vec![Link { receiver: root, source: root, factors: [0.0; 4] }];
+        solver.estimate_irradiance(0);
+        let mut dark = vec![[root, root]];
         let (caustics, rays) = Caustics::trace(scene, &solver.state.arena);
         solver.state.report.rays += rays;
         for (round, coarse) in ERROR_LEVELS.into_iter().enumerate() {
@@ -193,15 +194,15 @@ impl<'a> Solver<'a> {
             solver.state.report.inexact_links = 0;
             let error = options.error * coarse;
             // Direct light first, then the light between elements.
-            solver.link_lamps(error.min(MAX_LAMP_ERROR))?;
+            solver.link_lamps(error.min(MAX_LAMP_ERROR), round == 0)?;
             solver.refine_caustics(&caustics, error)?;
             if round == 0 {
-                solver.state.lights.push_pull(scene, &solver.state.arena);
+                solver.state.lights.reflect_all(scene, &solver.state.arena);
             }
-            solver.refine_links(error)?;
+            solver.refine_links(error, &mut dark)?;
             solver.set_caustics(&caustics);
             let SolverState { arena, lights, links, report, .. } = &mut solver.state;
-            report.row_sum = lights.bound_rows(scene, arena, links);
+            report.row_sum = lights.bound_rows(arena, links);
             solver.iterate(if is_last { TARGET_RESIDUAL } else { COARSE_RESIDUAL })?;
         }
         Ok(solver)
@@ -228,7 +229,7 @@ impl<'a> Solver<'a> {
             }
             let input = lights.sent_light(arena);
             lights.gather(arena, links);
-            report.residual = lights.push_pull(self.scene, arena).residual();
+            report.residual = lights.reflect_all(self.scene, arena).residual();
             report.iterations += 1;
             // At the end, the elements send what they reflect, not an extrapolation, which rays would compare with the links' light.
             if report.residual <= target || report.residual.is_nan() || iteration == MAX_ITERATIONS {
@@ -252,12 +253,13 @@ impl<'a> Solver<'a> {
         }
         let mut contrast = Vec::new();
         let SolverState { arena, lights, links, report, .. } = &mut self.state;
-        lights.cluster_weights.set_exit_shares(arena, rays.exit_shares(arena));
-        report.row_sum = lights.bound_rows(self.scene, arena, links);
-        lights.push_all(arena);
+        lights.cluster_weights = ClusterWeights::from_exit_shares(arena, rays.exit_shares(arena));
+        report.row_sum = lights.bound_rows(arena, links);
+        lights.gather(arena, links);
         let lamp_contrast = rays.correct_lamps(arena, lights, self.options.error);
         rays.measure_arriving_shares(arena, lights);
         let checks = if self.state.is_finished() { RAY_CHECKS } else { COARSE_RAY_CHECKS };
+        let mut last_change = f32::INFINITY;
         for _ in 0..checks {
             let SolverState { arena, lights, report, .. } = &mut self.state;
             let before = lights.sent_light(arena);
@@ -265,9 +267,11 @@ impl<'a> Solver<'a> {
             (report.ray_link_ratio, report.ray_correction) = (correction.ratio, correction.changed);
             contrast = correction.contrast;
             self.iterate(TARGET_RESIDUAL)?;
-            if self.state.change_since(&before) <= RAY_CHECK_CHANGE {
+            let change = self.state.change_since(&before);
+            if change <= RAY_CHECK_CHANGE || change > MAX_RAY_CHECK_RATIO * last_change {
                 break;
             }
+            last_change = change;
         }
         self.state.max_ray_bytes = self.state.max_ray_bytes.max(rays.bytes());
         self.state.report.rays += rays.traced;

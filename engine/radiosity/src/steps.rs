@@ -9,6 +9,7 @@
 use crate::arena::Arena;
 use crate::bytes::{Reader, StepDecodeError, Writer, colors_from_floats, position_from_floats, to_floats};
 use crate::element::Element;
+use crate::exits::ClusterWeights;
 use crate::gather::{ElementLight, ElementLights, FROM_ELEMENTS, FROM_LAMPS, IncidentLight};
 use crate::incoming::{self, Purpose};
 use crate::link::Link;
@@ -16,7 +17,7 @@ use crate::portals::{self, Portal};
 use crate::rays::{Aims, RayHits, RayPlan, Rays, are_complete, block_range, ray_leaves};
 use crate::scene::Scene;
 use crate::solve::{Cancelled, Solution, SolveOptions, SolveReport, Solver, SolverState, surface_leaves};
-use femc_field::{Guide, Harmonics, Lobe, NONE};
+use femc_field::{Cell, Guide, Harmonics, Leaf, Lobe, NONE};
 use femc_math::Rgb;
 use femc_math::hash::mix64;
 use femc_prepared::Prepared;
@@ -37,14 +38,11 @@ pub fn solve(prepared: &Prepared, options: &SolveOptions, cancel: &AtomicBool) -
     Ok(state.solution(prepared, guides))
 }
 
-/// Returns the minimum number of bytes of the first pass of a prepared frame: for elements that are not split, and for one ray from
-/// each part of them. Memory for splits and links beyond that follows from [`SolveOptions::memory`].
+/// Returns the minimum number of bytes of the first pass of a prepared frame: for the tree of clusters over all surfaces, and for
+/// the leaves of the field. Memory for elements, links and rays beyond that follows from [`SolveOptions::memory`].
 pub fn min_solve_bytes(prepared: &Prepared) -> u64 {
-    let surfaces = Scene::new(prepared).surfaces.len();
-    // Each surface is an element, and has about one cluster.
-    (surfaces
-        * (2 * (size_of::<Element>() + ElementLights::BYTES) + size_of::<IncidentLight>() + crate::rays::MIN_BYTES))
-        as u64
+    let surface = Arena::SURFACE_BYTES + 2 * size_of::<Leaf>() + size_of::<Cell>();
+    (Scene::new(prepared).surfaces.len() * surface) as u64
 }
 
 /// A first pass before rays are cast, with their guides.
@@ -78,7 +76,7 @@ pub struct BlockGuides {
     pub(crate) guides: Vec<(f32, Vec<Lobe>)>,
 }
 
-const ELEMENTS_MAGIC: &[u8; 8] = b"element4";
+const ELEMENTS_MAGIC: &[u8; 8] = b"element5";
 const LINKS_MAGIC: &[u8; 8] = b"links  1";
 const GUIDES_MAGIC: &[u8; 8] = b"guides 2";
 
@@ -97,7 +95,7 @@ impl SolverState {
 
     /// Returns the statistics so far.
     pub fn report(&self) -> SolveReport {
-        let elements = self.arena.elements.iter().filter(|element| !element.is_cluster()).count();
+        let elements = self.arena.elements.iter().filter(|element| element.is_leaf() || !element.is_cluster()).count();
         SolveReport { elements, links: self.links.len(), ..self.report }
     }
 
@@ -189,6 +187,7 @@ impl SolverState {
         let ElementLights {
             elements: lights,
             incident,
+            intensity,
             cluster_weights,
             row_scale,
             lamp_scale,
@@ -218,19 +217,16 @@ impl SolverState {
         let own = |kind: usize| -> Vec<[f32; 12]> {
             elements()
                 .filter(|(element, _)| !element.is_directional())
-                .map(|(_, light)| to_floats(&light.gathered[kind]))
+                .map(|(_, light)| to_floats(&light.total[kind]))
                 .collect()
         };
         [FROM_LAMPS, FROM_ELEMENTS].into_iter().for_each(|kind| writer.rows(&own(kind)));
-        let sent = elements()
-            .filter(|(element, _)| element.is_directional())
-            .map(|(_, light)| to_floats::<9, 27>(&light.intensity.0));
-        writer.rows(&sent.collect::<Vec<_>>());
+        writer.rows(&intensity.iter().map(|sent| to_floats::<9, 27>(&sent.0)).collect::<Vec<_>>());
         let around = |get: fn(&IncidentLight) -> &Harmonics| -> Vec<[f32; 27]> {
             incident.iter().map(|arriving| to_floats(&get(arriving).0)).collect()
         };
-        writer.rows(&around(|arriving| &arriving.gathered[FROM_LAMPS]));
-        writer.rows(&around(|arriving| &arriving.gathered[FROM_ELEMENTS]));
+        writer.rows(&around(|arriving| &arriving.total[FROM_LAMPS]));
+        writer.rows(&around(|arriving| &arriving.total[FROM_ELEMENTS]));
         writer.rows(&around(|arriving| &arriving.ray_correction));
         writer.finish()
     }
@@ -264,8 +260,7 @@ impl SolverState {
         };
         let mut arena = Arena::new(&scene);
         for cut in reader.numbers()? {
-            let may_be_cut = |element: &Element| element.is_leaf() && !element.is_cluster();
-            if !arena.elements.get(cut as usize).is_some_and(may_be_cut) {
+            if !arena.elements.get(cut as usize).is_some_and(Element::is_leaf) {
                 return Err(OTHER_ELEMENTS);
             }
             arena.ensure_children(&scene, cut);
@@ -289,10 +284,8 @@ impl SolverState {
             *light = ElementLight { radiosity, darkest, brightest, mean, min_mean: least, ..ElementLight::ZERO };
         }
         let number = usize::try_from(reader.number()?).unwrap_or(usize::MAX);
-        if number != lights.cluster_weights.weights.len() {
-            return Err(OTHER_ELEMENTS);
-        }
-        lights.cluster_weights.weights = reader.rows::<1>(number)?.into_iter().map(|[weight]| weight).collect();
+        let weights = reader.rows::<1>(number)?.into_iter().map(|[weight]| weight).collect();
+        lights.cluster_weights = ClusterWeights::from_numbers(&arena, weights).ok_or(OTHER_ELEMENTS)?;
         lights.row_scale = reader.rows::<4>(count)?;
         lights.lamp_scale = reader.rows::<4>(count)?;
         lights.lamp_correction = reader.rows::<12>(count)?.iter().map(|row| colors_from_floats(row)).collect();
@@ -307,23 +300,19 @@ impl SolverState {
             elements().filter(|(_, element)| !element.is_directional()).map(|(index, _)| index).collect();
         for kind in [FROM_LAMPS, FROM_ELEMENTS] {
             for (&index, row) in at_nodes.iter().zip(reader.rows::<12>(at_nodes.len())?) {
-                lights.elements[index].gathered[kind] = colors_from_floats(&row);
+                lights.elements[index].total[kind] = colors_from_floats(&row);
             }
         }
-        let wide: Vec<usize> =
-            elements().filter(|(_, element)| element.is_directional()).map(|(index, _)| index).collect();
-        for (&index, row) in wide.iter().zip(reader.rows::<27>(wide.len())?) {
-            lights.elements[index].intensity = Harmonics(colors_from_floats(&row));
-        }
+        let count = arena.directional_count;
+        lights.intensity = reader.rows::<27>(count)?.iter().map(|row| Harmonics(colors_from_floats(row))).collect();
         let sets: [fn(&mut IncidentLight) -> &mut Harmonics; 3] =
-            [|it| &mut it.gathered[FROM_LAMPS], |it| &mut it.gathered[FROM_ELEMENTS], |it| &mut it.ray_correction];
+            [|it| &mut it.total[FROM_LAMPS], |it| &mut it.total[FROM_ELEMENTS], |it| &mut it.ray_correction];
         for set in sets {
-            for (arriving, row) in lights.incident.iter_mut().zip(reader.rows::<27>(arena.directional_count)?) {
+            for (arriving, row) in lights.incident.iter_mut().zip(reader.rows::<27>(count)?) {
                 *set(arriving) = Harmonics(colors_from_floats(&row));
             }
         }
         reader.expect_end()?;
-        lights.push_all(&arena);
         let links = read_links(&arena, links)?;
         if links_digest(&links) != digest {
             return Err(OTHER_ELEMENTS);
@@ -436,14 +425,14 @@ impl CorrectedState {
     /// Finds the portals of the scene, which all blocks of groups of leaves need.
     fn find_portals(&mut self, scene: &Scene<'_>) {
         let SolverState { arena, lights, .. } = &self.state;
-        let portals = incoming::portals(scene, arena, lights, &self.rays, &surface_leaves(arena));
+        let portals = incoming::portals(scene, arena, lights, &self.rays, &parts_of_surfaces(arena));
         self.state.needs_more_rays |= portals.iter().any(Portal::is_rare);
         self.state.portals = portals;
     }
 
     fn build_groups(&self) -> GuideGroups {
         let SolverState { arena, lights, .. } = &self.state;
-        let leaves = surface_leaves(arena);
+        let leaves = parts_of_surfaces(arena);
         let groups = incoming::groups(arena, &leaves, &self.rays.leaf_light(arena, lights));
         let numbers = groups.iter().scan(0, |sum, (_, leaves)| {
             *sum += self.rays.ray_count(leaves) + leaves.len() as u32;
@@ -452,6 +441,13 @@ impl CorrectedState {
         let first = [0].into_iter().chain(numbers).collect();
         GuideGroups { groups, first }
     }
+}
+
+/// Returns the leaves of surfaces that are parts of single surfaces, in the order of the field.
+fn parts_of_surfaces(arena: &Arena) -> Vec<u32> {
+    let mut leaves = surface_leaves(arena);
+    leaves.retain(|&leaf| !arena.elements[leaf as usize].is_cluster());
+    leaves
 }
 
 fn join_guides(guides: Vec<BlockGuides>, leaves: &[u32]) -> (Vec<Guide>, Vec<Lobe>) {

@@ -34,6 +34,9 @@ pub const CURVED_NORMALS: usize = 16;
 /// Allowed errors of a link in successive levels, as multiples of the requested error. Light found at one level says where the next
 /// must be exact. The closed forms are calibrated on these levels.
 pub const ERROR_LEVELS: [f32; 3] = [8.0, 2.5, 1.0];
+/// Number of surfaces of a cluster that represent all of them in the first estimate of their irradiance. Not measured: light found
+/// later replaces the estimate.
+pub const CLUSTER_SAMPLES: usize = 16;
 /// Maximum error of a link with a light source, whatever the requested error. Direct light determines all other light, and its
 /// links are few. Not measured.
 pub const MAX_LAMP_ERROR: f32 = 0.1;
@@ -74,6 +77,8 @@ pub const CLOSE_LIGHT: f32 = 0.5;
 /// Error of an element with light by direction, as a share of the light: nine harmonics represent the cosine to 7 % of its greatest
 /// value, and the second term, times (radius over distance) squared, stands for the positions of its parts.
 pub const DIRECTIONAL_ERROR: [f32; 2] = [0.1, 2.0];
+/// Mean irradiance of a cluster without parts, relative to that of a surface that faces the source. It is exact for convex bodies.
+pub const CLUSTER_SHARE: f32 = 0.25;
 /// Second term of [`DIRECTIONAL_ERROR`] for light sources, which are closer to points.
 pub const DIRECTIONAL_LAMP_ERROR: f32 = 4.0;
 /// Weight of the difference between the center and the mean of the nodes. The nodes are exact for linear functions, so it is the
@@ -154,12 +159,20 @@ pub const MAX_CLEAR_SURFACES: u32 = 64;
 
 /// Number of rays that test whether any light of a source arrives. Not measured.
 pub const LAMP_VISIBILITY_RAYS: u32 = 16;
+/// Number of shadow rays from an element with light by direction to a point of a source, at most four. They begin on different parts
+/// that face the source. Not measured.
+pub const DIRECTIONAL_SHADOW_RAYS: u32 = 4;
 /// Number of points by axis on a source that is large as seen from the element. Not measured: occlusion has as many levels.
 pub const LAMP_STRATA: u32 = 2;
 /// Minimum radius of a large source, as a share of the distance. A point instead of a disc of this radius has an error of 1 %.
 pub const LARGE_SOURCE: f32 = 0.1;
 /// Minimum radius of an element near a source, as a share of the distance. Not measured.
 pub const NEAR_ELEMENT: f32 = 0.3;
+/// Maximum number of surfaces of a cluster that is not split. Not measured: its light is found by some dozens of rays.
+pub const MAX_MEMBERS: usize = 64;
+/// Minimum distance of a source from the surfaces of a cluster, as a share of the cluster's radius, in the estimate of the light that
+/// its center does not show. Not measured.
+pub const CLUSTER_REACH: f32 = 0.25;
 /// Maximum share of a source's light that a box around the source absorbs, times the error. Not measured.
 pub const MAX_LAMP_ABSORBED: f32 = 0.3;
 
@@ -196,17 +209,30 @@ pub const COARSE_RAY_CHECKS: usize = 2;
 /// Change of the light between two such comparisons, as a share of the light, up to which they end. Not measured: it is below the
 /// noise of the rays.
 pub const RAY_CHECK_CHANGE: f32 = 1e-3;
+/// Maximum ratio of that change to the one before, beyond which they end as well: noise decides where light is corrected, and some
+/// decisions may alternate without end. Soda (docs/first-pass.md) took 8 comparisons instead of 3.
+pub const MAX_RAY_CHECK_RATIO: f32 = 0.9;
 /// Minimum and maximum number of rays from each part of a leaf, and the total number of rays if the number per part is between
 /// these. Rays take 26 % of the time of the roundabout (docs/first-pass.md).
 pub const RAYS_PER_PART: [usize; 2] = [8, 1024];
 pub const TOTAL_RAYS: usize = 1 << 16;
+/// Minimum number of rays from each part of a box of fog. With 8 and as many other rays, the fog of the roundabout has 2 % less light
+/// at an error of 2 (docs/first-pass.md).
+pub const MIN_FOG_RAYS: usize = 16;
+/// Minimum number of rays from each part of a small leaf, and the area of such a leaf as a share of the area of all surfaces. Such leaves
+/// are not split.
+pub const MIN_SMALL_RAYS: usize = 2;
+pub const SMALL_AREA_SHARE: f32 = 3e-5;
 /// Total number of rays if few rays have found portals, so that each leaf measures their light with its own rays. Not measured.
 pub const TOTAL_RAYS_FOR_PORTALS: usize = 4 * TOTAL_RAYS;
-/// Number of additional rays, distributed among the leaves by the light that they send, relative to the other rays. Not measured.
+/// Number of additional rays, distributed among the leaves by the light that they send, relative to the other rays if each
+/// surface were an element and no leaf were small. Not measured.
 pub const EXTRA_RAYS_RATIO: f32 = 1.0;
-/// Minimum ratio of the density of rays from the other end to that of a leaf's own rays, for the former to be preferred. At a ratio
-/// of 4 a furnace lost a hundredth of its light.
-pub const MIN_DENSITY_RATIO: f32 = 32.0;
+/// Bounds of the minimum ratio of the density of rays from the other end to that of a leaf's own rays, for the former to be preferred.
+/// The greater one is for evenly lit surroundings: with 8 there, a point in an evenly lit sphere was 6 % too dark. With 32
+/// everywhere, a plate below a bright ball had an rms of 9 % instead of 3 %, because some leaves had missed the ball. With a lesser
+/// bound of 2, the floor of a cube had an rms of 6 % at an error of 0.03 instead of less than 2 %.
+pub const DENSITY_RATIOS: [f32; 2] = [8.0, 32.0];
 /// Squared difference, in units of its variance, that counts as chance if links may have the error [`ROUGH_ERROR`] or more. For
 /// more exact links it is larger, because a difference is then less likely their fault. A
 /// larger one keeps more noise of few rays out of the solution, and more errors of links in it. In random rooms 0 to 29, the

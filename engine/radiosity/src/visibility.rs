@@ -1,7 +1,7 @@
 //! Visibility between two elements: rays between pseudo-random points of them.
 
 use crate::arena::Arena;
-use crate::element::Element;
+use crate::element::{Element, Shape};
 use crate::scene::{SHUTTER_TIME, Scene};
 use crate::tuning::{EVEN_PARTS, MAX_CLEAR_SURFACES};
 use femc_emission::LightWeights;
@@ -98,7 +98,7 @@ pub fn sample_point(
     weight: impl Fn(u32) -> f32,
 ) -> SurfaceSpot {
     let mut element = element;
-    while element.is_cluster() || !element.is_leaf() {
+    while !element.is_leaf() {
         let children = element.children;
         let [a, b] = children.map(|child| &arena.elements[child as usize]);
         let [wa, wb] = [(a, children[0]), (b, children[1])].map(|(part, index)| part.size() * weight(index));
@@ -109,6 +109,10 @@ pub fn sample_point(
             break;
         }
         element = if numbers.next() < share { a } else { b };
+    }
+    if let Shape::Cluster(cluster) = &element.shape {
+        let u = 0.25 * (numbers.next() + part as f32);
+        return arena.point_of_cluster(scene, cluster, u, Vec2::new(numbers.next(), numbers.next()));
     }
     let u = [0, 1].map(|axis| 0.5 * (numbers.next() + (part >> axis & 1) as f32));
     let Some(part) = element.surface_part() else {

@@ -398,10 +398,10 @@ fn lamps_of_any_power_share_first_pass_and_scale_its_light() {
         let [min, max] = field.fog.bounds();
         f64::from(luminance(field.fog.mean_radiance(min + (max - min) * 0.3)))
     };
-    for (_, _, lit, own) in [&one, &other] {
-        assert!((mean(lit) / mean(own) - 1.0).abs() < 1e-3, "{} {}", mean(lit), mean(own));
-        assert!((fog(lit) / fog(own) - 1.0).abs() < 1e-3, "{} {}", fog(lit), fog(own));
-    }
+    // A power of two scales numbers without rounding, which would change decisions of the solver.
+    let (_, _, lit, own) = of(2048.0);
+    assert!((mean(&lit) / mean(&own) - 1.0).abs() < 1e-6, "{} {}", mean(&lit), mean(&own));
+    assert!((fog(&lit) / fog(&own) - 1.0).abs() < 1e-6, "{} {}", fog(&lit), fog(&own));
     let power = 2310.0 / 170.0;
     assert!((mean(&other.2) / mean(&one.2) / power - 1.0).abs() < 1e-6);
     assert!((fog(&other.2) / fog(&one.2) / power - 1.0).abs() < 1e-6);

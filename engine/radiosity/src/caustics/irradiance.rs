@@ -47,7 +47,8 @@ impl Caustics {
     pub fn light(&self, arena: &Arena) -> CausticLight {
         let parts = self.part_fluxes(arena);
         let mut sums: Vec<PartFlux> = parts.iter().map(|parts| PartFlux::sum(parts)).collect();
-        for index in (0..sums.len()).rev().filter(|&index| arena.elements[index].is_cluster()) {
+        let has_parts = |index: usize| arena.elements[index].is_cluster() && !arena.elements[index].is_leaf();
+        for index in (0..sums.len()).rev().filter(|&index| has_parts(index)) {
             sums[index] = PartFlux::sum(&arena.elements[index].children.map(|child| sums[child as usize]));
         }
         // Light of a cluster, lm, and expected irradiance at the nodes of others, lx.
@@ -66,6 +67,13 @@ impl Caustics {
             }
             let mean = expected[index];
             if luminance(mean[0] + mean[1] + mean[2] + mean[3]) <= 0.0 || element.radius.is_infinite() {
+                continue;
+            }
+            if element.is_cluster() && element.is_leaf() {
+                // The surfaces of a cluster without parts have the mean. Where that matters, it is split.
+                let mean = whole(element, mean[0]);
+                light.nodes[index] = [mean; 4];
+                light.contrast.push((index as u32, 2.0 * luminance(mean)));
                 continue;
             }
             let children = element.children.map(|child| (child, arena.elements.get(child as usize)));
@@ -133,7 +141,11 @@ impl Caustics {
                 }
                 continue;
             }
-            for (index, local) in arena.parts_at(arena.roots[surface as usize], Vec2::new(place.x, place.y)) {
+            let root = arena.roots[surface as usize];
+            if arena.elements.get(root as usize).is_some_and(Element::is_cluster) {
+                parts[root as usize][0].add(flux);
+            }
+            for (index, local) in arena.parts_at(root, Vec2::new(place.x, place.y)) {
                 parts[index as usize][leaf_part(&arena.elements[index as usize], local)].add(flux);
             }
         }

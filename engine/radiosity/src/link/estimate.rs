@@ -1,10 +1,10 @@
 //! Light of a link without occlusion, with estimates of its error.
 
 use super::{Oracle, Pair};
-use crate::element::{PatchForm, Shape};
+use crate::element::{Element, PatchForm, Shape};
 use crate::tuning::{
-    CENTER_WEIGHT, DIRECTIONAL_ERROR, EDGE_WEIGHT, MIN_NEIGHBOR_RADII, MIN_SOURCE_SHARE, NODES_WEIGHT, SHAPE_WEIGHT,
-    SURFACE_EDGE_WEIGHT, THICKNESS_WEIGHT,
+    CENTER_WEIGHT, CLUSTER_SHARE, DIRECTIONAL_ERROR, EDGE_WEIGHT, MIN_NEIGHBOR_RADII, MIN_SOURCE_SHARE, NODES_WEIGHT,
+    SHAPE_WEIGHT, SURFACE_EDGE_WEIGHT, THICKNESS_WEIGHT,
 };
 use crate::visibility::VisibilityTester;
 
@@ -30,24 +30,38 @@ impl Oracle<'_> {
         }
         let nodes = &factors[..count];
         let mut mean = nodes.iter().sum::<f32>() / count as f32;
-        let middle = if count > 1 { self.factor(p, q, &p.center_spot(), tester) } else { mean };
         let (low, high) = nodes.iter().fold((f32::INFINITY, 0.0f32), |(low, high), &f| (low.min(f), high.max(f)));
         let missed =
             if self.is_beside(pair) { self.add_missed_light(pair, (&mut factors, &mut mean), tester) } else { 0.0 };
-        let receiver_error = if p.is_directional() {
-            mean * pair.radiosity * directional_error(pair.near_p)
-        } else {
-            let edge = match (&p.shape, &q.shape) {
-                (Shape::Volume(_), Shape::Volume(_)) => EDGE_WEIGHT * self.edge_error(p, q, &factors, tester),
-                (Shape::Volume(_), Shape::Patch(_)) => SURFACE_EDGE_WEIGHT * self.edge_error(p, q, &factors, tester),
-                _ => 0.0,
-            };
-            let shape = SHAPE_WEIGHT * pair.near_p * pair.near_p * mean;
-            (CENTER_WEIGHT * (middle - mean).abs() + NODES_WEIGHT * (high - low) + shape + missed + edge)
-                * pair.radiosity
+        let source_error = source_error(pair, mean);
+        let sum = |receiver_error: f32| {
+            let errors = self.sum_errors(pair, mean, [receiver_error * pair.radiosity, source_error]);
+            LinkEstimate { factors, mean, errors }
         };
-        let errors = self.sum_errors(pair, mean, [receiver_error, source_error(pair, mean)]);
-        LinkEstimate { factors, mean, errors }
+        if p.is_directional() {
+            return sum(directional_share(p) * mean * directional_error(pair.near_p));
+        }
+        // If a part of the receiver's error is too large and the greater one, the receiver is split, whatever the rest is.
+        let is_enough = |LinkEstimate { errors, .. }: &LinkEstimate| errors[0] > pair.allowed && errors[0] >= errors[1];
+        let mut error = NODES_WEIGHT * (high - low) + SHAPE_WEIGHT * pair.near_p * pair.near_p * mean + missed;
+        let weight = match (&p.shape, &q.shape) {
+            (Shape::Volume(_), Shape::Volume(_)) => EDGE_WEIGHT,
+            (Shape::Volume(_), Shape::Patch(_)) => SURFACE_EDGE_WEIGHT,
+            _ => 0.0,
+        };
+        let partial = sum(error);
+        if is_enough(&partial) {
+            return partial;
+        }
+        if weight > 0.0 {
+            error += weight * self.edge_error(p, q, &factors, tester);
+            let partial = sum(error);
+            if is_enough(&partial) {
+                return partial;
+            }
+        }
+        let middle = if count > 1 { self.factor(p, q, &p.center_spot(), tester) } else { mean };
+        sum(error + CENTER_WEIGHT * (middle - mean).abs())
     }
 
     /// Checks whether a small source is next to a box of fog. It mostly lights the fog next to itself, where there may be no node.
@@ -114,6 +128,12 @@ fn source_error(pair: &Pair<'_>, mean: f32) -> f32 {
     let shape = if is_bent { SHAPE_WEIGHT * near_q * near_q } else { 0.0 };
     let sent = pair.sent();
     mean * (0.5 * (sent.high - sent.low) * (2.0 * near_q).min(1.0) + shape * radiosity)
+}
+
+/// Returns the mean irradiance of an element with light by direction, relative to that of a surface that faces the source.
+pub fn directional_share(element: &Element) -> f32 {
+    // The surfaces of a cluster with parts have errors of their own.
+    if element.is_cluster() && element.is_leaf() { CLUSTER_SHARE } else { 1.0 }
 }
 
 /// Returns the error of an element with light by direction, as a share of the light.

@@ -4,7 +4,7 @@ use super::trace::unpack_normal;
 use super::{BentLamps, MAX_PARTS, MisHeuristic, RaySample, Rays, SentLight, part_count};
 use crate::arena::Arena;
 use crate::element::Element;
-use crate::exits::is_whole_surface;
+use crate::exits::is_root;
 use crate::gather::{ElementLights, FROM_ELEMENTS, FROM_LAMPS};
 use crate::tuning::{
     CHANCE_VARIANCES, CHANCE_VARIANCES_OF_RARE_HITS, MAX_RAY_SCALE, MIN_RELATIVE_VARIANCE, RAYS_OF_WHOLE, ROUGH_ERROR,
@@ -337,7 +337,7 @@ impl Rays {
         for index in (0..arena.elements.len()).rev() {
             let element = &arena.elements[index];
             let part = sums[index];
-            if is_whole_surface(arena, index as u32) {
+            if is_root(arena, index as u32) {
                 all.add(&part);
             } else if element.surface_part().is_some() || (element.is_volume() && index != arena.fog as usize) {
                 sums[element.parent as usize].add(&part);
@@ -346,7 +346,7 @@ impl Rays {
         // A parent comes before its children. The total of its parts is known best.
         let whole = all.estimate(&LightEstimate::links(&all, noise.estimator), noise);
         let mut known = vec![whole; arena.elements.len()];
-        let roots: Vec<u32> = arena.roots.iter().copied().filter(|&root| root != NONE).collect();
+        let roots: Vec<u32> = (0..arena.elements.len() as u32).filter(|&index| is_root(arena, index)).collect();
         let parts: Vec<PartSums> = roots.iter().map(|&root| sums[root as usize]).collect();
         for (&root, part) in roots.iter().zip(whole.part_estimates(&all, noise, &parts)) {
             known[root as usize] = part;

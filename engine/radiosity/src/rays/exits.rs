@@ -2,7 +2,7 @@
 
 use super::Rays;
 use crate::arena::Arena;
-use crate::exits::{clusters_around, is_whole_surface};
+use crate::exits::{clusters_around, is_root};
 use femc_field::NONE;
 use rayon::prelude::*;
 
@@ -13,7 +13,7 @@ impl Rays {
         let mut depth = vec![0u32; arena.elements.len()];
         let mut whole = vec![NONE; arena.elements.len()];
         for (index, element) in arena.elements.iter().enumerate() {
-            if is_whole_surface(arena, index as u32) {
+            if is_root(arena, index as u32) {
                 whole[index] = index as u32;
             } else if element.surface_part().is_some() {
                 whole[index] = whole[element.parent as usize];
@@ -54,7 +54,7 @@ impl Rays {
             sums.iter_mut().zip(weights).for_each(|(sum, weight)| *sum += weight);
         }
         let mut shares = Vec::new();
-        for index in (0..arena.elements.len()).filter(|&index| is_whole_surface(arena, index as u32)) {
+        for index in (0..arena.elements.len()).filter(|&index| is_root(arena, index as u32)) {
             let sums = &by_surface[index];
             let all: f32 = sums.iter().sum();
             for (k, _) in clusters_around(arena, arena.elements[index].parent).enumerate() {

@@ -5,7 +5,9 @@ use super::{Aims, MAX_PARTS, RayHit, RayHits, Rays, part_count};
 use crate::arena::Arena;
 use crate::gather::ElementLights;
 use crate::scene::Scene;
-use crate::tuning::{EXTRA_RAYS_RATIO, RAYS_PER_PART, TOTAL_RAYS, TOTAL_RAYS_FOR_PORTALS};
+use crate::tuning::{
+    EXTRA_RAYS_RATIO, MIN_FOG_RAYS, MIN_SMALL_RAYS, RAYS_PER_PART, SMALL_AREA_SHARE, TOTAL_RAYS, TOTAL_RAYS_FOR_PORTALS,
+};
 use crate::visibility::VisibilityTester;
 use femc_field::{NONE, SurfaceSpot};
 use femc_math::color::luminance;
@@ -45,10 +47,22 @@ impl RayPlan {
         let all = if needs_more_rays { TOTAL_RAYS_FOR_PORTALS } else { TOTAL_RAYS };
         // The many boxes of fog leave the surfaces their rays.
         let rays_per_part =
-            |all: usize, parts: usize| (all / parts.max(1)).clamp(RAYS_PER_PART[0], RAYS_PER_PART[1]).min(fit);
-        let (of_surface, of_box) = (rays_per_part(all, of_surfaces), rays_per_part(TOTAL_RAYS, of_fog));
-        let base = of_surfaces * of_surface + of_fog * of_box;
-        let more = (EXTRA_RAYS_RATIO * base as f32).min((fit * (of_surfaces + of_fog) - base) as f32);
+            |all: usize, parts: usize, least: usize| (all / parts.max(1)).clamp(least, RAYS_PER_PART[1]).min(fit);
+        let [of_surface, of_small] =
+            [RAYS_PER_PART[0], MIN_SMALL_RAYS].map(|least| rays_per_part(all, of_surfaces, least));
+        let of_box = rays_per_part(TOTAL_RAYS, of_fog, MIN_FOG_RAYS);
+        let small = arena.elements.get(arena.surfaces as usize).map_or(0.0, |all| SMALL_AREA_SHARE * all.size());
+        let each = |leaf: u32| match &arena.elements[leaf as usize] {
+            element if element.is_volume() => of_box,
+            element if element.surface_part().is_some_and(|part| part.area < small) => of_small,
+            _ => of_surface,
+        };
+        let base = MAX_PARTS * leaves.iter().map(|&leaf| each(leaf)).sum::<usize>();
+        // Clusters count as their surfaces: they do not lower the number of rays from bright leaves.
+        let merged: usize =
+            leaves.iter().map(|&leaf| arena.members(&arena.elements[leaf as usize]).len().saturating_sub(1)).sum();
+        let regular = ((of_surfaces + MAX_PARTS * merged) * of_surface + of_fog * of_box) as f32;
+        let more = (EXTRA_RAYS_RATIO * regular).min((fit * (of_surfaces + of_fog) - base) as f32);
         let power = |&leaf: &u32| {
             let element = &arena.elements[leaf as usize];
             element.sending_size() * luminance(lights.elements[leaf as usize].radiosity).max(0.0)
@@ -59,8 +73,7 @@ impl RayPlan {
         let mut density = vec![0.0f32; arena.elements.len()];
         for leaf in &leaves {
             let element = &arena.elements[*leaf as usize];
-            let each = if element.is_volume() { of_box } else { of_surface };
-            let number = (part_count(element) * (each + by_power(leaf))) as u32;
+            let number = (part_count(element) * (each(*leaf) + by_power(leaf))) as u32;
             first.push(first[first.len() - 1] + number);
             density[*leaf as usize] = number as f32 / element.size();
         }
@@ -98,7 +111,7 @@ impl RayPlan {
                     let element = &arena.elements[leaf as usize];
                     let each = count as usize / part_count(element);
                     let sight = |ray: usize| {
-                        let (spot, dir, u) = generate_ray(scene, element, aims.get(leaf), ray, each, self.round);
+                        let (spot, dir, u) = generate_ray(scene, arena, element, aims.get(leaf), ray, each, self.round);
                         let direct = direct_irradiance(
                             scene,
                             &spot,
@@ -138,12 +151,9 @@ impl RayPlan {
     }
 }
 
-/// Returns the leaves from which rays begin, by index: parts of surfaces, and boxes of fog.
+/// Returns the leaves from which rays begin, by index: parts of surfaces, clusters without parts, and boxes of fog.
 pub fn ray_leaves(arena: &Arena) -> Vec<u32> {
-    let is_leaf = |index: &u32| {
-        let element = &arena.elements[*index as usize];
-        element.is_leaf() && !element.is_cluster()
-    };
+    let is_leaf = |index: &u32| arena.elements[*index as usize].is_leaf();
     (0..arena.elements.len() as u32).filter(is_leaf).collect()
 }
 

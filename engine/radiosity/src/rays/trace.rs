@@ -3,7 +3,7 @@
 use super::aims::Aim;
 use super::{RayHit, part_count};
 use crate::arena::Arena;
-use crate::element::{Element, FOG_NODES};
+use crate::element::{Element, FOG_NODES, Shape};
 use crate::scene::{SHUTTER_TIME, Scene};
 use crate::tuning::MAX_CLEAR_SURFACES;
 use crate::visibility::{RandomNumbers, VisibilityTester};
@@ -58,6 +58,7 @@ pub fn leaf_part(element: &Element, local: Vec2) -> usize {
 /// - `round`: number of the round; each has different rays.
 pub(super) fn generate_ray(
     scene: &Scene<'_>,
+    arena: &Arena,
     element: &Element,
     aim: &Aim,
     ray: usize,
@@ -91,7 +92,11 @@ pub(super) fn generate_ray(
     } else {
         local = 0.5 * (local + Vec2::new((part % 2) as f32, (part / 2) as f32));
     }
-    let spot = element.point_at(scene, local);
+    let spot = if let Shape::Cluster(cluster) = &element.shape {
+        arena.point_of_cluster(scene, cluster, 0.25 * (numbers.next() + part as f32), (2.0 * local).fract())
+    } else {
+        element.point_at(scene, local)
+    };
     let aimed = aim.number(rays_per_part);
     let (turn, of) = if turn < aimed { (turn, aimed) } else { (turn - aimed, rays_per_part - aimed) };
     let u = lattice(turn, of);

@@ -1,13 +1,14 @@
 //! Solution: the light of elements as a field.
 
 use super::{SolveReport, SolverState};
-use crate::arena::Arena;
+use crate::arena::{Arena, root_outline};
 use crate::census::Census;
-use crate::element::{Element, Shape};
+use crate::element::{Cluster, Element, Shape};
 use crate::gather::{ElementLights, FROM_ELEMENTS, FROM_LAMPS};
 use crate::link::Link;
 use crate::scene::Scene;
-use femc_field::{Cell, Field, Guide, Guides, Leaf, Lobe, NONE, Split};
+use femc_field::{Cell, Field, Form, Guide, Guides, Harmonics, Leaf, Lobe, NONE, Split};
+use femc_math::glam::Vec2;
 
 /// Light of a scene, with a report.
 #[derive(Clone, Debug)]
@@ -29,7 +30,7 @@ impl SolverState {
             SolveReport::default()
         } else {
             SolveReport {
-                elements: elements.iter().filter(|element| !element.is_cluster()).count(),
+                elements: elements.iter().filter(|element| element.is_leaf() || !element.is_cluster()).count(),
                 leaves: elements.iter().filter(|element| element.is_leaf()).count(),
                 links: self.links.len(),
                 bytes: self.bytes(self.links.len()) + self.max_ray_bytes,
@@ -46,7 +47,7 @@ impl SolverState {
     }
 }
 
-/// Returns the leaves of surfaces, in the order of the field.
+/// Returns the leaves of surfaces, in the order of the field. A cluster without parts is the leaf of each of its surfaces.
 pub(crate) fn surface_leaves(arena: &Arena) -> Vec<u32> {
     let mut leaves = Vec::new();
     for &root in arena.roots.iter().filter(|&&root| root != NONE) {
@@ -95,14 +96,28 @@ fn build_field(
         while at < order.len() {
             let element = &arena.elements[order[at] as usize];
             let next = if element.is_leaf() {
-                field.leaves.push(field_leaf(element, order[at], lights, FROM_ELEMENTS));
-                direct.push(field_leaf(element, order[at], lights, FROM_LAMPS));
+                let leaf = |from: usize| match element.shape {
+                    Shape::Cluster(Cluster { directional, .. }) => {
+                        let light = lights.directional_irradiance(directional as usize, order[at] as usize, from);
+                        surface_leaf(&scene, surface, light)
+                    }
+                    _ => field_leaf(element, order[at], lights, from),
+                };
+                field.leaves.push(leaf(FROM_ELEMENTS));
+                direct.push(leaf(FROM_LAMPS));
                 field.leaves.len() as u32 - 1
             } else {
                 order.extend(element.children);
                 first + order.len() as u32 - 2
             };
-            field.cells.extend(field_cell(element, next));
+            field.cells.push(match element.surface_part() {
+                Some(part) => Cell {
+                    outline: part.in_parent,
+                    split: if element.is_leaf() { Split::None } else { part.split },
+                    next,
+                },
+                None => Cell { outline: root_outline(&scene, surface as u32), split: Split::None, next },
+            });
             at += 1;
         }
     }
@@ -117,16 +132,21 @@ fn build_field(
     (field, direct, fog)
 }
 
-/// Returns the cell of a part of a surface.
-fn field_cell(element: &Element, next: u32) -> Option<Cell> {
-    let part = element.surface_part()?;
-    let split = if element.is_leaf() { Split::None } else { part.split };
-    Some(Cell { outline: part.in_parent, split, next })
+/// Returns the leaf of a whole surface.
+/// - `light`: arriving light by direction.
+fn surface_leaf(scene: &Scene<'_>, surface: usize, light: Harmonics) -> Leaf {
+    let source = &scene.surfaces[surface];
+    let irradiance = || light.cosine_integral(source.point_at(Vec2::splat(1.0 / 3.0)).normal);
+    match source.form {
+        Form::Triangle(_) => Leaf::Triangle([irradiance(); 3]),
+        Form::Parallelogram(_) => Leaf::Rectangle([irradiance(); 4]),
+        Form::Curved { .. } => Leaf::Curved(light),
+    }
 }
 
 fn field_leaf(element: &Element, index: u32, lights: &ElementLights, from: usize) -> Leaf {
     if let Shape::Curved(curved) = &element.shape {
-        return Leaf::Curved(lights.directional_irradiance(curved, index as usize, from));
+        return Leaf::Curved(lights.directional_irradiance(curved.directional as usize, index as usize, from));
     }
     let values = lights.node_irradiance(index as usize, from);
     if element.is_triangle() { Leaf::Triangle([values[0], values[1], values[2]]) } else { Leaf::Rectangle(values) }

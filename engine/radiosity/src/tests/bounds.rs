@@ -1,6 +1,6 @@
 //! Bounds of light between any two elements, against exact form factors of polygons and point samples of other shapes.
 
-use super::{GRAY, face, oracle, prepare, split};
+use super::{GRAY, face, full_arena, oracle, prepare, split};
 use crate::arena::Arena;
 use crate::bounds::{Extent, Interval, form_factor, irradiance, transmittance};
 use crate::element::Element;
@@ -203,7 +203,7 @@ impl Comparison {
         let mut numbers = RandomNumbers::new(&[seed, 0xb0]);
         let prepared = prepare(&random_world(&mut numbers));
         let scene = Scene::new(&prepared);
-        let mut arena = Arena::new(&scene);
+        let mut arena = full_arena(&scene);
         for root in 0..arena.elements.len() as u32 {
             if !arena.elements[root as usize].is_cluster() {
                 split(&mut arena, &scene, root, (numbers.next() * 5.0) as u32);
@@ -327,7 +327,7 @@ fn factors_of_links_are_within_their_bounds() {
     let wall = face(&[[0.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]]);
     let prepared = prepare(&format!("medium haze =\n  sigma_s 0.7\nmglobal haze\n{GRAY}{floor}{wall}"));
     let scene = Scene::new(&prepared);
-    let mut arena = Arena::new(&scene);
+    let mut arena = full_arena(&scene);
     for root in [arena.roots[0], arena.roots[1], arena.fog] {
         split(&mut arena, &scene, root, 5);
     }

@@ -1,7 +1,6 @@
 //! Elements: splitting conserves area and volume, every point has one leaf, bounds contain their parts.
 
-use super::{GRAY, face, leaves_of, outward_box, prepare, split};
-use crate::arena::Arena;
+use super::{GRAY, face, full_arena, leaves_of, outward_box, prepare, split};
 use crate::element::{Element, FOG_NODES, PatchForm, Shape};
 use crate::scene::Scene;
 use femc_field::{Form, NONE, Side};
@@ -40,7 +39,7 @@ fn splits_conserve_area_and_volume() {
     let (text, areas) = shapes();
     let prepared = prepare(&text);
     let scene = Scene::new(&prepared);
-    let mut arena = Arena::new(&scene);
+    let mut arena = full_arena(&scene);
     assert_eq!(scene.surfaces.len(), areas.len());
     let roots = arena.roots.clone();
     roots.iter().chain([&arena.fog.clone()]).for_each(|&root| split(&mut arena, &scene, root, 6));
@@ -64,7 +63,7 @@ fn every_point_of_a_surface_is_in_exactly_one_leaf() {
     let (text, _) = shapes();
     let prepared = prepare(&text);
     let scene = Scene::new(&prepared);
-    let mut arena = Arena::new(&scene);
+    let mut arena = full_arena(&scene);
     for (surface, root) in arena.roots.clone().into_iter().enumerate() {
         split(&mut arena, &scene, root, 3);
         let first = leaves_of(&arena, root)[3];
@@ -101,7 +100,7 @@ fn bounds_contain_all_parts() {
     let (text, _) = shapes();
     let prepared = prepare(&text);
     let scene = Scene::new(&prepared);
-    let mut arena = Arena::new(&scene);
+    let mut arena = full_arena(&scene);
     arena.roots.clone().into_iter().for_each(|root| split(&mut arena, &scene, root, 4));
     let fog = arena.fog;
     split(&mut arena, &scene, fog, 4);
@@ -138,7 +137,7 @@ fn bounds_contain_all_parts() {
 fn boxes_contain_tilted_rings() {
     let prepared = prepare(&format!("{GRAY}v a =\n  p 0 0 0\n  n 1 1 0\nring a 0.5 1\n"));
     let scene = Scene::new(&prepared);
-    let arena = Arena::new(&scene);
+    let arena = full_arena(&scene);
     let ring = &arena.elements[arena.roots[0] as usize];
     let inside = |point: Vec3A| ((point - ring.box_center).abs() - ring.half_extent).max_element() <= 1e-6;
     assert!(points(&scene, ring).into_iter().all(inside), "{ring:?}");
@@ -153,7 +152,7 @@ fn corners_are_counterclockwise_around_the_normal_on_both_sides() {
         + &face(&[[0.0, 3.0, 0.0], [2.0, 3.0, 0.0], [2.0, 3.0, 1.0], [0.0, 3.0, 1.0]]);
     let prepared = prepare(&text);
     let scene = Scene::new(&prepared);
-    let mut arena = Arena::new(&scene);
+    let mut arena = full_arena(&scene);
     let mut backs = 0;
     for (surface, root) in arena.roots.clone().into_iter().enumerate() {
         split(&mut arena, &scene, root, 3);
@@ -180,7 +179,7 @@ fn shapes_follow_the_curvature_of_surfaces() {
     let (text, _) = shapes();
     let prepared = prepare(&text);
     let scene = Scene::new(&prepared);
-    let mut arena = Arena::new(&scene);
+    let mut arena = full_arena(&scene);
     let roots = arena.roots.clone();
     assert!(matches!(&arena.elements[roots[0] as usize].shape, Shape::Patch(it) if it.form == PatchForm::Triangle));
     assert!(
@@ -206,7 +205,7 @@ fn shapes_follow_the_curvature_of_surfaces() {
 fn boxes_of_fog_are_found_and_their_nodes_integrate_quadratics() {
     let prepared = prepare(&format!("medium haze =\n  sigma_s 0.1\nmbox haze -2 -3 -1 3 1 2\n{GRAY}"));
     let scene = Scene::new(&prepared);
-    let mut arena = Arena::new(&scene);
+    let mut arena = full_arena(&scene);
     let fog = arena.fog;
     split(&mut arena, &scene, fog, 7);
     let root = &arena.elements[arena.fog as usize];
@@ -227,13 +226,13 @@ fn boxes_of_fog_are_found_and_their_nodes_integrate_quadratics() {
 fn coplanar_clusters_have_a_normal_and_others_have_none() {
     let prepared = prepare(&format!("{GRAY}{}", outward_box([0.0; 3], [1.0, 2.0, 3.0])));
     let scene = Scene::new(&prepared);
-    let arena = Arena::new(&scene);
+    let arena = full_arena(&scene);
     let root = &arena.elements[arena.root as usize];
     assert!((root.size() - 22.0).abs() < 1e-4 && root.normal() == Vec3A::ZERO && root.parent == NONE, "{root:?}");
     let floor = |x: f64| face(&[[x, 0.0, 0.0], [x + 1.0, 0.0, 0.0], [x + 1.0, 1.0, 0.0], [x, 1.0, 0.0]]);
     let prepared = prepare(&format!("{GRAY}{}{}{}", floor(0.0), floor(1.0), floor(2.5)));
     let scene = Scene::new(&prepared);
-    let arena = Arena::new(&scene);
+    let arena = full_arena(&scene);
     let root = &arena.elements[arena.root as usize];
     assert!(root.is_cluster() && root.normal() == Vec3A::Z && (root.size() - 3.0).abs() < 1e-5, "{root:?}");
 }

@@ -55,7 +55,7 @@ fn light_does_not_grow_whatever_the_links_bring() {
     lights.row_scale.fill([1.0; 4]);
     for _ in 0..200 {
         lights.gather(arena, links);
-        let flux = lights.push_pull(&scene, arena);
+        let flux = lights.reflect_all(&scene, arena);
         let most = flux.first / (1.0 - 0.9);
         assert!(flux.sent <= most * 1.0001, "{} lm of at most {most}", flux.sent);
     }
@@ -98,9 +98,8 @@ fn shadow_rays_correct_the_light_of_lamps() {
     for wrong in [1.5f32, 0.0] {
         let mut lights = state.lights.clone();
         for light in &mut lights.elements {
-            light.gathered[FROM_LAMPS] = light.gathered[FROM_LAMPS].map(|light| light * Rgb::splat(wrong));
+            light.total[FROM_LAMPS] = light.total[FROM_LAMPS].map(|light| light * Rgb::splat(wrong));
         }
-        lights.push_all(&state.arena);
         rays.correct_lamps(&state.arena, &mut lights, OPTIONS.error);
         let found = direct_flux(&state, &lights);
         assert!((found / truth - 1.0).abs() < 0.03, "{wrong}: {found} lm instead of {truth} lm");
@@ -138,9 +137,11 @@ fn light_of_a_cluster_does_not_reach_the_inside_of_a_box() {
     let prepared = prepare(&format!("m wood =\n  c\n  rd 0.9\nm wood\n{floor}{inner}"));
     let scene = Scene::new(&prepared);
     let mut state = SolverState::new(&prepared, &OPTIONS, &CANCEL).unwrap();
+    state.arena = super::full_arena(&scene);
+    state.lights = ElementLights::new(&state.arena);
     let rays = cast(&scene, &state);
     let SolverState { arena, lights, .. } = &mut state;
-    lights.cluster_weights.set_exit_shares(arena, rays.exit_shares(arena));
+    lights.cluster_weights = crate::exits::ClusterWeights::from_exit_shares(arena, rays.exit_shares(arena));
     let middle = super::prepared_position(&prepared, [0.5; 3]);
     let is_of_box = |index: usize| arena.elements[index].center.distance(middle) < 0.11;
     let (mut inside, mut outside) = (0, 0);
@@ -191,7 +192,6 @@ fn rays_correct_the_light_in_fog() {
     let truth = light_of_fog(lights);
     links.iter_mut().filter(|link| is_fog(link.receiver)).for_each(|link| link.factors = link.factors.map(|f| 0.5 * f));
     lights.gather(arena, links);
-    lights.push_all(arena);
     let halved = light_of_fog(lights) / truth;
     assert!(boxes.len() > 8 && (halved - 0.5).abs() < 0.01, "{} boxes, {halved}", boxes.len());
     // All elements still send the light of the first solution.

@@ -1,6 +1,8 @@
 //! Factors between points and elements, against closed forms and quadrature in double precision.
 
-use super::{GRAY, face, gauss8, leaves_of, midpoints, oracle, outward_box, prepare, prepared_position, split};
+use super::{
+    GRAY, face, full_arena, gauss8, leaves_of, midpoints, oracle, outward_box, prepare, prepared_position, split,
+};
 use crate::arena::Arena;
 use crate::element::{Element, Shape};
 use crate::fog_factor::attenuated_length;
@@ -102,7 +104,7 @@ fn coaxial_discs_have_their_form_factor() {
         );
         let prepared = prepare(&text);
         let scene = Scene::new(&prepared);
-        let mut arena = Arena::new(&scene);
+        let mut arena = full_arena(&scene);
         let [a, b] = [0, 1].map(|surface| arena.roots[surface]);
         split(&mut arena, &scene, a, 5);
         split(&mut arena, &scene, b, 9);
@@ -170,7 +172,7 @@ fn surfaces_in_fog_are_attenuated_like_the_quadrature() {
         let text = format!("medium haze =\n  sigma_s 0.7\nmglobal haze\n{GRAY}{}{}", face(&floor), face(&wall));
         let prepared = prepare(&text);
         let scene = Scene::new(&prepared);
-        let mut arena = Arena::new(&scene);
+        let mut arena = full_arena(&scene);
         let (p, q) = (arena.roots[0], arena.roots[1]);
         let place = |point: [f64; 3]| DVec3::from_array(point) - prepared.origin;
         let edges = [place(wall[0]), DVec3::Y * size, DVec3::Z * size];
@@ -201,7 +203,7 @@ fn boxes_of_fog_send_what_the_quadrature_over_their_volume_says() {
     );
     let prepared = prepare(&text);
     let scene = Scene::new(&prepared);
-    let mut arena = Arena::new(&scene);
+    let mut arena = full_arena(&scene);
     let floor = arena.roots[0];
     let fog = arena.fog;
     split(&mut arena, &scene, fog, 6);
@@ -259,7 +261,7 @@ fn directional_factors_fall_with_the_squared_distance() {
     let text = format!("{GRAY}{}v s =\n  p 9 0 0\nsph s 0.5\n", outward_box([0.0; 3], [0.5, 0.5, 0.5]));
     let prepared = prepare(&text);
     let scene = Scene::new(&prepared);
-    let arena = Arena::new(&scene);
+    let arena = full_arena(&scene);
     let lights = ElementLights::new(&arena);
     let oracle = oracle(&scene, &arena, &lights.elements);
     let mut tester = VisibilityTester::default();

@@ -1,8 +1,7 @@
 //! Light of sources on elements.
 
-use super::{face, leaves_of, oracle, prepare, prepared_position, split};
+use super::{face, full_arena, leaves_of, oracle, prepare, prepared_position, split};
 use crate::SolveOptions;
-use crate::arena::Arena;
 use crate::gather::{ElementLights, FROM_LAMPS};
 use crate::lamps::LampLinkDecision;
 use crate::link::Oracle;
@@ -63,7 +62,7 @@ fn a_small_source_follows_the_inverse_square_law() {
     );
     let prepared = prepare(&text);
     let scene = Scene::new(&prepared);
-    let mut arena = Arena::new(&scene);
+    let mut arena = full_arena(&scene);
     let root = arena.roots[0];
     split(&mut arena, &scene, root, 6);
     let lights = ElementLights::new(&arena);
@@ -97,7 +96,7 @@ fn a_lamp_below_the_floor_is_dropped() {
     );
     let prepared = prepare(&text);
     let scene = Scene::new(&prepared);
-    let arena = Arena::new(&scene);
+    let arena = full_arena(&scene);
     let lights = ElementLights::new(&arena);
     let decision =
         oracle(&scene, &arena, &lights.elements).decide_lamp_link(arena.roots[0], 0, &mut VisibilityTester::default());

@@ -1,7 +1,6 @@
 //! Transport of light down and up the tree.
 
-use super::{GRAY, face, leaves_of, outward_box, prepare, split};
-use crate::arena::Arena;
+use super::{GRAY, face, full_arena, leaves_of, outward_box, prepare, split};
 use crate::element::{Element, Shape};
 use crate::gather::{ElementLights, FROM_ELEMENTS, FROM_LAMPS, IterationFlux};
 use crate::link::Link;
@@ -26,7 +25,7 @@ fn pushing_keeps_linear_light_and_its_flux() {
     );
     let prepared = prepare(&text);
     let scene = Scene::new(&prepared);
-    let mut arena = Arena::new(&scene);
+    let mut arena = full_arena(&scene);
     let roots = [arena.roots[0], arena.roots[1], arena.fog];
     for root in roots {
         split(&mut arena, &scene, root, 2);
@@ -36,11 +35,11 @@ fn pushing_keeps_linear_light_and_its_flux() {
     let mut lights = ElementLights::new(&arena);
     for kind in [FROM_LAMPS, FROM_ELEMENTS] {
         for root in roots {
-            let values = lights.elements[root as usize].gathered[kind].iter_mut();
+            let values = lights.elements[root as usize].total[kind].iter_mut();
             values.zip(arena.elements[root as usize].nodes()).for_each(|(value, node)| *value = linear(node.position));
         }
     }
-    lights.push_all(&arena);
+    [FROM_LAMPS, FROM_ELEMENTS].into_iter().for_each(|kind| lights.push(&arena, kind));
     for root in roots {
         let whole = &arena.elements[root as usize];
         let mut flux = 0.0;
@@ -67,24 +66,22 @@ fn pushing_keeps_linear_light_and_its_flux() {
 fn pulling_keeps_the_flux_and_the_bounds_of_brightness() {
     let prepared = prepare(&format!("{GRAY}{}", outward_box([0.0; 3], [1.0, 2.0, 3.0])));
     let scene = Scene::new(&prepared);
-    let mut arena = Arena::new(&scene);
+    let mut arena = full_arena(&scene);
     for (k, root) in arena.roots.clone().into_iter().enumerate() {
         split(&mut arena, &scene, root, k as u32);
     }
     let mut lights = ElementLights::new(&arena);
     let mut sent = 0.0;
     for (index, element) in arena.elements.iter().enumerate().filter(|(_, element)| element.is_leaf()) {
-        for (k, (value, node)) in
-            lights.elements[index].gathered[FROM_LAMPS].iter_mut().zip(element.nodes()).enumerate()
-        {
+        for (k, (value, node)) in lights.elements[index].total[FROM_LAMPS].iter_mut().zip(element.nodes()).enumerate() {
             *value = Rgb::splat(10.0 + (k + index % 7) as f32 + node.position.z);
             sent += 0.5 * f64::from(value.y) * f64::from(element.size()) / 4.0;
         }
     }
-    let IterationFlux { change, sent: whole, first } = lights.push_pull(&scene, &arena);
+    let IterationFlux { change, sent: whole, first } = lights.reflect_all(&scene, &arena);
     assert!((first / sent - 1.0).abs() < 1e-5, "all light is direct: {first}");
     assert!((change / sent - 1.0).abs() < 1e-5 && (whole / sent - 1.0).abs() < 1e-5, "{change} {whole} {sent}");
-    let again = lights.push_pull(&scene, &arena).change;
+    let again = lights.reflect_all(&scene, &arena).change;
     assert!(again < 1e-6 * sent, "equal light is no change: {again}");
     let root = arena.root as usize;
     let flux = f64::from(lights.elements[root].radiosity.y) * f64::from(arena.elements[root].size());
@@ -109,16 +106,16 @@ fn the_intensity_of_a_cluster_is_that_of_its_projected_area() {
     let [a, b, c] = [1.0, 2.0, 3.0];
     let prepared = prepare(&format!("{GRAY}{}", outward_box([0.0; 3], [a, b, c])));
     let scene = Scene::new(&prepared);
-    let mut arena = Arena::new(&scene);
+    let mut arena = full_arena(&scene);
     for root in arena.roots.clone() {
         split(&mut arena, &scene, root, 2);
     }
     let mut lights = ElementLights::new(&arena);
     for (index, _) in arena.elements.iter().enumerate().filter(|(_, element)| element.is_leaf()) {
-        lights.elements[index].gathered[FROM_LAMPS] = [Rgb::splat(2.0); 4];
+        lights.elements[index].total[FROM_LAMPS] = [Rgb::splat(2.0); 4];
     }
-    lights.push_pull(&scene, &arena);
-    let intensity = &lights.elements[arena.root as usize].intensity;
+    lights.reflect_all(&scene, &arena);
+    let intensity = &lights.intensity[arena.elements[arena.root as usize].directional().expect("a cluster")];
     for dir in [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.6, 0.0, 0.8], [0.48, -0.6, 0.64], [-0.36, 0.48, 0.8]] {
         let faces = [(b * c, dir[0]), (a * c, dir[1]), (a * b, dir[2])];
         let projected = |kernel: fn(f64) -> f64| -> f64 {
@@ -143,12 +140,12 @@ fn light_of_a_cluster_is_pushed_by_the_cosine_of_each_surface() {
     );
     let prepared = prepare(&text);
     let scene = Scene::new(&prepared);
-    let arena = Arena::new(&scene);
+    let arena = full_arena(&scene);
     let mut lights = ElementLights::new(&arena);
     let dir = Vec3A::new(0.48, -0.6, 0.64);
     let root = arena.elements[arena.root as usize].directional().expect("a cluster");
-    lights.incident[root].gathered[FROM_ELEMENTS] = femc_field::Harmonics::from_direction(dir, Rgb::splat(8.0));
-    lights.push_all(&arena);
+    lights.incident[root].total[FROM_ELEMENTS] = femc_field::Harmonics::from_direction(dir, Rgb::splat(8.0));
+    lights.push(&arena, FROM_ELEMENTS);
     let mut seen = 0;
     for (index, element) in arena.elements.iter().enumerate().filter(|(_, element)| element.is_leaf()) {
         let found = lights.elements[index].total[FROM_ELEMENTS][0].y;
@@ -170,7 +167,7 @@ fn gathered_light_is_the_sum_of_radiosity_times_factor() {
     let square = |z: f64| face(&[[0.0, 0.0, z], [1.0, 0.0, z], [1.0, 1.0, z], [0.0, 1.0, z]]);
     let prepared = prepare(&format!("{GRAY}{}{}{}", square(0.0), square(1.0), square(2.5)));
     let scene = Scene::new(&prepared);
-    let arena = Arena::new(&scene);
+    let arena = full_arena(&scene);
     let mut lights = ElementLights::new(&arena);
     let [a, b, c] = [0, 1, 2].map(|surface| arena.roots[surface]);
     lights.elements[b as usize].radiosity = Rgb::new(1.0, 2.0, 3.0);
@@ -182,12 +179,12 @@ fn gathered_light_is_the_sum_of_radiosity_times_factor() {
     ];
     links.sort_by_key(|link| (link.receiver, link.source));
     lights.gather(&arena, &links);
-    let found = lights.elements[a as usize].gathered[FROM_ELEMENTS];
+    let found = lights.elements[a as usize].total[FROM_ELEMENTS];
     let want = [[0.2, 0.3, 0.4], [0.2, 0.4, 0.6], [0.3, 0.6, 0.9], [0.6, 1.0, 1.4]].map(Rgb::from_array);
     assert!(found.iter().zip(want).all(|(found, want)| (*found - want).abs().max_element() < 1e-6), "{found:?}");
-    assert_eq!(lights.elements[b as usize].gathered[FROM_ELEMENTS], [Rgb::splat(5.0); 4]);
+    assert_eq!(lights.elements[b as usize].total[FROM_ELEMENTS], [Rgb::splat(5.0); 4]);
     lights.gather(&arena, &links[..0]);
-    assert_eq!(lights.elements[a as usize].gathered[FROM_ELEMENTS], [Rgb::ZERO; 4], "links are gone");
+    assert_eq!(lights.elements[a as usize].total[FROM_ELEMENTS], [Rgb::ZERO; 4], "links are gone");
 }
 
 /// A thin sheet reflects from its front and transmits from its back.
@@ -199,13 +196,14 @@ fn a_translucent_sheet_sends_what_its_other_side_receives() {
     );
     let prepared = prepare(&text);
     let scene = Scene::new(&prepared);
-    let mut arena = Arena::new(&scene);
+    let mut arena = full_arena(&scene);
     let [front, back] = [0, 1].map(|side| arena.roots[side]);
     split(&mut arena, &scene, front, 2);
     let mut lights = ElementLights::new(&arena);
-    lights.elements[front as usize].gathered[FROM_LAMPS] = [Rgb::splat(8.0); 4];
-    lights.elements[back as usize].gathered[FROM_ELEMENTS] = [Rgb::splat(100.0); 4];
-    lights.push_pull(&scene, &arena);
+    lights.elements[front as usize].total[FROM_LAMPS] = [Rgb::splat(8.0); 4];
+    lights.elements[back as usize].total[FROM_ELEMENTS] = [Rgb::splat(100.0); 4];
+    [FROM_LAMPS, FROM_ELEMENTS].into_iter().for_each(|kind| lights.push(&arena, kind));
+    lights.reflect_all(&scene, &arena);
     let of = |element: &Element| {
         lights.elements.iter().zip(&arena.elements).find(|(_, it)| it.key == element.key).unwrap().0.radiosity.y
     };

@@ -1,7 +1,6 @@
 //! Decisions on links, estimates of their errors against the true errors, and visibility.
 
-use super::{GRAY, face, leaves_of, midpoints, oracle, outward_box, prepare, prepared_position, split};
-use crate::arena::Arena;
+use super::{GRAY, face, full_arena, leaves_of, midpoints, oracle, outward_box, prepare, prepared_position, split};
 use crate::gather::{ElementLight, ElementLights};
 use crate::link::{LinkDecision, Oracle};
 use crate::scene::Scene;
@@ -46,7 +45,7 @@ fn estimated_errors_of_links_are_no_less_than_the_true_ones() {
         let floor = face(&[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]]);
         let prepared = prepare(&format!("{GRAY}{floor}{}", face(&corners)));
         let scene = Scene::new(&prepared);
-        let arena = Arena::new(&scene);
+        let arena = full_arena(&scene);
         let [p, q] = [0, 1].map(|surface| arena.roots[surface]);
         let mut lights = ElementLights::new(&arena).elements;
         lights[q as usize] = bright(1.0);
@@ -87,7 +86,7 @@ fn floor_and_ceiling(more: &str) -> String {
 fn decide(more: &str, ceiling: ElementLight, error: f32) -> LinkDecision {
     let prepared = prepare(&floor_and_ceiling(more));
     let scene = Scene::new(&prepared);
-    let arena = Arena::new(&scene);
+    let arena = full_arena(&scene);
     let mut lights = ElementLights::new(&arena).elements;
     lights[arena.roots[1] as usize] = ceiling;
     let oracle = Oracle { error, floor: 1.0, ..oracle(&scene, &arena, &lights) };
@@ -115,7 +114,7 @@ fn a_hidden_source_sends_nothing_and_a_half_hidden_one_half() {
     assert!(matches!(hidden, LinkDecision::Keep { link, .. } if link.factors == [0.0; 4]), "{hidden:?}");
     let prepared = prepare(&floor_and_ceiling(&cover(0.5)));
     let scene = Scene::new(&prepared);
-    let mut arena = Arena::new(&scene);
+    let mut arena = full_arena(&scene);
     let [floor, ceiling] = [0, 1].map(|surface| arena.roots[surface]);
     split(&mut arena, &scene, floor, 6);
     let mut lights = ElementLights::new(&arena).elements;
@@ -138,7 +137,7 @@ fn a_hidden_source_sends_nothing_and_a_half_hidden_one_half() {
 fn elements_that_cannot_see_each_other_are_dropped() {
     let prepared = prepare(&format!("{GRAY}{}", outward_box([0.0; 3], [1.0, 2.0, 3.0])));
     let scene = Scene::new(&prepared);
-    let mut arena = Arena::new(&scene);
+    let mut arena = full_arena(&scene);
     let lights = vec![bright(1.0); arena.elements.len()];
     let mut tester = VisibilityTester::default();
     let outside = oracle(&scene, &arena, &lights);
@@ -160,7 +159,7 @@ fn elements_that_cannot_see_each_other_are_dropped() {
 fn without_memory_links_stay_inexact() {
     let prepared = prepare(&floor_and_ceiling(""));
     let scene = Scene::new(&prepared);
-    let arena = Arena::new(&scene);
+    let arena = full_arena(&scene);
     let lights = vec![bright(1.0); arena.elements.len()];
     let [p, q] = [0, 1].map(|surface| arena.roots[surface]);
     let mut tester = VisibilityTester::default();

@@ -5,6 +5,7 @@
 
 mod bounds;
 mod caustics;
+mod clusters;
 mod elements;
 mod energy;
 mod factors;
@@ -17,6 +18,7 @@ use crate::arena::Arena;
 use crate::gather::ElementLight;
 use crate::link::Oracle;
 use crate::scene::Scene;
+use femc_field::Harmonics;
 use femc_import::{Bundle, load_scene};
 use femc_math::glam::{DVec3, Vec3A};
 use femc_prepared::{FrameSpec, Prepared, SceneSource, prepare_frame};
@@ -65,6 +67,19 @@ fn prepared_position(prepared: &Prepared, position: [f64; 3]) -> Vec3A {
     (DVec3::from_array(position) - prepared.origin).as_vec3a()
 }
 
+/// Creates the roots of all surfaces, with all clusters split.
+fn full_arena(scene: &Scene<'_>) -> Arena {
+    let mut arena = Arena::new(scene);
+    let mut index = 0;
+    while index < arena.elements.len() {
+        if arena.elements[index].is_cluster() {
+            arena.ensure_children(scene, index as u32);
+        }
+        index += 1;
+    }
+    arena
+}
+
 /// Splits an element and its parts `depth` times.
 fn split(arena: &mut Arena, scene: &Scene<'_>, index: u32, depth: u32) {
     if depth > 0 {
@@ -88,6 +103,7 @@ fn oracle<'a>(scene: &'a Scene<'a>, arena: &'a Arena, lights: &'a [ElementLight]
         scene,
         arena,
         lights,
+        intensity: &[Harmonics::ZERO; 1 << 10],
         error: 1.0,
         floor: 0.0,
         max_reference: f32::INFINITY,

@@ -1,7 +1,8 @@
 //! Scenes whose light is known in closed form, and the solutions of the first pass for them.
 
-use femc_field::SurfaceSpot;
+use femc_field::{Harmonics, Leaf, SurfaceSpot};
 use femc_geometry::Hit;
+use femc_math::Rgb;
 use femc_math::color::luminance;
 use femc_math::glam::DVec3;
 use femc_pipeline::radiosity::{Solution, SolveOptions, SolveReport, solve};
@@ -111,6 +112,22 @@ impl Case {
         let solved = SolvedScene::new(&self.text, &SolveOptions { error, ..SolveOptions::default() });
         let pairs = (self.read)(&solved);
         (solved, pairs)
+    }
+
+    /// Returns the errors that a solution states at the points of [`Case::solve`], in the unit of its pairs.
+    pub fn stated_errors(&self, solved: SolvedScene) -> Vec<f64> {
+        let SolvedScene { prepared, field, direct, report } = solved;
+        let constant = |(leaf, &error): (&Leaf, &f32)| {
+            let error = Rgb::splat(error);
+            match leaf {
+                Leaf::Triangle(_) => Leaf::Triangle([error; 3]),
+                Leaf::Rectangle(_) => Leaf::Rectangle([error; 4]),
+                Leaf::Curved(_) => Leaf::Curved(Harmonics::from_irradiance(error)),
+            }
+        };
+        let leaves = field.leaves.iter().zip(&field.errors).map(constant).collect();
+        let errors = SolvedScene { prepared, field: Field { leaves, ..field }, direct, report };
+        (self.read)(&errors).into_iter().map(|[error, _]| error).collect()
     }
 }
 

@@ -81,7 +81,7 @@ pub struct SettingsArgs {
     #[arg(long, value_name = "NAME=EXPRESSION")]
     pub layer: Vec<Layer>,
     /// Also write predefined layers: guides (five), lamps (one per lamp), direct, indirect, fog, surfaces; of the first hit:
-    /// normal, position, depth, albedo, motion, object, material
+    /// normal, position, depth, albedo, motion, object, material, first_pass_error
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     pub layers: Vec<String>,
 }

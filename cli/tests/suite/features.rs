@@ -73,3 +73,22 @@ fn job_file_names_features_and_feature_names_are_not_layers() {
     let ran = dir.run("render fog.mgf -o out.exr --layer depth=CL").exits(2);
     assert!(ran.stderr().contains("`depth`: the file already has channels with this name"), "{}", ran.stderr());
 }
+
+/// The solution of the first pass states its error. Path tracing has no such error.
+#[test]
+fn frames_of_the_first_pass_have_its_stated_error_as_a_layer() {
+    let dir = TestFolder::new();
+    dir.write("fog.mgf", crate::common::FOG);
+    let channel = |method: &str, out: &str| {
+        let settings = format!("--size 24x16 --spp 4 --frames 1 --method {method} --layers first_pass_error");
+        dir.run(&format!("render fog.mgf -o {out}.exr {settings}")).exits(0);
+        read_channels(&dir.path(&format!("{out}.layers.exr")), ["first_pass_error.Y"]).expect("a layer").2
+    };
+    let [[fem], [pt]] = [("fem", "solution"), ("pt", "paths")].map(|(method, out)| channel(method, out));
+    let picture = read(&dir.path("solution.exr")).expect("a picture").image;
+    let light: f32 = (0..fem.len()).map(|pixel| picture.luminance(pixel)).sum();
+    let share = fem.iter().sum::<f32>() / light;
+    assert!(fem.iter().all(|error| error.is_finite() && *error >= 0.0), "{fem:?}");
+    assert!((1e-3..0.5).contains(&share), "{share}");
+    assert!(pt.iter().all(|error| *error == 0.0), "{pt:?}");
+}

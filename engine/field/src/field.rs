@@ -91,6 +91,8 @@ pub struct Field {
     pub cells: Vec<Cell>,
     /// Data of the leaves.
     pub leaves: Vec<Leaf>,
+    /// Estimated root mean square error of the irradiance by leaf, lx by luminance. Empty if it was not estimated.
+    pub errors: Vec<f32>,
     /// Guides by leaf: the directions from which light comes. Empty if they were not computed.
     pub guides: Guides,
     /// Surfaces of the front and of the back by instance and primitive, or [`NONE`].
@@ -103,6 +105,7 @@ impl Field {
     /// Multiplies all light by a factor, as for a scene with lamps that are brighter by the factor.
     pub fn scaled(mut self, factor: f32) -> Self {
         self.leaves.iter_mut().for_each(|leaf| *leaf = leaf.scaled(factor));
+        self.errors.iter_mut().for_each(|error| *error *= factor);
         self.guides.scale(factor);
         self.fog.scale(factor);
         self
@@ -114,6 +117,14 @@ impl Field {
     pub fn irradiance(&self, hit: &Hit, side: Side, position: Vec3A, normal: Vec3A) -> Rgb {
         let found = self.leaf_at(hit, side, position);
         found.map_or(Rgb::ZERO, |(leaf, local)| self.leaves[leaf as usize].irradiance(local, normal))
+    }
+
+    /// Returns the estimated root mean square error of the irradiance at a hit, lx by luminance.
+    /// - `position`: position of the hit.
+    /// - returns 0 if the first pass has no surface there, or no estimate.
+    pub fn irradiance_error(&self, hit: &Hit, side: Side, position: Vec3A) -> f32 {
+        let found = self.leaf_at(hit, side, position);
+        found.and_then(|(leaf, _)| self.errors.get(leaf as usize)).copied().unwrap_or(0.0)
     }
 
     /// Returns the guide for paths at a hit. `None` if the first pass has no surface there, or no guides.
@@ -144,6 +155,7 @@ impl Field {
         size_of_val(&*self.surfaces)
             + size_of_val(&*self.cells)
             + size_of_val(&*self.leaves)
+            + size_of_val(&*self.errors)
             + self.guides.memory()
             + self.sides.iter().map(|sides| size_of_val(&**sides)).sum::<usize>()
             + self.fog.memory()

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 /// A property of the first surface that a camera ray hits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
+#[serde(rename_all = "snake_case")]
 pub enum Feature {
     /// The shading normal, unit, world frame, toward the camera.
     Normal,
@@ -20,13 +20,25 @@ pub enum Feature {
     Object,
     /// Name of the surface's material.
     Material,
+    /// Estimated root mean square error of the light that the first pass has found and that diffuse scattering brings to the camera,
+    /// cd/m2; 0 without a first pass.
+    FirstPassError,
 }
 
 impl Feature {
     /// Names of the features, in order.
-    pub const NAMES: [&str; 7] = ["normal", "position", "depth", "albedo", "motion", "object", "material"];
-    const ALL: [Self; 7] =
-        [Self::Normal, Self::Position, Self::Depth, Self::Albedo, Self::Motion, Self::Object, Self::Material];
+    pub const NAMES: [&str; 8] =
+        ["normal", "position", "depth", "albedo", "motion", "object", "material", "first_pass_error"];
+    const ALL: [Self; 8] = [
+        Self::Normal,
+        Self::Position,
+        Self::Depth,
+        Self::Albedo,
+        Self::Motion,
+        Self::Object,
+        Self::Material,
+        Self::FirstPassError,
+    ];
 
     /// Returns the name.
     pub fn name(self) -> &'static str {
@@ -46,6 +58,7 @@ impl Feature {
             Self::Albedo => &["R", "G", "B"],
             Self::Motion => &["X", "Y"],
             Self::Object | Self::Material => &[],
+            Self::FirstPassError => &["Y"],
         }
     }
 

@@ -5,6 +5,7 @@
 //! it in the others, as for light paths. The random number of this decision is the one that chooses the lobe of a path there.
 
 use crate::dimensions as dim;
+use crate::scatter::field_light_error;
 use crate::surface::SurfaceInteraction;
 use femc_geometry::{Hit, Ray};
 use femc_math::color::luminance;
@@ -26,6 +27,8 @@ pub struct FirstSurface {
     pub normal: Vec3A,
     /// Albedo: the share of light reflected and transmitted, without the straight-through part.
     pub albedo: Rgb,
+    /// Estimated root mean square error of the light of the first pass that the surface scatters diffusely toward the camera, cd/m2.
+    pub field_error: f32,
 }
 
 /// Returns the first surface along `ray`, the ray of a camera sample with these random numbers. `None`: the ray leaves the
@@ -48,7 +51,8 @@ pub fn first_surface(scene: &Prepared, ray: &Ray, mut stream: SampleStream) -> O
         if is_seen {
             let normal = if frame.normal.dot(ray.dir) > 0.0 { -frame.normal } else { frame.normal };
             let albedo = (all - crossing.straight_through()).max(Rgb::ZERO);
-            return Some(FirstSurface { hit, point, normal, albedo });
+            let field_error = scene.field.as_ref().map_or(0.0, |field| field_light_error(field, &surface));
+            return Some(FirstSurface { hit, point, normal, albedo, field_error });
         }
         ray = surface.ray_behind(&ray);
     }

@@ -149,6 +149,19 @@ impl<R: Recorder> Tracer<'_, R> {
     }
 }
 
+/// Returns the estimated root mean square error of [`field_light`] over pi, cd/m2 by luminance.
+pub(crate) fn field_light_error(field: &Field, surface: &SurfaceInteraction<'_>) -> f32 {
+    let SurfaceInteraction { hit, point, back, .. } = surface;
+    let (reflected, transmitted) = surface.bsdf.lambertian(surface.wo);
+    let (here, behind) = if *back { (Side::Back, Side::Front) } else { (Side::Front, Side::Back) };
+    let error = |color: Rgb, side| match luminance(color) {
+        0.0 => 0.0,
+        share => share * field.irradiance_error(hit, side, point.position),
+    };
+    let [here, behind] = [error(reflected, here), error(transmitted, behind)];
+    (here * here + behind * behind).sqrt() * FRAC_1_PI
+}
+
 /// Returns the light of a field that the diffuse lobes of a surface scatter toward the path, times pi, cd/m2.
 #[inline]
 fn field_light(field: &Field, surface: &SurfaceInteraction<'_>) -> Rgb {

@@ -78,6 +78,11 @@ pub struct ElementLights {
     pub arriving_share: Vec<[f32; 4]>,
     /// Irradiance at the nodes by light of lamps that mirrors reflect or clear solids refract, by element, lx. Empty without such light.
     pub caustics: Vec<[Rgb; 4]>,
+    /// Sum of the squared estimated errors of the links of an element, by element, lx2.
+    pub link_errors: Vec<f32>,
+    /// Estimated root mean square error of the irradiance from elements, by element, lx by luminance. 0 for elements that are not leaves
+    /// of surfaces.
+    pub errors: Vec<f32>,
     /// Variance of the flux that arrives by these shares, relative to its square, from the noise of the rays.
     pub share_variance: f32,
     /// Whether rays have measured the shares of all elements.
@@ -114,7 +119,7 @@ impl IterationFlux {
 impl ElementLights {
     /// Number of bytes of an element's light, without the light by direction.
     pub const BYTES: usize =
-        size_of::<ElementLight>() + 2 * (size_of::<[f32; 4]>() + size_of::<[Rgb; 4]>()) + size_of::<[f32; 4]>();
+        size_of::<ElementLight>() + 2 * (size_of::<[f32; 4]>() + size_of::<[Rgb; 4]>()) + size_of::<[f32; 6]>();
     /// Number of bytes of an element's light by direction.
     pub const DIRECTIONAL_BYTES: usize = size_of::<IncidentLight>() + size_of::<Harmonics>();
 
@@ -131,6 +136,8 @@ impl ElementLights {
             ray_correction: vec![[Rgb::ZERO; 4]; count],
             arriving_share: vec![[1.0; 4]; count],
             caustics: Vec::new(),
+            link_errors: vec![0.0; count],
+            errors: vec![0.0; count],
             share_variance: 0.0,
             has_measured_shares: false,
             balance: Rgb::ONE,
@@ -168,6 +175,8 @@ impl ElementLights {
         self.intensity.resize(arena.directional_count, Harmonics::ZERO);
         self.ray_correction.resize(arena.elements.len(), [Rgb::ZERO; 4]);
         self.lamp_correction.resize(arena.elements.len(), [Rgb::ZERO; 4]);
+        self.link_errors.resize(arena.elements.len(), 0.0);
+        self.errors.resize(arena.elements.len(), 0.0);
         for (index, element) in arena.elements.iter().enumerate().skip(first) {
             [FROM_LAMPS, FROM_ELEMENTS].into_iter().for_each(|kind| self.push_to(arena, index, kind));
             if arena.elements[element.parent as usize].is_directional() {

@@ -35,8 +35,9 @@ pub struct Link {
 pub enum LinkDecision {
     /// No link: no light can travel this way.
     Drop,
-    /// A final link: it is exact enough, or its elements cannot be split further (`is_inexact`).
-    Keep { link: Link, is_inexact: bool },
+    /// A final link: it is exact enough, or its elements cannot be split further (`is_inexact`). `error` is the estimated error of the
+    /// irradiance by this link, lx.
+    Keep { link: Link, is_inexact: bool, error: f32 },
     /// Links to the receiver's parts instead.
     SplitReceiver,
     /// Links from the source's parts instead.
@@ -109,7 +110,11 @@ impl Pair<'_> {
     }
 
     fn keep(&self, factors: [f32; 4], is_inexact: bool) -> LinkDecision {
-        LinkDecision::Keep { link: Link { receiver: self.receiver, source: self.source, factors }, is_inexact }
+        LinkDecision::Keep {
+            link: Link { receiver: self.receiver, source: self.source, factors },
+            is_inexact,
+            error: 0.0,
+        }
     }
 }
 
@@ -208,7 +213,11 @@ impl<'a> Oracle<'a> {
         if amount <= 0.0 {
             return pair.keep(estimate.factors, false);
         }
-        self.decide_by_occlusion(&pair, (estimate.factors, amount), is_inexact, tester)
+        let mut decision = self.decide_by_occlusion(&pair, (estimate.factors, amount), is_inexact, tester);
+        if let LinkDecision::Keep { error, .. } = &mut decision {
+            *error = estimate.error;
+        }
+        decision
     }
 
     /// Splits a pair that is too close for light by direction. The center of such an element represents all of it only from far
@@ -243,8 +252,11 @@ impl<'a> Oracle<'a> {
     }
 
     fn decide_self_link(&self, receiver: u32, p: &Element, tester: &mut VisibilityTester) -> LinkDecision {
-        let keep =
-            |factors| LinkDecision::Keep { link: Link { receiver, source: receiver, factors }, is_inexact: false };
+        let keep = |factors| LinkDecision::Keep {
+            link: Link { receiver, source: receiver, factors },
+            is_inexact: false,
+            error: 0.0,
+        };
         let is_convex = |surface: u32| !self.scene.surfaces[surface as usize].is_concave();
         match &p.shape {
             Shape::Cluster(_) => {

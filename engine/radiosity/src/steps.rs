@@ -76,7 +76,7 @@ pub struct BlockGuides {
     pub(crate) guides: Vec<(f32, Vec<Lobe>)>,
 }
 
-const ELEMENTS_MAGIC: &[u8; 8] = b"element5";
+const ELEMENTS_MAGIC: &[u8; 8] = b"element6";
 const LINKS_MAGIC: &[u8; 8] = b"links  1";
 const GUIDES_MAGIC: &[u8; 8] = b"guides 2";
 
@@ -195,6 +195,8 @@ impl SolverState {
             ray_correction,
             arriving_share,
             caustics,
+            link_errors,
+            errors,
             ..
         } = &self.lights;
         let brightness = |light: &ElementLight| {
@@ -209,6 +211,7 @@ impl SolverState {
         writer.rows(lamp_scale);
         writer.rows(&lamp_correction.iter().map(to_floats::<4, 12>).collect::<Vec<_>>());
         writer.rows(arriving_share);
+        writer.rows(&link_errors.iter().zip(errors).map(|(of_links, error)| [*of_links, *error]).collect::<Vec<_>>());
         writer.rows(&ray_correction.iter().map(to_floats::<4, 12>).collect::<Vec<_>>());
         writer.number(caustics.len() as u64);
         writer.rows(&caustics.iter().map(to_floats::<4, 12>).collect::<Vec<_>>());
@@ -290,6 +293,7 @@ impl SolverState {
         lights.lamp_scale = reader.rows::<4>(count)?;
         lights.lamp_correction = reader.rows::<12>(count)?.iter().map(|row| colors_from_floats(row)).collect();
         lights.arriving_share = reader.rows::<4>(count)?;
+        (lights.link_errors, lights.errors) = reader.rows::<2>(count)?.into_iter().map(|row| (row[0], row[1])).unzip();
         (lights.has_measured_shares, lights.balance) = (measured != 0, Rgb::from_array([r, g, b]));
         lights.share_variance = share_variance;
         lights.ray_correction = reader.rows::<12>(count)?.iter().map(|row| colors_from_floats(row)).collect();

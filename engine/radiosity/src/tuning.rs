@@ -255,6 +255,20 @@ pub const MIN_RELATIVE_VARIANCE: f32 = 0.25;
 /// the true one say little about where it arrives.
 pub const MAX_RAY_SCALE: f32 = 4.0;
 
+// Estimate of the error.
+
+/// Weight of the errors that the oracle has estimated for the links. It tends to estimate too much, so that links are refined enough. With
+/// 1, the closed forms have 0.1 to 0.8 of the estimated error.
+pub const LINK_ERROR_WEIGHT: f32 = 0.4;
+
+/// Weight of the relative error of the element above in that of an element, in parts of leaves.
+pub const ERROR_PARTS: f32 = 16.0;
+/// Minimum squared relative error of an element, relative to that of the element above. Not measured: the estimate of few parts may be
+/// negative.
+pub const MIN_ERROR_RATIO: f32 = 0.05;
+/// Minimum relative error of an element. Links are approximate even where all rays find the same.
+pub const MIN_RELATIVE_ERROR: f32 = 1e-3;
+
 // Particles from lamps.
 
 /// Minimum and maximum number of particles. Between these, the number is proportional to the root of the share of the lamps' light that

@@ -4,11 +4,11 @@
 //! | bytes | what |
 //! | --- | --- |
 //! | 8 | `FEMCFELD` |
-//! | 4 | format version, 4 |
+//! | 4 | format version, 5 |
 //! | 16 | BLAKE3 of everything after this field, first half |
 //! | 8 x 8 | [`SolveStatistics`]: elements, leaves, links, links with light sources, refused links, rays, iterations, bytes |
 //! | 4 | the residual |
-//! | 9 x 4 | numbers of instances, primitives of all of them, surfaces, cells, leaves, boxes that contain all fog (1 or 0), boxes of fog, guides, lobes |
+//! | 10 x 4 | numbers of instances, primitives of all of them, surfaces, cells, leaves, errors of leaves, boxes that contain all fog (1 or 0), boxes of fog, guides, lobes |
 //! | 8 | bytes of the tables below |
 //! | rest | zstd frame of the tables |
 //!
@@ -25,6 +25,7 @@
 //! | cells | split, next, corner and edges over the parameters: 6 |
 //! | leaves | 0: triangle, 1: rectangle, 2: curved |
 //! | triangles, rectangles, curved leaves, in order | 9, 12, 27 |
+//! | errors of the leaves, or none | 1 |
 //! | the box that contains all fog | lower corner, upper corner: 6 |
 //! | boxes of fog, halves in the order of the split boxes | 0, 1, 2: split across this axis, 3: leaf |
 //! | splits, in order | coordinate |
@@ -46,7 +47,7 @@ use femc_math::glam::{Affine3A, Mat3A, Vec2, Vec3A};
 use std::io::Read;
 
 const MAGIC: &[u8; 8] = b"FEMCFELD";
-const VERSION: u32 = 4;
+const VERSION: u32 = 5;
 const CHECKSUM: usize = 16;
 const PREFIX: usize = MAGIC.len() + 4 + CHECKSUM;
 /// Maximum number of bytes of all tables: 4 GiB.
@@ -125,6 +126,7 @@ impl Field {
             self.surfaces.len(),
             self.cells.len(),
             self.leaves.len(),
+            self.errors.len(),
             usize::from(!self.fog.is_empty()),
             self.fog.cells().count(),
             self.guides.by_leaf().len(),
@@ -192,6 +194,7 @@ impl Field {
         let curved =
             |leaf: &Leaf| if let Leaf::Curved(light) = leaf { Some(color_words::<9, 27>(&light.0)) } else { None };
         write_table(&mut out, self.leaves.iter().filter_map(curved));
+        write_table(&mut out, self.errors.iter().map(|error| [error.to_bits()]));
         self.encode_fog_tables(&mut out);
         write_table(
             &mut out,
@@ -247,7 +250,7 @@ impl Field {
             bytes: front.read_u64()?,
             residual: f32::from_bits(front.read_u32()?),
         };
-        let mut lengths = [0; 9];
+        let mut lengths = [0; 10];
         for length in &mut lengths {
             *length = front.read_u32()?;
         }
@@ -276,8 +279,8 @@ fn decompress(bytes: &[u8], plain: u64) -> Result<Vec<u8>, FieldError> {
     if tables.len() as u64 == plain { Ok(tables) } else { Err(LENGTH) }
 }
 
-fn read_tables(mut tables: TableReader<'_>, lengths: [u32; 9]) -> Result<Field, FieldError> {
-    let [instances, primitives, surfaces, cells, leaves, roots_of_fog, boxes, guides, lobes] = lengths;
+fn read_tables(mut tables: TableReader<'_>, lengths: [u32; 10]) -> Result<Field, FieldError> {
+    let [instances, primitives, surfaces, cells, leaves, errors, roots_of_fog, boxes, guides, lobes] = lengths;
     const INDEX: FieldError = FieldError::Corrupt("an index is out of its range");
     let instances: Vec<[u32; 1]> = tables.read_table(instances)?;
     if instances.iter().map(|[count]| u64::from(*count)).sum::<u64>() != u64::from(primitives) {
@@ -343,7 +346,14 @@ fn read_tables(mut tables: TableReader<'_>, lengths: [u32; 9]) -> Result<Field, 
     if guides != 0 && guides != leaves {
         return Err(FieldError::Corrupt("wrong number of guides"));
     }
+    if errors != 0 && errors != leaves {
+        return Err(FieldError::Corrupt("wrong number of errors"));
+    }
     let leaves = read_leaves(&mut tables, leaves)?;
+    let errors: Vec<f32> = tables.read_table::<1>(errors)?.into_iter().map(|[error]| f32::from_bits(error)).collect();
+    if !errors.iter().all(|error| error.is_finite() && *error >= 0.0) {
+        return Err(FieldError::Corrupt("an error is not a number of at least 0"));
+    }
     let fog = read_fog(&mut tables, roots_of_fog, boxes)?;
     let records: Vec<[u32; 3]> = tables.read_table(guides)?;
     if records
@@ -370,7 +380,7 @@ fn read_tables(mut tables: TableReader<'_>, lengths: [u32; 9]) -> Result<Field, 
         return Err(FieldError::Corrupt("extra bytes follow the tables"));
     }
     let guides = Guides::new(guides, lobes, &all, &leaves);
-    Ok(Field { surfaces, roots, leaves, guides, cells: all, sides, fog })
+    Ok(Field { surfaces, roots, leaves, errors, guides, cells: all, sides, fog })
 }
 
 /// Decodes a share of directions, in [0, 1). The rest is for directions that no lobe covers.

@@ -57,6 +57,7 @@ fn one_of_everything() -> Field {
         roots: vec![0, NONE, 3, 5, NONE, 0],
         cells,
         leaves,
+        errors: vec![0.0, 1.5, 0.25],
         guides,
         sides: vec![vec![[0, 1], [2, NONE]], vec![[4, NONE], [NONE, 5]], vec![]],
         fog,
@@ -96,8 +97,8 @@ fn a_damaged_byte_is_found_and_another_version_is_named() {
         assert!(Field::decode(&bytes[..at]).is_err(), "the first {at} bytes");
     }
     let mut newer = bytes;
-    newer[8] = 5;
-    assert_eq!(Field::decode(&newer).err(), Some(FieldError::Version { found: 5, expected: 4 }));
+    newer[8] = 6;
+    assert_eq!(Field::decode(&newer).err(), Some(FieldError::Version { found: 6, expected: 5 }));
 }
 
 #[test]
@@ -131,4 +132,14 @@ fn a_field_fits_the_surfaces_that_it_was_made_of() {
     let field = one_of_everything();
     assert!(field.matches_primitives([2, 2, 0].into_iter()));
     assert!(!field.matches_primitives([2, 2].into_iter()) && !field.matches_primitives([2, 1, 0].into_iter()));
+}
+
+#[test]
+fn errors_are_numbers_of_at_least_0_one_for_each_leaf() {
+    for errors in [vec![0.0, f32::NAN, 0.0], vec![0.0, -1.0, 0.0], vec![f32::INFINITY; 3], vec![0.0; 2]] {
+        let bytes = Field { errors, ..one_of_everything() }.encode(&STATISTICS);
+        assert!(matches!(Field::decode(&bytes), Err(FieldError::Corrupt(_))));
+    }
+    let bytes = Field { errors: Vec::new(), ..one_of_everything() }.encode(&STATISTICS);
+    assert!(Field::decode(&bytes).is_ok_and(|(field, _)| field.errors.is_empty()));
 }

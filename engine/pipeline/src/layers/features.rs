@@ -167,6 +167,7 @@ impl Recorder for FeatureRecorder<'_> {
                 Feature::Position => self.values.extend(prepared.to_world(first.point.position)),
                 Feature::Depth => self.values.push(prepared.camera.depth(first.point.position, ray.time).into()),
                 Feature::Albedo => self.values.extend(first.albedo.to_array().map(f64::from)),
+                Feature::FirstPassError => self.values.push(first.field_error.into()),
                 Feature::Motion => {
                     let point = (first.hit.instance, first.point.position, ray.time);
                     let next = self.plan.next.as_ref();

@@ -17,6 +17,8 @@ pub struct LinkEstimate {
     pub mean: f32,
     /// Estimated errors of the irradiance, lx: caused by the size of the receiver, and by the size of the source.
     pub errors: [f32; 2],
+    /// Estimated error of the irradiance by this link alone, lx.
+    pub error: f32,
 }
 
 impl Oracle<'_> {
@@ -36,7 +38,7 @@ impl Oracle<'_> {
         let source_error = source_error(pair, mean);
         let sum = |receiver_error: f32| {
             let errors = self.sum_errors(pair, mean, [receiver_error * pair.radiosity, source_error]);
-            LinkEstimate { factors, mean, errors }
+            LinkEstimate { factors, mean, errors, error: receiver_error * pair.radiosity + source_error }
         };
         if p.is_directional() {
             return sum(directional_share(p) * mean * directional_error(pair.near_p));

@@ -7,7 +7,8 @@ use crate::element::Element;
 use crate::exits::is_root;
 use crate::gather::{ElementLights, FROM_ELEMENTS, FROM_LAMPS};
 use crate::tuning::{
-    CHANCE_VARIANCES, CHANCE_VARIANCES_OF_RARE_HITS, MAX_RAY_SCALE, MIN_RELATIVE_VARIANCE, RAYS_OF_WHOLE, ROUGH_ERROR,
+    CHANCE_VARIANCES, CHANCE_VARIANCES_OF_RARE_HITS, ERROR_PARTS, IRRADIANCE_FLOOR, LINK_ERROR_WEIGHT, MAX_RAY_SCALE,
+    MIN_ERROR_RATIO, MIN_RELATIVE_ERROR, MIN_RELATIVE_VARIANCE, RAYS_OF_WHOLE, ROUGH_ERROR,
 };
 use femc_field::{Harmonics, NONE};
 use femc_math::Rgb;
@@ -138,25 +139,46 @@ impl PartSums {
         estimate.scale * self.links + luminance(estimate.extra) * self.area
     }
 
-    /// Returns the estimate of the light here.
-    /// - `above`: estimate of the part above;
-    fn estimate(&self, above: &LightEstimate, noise: Noise) -> LightEstimate {
-        let (scale, extra, LightEstimate { own_share: own, .. }) = (above.scale, luminance(above.extra), *above);
-        let bright = self.bright(above.bright, noise.estimator);
-        let before = self.light(above);
-        // A single ray that hit the fog at a lamp does not prove more light.
-        let rays = if self.rays > before { (self.rays - self.max_sample).max(before) } else { self.rays };
-        // The variance assumes that the estimate above is right: few rays may have missed all of a part's light.
+    /// Returns the variance of the rays' light, lm2. It assumes that the estimate above is right: few rays may have missed all of a part's
+    /// light.
+    fn variance(&self, above: &LightEstimate, noise: Noise) -> f32 {
+        let (scale, extra, own) = (above.scale, luminance(above.extra), above.own_share);
         let [area, links, squares] = self.variances;
         let once = scale * links + extra * area;
         let twice = scale * scale * squares + 2.0 * scale * extra * links + extra * extra * area;
-        let variance = match noise.estimator {
+        match noise.estimator {
             VarianceEstimator::RareHits | VarianceEstimator::RareHitsInFog => {
+                let bright = self.bright(above.bright, noise.estimator);
                 let bright = own * bright[0] + (1.0 - own) * bright[1];
                 (bright * once - own * own * twice).max(0.0)
             }
             VarianceEstimator::Measured => self.measured_variance + MIN_RELATIVE_VARIANCE * twice,
-        };
+        }
+    }
+
+    /// Returns an unbiased estimate of the squared error of the light of a part, lm2, which may be negative: Stein's estimate for a
+    /// function of a normal number (\[stein1981\]).
+    /// - `above`: estimate of the part above;
+    /// - `found`: estimate of this part.
+    fn squared_error(&self, above: &LightEstimate, found: &LightEstimate, noise: Noise) -> f32 {
+        let variance = self.variance(above, noise);
+        let difference = self.rays - self.light(above);
+        let chance = noise.chance * variance / (difference * difference).max(f32::MIN_POSITIVE);
+        // Change of the found light with the rays' light.
+        let slope = if chance < 1.0 { 1.0 + chance } else { 0.0 };
+        let rest = self.rays - self.light(found);
+        rest * rest + (2.0 * slope - 1.0) * variance
+    }
+
+    /// Returns the estimate of the light here.
+    /// - `above`: estimate of the part above;
+    fn estimate(&self, above: &LightEstimate, noise: Noise) -> LightEstimate {
+        let (scale, own) = (above.scale, above.own_share);
+        let bright = self.bright(above.bright, noise.estimator);
+        let before = self.light(above);
+        // A single ray that hit the fog at a lamp does not prove more light.
+        let rays = if self.rays > before { (self.rays - self.max_sample).max(before) } else { self.rays };
+        let variance = self.variance(above, noise);
         let difference = rays - before;
         let sure = 1.0 - noise.chance * variance / (difference * difference).max(f32::MIN_POSITIVE);
         let change = sure.max(0.0) * difference;
@@ -191,6 +213,89 @@ impl Comparison {
             return vec![self.known[leaf]; parts];
         }
         self.known[leaf].part_estimates(&self.by_element[leaf], self.noise, &self.by_leaf[place][..parts])
+    }
+}
+
+/// Sums over the parts of an element, for the estimate of its error.
+#[derive(Clone, Copy, Debug, Default)]
+struct ErrorSums {
+    /// Number of parts.
+    parts: f32,
+    /// Estimated squared errors of the irradiance of the parts, and squared irradiances, lx2.
+    errors: f32,
+    light: f32,
+}
+
+impl Comparison {
+    /// Returns the estimated root mean square error of the light of leaves of surfaces, by element, lx. It has two parts: errors of
+    /// the means of parts of leaves, which follow from the comparison with the rays, and errors within these parts, which the oracle of
+    /// the links has estimated.
+    /// - `leaves`: leaves in the order of the comparison;
+    /// - `link_errors`: [`ElementLights::link_errors`].
+    fn errors(&self, arena: &Arena, leaves: &[u32], link_errors: &[f32]) -> Vec<f32> {
+        let floor = IRRADIANCE_FLOOR * self.all.links / self.all.area.max(f32::MIN_POSITIVE);
+        let mut sums = vec![ErrorSums::default(); arena.elements.len()];
+        for (place, &leaf) in leaves.iter().enumerate() {
+            let element = &arena.elements[leaf as usize];
+            if element.is_volume() {
+                continue;
+            }
+            let sum = &mut sums[leaf as usize];
+            let known = &self.known[leaf as usize];
+            let mut add = |part: &PartSums, above: &LightEstimate, found: &LightEstimate| {
+                let (area, light) = (part.area, part.light(found) / part.area + floor);
+                let error = part.squared_error(above, found, self.noise) / (area * area);
+                if error.is_finite() && light.is_finite() {
+                    *sum = ErrorSums {
+                        parts: sum.parts + 1.0,
+                        errors: sum.errors + error,
+                        light: sum.light + light * light,
+                    };
+                }
+            };
+            if element.is_directional() {
+                let above = self.known.get(element.parent as usize).unwrap_or(known);
+                add(&self.by_element[leaf as usize], above, known);
+            } else {
+                let parts = &self.by_leaf[place][..part_count(element)];
+                let found = known.part_estimates(&self.by_element[leaf as usize], self.noise, parts);
+                parts.iter().zip(&found).for_each(|(part, found)| add(part, known, found));
+            }
+        }
+        for index in (0..arena.elements.len()).rev() {
+            let ErrorSums { parts, errors, light } = sums[index];
+            if let Some(above) = sums.get_mut(arena.elements[index].parent as usize) {
+                (above.parts, above.errors, above.light) =
+                    (above.parts + parts, above.errors + errors, above.light + light);
+            }
+        }
+        // Squared relative error. The estimates of few parts are noisy, so the whole above counts as some parts.
+        let mut ratios = vec![0.0f32; sums.len()];
+        let mut found = vec![0.0; sums.len()];
+        // A parent comes before its children.
+        let mut of_links = link_errors.to_vec();
+        for (index, element) in arena.elements.iter().enumerate() {
+            let ErrorSums { parts, errors, light } = sums[index];
+            if let Some(&above) = of_links.get(element.parent as usize) {
+                of_links[index] += above;
+            }
+            if parts == 0.0 {
+                continue;
+            }
+            let own = errors / light;
+            let ratio = match ratios.get(element.parent as usize) {
+                Some(&above) => {
+                    ((parts * own + ERROR_PARTS * above) / (parts + ERROR_PARTS)).max(MIN_ERROR_RATIO * above)
+                }
+                None => own,
+            };
+            ratios[index] = ratio.max(MIN_RELATIVE_ERROR * MIN_RELATIVE_ERROR);
+            if element.is_leaf() {
+                found[index] =
+                    (ratios[index] * light / parts + LINK_ERROR_WEIGHT * LINK_ERROR_WEIGHT * of_links[index]).sqrt();
+            }
+        }
+        found
     }
 }
 
@@ -270,6 +375,7 @@ impl Rays {
         }
         let area = area.max(f64::MIN_POSITIVE);
         let changed = (changed / area).sqrt() / (whole / area).max(f64::MIN_POSITIVE);
+        lights.errors = comparison.errors(arena, &self.leaves, &lights.link_errors);
         let all = &comparison.all;
         let ratio = if all.links > 0.0 { all.rays / all.links } else { 1.0 };
         RayCorrection { ratio, changed: changed as f32, contrast }

@@ -210,6 +210,7 @@ impl Solver<'_> {
         // The order determines in which order elements are created.
         pending.sort_unstable();
         let mut done = Vec::new();
+        self.state.lights.link_errors.fill(0.0);
         while !pending.is_empty() {
             if self.cancel.load(Ordering::Relaxed) {
                 return Err(Cancelled);
@@ -222,11 +223,12 @@ impl Solver<'_> {
             for ([receiver, source], verdict) in pending.into_iter().zip(verdicts) {
                 match verdict {
                     LinkDecision::Drop => {}
-                    LinkDecision::Keep { link, is_inexact: refused } => {
+                    LinkDecision::Keep { link, is_inexact: refused, error } => {
                         if link.factors == [0.0; 4] {
                             dark.push([receiver, source]);
                         } else {
                             done.push(link);
+                            self.state.lights.link_errors[receiver as usize] += error * error;
                         }
                         self.state.report.inexact_links += usize::from(refused);
                     }

@@ -104,6 +104,7 @@ fn build_field(
                     _ => field_leaf(element, order[at], lights, from),
                 };
                 field.leaves.push(leaf(FROM_ELEMENTS));
+                field.errors.push(lights.errors[order[at] as usize]);
                 direct.push(leaf(FROM_LAMPS));
                 field.leaves.len() as u32 - 1
             } else {

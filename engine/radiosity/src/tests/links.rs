@@ -96,12 +96,12 @@ fn decide(more: &str, ceiling: ElementLight, error: f32) -> LinkDecision {
 #[test]
 fn links_are_kept_split_or_dropped_by_their_error() {
     let exact = decide("", bright(1.0), 4.0);
-    let LinkDecision::Keep { link, is_inexact: false } = exact else { panic!("{exact:?}") };
+    let LinkDecision::Keep { link, is_inexact: false, .. } = exact else { panic!("{exact:?}") };
     let mean = link.factors.iter().sum::<f32>() / 4.0;
     assert!((mean - 0.199_825).abs() < 0.01, "{link:?}");
     assert!(matches!(decide("", bright(1.0), 0.01), LinkDecision::SplitReceiver | LinkDecision::SplitSource));
     let dark = decide("", ElementLight::ZERO, 1e-6);
-    assert!(matches!(dark, LinkDecision::Keep { link, is_inexact: false } if link.factors == [0.0; 4]), "{dark:?}");
+    assert!(matches!(dark, LinkDecision::Keep { link, is_inexact: false, .. } if link.factors == [0.0; 4]), "{dark:?}");
     // Uneven light of the source is an error of the source.
     let uneven = ElementLight { darkest: 0.0, brightest: 2.0, ..bright(1.0) };
     assert!(matches!(decide("", uneven, 0.2), LinkDecision::SplitSource));

@@ -5,6 +5,7 @@ use femc_tests::closed_forms::{
     Case, Errors, SLABS, Slab, ball_over_plate, coaxial_discs, disc_form_factor, furnace, furnace_fog, lamp_in_fog,
     reflecting_floor, relative_errors, sphere, third_exponential_integral,
 };
+use std::collections::BTreeMap;
 
 /// Computes the errors of a case, and checks that all of its light is a number.
 fn case_errors(case: &Case, error: f32) -> Errors {
@@ -114,5 +115,39 @@ fn non_absorbing_slabs_reflect_and_transmit_as_in_closed_form() {
             let found = case_errors(&case, error);
             assert!(found.rms < most, "{}, error {error}: {found:?}", case.name);
         }
+    }
+}
+
+/// The stated error of a solution is at least half of the true one, and no more than five times as large. A third of the true error of
+/// nearly all leaves is less than the stated one. A solution that is nearly exact states too much.
+#[test]
+fn stated_errors_are_near_true_errors() {
+    for (case, most) in [
+        (ball_over_plate(), 5.0),
+        (coaxial_discs(1.0, 1.0, 1.0), 5.0),
+        (reflecting_floor(), 3.0),
+        (furnace(0.5, 1.0), 3.0),
+        (furnace(0.9, 0.0), f64::INFINITY),
+        (sphere(0.9, 0.0, 0.0), f64::INFINITY),
+    ] {
+        let (solved, pairs) = case.solve(0.3);
+        let stated = case.stated_errors(solved);
+        let rms = |squares: &mut dyn Iterator<Item = f64>| (squares.sum::<f64>() / pairs.len() as f64).sqrt();
+        let have = rms(&mut stated.iter().map(|error| error * error));
+        let want = rms(&mut pairs.iter().map(|[have, want]| (have - want).powi(2)));
+        println!("{}: stated {have}, true {want}", case.name);
+        assert!(have > 0.5 * want && have < most * want, "{}: stated {have}, true {want}", case.name);
+        // Points of a leaf have the same stated error.
+        let mut leaves: BTreeMap<u64, Vec<f64>> = BTreeMap::new();
+        for ([have, want], stated) in pairs.iter().zip(&stated) {
+            leaves.entry(stated.to_bits()).or_default().push((have - want).powi(2));
+        }
+        let is_covered = |(stated, squares): &(&u64, &Vec<f64>)| {
+            let mean = squares.iter().sum::<f64>() / squares.len() as f64;
+            mean.sqrt() < 3.0 * f64::from_bits(**stated)
+        };
+        let share = leaves.iter().filter(is_covered).count() as f64 / leaves.len() as f64;
+        println!("  covers {share} of {} leaves", leaves.len());
+        assert!(share > 0.85, "{}: {share}", case.name);
     }
 }

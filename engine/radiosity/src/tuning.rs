@@ -228,6 +228,8 @@ pub const TOTAL_RAYS_FOR_PORTALS: usize = 4 * TOTAL_RAYS;
 /// Number of additional rays, distributed among the leaves by the light that they send, relative to the other rays if each
 /// surface were an element and no leaf were small. Not measured.
 pub const EXTRA_RAYS_RATIO: f32 = 1.0;
+/// Maximum number of additional rays, if they are more than the others. Without it, the rays of a million faces took 1 GB.
+pub const MAX_EXTRA_RAYS: f32 = (1 << 20) as f32;
 /// Bounds of the minimum ratio of the density of rays from the other end to that of a leaf's own rays, for the former to be preferred.
 /// The greater one is for evenly lit surroundings: with 8 there, a point in an evenly lit sphere was 6 % too dark. With 32
 /// everywhere, a plate below a bright ball had an rms of 9 % instead of 3 %, because some leaves had missed the ball. With a lesser

@@ -6,7 +6,8 @@ use crate::arena::Arena;
 use crate::gather::ElementLights;
 use crate::scene::Scene;
 use crate::tuning::{
-    EXTRA_RAYS_RATIO, MIN_FOG_RAYS, MIN_SMALL_RAYS, RAYS_PER_PART, SMALL_AREA_SHARE, TOTAL_RAYS, TOTAL_RAYS_FOR_PORTALS,
+    EXTRA_RAYS_RATIO, MAX_EXTRA_RAYS, MIN_FOG_RAYS, MIN_SMALL_RAYS, RAYS_PER_PART, SMALL_AREA_SHARE, TOTAL_RAYS,
+    TOTAL_RAYS_FOR_PORTALS,
 };
 use crate::visibility::VisibilityTester;
 use femc_field::{NONE, SurfaceSpot};
@@ -62,7 +63,9 @@ impl RayPlan {
         let merged: usize =
             leaves.iter().map(|&leaf| arena.members(&arena.elements[leaf as usize]).len().saturating_sub(1)).sum();
         let regular = ((of_surfaces + MAX_PARTS * merged) * of_surface + of_fog * of_box) as f32;
-        let more = (EXTRA_RAYS_RATIO * regular).min((fit * (of_surfaces + of_fog) - base) as f32);
+        let more = (EXTRA_RAYS_RATIO * regular)
+            .min(MAX_EXTRA_RAYS.max(base as f32))
+            .min((fit * (of_surfaces + of_fog) - base) as f32);
         let power = |&leaf: &u32| {
             let element = &arena.elements[leaf as usize];
             element.sending_size() * luminance(lights.elements[leaf as usize].radiosity).max(0.0)

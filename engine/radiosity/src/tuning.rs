@@ -41,7 +41,7 @@ pub const CLUSTER_SAMPLES: usize = 16;
 /// links are few. Not measured.
 pub const MAX_LAMP_ERROR: f32 = 0.1;
 /// Share of the mean irradiance that is added to an element's when a link's error is judged. A smaller one refines dark places
-/// more: behind an opening of 1 % of the hemisphere a room has 0.4 to 0.7 of its light (docs/first-pass.md).
+/// more: behind an opening of 1 % of the hemisphere a room has 0.86 of its light (docs/first-pass.md).
 pub const IRRADIANCE_FLOOR: f32 = 0.03;
 /// Maximum irradiance that an error is relative to, in multiples of the scene's mean. Places far above it are near lamps, and what
 /// they send matters elsewhere: a ceiling 2 cm above a lamp, whose bright part the room cannot see.

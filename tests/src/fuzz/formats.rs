@@ -369,7 +369,8 @@ fn first_pass() -> Vec<Target> {
                 let hit = Hit { t: 1.0, instance, primitive, u: 0.3, v: 0.6 };
                 let [front, _] =
                     [Side::Front, Side::Back].map(|side| field.irradiance(&hit, side, test_point(), Vec3A::Z));
-                let _ = (front, field.fog.scattered_radiance(test_point(), Vec3A::X));
+                let error = field.irradiance_error(&hit, Side::Front, test_point());
+                let _ = (front, error, field.fog.scattered_radiance(test_point(), Vec3A::X));
                 field.fog.radiance_along(test_point(), Vec3A::Z, 0.0, f32::INFINITY, &mut line);
                 if let Some(point) = line.sample(0.4) {
                     assert!(point.pdf == line.pdf(point.t));
@@ -528,7 +529,7 @@ const FRAMES_FRONT: usize = 8 + 4 + 4 + 8;
 const PATHS_FRONT: usize = 28 + 4 + 8 + 7 * 4 + 6 * 8 + 8 + 7 * 4 + 8;
 
 /// Bytes of an encoded field before its tables.
-const FIELD_FRONT: usize = 28 + 8 * 8 + 4 + 9 * 4 + 8;
+const FIELD_FRONT: usize = 28 + 8 * 8 + 4 + 10 * 4 + 8;
 
 fn test_point() -> Vec3A {
     Vec3A::new(0.4, 0.3, 0.2)

@@ -570,6 +570,30 @@ mod tests {
         assert!(scales.iter().all(|scale| (scale - 1.0).abs() < 0.01), "{scales:?}");
     }
 
+    /// The rays' light has normal noise around light that differs from that of the links by some standard deviations.
+    #[test]
+    #[expect(clippy::disallowed_methods, reason = "the last bits of the weights do not matter")]
+    fn estimated_squared_errors_have_the_mean_of_the_true_ones() {
+        let noise = Noise { estimator: VarianceEstimator::Measured, ..RARE };
+        for true_light in [10.0, 10.5, 11.0, 12.0, 14.0] {
+            let (mut estimated, mut truth, mut whole) = (0.0f64, 0.0f64, 0.0f64);
+            for k in -6000..=6000 {
+                let normal = f64::from(k) * 1e-3;
+                let weight = (-0.5 * normal * normal).exp();
+                let mut part = PartSums::new(1.0, 8.0, 10.0);
+                part.variances = [0.0; 3];
+                (part.rays, part.color, part.measured_variance) = (true_light + normal as f32, Rgb::ONE, 1.0);
+                let above = LightEstimate { scale: 1.0, extra: Rgb::ZERO, bright: [0.0; 2], own_share: 1.0 };
+                let found = part.estimate(&above, noise);
+                estimated += weight * f64::from(part.squared_error(&above, &found, noise));
+                truth += weight * f64::from(part.light(&found) - true_light).powi(2);
+                whole += weight;
+            }
+            let [estimated, truth] = [estimated, truth].map(|sum| sum / whole);
+            assert!((estimated - truth).abs() < 0.02, "{true_light}: estimated {estimated}, true {truth}");
+        }
+    }
+
     /// Light has leaked into a closed box in a room with places that are twice as bright as the mean. All rays in the box find
     /// the same light, 7 % less than the links. That is no chance.
     #[test]

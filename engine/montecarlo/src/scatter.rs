@@ -149,11 +149,17 @@ impl<R: Recorder> Tracer<'_, R> {
     }
 }
 
+/// Returns the side of a surface on which the path is, and the other side.
+#[inline]
+fn sides(surface: &SurfaceInteraction<'_>) -> [Side; 2] {
+    if surface.back { [Side::Back, Side::Front] } else { [Side::Front, Side::Back] }
+}
+
 /// Returns the estimated root mean square error of [`field_light`] over pi, cd/m2 by luminance.
 pub(crate) fn field_light_error(field: &Field, surface: &SurfaceInteraction<'_>) -> f32 {
-    let SurfaceInteraction { hit, point, back, .. } = surface;
+    let SurfaceInteraction { hit, point, .. } = surface;
     let (reflected, transmitted) = surface.bsdf.lambertian(surface.wo);
-    let (here, behind) = if *back { (Side::Back, Side::Front) } else { (Side::Front, Side::Back) };
+    let [here, behind] = sides(surface);
     let error = |color: Rgb, side| match luminance(color) {
         0.0 => 0.0,
         share => share * field.irradiance_error(hit, side, point.position),
@@ -167,7 +173,7 @@ pub(crate) fn field_light_error(field: &Field, surface: &SurfaceInteraction<'_>)
 fn field_light(field: &Field, surface: &SurfaceInteraction<'_>) -> Rgb {
     let SurfaceInteraction { hit, point, back, .. } = surface;
     let (reflected, transmitted) = surface.bsdf.lambertian(surface.wo);
-    let (here, behind) = if *back { (Side::Back, Side::Front) } else { (Side::Front, Side::Back) };
+    let [here, behind] = sides(surface);
     let facing = if *back { -point.shading_normal } else { point.shading_normal };
     let light = |side, normal| field.irradiance(hit, side, point.position, normal);
     let mut color = reflected * light(here, facing);

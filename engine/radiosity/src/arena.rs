@@ -114,9 +114,6 @@ impl Bounds {
 }
 
 impl Node {
-    /// Number of bytes of a surface in the tree of clusters.
-    const SURFACE_BYTES: usize = size_of::<(Member, Bounds)>() + size_of::<Member>() + size_of::<Self>();
-
     fn new(bounds: &Bounds, first_part: u32) -> Self {
         Self {
             center: bounds.center.to_array(),
@@ -135,7 +132,7 @@ impl Node {
 
 impl Arena {
     /// Number of bytes of a surface in the tree of clusters.
-    pub const SURFACE_BYTES: usize = Node::SURFACE_BYTES;
+    pub const SURFACE_BYTES: usize = size_of::<(Member, Bounds)>() + size_of::<Member>() + size_of::<Node>();
 
     /// Creates a cluster of all surfaces, and the fog beside them.
     pub fn new(scene: &Scene<'_>) -> Self {

@@ -16,8 +16,8 @@ use std::f32::consts::PI;
 /// The light of an element.
 #[derive(Clone, Copy, Debug)]
 pub struct ElementLight {
-    /// Irradiance at the nodes from light sources, and from elements, lx: through the element's own links and those of the elements
-    /// above it.
+    /// Irradiance at the nodes, lx: from light sources, and from elements. It includes light that comes through links of the elements
+    /// above.
     pub total: [[Rgb; 4]; 2],
     /// Mean radiosity, lx; for fog per m.
     pub radiosity: Rgb,
@@ -40,10 +40,10 @@ impl ElementLight {
     };
 }
 
-/// Arriving light of a wide element by direction, from sources and from elements: through its own links and those of the elements
-/// above it.
+/// Light that arrives at a wide element, by direction.
 #[derive(Clone, Copy, Debug)]
 pub struct IncidentLight {
+    /// Light from light sources, and from elements. It includes light that comes through links of the elements above.
     pub total: [Harmonics; 2],
     /// Light of a ball that rays find in addition to that of the links.
     pub ray_correction: Harmonics,

@@ -75,10 +75,10 @@ impl MisHeuristic {
     /// - `own`, `other`: densities from the leaf itself, and from the other end;
     /// - `is_own`: whether the leaf's own ray found the way;
     /// - `contrast`: light of the other leaf relative to the mean of what the leaf receives.
-    fn density(self, own: f32, other: f32, is_own: bool, contrast: f32) -> f32 {
+    fn density(self, own: f32, other: f32, is_own: bool, contrast: impl FnOnce() -> f32) -> f32 {
         match self {
             Self::Balance => own + other,
-            Self::Maximum if is_own == (other <= min_density_ratio(contrast) * own) => {
+            Self::Maximum if is_own == (other <= min_density_ratio(contrast()) * own) => {
                 if is_own {
                     own
                 } else {
@@ -259,11 +259,14 @@ impl Rays {
         let element = &arena.elements[self.leaves[leaf_index] as usize];
         let [first, end] = [self.first[leaf_index], self.first[leaf_index + 1]].map(|at| at as usize);
         let parts = part_count(element);
-        let mean = light.mean_irradiance(arena, self.leaves[leaf_index]);
-        let contrast = |other: u32| if other == NONE { 1.0 } else { light.mean_radiosity(other) / mean };
+        let mean = match weights {
+            MisHeuristic::Balance => 1.0,
+            MisHeuristic::Maximum => light.mean_irradiance(arena, self.leaves[leaf_index]),
+        };
+        let contrast = |other: u32| light.means.get(other as usize).map_or(1.0, |radiosity| radiosity / mean);
         for (ray, sight) in self.hits[first..end].iter().enumerate() {
             let [own, other] = sight.density;
-            let number = weights.density(own, other, true, contrast(sight.leaf)) * element.size();
+            let number = weights.density(own, other, true, || contrast(sight.leaf)) * element.size();
             if number > 0.0 {
                 let irradiance = light.received_irradiance(arena, sight) * (1.0 / number);
                 each(RaySample { ray: first + ray, origin: None, part: ray % parts, irradiance, ray_count: number });
@@ -275,7 +278,7 @@ impl Rays {
             let (ray, origin) = (ray as usize, origin as usize);
             let sight = &self.hits[ray];
             let (leaf, [other, own]) = (self.leaves[origin], sight.density);
-            let number = weights.density(own, other, false, contrast(leaf)) * element.size();
+            let number = weights.density(own, other, false, || contrast(leaf)) * element.size();
             if number > 0.0 {
                 let origin_part = (ray - self.first[origin] as usize) % part_count(&arena.elements[leaf as usize]);
                 // Light in the other direction is scattered here instead of there.
@@ -360,6 +363,8 @@ pub struct SentLight<'a> {
     lamps: BentLamps,
     /// Output of [`ElementLights::part_radiosity`] by element; 0 for elements that are not leaves.
     parts: Vec<[Rgb; 4]>,
+    /// Mean of these over the parts by luminance, by element, lx.
+    means: Vec<f32>,
 }
 
 /// Light of lamps that rays see through mirrors and clear solids.
@@ -376,7 +381,13 @@ impl<'a> SentLight<'a> {
         let of = |(index, element): (usize, &Element)| {
             if element.is_leaf() { lights.part_radiosity(element, index) } else { [Rgb::ZERO; 4] }
         };
-        Self { lights, lamps, parts: arena.elements.par_iter().enumerate().map(of).collect() }
+        let parts: Vec<[Rgb; 4]> = arena.elements.par_iter().enumerate().map(of).collect();
+        let mean = |(element, parts): (&Element, &[Rgb; 4])| {
+            let count = element.node_count();
+            parts[..count].iter().copied().map(luminance).sum::<f32>() / count as f32
+        };
+        let means = arena.elements.iter().zip(&parts).map(mean).collect();
+        Self { lights, lamps, parts, means }
     }
 
     /// Returns the mean irradiance of a leaf from elements by luminance, lx; infinite for fog.
@@ -385,11 +396,6 @@ impl<'a> SentLight<'a> {
             return f32::INFINITY;
         }
         luminance(self.lights.mean_irradiance_from_elements(arena, leaf as usize)).max(f32::MIN_POSITIVE)
-    }
-
-    /// Returns the mean radiosity of the parts of a leaf by luminance, lx.
-    fn mean_radiosity(&self, leaf: u32) -> f32 {
-        self.parts[leaf as usize].into_iter().map(luminance).sum::<f32>() * 0.25
     }
 
     /// Returns the irradiance of a ray's origin, if all rays had this hit, lx.

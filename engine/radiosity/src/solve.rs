@@ -251,7 +251,6 @@ impl<'a> Solver<'a> {
         if self.state.arena.root == NONE {
             return Ok(());
         }
-        let mut contrast = Vec::new();
         let SolverState { arena, lights, links, report, .. } = &mut self.state;
         lights.cluster_weights = ClusterWeights::from_exit_shares(arena, rays.exit_shares(arena));
         report.row_sum = lights.bound_rows(arena, links);
@@ -259,13 +258,13 @@ impl<'a> Solver<'a> {
         let lamp_contrast = rays.correct_lamps(arena, lights, self.options.error);
         rays.measure_arriving_shares(arena, lights);
         let checks = if self.state.is_finished() { RAY_CHECKS } else { COARSE_RAY_CHECKS };
-        let mut last_change = f32::INFINITY;
+        let (mut last_change, mut latest) = (f32::INFINITY, None);
         for _ in 0..checks {
             let SolverState { arena, lights, report, .. } = &mut self.state;
             let before = lights.sent_light(arena);
             let correction = rays.correct(arena, lights, self.options.error);
             (report.ray_link_ratio, report.ray_correction) = (correction.ratio, correction.changed);
-            contrast = correction.contrast;
+            latest = Some(correction);
             self.iterate(TARGET_RESIDUAL)?;
             let change = self.state.change_since(&before);
             if change <= RAY_CHECK_CHANGE || change > MAX_RAY_CHECK_RATIO * last_change {
@@ -273,6 +272,11 @@ impl<'a> Solver<'a> {
             }
             last_change = change;
         }
+        let SolverState { arena, lights, .. } = &mut self.state;
+        let contrast = latest.map_or_else(Vec::new, |correction| {
+            rays.estimate_errors(arena, lights, &correction);
+            correction.contrast
+        });
         self.state.max_ray_bytes = self.state.max_ray_bytes.max(rays.bytes());
         self.state.report.rays += rays.traced;
         if !self.state.is_finished() {

@@ -23,6 +23,7 @@ pub struct RayCorrection {
     pub changed: f32,
     /// Leaves, and the difference between the irradiances of their parts, lx.
     pub contrast: Vec<(u32, f32)>,
+    comparison: Comparison,
 }
 
 /// Noise of the light that rays find.
@@ -375,10 +376,14 @@ impl Rays {
         }
         let area = area.max(f64::MIN_POSITIVE);
         let changed = (changed / area).sqrt() / (whole / area).max(f64::MIN_POSITIVE);
-        lights.errors = comparison.errors(arena, &self.leaves, &lights.link_errors);
         let all = &comparison.all;
         let ratio = if all.links > 0.0 { all.rays / all.links } else { 1.0 };
-        RayCorrection { ratio, changed: changed as f32, contrast }
+        RayCorrection { ratio, changed: changed as f32, contrast, comparison }
+    }
+
+    /// Estimates the root mean square error of the light of all leaves of surfaces after a correction ([`ElementLights::errors`]).
+    pub fn estimate_errors(&self, arena: &Arena, lights: &mut ElementLights, correction: &RayCorrection) {
+        lights.errors = correction.comparison.errors(arena, &self.leaves, &lights.link_errors);
     }
 
     /// Corrects the light that the leaves receive directly from lamps. Returns the difference between the irradiances of the parts of

@@ -201,8 +201,8 @@ impl Solver<'_> {
     }
 
     /// Refines links until each is as exact as requested.
-    /// - `dark`: receivers and sources of links that brought no light at the last level, ascending. They are tested again, and replaced
-    ///   by those of this level. No light goes through them.
+    /// - `dark`: receivers and sources of links that brought no light at the last level, ascending. The function tests these links again,
+    ///   and replaces the list by the links that bring no light at this level.
     pub(super) fn refine_links(&mut self, error: f32, dark: &mut Vec<[u32; 2]>) -> Result<(), Cancelled> {
         let links = std::mem::take(&mut self.state.links);
         let mut pending: Vec<[u32; 2]> = std::mem::take(dark);

@@ -118,8 +118,8 @@ fn non_absorbing_slabs_reflect_and_transmit_as_in_closed_form() {
     }
 }
 
-/// The stated error of a solution is at least half of the true one, and no more than five times as large. A third of the true error of
-/// nearly all leaves is less than the stated one. A solution that is nearly exact states too much.
+/// The stated error of a solution is at least half of the true one, and no more than five times as large. The true error
+/// of nearly all leaves is less than three times the stated one. A solution that is nearly exact states too much.
 #[test]
 fn stated_errors_are_near_true_errors() {
     for (case, most) in [

@@ -1,11 +1,25 @@
-//! Measures the gain from a first pass. For each scene, compares the variance of guided paths with that of unguided paths at equal
-//! samples, and prints the processor seconds of both and of the first pass.
+//! Measures the gain from a first pass. Traces equal samples with several methods, and prints the variance of their means, the
+//! processor seconds, and the seconds of the first pass.
 //!
-//! `cargo run --release -p femc-tests --example two_passes -- SCENE.mgf.. [--spp N] [--error E,E..] [--size N] [--image PREFIX]`
+//! `cargo run --release -p femc-tests --example two_passes -- SCENE.mgf.. [--methods M,..] [--spp N] [--size N] [--turns N]`
+//!
+//! Methods: `pt`, `femc`; parts of `femc`: `directions` (no weight window), `roulette` (no splitting), `splitting` (no roulette by
+//! the window), `window` (no guided directions); and `LOWER:UPPER` (`femc` with these bounds of the window). The first method is the
+//! baseline.
+//!
+//! One line for each scene and method:
+//! - `first s`: processor seconds of the first pass; `s`: of the samples;
+//! - `rays`: rays and shadow rays of a sample;
+//! - `variance`: variance of the mean of all samples of a pixel, times their number, over the pixel's squared mean + 0.01, averaged
+//!   over all pixels. Evenly spread samples have less variance than independent ones; the column `independent` ignores their spread;
+//! - `±`: standard error of the variance, %, from the spread over rows of pixels;
+//! - `gain`: variance times seconds of the baseline over that of the method; `with first`: with the seconds of the first pass;
+//! - `z`: difference of the mean from the baseline's, in standard errors.
 
 use femc_film::Filter;
 use femc_math::color::luminance;
-use femc_montecarlo::{PathSettings, PixelFilter, Tracer};
+use femc_math::sampler::{REPLICATES, replicate_of};
+use femc_montecarlo::{Guidance, PathSettings, PixelFilter, Tracer, WeightWindow};
 use femc_pipeline::radiosity::{self, SolveOptions};
 use femc_pipeline::{Field, SceneSource, Settings, prepare_frame};
 use femc_prepared::Prepared;
@@ -28,133 +42,165 @@ impl PixelFilter for FilterAdapter {
     }
 }
 
+/// Guidance of the paths of a method. `None`: path tracing alone.
+fn guidance<'a>(method: &str, prepared: &Prepared, field: &'a Field) -> Result<Option<Guidance<'a>>, String> {
+    let all = Guidance::new(prepared, field);
+    let open = WeightWindow { lower: 0.0, upper: f32::INFINITY };
+    let window = WeightWindow::default();
+    Ok(Some(match method {
+        "pt" => return Ok(None),
+        "femc" => all,
+        "directions" => Guidance { window: open, ..all },
+        "roulette" => Guidance { window: WeightWindow { upper: f32::INFINITY, ..window }, ..all },
+        "splitting" => Guidance { window: WeightWindow { lower: 0.0, ..window }, ..all },
+        "window" => Guidance { samples_directions: false, ..all },
+        bounds => {
+            let bounds: Vec<f32> = bounds.split(':').filter_map(|bound| bound.parse().ok()).collect();
+            let &[lower, upper] = &bounds[..] else { return Err(format!("unknown method {method}")) };
+            Guidance { window: WeightWindow { lower, upper }, ..all }
+        }
+    }))
+}
+
 fn main() -> Result<(), Box<dyn Error>> {
-    let (mut scenes, mut spp, mut errors, mut size, mut image) = (Vec::new(), 64u32, vec![1.0f32], 128u32, None);
+    let (mut scenes, mut spp, mut size, mut turns) = (Vec::new(), 128u32, 64u32, 2u32);
+    let mut methods = vec!["pt".to_owned(), "femc".to_owned()];
     let mut args = std::env::args().skip(1);
     while let Some(arg) = args.next() {
         let mut value = || args.next().ok_or(format!("{arg} needs a value"));
         match arg.as_str() {
             "--spp" => spp = value()?.parse()?,
             "--size" => size = value()?.parse()?,
-            "--error" => errors = value()?.split(',').map(str::parse).collect::<Result<_, _>>()?,
-            "--image" => image = Some(value()?),
+            "--methods" => methods = value()?.split(',').map(str::to_owned).collect(),
+            "--turns" => turns = value()?.parse()?,
             scene => scenes.push(scene.to_owned()),
         }
     }
-    if scenes.is_empty() || spp < 2 {
-        return Err("usage: two_passes SCENE.mgf.. [--spp N] [--error E,E..] [--size N] [--image PREFIX]".into());
+    if scenes.is_empty() || spp < 2 * REPLICATES as u32 {
+        return Err(
+            "usage: two_passes SCENE.mgf.. [--methods M,..] [--spp N] [--size N] [--turns N]; at least 8 samples"
+                .into(),
+        );
     }
-    println!(
-        "scene\terror\tfirst pass s\tMB\tpaths s\tguided s\tvariance of paths\tof guided\tratio\tefficiency\tz of the mean\tfield over paths\trelmse of the field"
-    );
+    println!("scene\tmethod\tfirst s\ts\trays\tvariance\t±\tindependent\tgain\twith first\tz");
     for path in scenes {
         let scene = Arc::new(femc_import::load_scene_file(path.as_ref())?.scene);
         let settings = Settings { size: Some([size; 2]), ..Settings::default() };
         let prepared = prepare_frame(&SceneSource::new(scene), &settings, 1, None)?;
         let name = std::path::Path::new(&path).file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        for &error in &errors {
-            let start = processor_seconds().unwrap_or(0.0);
-            let options = SolveOptions { error, guides: true, ..SolveOptions::default() };
-            let solution = radiosity::solve(&prepared, &options, &AtomicBool::new(false)).map_err(|_| "cancelled")?;
-            let first = processor_seconds().unwrap_or(0.0) - start;
-            let [plain, guided, field] = compare(&prepared, &solution.field, size * size, spp);
-            let ratio = plain.variance / guided.variance;
+        let start = processor_seconds().unwrap_or(0.0);
+        let options = SolveOptions { error: 1.0, guides: true, ..SolveOptions::default() };
+        let solution = radiosity::solve(&prepared, &options, &AtomicBool::new(false)).map_err(|_| "cancelled")?;
+        let first = processor_seconds().unwrap_or(0.0) - start;
+        let guidances: Result<Vec<_>, _> =
+            methods.iter().map(|method| guidance(method, &prepared, &solution.field)).collect();
+        let guidances = guidances?;
+        let measured = measure(&guidances, &prepared, size, spp, turns);
+        let base = &measured[0];
+        for (method, of) in methods.iter().zip(&measured) {
+            let first = if method == "pt" { 0.0 } else { first };
+            let work = |of: &Statistics| of.variance * of.seconds;
             println!(
-                "{name}\t{error}\t{first:.2}\t{:.1}\t{:.2}\t{:.2}\t{:.5}\t{:.5}\t{ratio:.2}\t{:.2}\t{:+.2}\t{:.3}\t{:.4}",
-                solution.report.bytes as f64 / 1e6,
-                plain.seconds,
-                guided.seconds,
-                plain.variance,
-                guided.variance,
-                ratio * plain.seconds / guided.seconds,
-                (guided.mean - plain.mean) / (plain.error2 + guided.error2).sqrt(),
-                2.0 * field.mean / (plain.mean + guided.mean),
-                relmse(&field, [&plain, &guided], spp),
+                "{name}\t{method}\t{first:.2}\t{:.2}\t{:.2}\t{:.5}\t{:.0}\t{:.5}\t{:.2}\t{:.2}\t{:+.2}",
+                of.seconds,
+                of.rays,
+                of.variance,
+                100.0 * of.variance_error / of.variance,
+                of.independent,
+                work(base) / work(of),
+                work(base) / (of.variance * (of.seconds + first)),
+                (of.mean - base.mean) / (of.error2 + base.error2).sqrt().max(1e-30),
             );
-            if let Some(prefix) = &image {
-                for (picture, of) in [("paths", &plain), ("guided", &guided), ("field", &field)] {
-                    let scale = 0.25 / plain.mean.max(1e-30);
-                    let value = |x: f64| (255.0 * (x * scale).min(1.0).powf(1.0 / 2.2)) as u8;
-                    let mut out = format!("P5 {size} {size} 255\n").into_bytes();
-                    out.extend(of.pixels.iter().map(|&[mean, _]| value(mean)));
-                    std::fs::write(format!("{prefix}-{name}-{error}-{picture}.pgm"), out)?;
-                }
-            }
         }
     }
     Ok(())
 }
 
-/// Results of one kind of samples.
+/// Results of one method.
 #[derive(Default)]
-struct SampleStatistics {
-    /// Mean (cd/m2) and variance of one sample, for each pixel.
-    pixels: Vec<[f64; 2]>,
-    /// Mean over all pixels, and the square of its standard error.
+struct Statistics {
+    /// Mean over all pixels, cd/m2, and the square of its standard error.
     mean: f64,
     error2: f64,
-    /// Variance of one sample, divided by the squared mean plus 0.01 and averaged over all pixels.
+    /// Relative variance of a sample of an evenly spread set, its standard error, and that of independent samples.
     variance: f64,
+    variance_error: f64,
+    independent: f64,
     /// Processor seconds.
     seconds: f64,
+    /// Rays and shadow rays of a sample.
+    rays: f64,
 }
 
-/// Computes the relmse of `field` against the mean of the other two, minus their noise.
-fn relmse(field: &SampleStatistics, others: [&SampleStatistics; 2], spp: u32) -> f64 {
-    let of = |k: usize| {
-        let [a, b, c] = [field.pixels[k], others[0].pixels[k], others[1].pixels[k]];
-        let mean = 0.5 * (b[0] + c[0]);
-        let chance = (a[1] + 0.25 * (b[1] + c[1])) / f64::from(spp);
-        ((a[0] - mean).powi(2) - chance) / (mean * mean + 1e-2)
-    };
-    (0..field.pixels.len()).map(of).sum::<f64>() / field.pixels.len() as f64
+/// Sums of the samples of a pixel: by replicate, and their squares.
+#[derive(Clone, Copy, Default)]
+struct PixelSums {
+    replicates: [f64; REPLICATES],
+    squares: f64,
 }
 
-/// Takes equal numbers of samples from unguided paths, guided paths, and paths that end with the field, in alternation.
-fn compare(prepared: &Prepared, field: &Field, number: u32, spp: u32) -> [SampleStatistics; 3] {
-    const TURNS: u32 = 4;
-    let mut sums = [(); 3].map(|()| vec![[0.0f64; 2]; number as usize]);
-    let mut out = [(); 3].map(|()| SampleStatistics::default());
-    for turn in 0..TURNS {
-        for (which, (sums, out)) in sums.iter_mut().zip(&mut out).enumerate() {
-            let samples = turn * spp / TURNS..(turn + 1) * spp / TURNS;
+/// Traces the samples of all methods, in alternation.
+fn measure(
+    guidances: &[Option<Guidance<'_>>],
+    prepared: &Prepared,
+    size: u32,
+    spp: u32,
+    turns: u32,
+) -> Vec<Statistics> {
+    let mut sums = vec![vec![PixelSums::default(); (size * size) as usize]; guidances.len()];
+    let mut out: Vec<Statistics> = guidances.iter().map(|_| Statistics::default()).collect();
+    for turn in 0..turns {
+        for (method, (sums, out)) in sums.iter_mut().zip(&mut out).enumerate() {
+            let samples = turn * spp / turns..(turn + 1) * spp / turns;
             let start = processor_seconds().unwrap_or(0.0);
-            sums.par_chunks_mut(64).enumerate().for_each(|(chunk, sums)| {
-                // Each kind has its own seed, so that their errors are independent.
-                let path = PathSettings { seed: 1 + which as u64, max_depth: 0, single_technique: None };
-                let mut tracer = Tracer::new(prepared, path);
-                tracer = match which {
-                    0 => tracer,
-                    1 => tracer.with_guide(field),
-                    _ => tracer.with_field(field),
-                };
-                for (k, [sum, squares]) in sums.iter_mut().enumerate() {
-                    for sample in samples.clone() {
-                        let drawn = tracer.sample((chunk * 64 + k) as u32, sample, FilterAdapter(Filter::Box));
-                        let value = f64::from(luminance(drawn.color));
-                        (*sum, *squares) = (*sum + value, *squares + value * value);
+            let rays: u64 = sums
+                .par_chunks_mut(size as usize)
+                .enumerate()
+                .map(|(row, sums)| {
+                    // Each method has its own seed, so that their errors are independent.
+                    let path = PathSettings { seed: 1 + method as u64, max_depth: 0, single_technique: None };
+                    let mut tracer = Tracer::new(prepared, path);
+                    if let Some(guidance) = guidances[method] {
+                        tracer = tracer.with_guidance(guidance);
                     }
-                }
-            });
+                    for (column, sums) in sums.iter_mut().enumerate() {
+                        for sample in samples.clone() {
+                            let pixel = row as u32 * size + column as u32;
+                            let drawn = tracer.sample(pixel, sample, FilterAdapter(Filter::Box));
+                            let value = f64::from(luminance(drawn.color));
+                            sums.replicates[replicate_of(sample)] += value;
+                            sums.squares += value * value;
+                        }
+                    }
+                    tracer.counters.rays + tracer.counters.shadow_rays
+                })
+                .sum();
             out.seconds += processor_seconds().unwrap_or(0.0) - start;
+            out.rays += rays as f64 / f64::from(spp) / f64::from(size * size);
         }
     }
     let n = f64::from(spp);
-    for (sums, out) in sums.into_iter().zip(&mut out) {
-        out.pixels = sums
-            .into_iter()
-            .map(|[sum, squares]| [sum / n, (squares / n - (sum / n).powi(2)).max(0.0) * n / (n - 1.0)])
-            .collect();
-        for &[mean, variance] in &out.pixels {
-            out.mean += mean / f64::from(number);
-            out.error2 += variance / n / f64::from(number).powi(2);
-        }
-    }
+    let mean = |pixel: &PixelSums| pixel.replicates.iter().sum::<f64>() / n;
     // All variances are divided by the same mean, because the mean of few samples of a pixel is uncertain.
-    let means: Vec<f64> = out[0].pixels.iter().zip(&out[1].pixels).map(|(a, b)| 0.5 * (a[0] + b[0])).collect();
-    for out in &mut out {
-        let of = |(pixel, mean): (&[f64; 2], &f64)| pixel[1] / (mean * mean + 1e-2);
-        out.variance = out.pixels.iter().zip(&means).map(of).sum::<f64>() / f64::from(number);
+    let means: Vec<f64> = (0..sums[0].len())
+        .map(|at| sums.iter().map(|pixels| mean(&pixels[at])).sum::<f64>() / sums.len() as f64)
+        .collect();
+    let area = f64::from(size * size);
+    for (pixels, out) in sums.iter().zip(&mut out) {
+        let mut rows = vec![0.0; size as usize];
+        for (at, (pixel, likely)) in pixels.iter().zip(&means).enumerate() {
+            let (mean, count) = (mean(pixel), REPLICATES as f64);
+            let spread = pixel.replicates.iter().map(|sum| (sum * count / n - mean).powi(2)).sum::<f64>();
+            let of_mean = spread / (count - 1.0) / count;
+            let weight = 1.0 / (likely * likely + 1e-2);
+            out.mean += mean / area;
+            out.error2 += of_mean / (area * area);
+            rows[at / size as usize] += of_mean * n * weight / f64::from(size);
+            out.independent += (pixel.squares / n - mean * mean) * n / (n - 1.0) * weight / area;
+        }
+        out.variance = rows.iter().sum::<f64>() / rows.len() as f64;
+        let squares = rows.iter().map(|row| (row - out.variance).powi(2)).sum::<f64>();
+        out.variance_error = (squares / (rows.len() as f64 - 1.0) / rows.len() as f64).sqrt();
     }
     out
 }

@@ -4,9 +4,7 @@ use crate::clock::processor_seconds;
 use crate::flux::SolutionFlux;
 use femc_film::Tiling;
 use femc_pipeline::radiosity::{SolveOptions, SolveReport, VerifyError, solve};
-use femc_pipeline::{
-    Field, Method, SceneSource, Settings, StopCondition, attach_first_pass, first_pass_world, scale_field,
-};
+use femc_pipeline::{FrameLight, Method, SceneSource, Settings, StopCondition, attach_first_pass, first_pass_world};
 use femc_scene::Scene;
 use std::error::Error;
 use std::sync::Arc;
@@ -79,8 +77,8 @@ impl PictureComparison {
         let (flux, report) = (SolutionFlux::new(&world, &solution), solution.report);
         let refusal = solution.verify(&world).err();
         let brightness = femc_pipeline::prepare_world(&source, &Settings::default(), 1, None)?.brightness;
-        let field = scale_field(Arc::new(solution.field), brightness);
-        let elements = render(&source, &settings(Method::Fem, 3, SOLUTION_SPP), Some(field))?;
+        let light = FrameLight::new(Arc::new(solution.field), brightness);
+        let elements = render(&source, &settings(Method::Fem, 3, SOLUTION_SPP), Some(light))?;
         let is_compared: Vec<bool> = match lamps {
             LampPixels::Included => vec![true; a.len()],
             LampPixels::Excluded => {
@@ -123,10 +121,10 @@ impl PictureComparison {
 }
 
 /// Renders a frame. Returns the luminance of its pixels, cd/m2.
-fn render(source: &SceneSource, settings: &Settings, field: Option<Arc<Field>>) -> Result<Vec<f64>, Box<dyn Error>> {
+fn render(source: &SceneSource, settings: &Settings, light: Option<FrameLight>) -> Result<Vec<f64>, Box<dyn Error>> {
     let mut prepared = femc_pipeline::prepare_world(source, settings, 1, None)?;
-    if let Some(field) = field {
-        attach_first_pass(&mut prepared, field)?;
+    if let Some(light) = light {
+        attach_first_pass(&mut prepared, light)?;
     }
     let [width, height] = settings.size.unwrap_or_default();
     let tiling = Tiling::new(width, height, 24)?;

@@ -19,7 +19,9 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use femc_metrics::{Counter, Page};
 use femc_model::{Artifact, Digest, Failure, JobSpec};
-use femc_pipeline::{Field, FrameKey, GuideState, Layer, LayerPlan, Prepared, RayState, SceneSource, Settings};
+use femc_pipeline::{
+    Field, FrameKey, FrameLight, GuideState, Layer, LayerPlan, Prepared, RayState, SceneSource, Settings,
+};
 use femc_proto::Client;
 use femc_scene::Scene;
 
@@ -70,9 +72,9 @@ struct CacheInner {
     frames: LruCache<(FrameKey, Option<Digest>), Arc<Prepared>>,
     /// Compiled layers of frames. The tiles of a frame share them.
     layers: LruCache<(FrameKey, Vec<Layer>), Arc<LayerPlan>>,
-    /// Lights of first passes: `fields` for lamps of brightness 1, `scaled_fields` for the brightness of the frames' lamps.
+    /// Lights of first passes: `fields` for lamps of brightness 1, `frame_lights` for the brightness of the frames' lamps.
     fields: LruCache<Digest, Arc<Field>>,
-    scaled_fields: LruCache<(Digest, u32), Arc<Field>>,
+    frame_lights: LruCache<(Digest, u32), FrameLight>,
     /// Solver states of unfinished first passes, by their input artifacts: `states_before_rays` before the rays,
     /// `states_after_rays` after them.
     states_before_rays: LruCache<Digest, Arc<dyn RayState>>,
@@ -114,7 +116,7 @@ impl Cache {
             frames: LruCache::new(frames),
             layers: LruCache::new(frames),
             fields: LruCache::new(Self::FIELDS),
-            scaled_fields: LruCache::new(Self::FIELDS),
+            frame_lights: LruCache::new(Self::FIELDS),
             states_before_rays: LruCache::new(1),
             states_after_rays: LruCache::new(1),
             pieces,
@@ -127,7 +129,7 @@ impl Cache {
         self.0.scenes.clear();
         self.0.frames.clear();
         self.0.fields.clear();
-        self.0.scaled_fields.clear();
+        self.0.frame_lights.clear();
         self.drop_solver_states();
     }
 
@@ -217,7 +219,7 @@ impl Cache {
                 femc_pipeline::first_pass_world(&loaded.source, &loaded.settings, frame, previous.as_deref())
             });
             let mut world = world.map_err(|error| Failure::Scene { message: error.to_string() })?;
-            world.field = None;
+            world.set_field(None);
             Ok(Arc::new(world))
         })
     }
@@ -238,11 +240,11 @@ impl Cache {
             let prepared = fetch
                 .prepare(|| femc_pipeline::prepare_world(&loaded.source, &loaded.settings, frame, previous.as_deref()));
             let mut prepared = prepared.map_err(|error| Failure::Scene { message: error.to_string() })?;
-            prepared.field = None;
+            prepared.set_field(None);
             if let Some(light) = light {
-                let field = self.field(light, prepared.brightness, client, fetch)?;
+                let frame_light = self.frame_light(light, prepared.brightness, client, fetch)?;
                 fetch
-                    .prepare(|| femc_pipeline::attach_first_pass(&mut prepared, field))
+                    .prepare(|| femc_pipeline::attach_first_pass(&mut prepared, frame_light))
                     .map_err(|error| lost_field_failure(light, &error))?;
             }
             Ok(Arc::new(prepared))
@@ -251,10 +253,16 @@ impl Cache {
     }
 
     /// Returns the light of a first pass, scaled to the brightness of the frame's lamps.
-    fn field(&self, light: Artifact, brightness: f32, client: &Client, fetch: &Fetcher) -> Result<Arc<Field>, Failure> {
-        self.0.scaled_fields.get_or((light.digest, brightness.to_bits()), || {
+    fn frame_light(
+        &self,
+        light: Artifact,
+        brightness: f32,
+        client: &Client,
+        fetch: &Fetcher,
+    ) -> Result<FrameLight, Failure> {
+        self.0.frame_lights.get_or((light.digest, brightness.to_bits()), || {
             let field = self.unit_field(light, client, fetch)?;
-            Ok(fetch.prepare(|| femc_pipeline::scale_field(field, brightness)))
+            Ok(fetch.prepare(|| FrameLight::new(field, brightness)))
         })
     }
 

@@ -215,8 +215,8 @@ fn run_trial(
         let (world, begun) = (world.map_err(failed)?, clock.now());
         let solution = femc_pipeline::solve_first_pass(&world, plan.method, &AtomicBool::new(false)).map_err(failed)?;
         first_pass_seconds = clock.since(begun).as_secs_f64();
-        let field = femc_pipeline::scale_field(Arc::new(solution.field), prepared.brightness);
-        femc_pipeline::attach_first_pass(&mut prepared, field).map_err(failed)?;
+        let light = femc_pipeline::FrameLight::new(Arc::new(solution.field), prepared.brightness);
+        femc_pipeline::attach_first_pass(&mut prepared, light).map_err(failed)?;
     }
     let begun = clock.now();
     let mut samples = 0;

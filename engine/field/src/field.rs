@@ -131,8 +131,15 @@ impl Field {
     /// - `position`: position of the hit.
     #[inline]
     pub fn guide_at(&self, hit: &Hit, side: Side, position: Vec3A) -> Option<Guided<'_>> {
-        let (surface, root) = self.surface_and_root(hit, side)?;
-        self.guides.at(&self.cells, root, || surface.parameters(position, [hit.u, hit.v]), position)
+        let surface = self.sides[hit.instance as usize][hit.primitive as usize][usize::from(side == Side::Back)];
+        self.guides.at(surface, || self.surfaces[surface as usize].parameters(position, [hit.u, hit.v]))
+    }
+
+    /// Returns the luminance of the mean irradiance of the leaf at a hit, lx.
+    #[inline]
+    pub fn light_at(&self, hit: &Hit, side: Side, position: Vec3A) -> Option<f32> {
+        let (leaf, _) = self.leaf_at(hit, side, position)?;
+        Some(self.leaves[leaf as usize].mean_illuminance())
     }
 
     /// Returns the leaf of a hit, and the hit's coordinates in it.

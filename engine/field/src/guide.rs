@@ -1,6 +1,7 @@
 //! Guides: the directions from which a leaf's light comes, as a mixture of lobes for sampling.
 
-use crate::{Cell, Leaf, Split};
+use crate::regions::RegionGrids;
+use crate::{Cell, Leaf};
 use femc_math::elementary::sin_cos;
 use femc_math::glam::{Vec2, Vec3A};
 use femc_math::{Frame, cross};
@@ -52,33 +53,30 @@ pub struct Guide {
 pub struct Guides {
     by_leaf: Vec<Guide>,
     lobes: Vec<Lobe>,
-    /// Common guide of all leaves in a cell: a block, [`UNGUIDED`], or [`MIXED`].
-    cells: Vec<u32>,
+    /// Regions of surfaces, each with the index of its block, or [`UNGUIDED`].
+    regions: RegionGrids,
     /// Lobes, and the share of directions to sample from them.
     blocks: Vec<(Block, f32)>,
-    /// Luminance of the mean irradiance by cell, lx.
-    light: Vec<f32>,
 }
 
 /// Guide for paths at a point.
 #[derive(Clone, Copy, Debug)]
 pub struct Guided<'a> {
-    /// Directions from which light comes, if sampling them is worthwhile.
-    pub directions: Option<Directions<'a>>,
+    /// Lobes from which light comes, if sampling them is worthwhile, and the share of directions to sample from them.
+    pub lobes: Option<&'a (Block, f32)>,
     /// Luminance of the irradiance near the point, lx, without direct light from light sources.
     pub light: f32,
 }
 
 const UNGUIDED: u32 = u32::MAX;
-const MIXED: u32 = u32::MAX - 1;
 
 impl Guides {
     /// Creates the guides.
     /// - `by_leaf`: guides by leaf, or empty; ranges are within `lobes`;
-    /// - `cells`: parts of surfaces down to these `leaves`.
-    pub fn new(by_leaf: Vec<Guide>, lobes: Vec<Lobe>, cells: &[Cell], leaves: &[Leaf]) -> Self {
+    /// - `roots`, `cells`: first cell by surface, and parts of surfaces down to these `leaves`.
+    pub fn new(by_leaf: Vec<Guide>, lobes: Vec<Lobe>, roots: &[u32], cells: &[Cell], leaves: &[Leaf]) -> Self {
         let (mut blocks, mut known) = (Vec::new(), HashMap::new());
-        let mut block = |Guide { first, count, share }: Guide| {
+        let block = |&Guide { first, count, share }: &Guide| {
             if count == 0 || share <= 0.0 {
                 return UNGUIDED;
             }
@@ -87,25 +85,13 @@ impl Guides {
                 blocks.len() as u32 - 1
             })
         };
-        let (mut by_cell, mut light) = (Vec::new(), Vec::new());
-        if !by_leaf.is_empty() {
-            by_cell = vec![UNGUIDED; cells.len()];
-            light = vec![0.0; cells.len()];
-            // Halves come after the cell that contains them.
-            for (index, cell) in cells.iter().enumerate().rev() {
-                let next = cell.next as usize;
-                by_cell[index] = match cell.split {
-                    Split::None => block(by_leaf[next]),
-                    _ if by_cell[next] == by_cell[next + 1] => by_cell[next],
-                    _ => MIXED,
-                };
-                light[index] = match cell.split {
-                    Split::None => leaves[next].mean_illuminance(),
-                    _ => 0.5 * (light[next] + light[next + 1]),
-                };
-            }
-        }
-        Self { by_leaf, lobes, cells: by_cell, blocks, light }
+        let regions = if by_leaf.is_empty() {
+            RegionGrids::default()
+        } else {
+            let data: Vec<u32> = by_leaf.iter().map(block).collect();
+            RegionGrids::new(roots, cells, leaves, &data)
+        };
+        Self { by_leaf, lobes, regions, blocks }
     }
 
     /// Creates guides with possibly invalid ranges, only to encode them.
@@ -116,7 +102,7 @@ impl Guides {
 
     /// Multiplies the light by a factor. The directions do not change.
     pub(crate) fn scale(&mut self, factor: f32) {
-        self.light.iter_mut().for_each(|light| *light *= factor);
+        self.regions.scale(factor);
     }
 
     /// Returns the guides by leaf.
@@ -131,30 +117,15 @@ impl Guides {
 
     /// Returns the number of bytes of the guides.
     pub fn memory(&self) -> usize {
-        size_of_val(&*self.by_leaf)
-            + size_of_val(&*self.lobes)
-            + size_of_val(&*self.cells)
-            + size_of_val(&*self.blocks)
-            + size_of_val(&*self.light)
+        size_of_val(&*self.by_leaf) + size_of_val(&*self.lobes) + self.regions.memory() + size_of_val(&*self.blocks)
     }
 
-    /// Returns the guide at a point of a cell. `None` if there are no guides.
-    /// - `place`: the point's parameters on the surface whose root is the cell.
+    /// Returns the guide at a point of a surface. `None` if there are no guides.
+    /// - `place`: the point's parameters on the surface.
     #[inline]
-    pub fn at(&self, cells: &[Cell], root: u32, place: impl FnOnce() -> Vec2, point: Vec3A) -> Option<Guided<'_>> {
-        let mut index = root as usize;
-        let mut block = *self.cells.get(index)?;
-        if block == MIXED {
-            let mut local = cells[index].outline.local(place());
-            while block == MIXED {
-                index = cells[index].half(local)? as usize;
-                local = cells[index].outline.local(local);
-                block = self.cells[index];
-            }
-        }
-        let directions = self.blocks.get(block as usize);
-        let directions = directions.and_then(|(block, share)| Directions::new(block, *share, point));
-        Some(Guided { directions, light: self.light[index] })
+    pub fn at(&self, surface: u32, place: impl FnOnce() -> Vec2) -> Option<Guided<'_>> {
+        let region = self.regions.at(surface, place)?;
+        Some(Guided { lobes: self.blocks.get(region.data as usize), light: region.light })
     }
 }
 
@@ -219,28 +190,29 @@ pub struct Directions<'a> {
     places: [[f32; LOBES]; 2],
     /// 1 over the sum of the shares of the visible lobes, for these; 0 for the others.
     weights: [f32; LOBES],
-    /// Share of directions to sample from the lobes.
-    pub share: f32,
+    is_empty: bool,
 }
 
 /// Minimum distance of a point from a lobe's plane, as a share of its distance from the lobe's center, for the lobe to be visible.
 const FLAT: f32 = 1e-3;
 
 impl<'a> Directions<'a> {
-    /// Creates the directions of lobes at a point; `None` if no lobe is visible.
+    /// Creates the directions of lobes at a point. If no lobe is visible, they are empty ([`Self::is_empty`]).
     #[inline]
-    pub fn new(block: &'a Block, share: f32, point: Vec3A) -> Option<Self> {
-        if block.is_half {
-            Self::with_lobes::<HALF>(block, share, point)
-        } else {
-            Self::with_lobes::<LOBES>(block, share, point)
-        }
+    pub fn new(block: &'a Block, point: Vec3A) -> Self {
+        if block.is_half { Self::with_lobes::<HALF>(block, point) } else { Self::with_lobes::<LOBES>(block, point) }
+    }
+
+    /// Checks whether no lobe is visible. Then there is nothing to sample.
+    #[inline]
+    pub fn is_empty(&self) -> bool {
+        self.is_empty
     }
 
     #[inline(always)]
-    fn with_lobes<const N: usize>(block: &'a Block, share: f32, point: Vec3A) -> Option<Self> {
+    fn with_lobes<const N: usize>(block: &'a Block, point: Vec3A) -> Self {
         const NONE: [f32; LOBES] = [0.0; LOBES];
-        let mut out = Self { block, heights: NONE, places: [NONE; 2], weights: NONE, share };
+        let mut out = Self { block, heights: NONE, places: [NONE; 2], weights: NONE, is_empty: false };
         let mut seen = NONE;
         for (k, seen) in seen.iter_mut().enumerate().take(N) {
             let x = block.targets[0][k] - point.x;
@@ -254,12 +226,16 @@ impl<'a> Directions<'a> {
             *seen = if is_seen { block.shares[k] } else { 0.0 };
         }
         let sum: f32 = seen.iter().sum();
-        if !(sum > 0.0 && sum.is_finite() && share > 0.0) {
-            return None;
-        }
+        out.is_empty = !(sum > 0.0 && sum.is_finite());
         let scale = 1.0 / sum;
         out.weights = seen.map(|share| if share > 0.0 { scale } else { 0.0 });
-        Some(out)
+        out
+    }
+
+    /// Returns the directions unless they are empty.
+    #[inline]
+    pub fn non_empty(self) -> Option<Self> {
+        (!self.is_empty).then_some(self)
     }
 
     /// Returns the density of [`Self::sample`] in a unit direction, 1/sr.
@@ -366,7 +342,7 @@ mod tests {
     #[test]
     fn samples_have_the_density() {
         let block = some();
-        let directions = Directions::new(&block, 0.5, Vec3A::new(0.1, 0.2, 0.3)).expect("lobes");
+        let directions = Directions::new(&block, Vec3A::new(0.1, 0.2, 0.3));
         const N: usize = 200_000;
         let bin = |dir: Vec3A| {
             let turn = femc_math::elementary::atan2(dir.y, dir.x) / (2.0 * PI) + 0.5;
@@ -408,16 +384,13 @@ mod tests {
         let lobes = [Lobe::round(Vec3A::new(1.0, 2.0, 3.0), Vec3A::X, 1e-4, 1.0)];
         for point in [Vec3A::ZERO, Vec3A::new(5.0, 0.0, 0.0), Vec3A::new(0.5, 2.0, 2.9)] {
             let block = Block::new(&lobes);
-            let directions = Directions::new(&block, 0.5, point).expect("a lobe");
+            let directions = Directions::new(&block, point);
             let mean: Vec3A = lattice(256).map(|u| directions.sample(0.3, u)).sum();
             assert!(mean.normalize().dot((lobes[0].target - point).normalize()) > 0.999);
         }
-        assert!(Directions::new(&Block::new(&[]), 0.5, Vec3A::ZERO).is_none(), "no lobes");
+        assert!(Directions::new(&Block::new(&[]), Vec3A::ZERO).is_empty(), "no lobes");
         let dark = [Lobe { share: 0.0, ..lobes[0] }];
-        assert!(Directions::new(&Block::new(&dark), 0.5, Vec3A::ZERO).is_none(), "lobes of nothing");
-        assert!(
-            Directions::new(&Block::new(&lobes), 0.5, Vec3A::new(1.0, 0.0, 0.0)).is_none(),
-            "a plane from the side"
-        );
+        assert!(Directions::new(&Block::new(&dark), Vec3A::ZERO).is_empty(), "lobes of nothing");
+        assert!(Directions::new(&Block::new(&lobes), Vec3A::new(1.0, 0.0, 0.0)).is_empty(), "a plane from the side");
     }
 }

@@ -14,6 +14,7 @@ mod field;
 mod fog;
 mod guide;
 mod harmonics;
+mod regions;
 mod surface;
 mod walk;
 

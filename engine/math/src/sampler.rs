@@ -60,6 +60,12 @@ impl SampleStream {
         Self { key, index: sample / REPLICATES as u32, dimension: 0 }
     }
 
+    /// Returns a stream that is independent of this one and of the streams of other branches.
+    #[inline]
+    pub fn branch(self, number: u64) -> Self {
+        Self { key: mix64(self.key ^ mix64(number.wrapping_add(0xbb67_ae85_84ca_a73b))), ..self }
+    }
+
     /// Continues at `dimension`. Decisions of a path start at fixed dimensions, so one branch does not shift another.
     #[inline]
     pub fn seek(&mut self, dimension: u32) {

@@ -47,6 +47,9 @@ pub const AIRLIGHT_CHANNEL: u32 = 19;
 /// Choice of a light toward which a path in fog is guided (2).
 pub const LIGHT_DIRECTION: u32 = 20;
 
+/// Weight window (1).
+pub const WINDOW: u32 = 22;
+
 /// Combines two numbers of 24 bits to one in [0, 1) of 48 bits, for choices among very many items.
 pub fn uniform_48([coarse, finer]: [f32; 2]) -> f64 {
     f64::from(coarse) + f64::from(finer) / f64::from(1u32 << 24)

@@ -33,26 +33,35 @@ pub struct FirstSurface {
 
 /// Returns the first surface along `ray`, the ray of a camera sample with these random numbers. `None`: the ray leaves the
 /// scene.
-pub fn first_surface(scene: &Prepared, ray: &Ray, mut stream: SampleStream) -> Option<FirstSurface> {
+pub fn first_surface(scene: &Prepared, ray: &Ray, stream: SampleStream) -> Option<FirstSurface> {
+    let surface = find_first_surface(scene, ray, stream)?;
+    let SurfaceInteraction { hit, point, crossing, frame, .. } = surface;
+    let normal = if frame.normal.dot(ray.dir) > 0.0 { -frame.normal } else { frame.normal };
+    let albedo = (surface.bsdf.albedo(surface.wo) - crossing.straight_through()).max(Rgb::ZERO);
+    let field_error = scene.field().map_or(0.0, |field| field_light_error(field, &surface));
+    Some(FirstSurface { hit, point, normal, albedo, field_error })
+}
+
+/// Returns the interaction with the first surface along `ray`, as [`first_surface`] does.
+pub(crate) fn find_first_surface<'s>(
+    scene: &'s Prepared,
+    ray: &Ray,
+    mut stream: SampleStream,
+) -> Option<SurfaceInteraction<'s>> {
     let mut ray = *ray;
     for number in 0..MAX_SURFACES {
         let hit = scene.world.intersect(&ray)?;
         let surface = SurfaceInteraction::new(scene, &ray, hit, scene.shading_point(&ray, &hit));
-        let SurfaceInteraction { point, crossing, frame, .. } = surface;
-        let all = surface.bsdf.albedo(surface.wo);
-        let is_seen = match crossing {
+        let is_seen = match surface.crossing {
             Crossing::Scatter => true,
             Crossing::Null { .. } => false,
             Crossing::Clear { tint } => {
                 stream.seek(dim::ray_base(number) + dim::LOBE);
-                stream.next_1d() * luminance(all) >= luminance(tint)
+                stream.next_1d() * luminance(surface.bsdf.albedo(surface.wo)) >= luminance(tint)
             }
         };
         if is_seen {
-            let normal = if frame.normal.dot(ray.dir) > 0.0 { -frame.normal } else { frame.normal };
-            let albedo = (all - crossing.straight_through()).max(Rgb::ZERO);
-            let field_error = scene.field.as_ref().map_or(0.0, |field| field_light_error(field, &surface));
-            return Some(FirstSurface { hit, point, normal, albedo, field_error });
+            return Some(surface);
         }
         ray = surface.ray_behind(&ray);
     }

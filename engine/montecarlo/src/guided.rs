@@ -5,7 +5,7 @@
 //! correct for any guide.
 
 use crate::surface::SurfaceInteraction;
-use femc_field::{Directions, Field, Side};
+use femc_field::{Block, Directions, Field, Side};
 use femc_math::color::luminance;
 use femc_math::glam::Vec3A;
 use femc_math::{Frame, Rgb};
@@ -17,10 +17,35 @@ pub struct DirectionSampler<'a> {
     frame: &'a Frame,
     /// Outgoing direction, toward the previous vertex, local frame.
     wo: Vec3A,
-    guide: Option<(Directions<'a>, f32)>,
-    /// Light that the vertex scatters toward the previous vertex according to the field, without direct light from sources: albedo
+    guide: Option<(&'a Directions<'a>, f32)>,
+}
+
+/// Guide of a field at a surface.
+pub struct SurfaceGuide<'a> {
+    /// Lobes, and the share of directions to sample from them, in (0, 1).
+    pub lobes: Option<(&'a Block, f32)>,
+    /// Light that the surface scatters toward the previous vertex according to the field, without direct light from sources: albedo
     /// by channel times the luminance of the irradiance, lx. It is 0 if the field has no data here.
     pub light_ahead: Rgb,
+}
+
+impl<'a> SurfaceGuide<'a> {
+    /// Returns the guide of a field at a surface.
+    #[inline(always)]
+    pub fn new(field: &'a Field, surface: &SurfaceInteraction<'_>) -> Self {
+        let mut out = Self { lobes: None, light_ahead: Rgb::ZERO };
+        // The guide has no data about glossy lobes.
+        let diffuse = luminance(surface.bsdf.lambertian(surface.wo).0);
+        if diffuse <= 0.0 {
+            return out;
+        }
+        let side = if surface.back { Side::Back } else { Side::Front };
+        let Some(guided) = field.guide_at(&surface.hit, side, surface.point.position) else { return out };
+        let albedo = surface.bsdf.albedo(surface.wo);
+        out.light_ahead = albedo * guided.light;
+        out.lobes = guided.lobes.map(|(block, share)| (block, share * (diffuse / luminance(albedo)).min(1.0)));
+        out
+    }
 }
 
 /// A sampled direction and its sampler.
@@ -36,30 +61,14 @@ pub struct GuidedSample {
 impl<'a> DirectionSampler<'a> {
     /// Creates a sampler without a guide.
     pub fn new(bsdf: &'a Bsdf, frame: &'a Frame, wo: Vec3A) -> Self {
-        Self { bsdf, frame, wo, guide: None, light_ahead: Rgb::ZERO }
+        Self { bsdf, frame, wo, guide: None }
     }
 
-    /// Adds a field's guide.
-    pub fn with_guide(mut self, field: &'a Field, surface: &SurfaceInteraction<'_>) -> Self {
-        // The guide has no data about glossy lobes.
-        let diffuse = luminance(self.bsdf.lambertian(self.wo).0);
-        let side = if surface.back { Side::Back } else { Side::Front };
-        if diffuse <= 0.0 {
-            return self;
-        }
-        let Some(guided) = field.guide_at(&surface.hit, side, surface.point.position) else { return self };
-        let albedo = self.bsdf.albedo(self.wo);
-        self.light_ahead = albedo * guided.light;
-        self.guide = guided.directions.and_then(|directions| {
-            let share = directions.share * (diffuse / luminance(albedo)).min(1.0);
-            (share > 0.0).then_some((directions, share))
-        });
-        self
-    }
-
-    /// Checks whether a guide samples a share of the directions.
-    pub fn is_guided(&self) -> bool {
-        self.guide.is_some()
+    /// Adds the directions of a guide.
+    /// - `share`: share of the directions to sample from them, in (0, 1).
+    #[inline(always)]
+    pub fn add_guide(&mut self, directions: &'a Directions<'a>, share: f32) {
+        self.guide = Some((directions, share));
     }
 
     /// Returns the density of [`Self::sample`], 1/sr, without deltas.
@@ -77,11 +86,11 @@ impl<'a> DirectionSampler<'a> {
     /// the guide's lobes and for the BSDF. `choice` in [0, 1) picks a lobe of the BSDF. `None`: the light is absorbed.
     #[inline]
     pub fn sample(&self, u: [f32; 2], choice: f32) -> Option<GuidedSample> {
-        let Some((directions, share)) = &self.guide else {
+        let Some((directions, share)) = self.guide else {
             let sample = self.bsdf.sample(self.wo, u, choice)?;
             return Some(GuidedSample { sample, pdf_ratio: 1.0, is_guide_sample: false });
         };
-        let by_guide = u[0] < *share;
+        let by_guide = u[0] < share;
         let mut sample = if by_guide {
             let wi = self.frame.to_local(directions.sample_evenly([u[0] / share, u[1]]));
             let transmitted = if wi.z * self.wo.z < 0.0 { Transmitted::Yes } else { Transmitted::No };

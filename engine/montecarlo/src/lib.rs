@@ -25,11 +25,13 @@ mod technique;
 #[cfg(test)]
 mod test_scene;
 mod tracer;
+mod window;
 
 pub use first_hit::{FirstSurface, first_surface};
 pub use record::{Recorder, Recording};
 pub use technique::MisTechnique;
-pub use tracer::{PathSample, PathSettings, PixelFilter, Tracer, TracerCounters};
+pub use tracer::{Guidance, PathSample, PathSettings, PixelFilter, Tracer, TracerCounters};
+pub use window::WeightWindow;
 
 #[inline]
 fn square(x: f32) -> f32 {

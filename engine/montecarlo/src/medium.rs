@@ -131,7 +131,7 @@ impl<R: Recorder> Tracer<'_, R> {
         path.ray = Ray { origin: position, dir: scattered.dir, t_max: f32::INFINITY, time: path.ray.time };
         path.bounce += 1;
         path.roulette_scale *= scattered.pdf / scattered.phase_pdf;
-        path.roulette::<true>(None)
+        path.roulette::<true>(false)
     }
 }
 

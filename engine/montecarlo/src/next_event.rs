@@ -73,10 +73,6 @@ impl<R: Recorder> Tracer<'_, R> {
         if value == Rgb::ZERO || light.radiance == Rgb::ZERO || !surface.sides_agree(wi, light.dir) {
             return Rgb::ZERO;
         }
-        let by_scattering =
-            if light.delta == DeltaKind::Position { 0.0 } else { square(directions.pdf(wi, light.dir) / light.pdf) };
-        let weight = mis_weight(self.settings.single_technique, MisTechnique::Light, by_scattering);
-        let contribution = value * light.radiance * (weight / light.pdf);
         let mut medium_stack = path.medium_stack;
         if MEDIA && surface.leaves_front(light.dir) == surface.back {
             surface.cross_boundary(&mut medium_stack);
@@ -88,6 +84,12 @@ impl<R: Recorder> Tracer<'_, R> {
         } else {
             record!(self.recorder.lobe_split(|| LobeSplit::new(&surface.bsdf, surface.wo, wi)));
         }
-        contribution * visibility
+        if visibility == Rgb::ZERO {
+            return Rgb::ZERO;
+        }
+        let by_scattering =
+            if light.delta == DeltaKind::Position { 0.0 } else { square(directions.pdf(wi, light.dir) / light.pdf) };
+        let weight = mis_weight(self.settings.single_technique, MisTechnique::Light, by_scattering);
+        value * light.radiance * (weight / light.pdf) * visibility
     }
 }

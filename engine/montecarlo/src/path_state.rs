@@ -27,7 +27,7 @@ pub(crate) struct PathState {
     /// mixtures that replaced the BSDF or the phase function. If only the latest ratio counts, the reference roundabout has 8 %
     /// more variance.
     pub roulette_scale: f32,
-    /// Light that the field expects of the path at the first vertex for which the field has data; 0 before.
+    /// Light that the field expected at the path's first vertex with data, and a share of the frame's mean, cd/m2; 0 before.
     pub expected_light: f32,
     /// Closed objects that contain the ray's origin.
     pub medium_stack: MediumStack,

@@ -15,8 +15,6 @@ const RR_THRESHOLD: f32 = 0.25;
 /// Threshold of Russian roulette in a scene with media. There, later vertices of a path cost more (each also has a segment of fog)
 /// and contribute less.
 const RR_THRESHOLD_IN_MEDIA: f32 = 0.8;
-/// Minimum survival probability by the field's expectation, relative to the probability by the weight alone.
-const RR_MIN_SURVIVAL: f32 = 0.5;
 /// Number of rays after which a path may end even without loss of throughput.
 const LONG_PATH: u32 = 128;
 /// Number of rays after which a long path ends with a higher probability.
@@ -30,13 +28,10 @@ impl PathState {
     /// probability to have `n` rays is `LONG_PATH / n`, so that weights grow no faster than paths, and the square of that over
     /// `VERY_LONG_PATH`, so that the mean length is bounded in endless fog that absorbs nothing.
     ///
-    /// If a field knows the light that arrives at a vertex, this determines the probability (\[vorba2016\]). A path that a guide has
-    /// sent toward much light has a small weight for that reason and is worth continuing. A path of great weight in the dark is
-    /// not. The field may be wrong, so the survival probability is at least [`RR_MIN_SURVIVAL`] times that by the weight.
-    /// - `survival`: light that the field expects of the path from here on, relative to that from the first vertex on.
+    /// - `in_window`: whether a weight window has decided on the path at this vertex. Then only long paths end here.
     #[inline(always)]
-    pub fn roulette<const MEDIA: bool>(&mut self, survival: Option<f32>) -> ControlFlow<Termination> {
-        if self.survives::<MEDIA>(survival) {
+    pub fn roulette<const MEDIA: bool>(&mut self, in_window: bool) -> ControlFlow<Termination> {
+        if self.survives::<MEDIA>(in_window) {
             return ControlFlow::Continue(());
         }
         let is_left = self.throughput.max_element() > 0.0;
@@ -45,12 +40,12 @@ impl PathState {
 
     /// Performs Russian roulette as [`Self::roulette`] does, and returns whether the path continues.
     #[inline]
-    pub fn survives<const MEDIA: bool>(&mut self, survival: Option<f32>) -> bool {
+    fn survives<const MEDIA: bool>(&mut self, in_window: bool) -> bool {
         let most = self.throughput.max_element();
         if !self.throughput.is_finite() || most <= 0.0 {
             return false;
         }
-        let Some(q) = survival_probability::<MEDIA>(self.rays, most * self.roulette_scale, survival) else {
+        let Some(q) = survival_probability::<MEDIA>(self.rays, most * self.roulette_scale, in_window) else {
             return true;
         };
         self.stream.seek(self.base + dim::ROULETTE);
@@ -62,7 +57,7 @@ impl PathState {
 
 /// Returns the throughput of a path that survives with probability `q`; `None`: it ends. `u` is in [0, 1).
 #[inline(always)]
-fn survivor_throughput(throughput: Rgb, q: f32, u: f32) -> Option<Rgb> {
+pub(crate) fn survivor_throughput(throughput: Rgb, q: f32, u: f32) -> Option<Rgb> {
     // A probability that is NaN must reach the film as a bad sample.
     if u >= q { None } else { Some(throughput / q) }
 }
@@ -70,15 +65,12 @@ fn survivor_throughput(throughput: Rgb, q: f32, u: f32) -> Option<Rgb> {
 /// Returns the survival probability of a path. `None`: the path is too short for roulette.
 /// - `weight`: weight of the path without the changes by guides and refraction.
 #[inline(always)]
-fn survival_probability<const MEDIA: bool>(rays: u32, weight: f32, survival: Option<f32>) -> Option<f32> {
+fn survival_probability<const MEDIA: bool>(rays: u32, weight: f32, in_window: bool) -> Option<f32> {
     if rays < RR_MIN_RAYS {
         return None;
     }
     let threshold = if MEDIA { RR_THRESHOLD_IN_MEDIA } else { RR_THRESHOLD };
-    let mut q = (weight / threshold).min(1.0);
-    if let Some(survival) = survival {
-        q = survival.clamp(RR_MIN_SURVIVAL * q, 1.0);
-    }
+    let mut q = if in_window { 1.0 } else { (weight / threshold).min(1.0) };
     if rays > LONG_PATH {
         let long_survival = (rays - 1) as f32 / rays as f32;
         q *= if rays > VERY_LONG_PATH { square(long_survival) } else { long_survival };
@@ -92,13 +84,12 @@ mod tests {
 
     const RAYS: [u32; 10] = [1, 3, 4, 5, 100, 128, 129, 1000, 65_536, 65_537];
     const WEIGHTS: [f32; 7] = [0.02, 0.1, 0.2, 0.25, 0.5, 0.8, 3.0];
-    const SURVIVALS: [Option<f32>; 6] = [None, Some(0.0), Some(0.1), Some(0.7), Some(1.0), Some(30.0)];
 
-    fn probability(has_media: bool, rays: u32, weight: f32, survival: Option<f32>) -> Option<f32> {
+    fn probability(has_media: bool, rays: u32, weight: f32, in_window: bool) -> Option<f32> {
         if has_media {
-            survival_probability::<true>(rays, weight, survival)
+            survival_probability::<true>(rays, weight, in_window)
         } else {
-            survival_probability::<false>(rays, weight, survival)
+            survival_probability::<false>(rays, weight, in_window)
         }
     }
 
@@ -109,14 +100,14 @@ mod tests {
         let before = Rgb::new(0.3, 0.02, 0.9);
         for has_media in [false, true] {
             for (rays, weight) in RAYS.into_iter().flat_map(|rays| WEIGHTS.map(|weight| (rays, weight))) {
-                for survival in SURVIVALS {
-                    let Some(q) = probability(has_media, rays, weight, survival) else { continue };
+                for in_window in [false, true] {
+                    let Some(q) = probability(has_media, rays, weight, in_window) else { continue };
                     let after = |k: u32| survivor_throughput(before, q, (k as f32 + 0.5) / N as f32);
                     let sum: f64 = (0..N).filter_map(after).map(|after| f64::from(after.y)).sum();
                     let ratio = sum / f64::from(N) / f64::from(before.y);
                     // The number of survivors is q N, rounded.
                     let tolerance = 0.5 / f64::from(q * N as f32) + 1e-6;
-                    assert!((ratio - 1.0).abs() < tolerance, "{rays} {weight} {survival:?}: {ratio}");
+                    assert!((ratio - 1.0).abs() < tolerance, "{rays} {weight} {in_window}: {ratio}");
                 }
             }
         }
@@ -125,38 +116,28 @@ mod tests {
     #[test]
     fn short_paths_survive_and_heavy_ones_until_they_are_long() {
         for has_media in [false, true] {
-            assert_eq!(probability(has_media, RR_MIN_RAYS - 1, 1e-9, Some(0.0)), None);
+            assert_eq!(probability(has_media, RR_MIN_RAYS - 1, 1e-9, false), None);
             for rays in RR_MIN_RAYS..=LONG_PATH {
-                assert_eq!(probability(has_media, rays, 1.0, None), Some(1.0));
+                assert_eq!(probability(has_media, rays, 1.0, false), Some(1.0));
+                assert_eq!(probability(has_media, rays, 1e-9, true), Some(1.0));
             }
         }
-        assert_eq!(probability(false, 4, 0.5 * RR_THRESHOLD, None), Some(0.5));
-        assert_eq!(probability(true, 4, 0.5 * RR_THRESHOLD_IN_MEDIA, None), Some(0.5));
+        assert_eq!(probability(false, 4, 0.5 * RR_THRESHOLD, false), Some(0.5));
+        assert_eq!(probability(true, 4, 0.5 * RR_THRESHOLD_IN_MEDIA, false), Some(0.5));
     }
 
     /// The probability of having `n` rays is `LONG_PATH / n`, and falls with the square after `VERY_LONG_PATH`.
     #[test]
     fn long_paths_without_loss_end_as_documented() {
-        let reach =
-            |n: u32| (2..=n).filter_map(|rays| probability(true, rays, 1.0, None)).map(f64::from).product::<f64>();
-        for n in [LONG_PATH, 2 * LONG_PATH, 1000, VERY_LONG_PATH] {
-            let expected = f64::from(LONG_PATH) / f64::from(n);
-            assert!((reach(n) / expected - 1.0).abs() < 1e-3, "{n}: {} for {expected}", reach(n));
-        }
-        let (once, twice) = (reach(VERY_LONG_PATH), reach(2 * VERY_LONG_PATH));
-        assert!((twice / once - 0.25).abs() < 1e-2, "{}", twice / once);
-    }
-
-    #[test]
-    fn the_probability_by_a_field_stays_between_its_bounds() {
-        for (rays, weight) in [4, 100].into_iter().flat_map(|rays| WEIGHTS.map(|weight| (rays, weight))) {
-            let by_weight = probability(false, rays, weight, None).expect("a path that may end");
-            for survival in SURVIVALS.into_iter().flatten() {
-                let q = probability(false, rays, weight, Some(survival)).expect("a path that may end");
-                assert!(q >= RR_MIN_SURVIVAL * by_weight && q <= 1.0, "{weight} {survival}: {q}");
-                let is_between = (RR_MIN_SURVIVAL * by_weight..=1.0).contains(&survival);
-                assert!(!is_between || q == survival, "{weight} {survival}: {q}");
+        for in_window in [false, true] {
+            let survival = |rays| probability(true, rays, 1.0, in_window);
+            let reach = |n: u32| (2..=n).filter_map(survival).map(f64::from).product::<f64>();
+            for n in [LONG_PATH, 2 * LONG_PATH, 1000, VERY_LONG_PATH] {
+                let expected = f64::from(LONG_PATH) / f64::from(n);
+                assert!((reach(n) / expected - 1.0).abs() < 1e-3, "{n}: {} for {expected}", reach(n));
             }
+            let (once, twice) = (reach(VERY_LONG_PATH), reach(2 * VERY_LONG_PATH));
+            assert!((twice / once - 0.25).abs() < 1e-2, "{}", twice / once);
         }
     }
 }

@@ -1,15 +1,17 @@
 //! Scattering of a path at a surface.
 
 use crate::dimensions as dim;
-use crate::guided::{DirectionSampler, GuidedSample};
+use crate::guided::{DirectionSampler, GuidedSample, SurfaceGuide};
 use crate::path_state::{PathState, PreviousVertex, SegmentOrigin};
 use crate::record::{
     Continuation, Contribution, InteractionKind, LobeSplit, PathEnd, Recorder, Termination, Vertex, VertexLocation,
 };
+use crate::roulette::survivor_throughput;
 use crate::surface::SurfaceInteraction;
 use crate::tracer::{PathSample, Tracer};
+use crate::window::{DirectionNumbers, MAX_BRANCHES, WindowDecision};
 use femc_emission::PointContext;
-use femc_field::{Field, Side};
+use femc_field::{Directions, Field, Side};
 use femc_geometry::{Ray, offset_origin};
 use femc_math::Rgb;
 use femc_math::color::luminance;
@@ -18,6 +20,15 @@ use femc_scattering::{LobeKind, Transmitted};
 use std::f32::consts::FRAC_1_PI;
 use std::ops::ControlFlow;
 
+/// A surface from which a path continues.
+#[derive(Clone, Copy)]
+struct Continuing<'s> {
+    surface: &'s SurfaceInteraction<'s>,
+    directions: &'s DirectionSampler<'s>,
+    /// Context for which the lamps were weighed.
+    light_context: &'s PointContext,
+}
+
 impl PathState {
     /// Continues the ray behind a surface that it goes straight through. The path stays on its segment: sampled light reaches the
     /// previous vertex through the same surfaces, so light that is hit is weighted against that.
@@ -25,19 +36,6 @@ impl PathState {
     pub(crate) fn continue_straight(&mut self, surface: &SurfaceInteraction<'_>) {
         surface.cross_boundary(&mut self.medium_stack);
         self.ray = surface.ray_behind(&self.ray);
-    }
-
-    /// Returns the light that the field expects of the path from a vertex on, relative to that from the first vertex on. `None`: the
-    /// field has no data there.
-    /// - `light_ahead`: light that the vertex scatters toward the previous vertex, lx.
-    #[inline(always)]
-    fn expected_survival(&mut self, light_ahead: Rgb) -> Option<f32> {
-        let ahead = luminance(self.throughput * light_ahead);
-        let is_known = ahead > 0.0 && ahead.is_finite();
-        if self.expected_light == 0.0 && is_known {
-            self.expected_light = ahead;
-        }
-        is_known.then(|| ahead / self.expected_light)
     }
 }
 
@@ -64,11 +62,21 @@ impl<R: Recorder> Tracer<'_, R> {
             throughput: path.throughput,
         }));
         let mut directions = DirectionSampler::new(bsdf, frame, wo);
-        if let Some(field) = self.guide {
-            directions = directions.with_guide(field, surface);
-            self.counters.guided += u64::from(directions.is_guided());
+        let lobe_directions;
+        let mut decision = WindowDecision::Unknown;
+        if let Some(guidance) = &self.guidance {
+            let SurfaceGuide { lobes, light_ahead } = SurfaceGuide::new(guidance.field, surface);
+            decision = guidance.window.decide(path, light_ahead, guidance.frame_light);
+            if guidance.samples_directions
+                && let Some((block, share)) = lobes
+            {
+                lobe_directions = Directions::new(block, point.position);
+                if !lobe_directions.is_empty() {
+                    directions.add_guide(&lobe_directions, share);
+                    self.counters.guided += 1;
+                }
+            }
         }
-        let survival = path.expected_survival(directions.light_ahead);
         let light_context =
             self.scene.lights.point_context(point.position, surface.lit_side(), surface.lobes(path.ray.dir));
         self.add_next_event::<MEDIA, RECORD_ALL>(path, surface, &directions, &light_context, out);
@@ -85,27 +93,74 @@ impl<R: Recorder> Tracer<'_, R> {
             rest = bsdf.without_lambertian();
             directions = DirectionSampler::new(&rest, frame, wo);
         }
-        self.continue_path::<MEDIA, RECORD_ALL>(path, surface, &directions, &light_context, survival)
+        let continuing = Continuing { surface, directions: &directions, light_context: &light_context };
+        self.apply_window::<MEDIA, RECORD_ALL>(path, decision, continuing)
+    }
+
+    /// Continues a path from a surface as the weight window has decided: ends it, or splits it into branches.
+    #[inline(always)]
+    fn apply_window<const MEDIA: bool, const RECORD_ALL: bool>(
+        &mut self,
+        path: &mut PathState,
+        decision: WindowDecision,
+        from: Continuing<'_>,
+    ) -> ControlFlow<Termination> {
+        let numbers = DirectionNumbers::draw(path);
+        match decision {
+            WindowDecision::Unknown => return self.continue_path::<MEDIA, RECORD_ALL>(path, from, numbers, false),
+            WindowDecision::Roulette(q) => {
+                path.stream.seek(path.base + dim::WINDOW);
+                let Some(throughput) = survivor_throughput(path.throughput, q, path.stream.next_1d()) else {
+                    return ControlFlow::Break(path.end(PathEnd::Roulette));
+                };
+                path.throughput = throughput;
+            }
+            WindowDecision::Copies(copies) => {
+                let copies = copies.min(1 + MAX_BRANCHES - self.branches);
+                if copies > 1 {
+                    self.split::<MEDIA, RECORD_ALL>(path, from, numbers, copies);
+                }
+            }
+        }
+        self.continue_path::<MEDIA, RECORD_ALL>(path, from, numbers, true)
+    }
+
+    /// Splits a path at its latest vertex into copies of equal weight. All but one become branches that wait to be traced.
+    /// - `numbers`: random numbers of the direction of the remaining path.
+    #[inline(never)]
+    fn split<const MEDIA: bool, const RECORD_ALL: bool>(
+        &mut self,
+        path: &mut PathState,
+        from: Continuing<'_>,
+        numbers: DirectionNumbers,
+        copies: u32,
+    ) {
+        path.throughput /= copies as f32;
+        path.roulette_scale *= copies as f32;
+        self.branches += copies - 1;
+        for copy in 1..copies {
+            let mut branch = *path;
+            let numbers = numbers.of_copy(copy, copies);
+            if self.continue_path::<MEDIA, RECORD_ALL>(&mut branch, from, numbers, true).is_continue() {
+                branch.stream = path.stream.branch(u64::from(path.rays) << 32 | u64::from(copy));
+                self.pending.push(branch);
+            }
+        }
     }
 
     /// Samples the direction in which the path continues from a surface.
-    /// - `light_context`: context for which the lamps were weighed;
-    /// - `survival`: light that the field expects of the path, as for [`PathState::roulette`].
+    /// - `in_window`: whether the weight window has decided on the path.
     #[inline(always)]
     fn continue_path<const MEDIA: bool, const RECORD_ALL: bool>(
         &mut self,
         path: &mut PathState,
-        surface: &SurfaceInteraction<'_>,
-        directions: &DirectionSampler<'_>,
-        light_context: &PointContext,
-        survival: Option<f32>,
+        Continuing { surface, directions, light_context }: Continuing<'_>,
+        numbers: DirectionNumbers,
+        in_window: bool,
     ) -> ControlFlow<Termination> {
         let point = &surface.point;
-        path.stream.seek(path.base + dim::LOBE);
-        let choice = path.stream.next_1d();
-        path.stream.seek(path.base + dim::DIRECTION);
         let Some(GuidedSample { sample: scattered, pdf_ratio, is_guide_sample }) =
-            directions.sample(path.stream.next_2d(), choice)
+            directions.sample(numbers.u, numbers.choice)
         else {
             let is_field = self.field.is_some();
             return ControlFlow::Break(path.end(if is_field { PathEnd::Field } else { PathEnd::Absorbed }));
@@ -116,7 +171,7 @@ impl<R: Recorder> Tracer<'_, R> {
         if is_delta && scattered.transmitted == Transmitted::Yes && surface.crossing != Crossing::Scatter {
             record!(self.recorder.leave(Continuation::unguided(InteractionKind::Straight)));
             path.continue_straight(surface);
-            return path.roulette::<MEDIA>(None);
+            return path.roulette::<MEDIA>(in_window);
         }
         let wi = surface.frame.to_world(scattered.wi);
         if !surface.sides_agree(scattered.wi, wi) {
@@ -145,7 +200,7 @@ impl<R: Recorder> Tracer<'_, R> {
         let origin = offset_origin(point.position, point.error, point.normal, wi);
         path.ray = Ray { origin, dir: wi, t_max: f32::INFINITY, time: path.ray.time };
         path.bounce += 1;
-        path.roulette::<MEDIA>(survival)
+        path.roulette::<MEDIA>(in_window)
     }
 }
 

@@ -8,6 +8,7 @@ use crate::record::{Contribution, LightTechnique, PathEnd, RecordLevel, Recorder
 use crate::shadow::ShadowTester;
 use crate::surface::SurfaceInteraction;
 use crate::technique::MisTechnique;
+use crate::window::{WeightWindow, frame_light};
 use femc_emission::LightWeights;
 use femc_field::Field;
 use femc_math::{Rgb, SampleStream};
@@ -66,6 +67,37 @@ pub trait PixelFilter: Copy {
     fn density(self, offset: [f32; 2]) -> f32;
 }
 
+/// Guidance of paths by a field: directions toward its light, and a weight window by its values.
+#[derive(Clone, Copy, Debug)]
+pub struct Guidance<'a> {
+    /// Field of the first pass.
+    pub field: &'a Field,
+    /// Whether the field's lobes sample a share of the directions at surfaces.
+    pub samples_directions: bool,
+    /// Weight window.
+    pub window: WeightWindow,
+    /// Mean light that the field expects at the first surfaces of the frame, cd/m2.
+    pub frame_light: f32,
+}
+
+impl<'a> Guidance<'a> {
+    /// Creates the guidance of a frame's paths by `field`.
+    pub fn new(scene: &Prepared, field: &'a Field) -> Self {
+        Self {
+            field,
+            samples_directions: true,
+            window: WeightWindow::default(),
+            frame_light: frame_light(scene, field),
+        }
+    }
+
+    /// Creates the guidance of a frame's paths by `field`, the frame's own, whose mean light is computed once.
+    pub fn with_own(scene: &Prepared, field: &'a Field) -> Self {
+        let frame_light = *scene.field_light.get_or_init(|| frame_light(scene, field));
+        Self { field, samples_directions: true, window: WeightWindow::default(), frame_light }
+    }
+}
+
 /// Tracer of the samples of one frame on one thread.
 /// - `R`: recorder of the paths; `()` records nothing.
 pub struct Tracer<'a, R = ()> {
@@ -80,8 +112,11 @@ pub struct Tracer<'a, R = ()> {
     pub(crate) shadow: ShadowTester,
     /// Source of all light except that of emitters, in place of longer paths.
     pub(crate) field: Option<&'a Field>,
-    /// Field that guides directions, in addition to the BSDF.
-    pub(crate) guide: Option<&'a Field>,
+    /// Guidance of the paths by a field.
+    pub(crate) guidance: Option<Guidance<'a>>,
+    /// Branches of the current sample that wait to be traced, and the number of all its branches.
+    pub(crate) pending: Vec<PathState>,
+    pub(crate) branches: u32,
     /// Work done so far.
     pub counters: TracerCounters,
     /// Recorder of the paths.
@@ -108,7 +143,9 @@ impl<'a, R: Recorder> Tracer<'a, R> {
             direction_weights: LightWeights::default(),
             shadow: ShadowTester::default(),
             field: None,
-            guide: None,
+            guidance: None,
+            pending: Vec::new(),
+            branches: 1,
             counters: TracerCounters::default(),
             recorder,
         }
@@ -123,9 +160,9 @@ impl<'a, R: Recorder> Tracer<'a, R> {
         self
     }
 
-    /// Samples directions at surfaces also from the guide of a field. The mean of the samples is unchanged for any field.
-    pub fn with_guide(mut self, field: &'a Field) -> Self {
-        self.guide = Some(field);
+    /// Guides paths with a field. The mean of the samples is unchanged for any field.
+    pub fn with_guidance(mut self, guidance: Guidance<'a>) -> Self {
+        self.guidance = Some(guidance);
         self
     }
 
@@ -180,20 +217,27 @@ impl<'a, R: Recorder> Tracer<'a, R> {
         out
     }
 
-    /// Traces a path to its end.
+    /// Traces a path and all its branches to their ends.
     /// - `MEDIA`: whether the scene has media;
     /// - `RECORD_ALL`: whether the recorder receives all events of this sample ([`RecordLevel::All`]).
     fn trace<const MEDIA: bool, const RECORD_ALL: bool>(&mut self, mut path: PathState) -> PathSample {
         let mut out = PathSample { color: Rgb::ZERO, albedo: Rgb::ZERO, depth: f32::INFINITY };
+        self.branches = 1;
         loop {
             if let ControlFlow::Break(termination) = self.trace_ray::<MEDIA, RECORD_ALL>(&mut path, &mut out) {
                 self.recorder.terminate(termination);
-                break;
+                // A path with an invalid throughput that found no light afterwards would look dark. The film must count it as a
+                // bad sample.
+                if !path.throughput.is_finite() {
+                    out.color = Rgb::NAN;
+                }
+                let Some(branch) = self.pending.pop() else { break };
+                path = branch;
+                // Light that the branch hits with its next ray is weighted against the lights at its latest vertex.
+                if let SegmentOrigin::Surface { light_context, .. } = &path.previous.origin {
+                    self.scene.lights.weigh(light_context, &mut self.surface_weights);
+                }
             }
-        }
-        // A path with an invalid throughput that found no light afterwards would look dark. The film must count it as a bad sample.
-        if !path.throughput.is_finite() {
-            out.color = Rgb::NAN;
         }
         out
     }
@@ -243,7 +287,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
             let before = path.throughput;
             path.throughput *= surface.crossing.straight_through();
             path.continue_straight(&surface);
-            return path.roulette::<MEDIA>(None).map_break(|termination| Termination {
+            return path.roulette::<MEDIA>(false).map_break(|termination| Termination {
                 end: if is_last { PathEnd::Depth } else { termination.end },
                 throughput: before,
                 ..termination

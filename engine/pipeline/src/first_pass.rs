@@ -21,7 +21,7 @@ pub fn solve_first_pass(prepared: &Prepared, method: Method, cancel: &AtomicBool
 }
 
 /// Returns the world of a frame for its first pass: with lamps of brightness 1. Frames with equal keys ([`first_pass_key`]) have
-/// the same world, and the light of each frame is that of this world, scaled to the brightness of its lamps ([`scale_field`]).
+/// the same world, and the light of each frame is that of this world, scaled to the brightness of its lamps ([`FrameLight`]).
 pub fn first_pass_world(
     source: &SceneSource,
     settings: &Settings,
@@ -31,10 +31,21 @@ pub fn first_pass_world(
     femc_prepared::prepare_frame_at_unit_brightness(source, &frame_spec(settings, frame), previous)
 }
 
-/// Scales the light of a [`first_pass_world`] for a frame.
-/// - `brightness`: brightness of the frame's lamps.
-pub fn scale_field(field: Arc<Field>, brightness: f32) -> Arc<Field> {
-    if brightness == 1.0 { field } else { Arc::new(Arc::unwrap_or_clone(field).scaled(brightness)) }
+/// Light of a first pass, scaled to the brightness of a frame's lamps. Light can be scaled only once: [`attach_first_pass`] takes
+/// nothing else, and compares the brightness.
+#[derive(Clone, Debug)]
+pub struct FrameLight {
+    field: Arc<Field>,
+    brightness: f32,
+}
+
+impl FrameLight {
+    /// Scales the light of a [`first_pass_world`].
+    /// - `brightness`: brightness of the frame's lamps.
+    pub fn new(unit: Arc<Field>, brightness: f32) -> Self {
+        let field = if brightness == 1.0 { unit } else { Arc::new(Arc::unwrap_or_clone(unit).scaled(brightness)) };
+        Self { field, brightness }
+    }
 }
 
 /// Computes the digest of all inputs of a solution: the frame's world around its origin, except for the common brightness of all
@@ -86,16 +97,26 @@ pub fn encode_solution(solution: &Solution) -> Vec<u8> {
 }
 
 /// Assigns the light of the first pass to a frame.
-/// - errors: the light belongs to other surfaces.
-pub fn attach_first_pass(prepared: &mut Prepared, field: Arc<Field>) -> Result<(), FieldMismatch> {
-    if !field.matches_primitives(prepared.instances.iter().map(|group| group.compiled.primitives.len())) {
-        return Err(FieldMismatch);
+/// - errors: the light belongs to other surfaces, or to lamps of another brightness.
+pub fn attach_first_pass(prepared: &mut Prepared, light: FrameLight) -> Result<(), FieldMismatch> {
+    let FrameLight { field, brightness } = light;
+    if brightness != prepared.brightness {
+        return Err(FieldMismatch::Brightness);
     }
-    prepared.field = Some(field);
+    if !field.matches_primitives(prepared.instances.iter().map(|group| group.compiled.primitives.len())) {
+        return Err(FieldMismatch::Surfaces);
+    }
+    prepared.set_field(Some(field));
     Ok(())
 }
 
-/// Error: a field does not match a frame's surfaces.
+/// Reason why the light of a first pass does not match a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("the light of the first pass belongs to other surfaces than the frame's")]
-pub struct FieldMismatch;
+pub enum FieldMismatch {
+    /// The surfaces differ.
+    #[error("the light of the first pass belongs to other surfaces than the frame's")]
+    Surfaces,
+    /// The light is scaled to another brightness.
+    #[error("the light of the first pass belongs to lamps of another brightness than the frame's")]
+    Brightness,
+}

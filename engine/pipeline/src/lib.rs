@@ -31,7 +31,7 @@ pub use femc_prepared::{PrepareError, Prepared, SceneSource};
 pub use femc_radiosity::{self as radiosity, Solution, SolveReport as FirstPassReport, StepDecodeError};
 pub use femc_scene::FrameKey;
 pub use first_pass::{
-    FieldMismatch, attach_first_pass, encode_solution, first_pass_key, first_pass_world, scale_field, solve_first_pass,
+    FieldMismatch, FrameLight, attach_first_pass, encode_solution, first_pass_key, first_pass_world, solve_first_pass,
 };
 pub use first_pass_steps::{count_surfaces, first_pass_blocks, planned_first_pass_blocks, split_first_pass};
 pub use in_process::{RenderedFrame, RoundEnd, render_frame, render_rounds};

@@ -1,6 +1,6 @@
 //! Preparation of frames.
 
-use crate::first_pass::{first_pass_world, scale_field, solve_first_pass};
+use crate::first_pass::{FrameLight, attach_first_pass, first_pass_world, solve_first_pass};
 use crate::settings::Settings;
 use femc_layers::Feature;
 use femc_prepared::{FrameSpec, PrepareError, Prepared, SceneSource};
@@ -17,11 +17,13 @@ pub fn prepare_frame(
     previous: Option<&Prepared>,
 ) -> Result<Prepared, PrepareError> {
     let mut prepared = prepare_world(source, settings, frame, previous)?;
-    if settings.method.has_first_pass() && prepared.field.is_none() {
+    if settings.method.has_first_pass() && prepared.field().is_none() {
         let world = first_pass_world(source, settings, frame, Some(&prepared))?;
         let solution = solve_first_pass(&world, settings.method, &AtomicBool::new(false));
         let solution = solution.map_err(|error| PrepareError::FirstPass { reason: error.to_string() })?;
-        prepared.field = Some(scale_field(Arc::new(solution.field), prepared.brightness));
+        let light = FrameLight::new(Arc::new(solution.field), prepared.brightness);
+        attach_first_pass(&mut prepared, light)
+            .map_err(|error| PrepareError::FirstPass { reason: error.to_string() })?;
     }
     Ok(prepared)
 }

@@ -2,7 +2,7 @@
 
 use crate::settings::{Method, Settings};
 use femc_film::{AovTile, FilmError, Filter, Rect, Sample, Tile};
-use femc_montecarlo::{PathSample, PathSettings, PixelFilter, Recorder, Tracer};
+use femc_montecarlo::{Guidance, PathSample, PathSettings, PixelFilter, Recorder, Tracer};
 use femc_paths::LightStatistics;
 use femc_prepared::Prepared;
 use femc_radiosity::VerifyError;
@@ -142,9 +142,9 @@ impl<'a> RenderTask<'a> {
 pub(crate) fn frame_tracer<'a, R: Recorder>(prepared: &'a Prepared, settings: &Settings, recorder: R) -> Tracer<'a, R> {
     let path = PathSettings { seed: settings.seed, max_depth: settings.max_depth, single_technique: None };
     let tracer = Tracer::with_recorder(prepared, path, recorder);
-    match (settings.method, prepared.field.as_deref()) {
+    match (settings.method, prepared.field()) {
         (Method::Fem, Some(field)) => tracer.with_field(field),
-        (Method::Femc, Some(field)) => tracer.with_guide(field),
+        (Method::Femc, Some(field)) => tracer.with_guidance(Guidance::with_own(prepared, field)),
         _ => tracer,
     }
 }

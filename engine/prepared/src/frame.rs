@@ -18,7 +18,7 @@ use femc_scattering::Phase;
 use femc_scene::frame_key::{FrameKey, Viewpoint};
 use femc_scene::{Camera, Density, Motion, MotionPath, RegionBounds, Scalars, Scene};
 use std::f64::consts::PI;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 /// Selection of the frame of a scene to prepare.
 #[derive(Clone, Debug, PartialEq)]
@@ -119,8 +119,9 @@ pub struct Prepared {
     pub has_clear_surfaces: bool,
     /// Brightness of the lamps ([`Scalars::brightness`]).
     pub brightness: f32,
-    /// Light field found by the first pass, if there was one.
-    pub field: Option<Arc<Field>>,
+    field: Option<Arc<Field>>,
+    /// Mean light that the field expects at the first surfaces of the frame, cd/m2, once it was computed.
+    pub field_light: OnceLock<f32>,
     cache: Cache,
 }
 
@@ -209,6 +210,7 @@ fn prepare_with(
             has_clear_surfaces: previous.has_clear_surfaces,
             brightness: previous.brightness,
             field: previous.field.clone(),
+            field_light: OnceLock::new(),
             cache: previous.cache.clone(),
         },
         previous => build_world(scene, scalars, &view, frame_key, camera, spec.frame, previous)?,
@@ -290,11 +292,23 @@ fn build_world(
         has_clear_surfaces,
         brightness: scalars.brightness() as f32,
         field: None,
+        field_light: OnceLock::new(),
         cache,
     })
 }
 
 impl Prepared {
+    /// Returns the light field found by the first pass. `None`: there was no first pass, or not yet.
+    pub fn field(&self) -> Option<&Field> {
+        self.field.as_deref()
+    }
+
+    /// Assigns the light field of the first pass, or removes it.
+    pub fn set_field(&mut self, field: Option<Arc<Field>>) {
+        self.field = field;
+        self.field_light = OnceLock::new();
+    }
+
     /// Returns the media of the closed objects that contain `point`. These are the objects whose surfaces a ray from the point
     /// leaves without having entered them.
     fn media_at(&self, point: Vec3A) -> MediumStack {

@@ -345,7 +345,7 @@ fn guide(element: &Element, links: &[Part], rays: &[IncidentSegment], portals: &
     // Second moments of a sample of the direction, over the squared mean, for the cosine distribution and the mixtures.
     let mut moments = [[0.0f32; 2]; 1 + SHARES.len()];
     let block = Block::new(&lobes);
-    let Some(directions) = Directions::new(&block, 1.0, element.center) else { return nothing };
+    let Some(directions) = Directions::new(&block, element.center).non_empty() else { return nothing };
     let mut cells = [0.0f32; CELLS];
     for part in links {
         let local = frame.to_local((part.target - element.center).normalize_or(Vec3A::ZERO));
@@ -373,7 +373,7 @@ fn guide(element: &Element, links: &[Part], rays: &[IncidentSegment], portals: &
             let dir = (ray.target - ray.origin).normalize_or(element.normal());
             let cosine = element.normal().dot(dir).max(1e-3) / PI;
             let square = ray.irradiance * ray.irradiance / (odd * odd) * (0.5 * ray.ray_count);
-            let lobes = Directions::new(&block, 1.0, ray.origin).map_or(0.0, |directions| directions.pdf(dir));
+            let lobes = Directions::new(&block, ray.origin).non_empty().map_or(0.0, |directions| directions.pdf(dir));
             moments[0][1] += square;
             for (moment, share) in moments[1..].iter_mut().zip(SHARES) {
                 moment[1] += square * cosine / (cosine * (1.0 - share) + lobes * share);

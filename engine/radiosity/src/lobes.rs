@@ -344,7 +344,7 @@ fn settled(lobes: &[Lobe], parts: &[Part], center: Vec3A) -> Option<Vec<Lobe>> {
         lobes.iter().map(|lobe| Frame::from_normal((lobe.target - center).normalize_or(Vec3A::Z))).collect();
     for part in parts {
         let dir = (part.target - part.origin).normalize_or(Vec3A::Z);
-        let Some(each) = Directions::new(&block, 1.0, part.origin).map(|directions| directions.each(dir)) else {
+        let Some(each) = Directions::new(&block, part.origin).non_empty().map(|directions| directions.each(dir)) else {
             continue;
         };
         let best = (0..lobes.len()).fold(0, |best, k| if each[k] > each[best] { k } else { best });

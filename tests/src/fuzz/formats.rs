@@ -375,8 +375,11 @@ fn first_pass() -> Vec<Target> {
                 if let Some(point) = line.sample(0.4) {
                     assert!(point.pdf == line.pdf(point.t));
                 }
-                if let Some(directions) =
-                    field.guide_at(&hit, Side::Front, test_point()).and_then(|guided| guided.directions)
+                if let Some(directions) = field
+                    .guide_at(&hit, Side::Front, test_point())
+                    .and_then(|guided| guided.lobes)
+                    .map(|(block, _)| femc_field::Directions::new(block, test_point()))
+                    .and_then(femc_field::Directions::non_empty)
                 {
                     let dir = directions.sample(0.3, [0.4, 0.5]);
                     let _ = directions.pdf(dir);

@@ -7,8 +7,8 @@ use femc_math::color::luminance;
 use femc_math::glam::Vec3A;
 use femc_pipeline::radiosity::{self, SolveOptions};
 use femc_pipeline::{
-    Field, Method, SceneSource, Settings, Side, Solution, StopCondition, attach_first_pass, encode_solution,
-    first_pass_key, first_pass_world, frame_key, prepare_frame, prepare_world, solve_first_pass,
+    Field, FieldMismatch, FrameLight, Method, SceneSource, Settings, Side, Solution, StopCondition, attach_first_pass,
+    encode_solution, first_pass_key, first_pass_world, frame_key, prepare_frame, prepare_world, solve_first_pass,
 };
 use femc_tests::generated_scenes::{Kind, generate_scene};
 use femc_tests::reference::{Reference, rooms_folder};
@@ -338,13 +338,14 @@ fn decoded_solution_is_bit_identical_and_lights_frame_equally() {
     assert!(field.encode(&statistics) == bytes && bytes.len() < solution.field.memory());
     let source = SceneSource::new(parse_scene(&text));
     let mut world = prepare_world(&source, &Settings::default(), 1, None).unwrap_or_else(|e| panic!("{e}"));
-    assert_eq!(attach_first_pass(&mut world, Arc::new(field.clone())), Ok(()));
+    let light = |field: &Field, brightness: f32| FrameLight::new(Arc::new(field.clone()), brightness);
+    assert_eq!(attach_first_pass(&mut world, light(&field, 1.5)), Err(FieldMismatch::Brightness));
+    assert!(world.field().is_none());
+    assert_eq!(attach_first_pass(&mut world, light(&field, 1.0)), Ok(()));
     let other = SceneSource::new(parse_scene(&furnace(0.4, "")));
     let mut other = prepare_world(&other, &Settings::default(), 1, None).unwrap_or_else(|e| panic!("{e}"));
-    assert!(
-        attach_first_pass(&mut other, Arc::new(field)).is_err() && other.field.is_none(),
-        "it is of other surfaces"
-    );
+    assert_eq!(attach_first_pass(&mut other, light(&field, 1.0)), Err(FieldMismatch::Surfaces));
+    assert!(other.field().is_none());
 }
 
 #[test]
@@ -388,7 +389,7 @@ fn lamps_of_any_power_share_first_pass_and_scale_its_light() {
             Method::Femc,
             &AtomicBool::new(false),
         );
-        (key, encode_solution(&unit), lit.field.unwrap(), own.unwrap().field)
+        (key, encode_solution(&unit), lit.field().unwrap().clone(), own.unwrap().field)
     };
     let (one, other) = (of(170.0), of(2310.0));
     assert_eq!(one.0, other.0);

@@ -4,7 +4,7 @@ use femc_field::Leaf;
 use femc_film::Filter;
 use femc_math::color::luminance;
 use femc_math::glam::Vec3A;
-use femc_montecarlo::{PathSettings, PixelFilter, Tracer};
+use femc_montecarlo::{Guidance, PathSettings, PixelFilter, Tracer};
 use femc_pipeline::radiosity::{self, SolveOptions};
 use femc_pipeline::{Field, SceneSource, Settings, prepare_frame};
 use femc_prepared::Prepared;
@@ -54,7 +54,7 @@ fn blocks(prepared: &Prepared, guide: Option<&Field>, seed: u64, spp: u32) -> Ve
     let block = |index: u32| {
         let mut tracer = Tracer::new(prepared, path);
         if let Some(field) = guide {
-            tracer = tracer.with_guide(field);
+            tracer = tracer.with_guidance(Guidance::new(prepared, field));
         }
         let (mut mean, mut variance) = (0.0, 0.0);
         for k in 0..BLOCK * BLOCK {
@@ -116,7 +116,8 @@ fn a_guide_that_is_wrong_changes_no_mean() {
     for (name, change) in wrong {
         let mut lobes = field.guides.lobes().to_vec();
         lobes.iter_mut().enumerate().for_each(|(k, lobe)| change(k, lobe));
-        let guides = femc_field::Guides::new(field.guides.by_leaf().to_vec(), lobes, &field.cells, &field.leaves);
+        let guides =
+            femc_field::Guides::new(field.guides.by_leaf().to_vec(), lobes, &field.roots, &field.cells, &field.leaves);
         let changed = Field { guides, ..field.clone() };
         assert_same_means(name, &paths, &blocks(&prepared, Some(&changed), 2, 128));
     }
@@ -145,7 +146,8 @@ fn light_that_is_wrong_changes_no_mean() {
             }
         }
         let (of, lobes) = (field.guides.by_leaf().to_vec(), field.guides.lobes().to_vec());
-        let changed = Field { guides: femc_field::Guides::new(of, lobes, &field.cells, &leaves), ..field.clone() };
+        let changed =
+            Field { guides: femc_field::Guides::new(of, lobes, &field.roots, &field.cells, &leaves), ..field.clone() };
         assert_same_means(name, &paths, &blocks(&prepared, Some(&changed), 2, 128));
     }
 }

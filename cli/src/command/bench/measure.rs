@@ -116,8 +116,8 @@ impl PreparedScene<'_> {
             .install(|| femc_pipeline::solve_first_pass(&world, method, self.cancel))
             .map_err(map_render_error)?;
         let (seconds, cpu) = (clock.since(begun), femc_worker::process_time().saturating_sub(cpu));
-        let field = femc_pipeline::scale_field(Arc::new(solution.field), prepared.brightness);
-        femc_pipeline::attach_first_pass(&mut prepared, field).map_err(failed)?;
+        let light = femc_pipeline::FrameLight::new(Arc::new(solution.field), prepared.brightness);
+        femc_pipeline::attach_first_pass(&mut prepared, light).map_err(failed)?;
         self.first_passes.push((method, FirstPassFrame { prepared, seconds, cpu }));
         Ok(self.first_passes.len() - 1)
     }

@@ -379,7 +379,7 @@ fn read_tables(mut tables: TableReader<'_>, lengths: [u32; 10]) -> Result<Field,
     if !tables.0.is_empty() {
         return Err(FieldError::Corrupt("extra bytes follow the tables"));
     }
-    let guides = Guides::new(guides, lobes, &all, &leaves);
+    let guides = Guides::new(guides, lobes, &roots, &all, &leaves);
     Ok(Field { surfaces, roots, leaves, errors, guides, cells: all, sides, fog })
 }
 

@@ -46,15 +46,17 @@ fn one_of_everything() -> Field {
         Leaf::Triangle([v(1.0), v(f32::INFINITY), v(3.0)]),
         Leaf::Rectangle([v(1.0), v(2.0), v(3.0), v(4.0)]),
     ];
+    let roots = vec![0, NONE, 3, 5, NONE, 0];
     let guides = Guides::new(
         vec![Guide::default(), Guide { first: 0, count: 2, share: 0.5 }, Guide { first: 1, count: 1, share: 0.25 }],
         vec![Lobe::round(v(1.0), Vec3A::X, 0.5, 0.25), Lobe::round(v(2.0), Vec3A::Y, 0.1, 0.75)],
+        &roots,
         &cells,
         &leaves,
     );
     Field {
         surfaces: (0..).zip(forms).map(surface).collect(),
-        roots: vec![0, NONE, 3, 5, NONE, 0],
+        roots,
         cells,
         leaves,
         errors: vec![0.0, 1.5, 0.25],

@@ -59,14 +59,14 @@ impl Aim {
 
     pub fn sample(&self, point: Vec3A, choice: f32, u: [f32; 2]) -> Option<Vec3A> {
         let (block, _) = self.0.as_ref()?;
-        Some(Directions::new(block, 1.0, point)?.sample(choice, u))
+        Some(Directions::new(block, point).non_empty()?.sample(choice, u))
     }
 
     /// Returns the density of directions relative to the cosine distribution.
     pub fn ratio(&self, spot: &SurfaceSpot, dir: Vec3A, each: usize) -> f32 {
         let aimed = self.number(each);
         let (Some((block, _)), true) = (&self.0, aimed > 0) else { return 1.0 };
-        let Some(directions) = Directions::new(block, 1.0, spot.position) else { return 1.0 };
+        let Some(directions) = Directions::new(block, spot.position).non_empty() else { return 1.0 };
         let share = aimed as f32 / each as f32;
         let cosine = (spot.normal.dot(dir) / PI).max(1e-6);
         1.0 - share + share * directions.pdf(dir) / cosine

@@ -42,7 +42,7 @@ impl SolverState {
         // `Solution::verify` rejects NaN.
         let residual = if fog == FogLight::Valid { report.residual } else { f32::NAN };
         let report = SolveReport { residual, ..report };
-        let field = Field { guides: Guides::new(guides, lobes, &field.cells, &field.leaves), ..field };
+        let field = Field { guides: Guides::new(guides, lobes, &field.roots, &field.cells, &field.leaves), ..field };
         Solution { field, direct, report }
     }
 }

@@ -1,0 +1,137 @@
+//! Regions of surfaces: a grid over the parameters of each surface, for lookups in constant time.
+//!
+//! The grids are as fine as the leaves, within limits. A grid cell has the data of the leaf at its center, so a region only
+//! approximates a leaf. Guides may be wrong without changing a mean, so this is enough for them.
+
+use crate::{Cell, Leaf, NONE, Split};
+use femc_math::glam::Vec2;
+
+/// A region of a surface.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Region {
+    /// Index of its data.
+    pub data: u32,
+    /// Luminance of the mean irradiance of its leaf, lx, without direct light from light sources.
+    pub light: f32,
+}
+
+/// Grids of all surfaces.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct RegionGrids {
+    grids: Vec<Grid>,
+    regions: Vec<Region>,
+}
+
+/// Grid of a surface: the index of its first region, or [`NONE`], and the binary logarithm of its size by parameter.
+#[derive(Clone, Copy, Debug)]
+struct Grid {
+    first: u32,
+    bits: [u8; 2],
+}
+
+/// Maximum of the binary logarithm of the number of regions of a surface.
+const MAX_BITS: u32 = 14;
+/// Binary logarithm of the maximum number of regions for each leaf of a surface.
+const BITS_OVER_LEAVES: u32 = 2;
+/// Maximum number of regions for each cell of the field.
+const MAX_REGIONS_OVER_CELLS: usize = 4;
+
+/// Number of leaves below a cell, and of splits on the longest way to one: by parameter, and bisections.
+#[derive(Clone, Copy, Default)]
+struct Depth {
+    leaves: u32,
+    splits: [u32; 3],
+}
+
+impl RegionGrids {
+    /// Creates the grids.
+    /// - `roots`: first cell by surface, or [`NONE`];
+    /// - `cells`: parts of surfaces down to `leaves`; halves come after the cell that contains them;
+    /// - `data`: data by leaf.
+    pub fn new(roots: &[u32], cells: &[Cell], leaves: &[Leaf], data: &[u32]) -> Self {
+        let mut depths = vec![Depth::default(); cells.len()];
+        for (index, cell) in cells.iter().enumerate().rev() {
+            let next = cell.next as usize;
+            depths[index] = match cell.split {
+                Split::None => Depth { leaves: 1, splits: [0; 3] },
+                split => {
+                    let [a, b] = [depths[next], depths[next + 1]];
+                    let mut splits = [0, 1, 2].map(|axis| a.splits[axis].max(b.splits[axis]));
+                    splits[match split {
+                        Split::None | Split::Half(0) => 0,
+                        Split::Half(_) => 1,
+                        Split::Bisection => 2,
+                    }] += 1;
+                    Depth { leaves: a.leaves.saturating_add(b.leaves), splits }
+                }
+            };
+        }
+        let light: Vec<f32> = leaves.iter().map(Leaf::mean_illuminance).collect();
+        let most = MAX_REGIONS_OVER_CELLS * cells.len();
+        let mut out = Self { grids: Vec::with_capacity(roots.len()), regions: Vec::new() };
+        for &root in roots {
+            if root == NONE {
+                out.grids.push(Grid { first: NONE, bits: [0; 2] });
+                continue;
+            }
+            let mut bits = depths[root as usize].bits();
+            if out.regions.len() + (1 << (bits[0] + bits[1])) > most {
+                bits = [0; 2];
+            }
+            out.grids.push(Grid { first: out.regions.len() as u32, bits });
+            let [width, height] = bits.map(|bits| 1u32 << bits);
+            for place in (0..width * height).map(|at| [at % width, at / width]) {
+                let center = Vec2::new((place[0] as f32 + 0.5) / width as f32, (place[1] as f32 + 0.5) / height as f32);
+                if let Some((leaf, _)) = Cell::find(cells, root, center) {
+                    out.regions.push(Region { data: data[leaf as usize], light: light[leaf as usize] });
+                }
+            }
+        }
+        out
+    }
+
+    /// Multiplies the light by a factor.
+    pub fn scale(&mut self, factor: f32) {
+        self.regions.iter_mut().for_each(|region| region.light *= factor);
+    }
+
+    /// Returns the region of a point of a surface. `None` if the surface has no data.
+    /// - `place`: the point's parameters on the surface.
+    #[inline]
+    pub fn at(&self, surface: u32, place: impl FnOnce() -> Vec2) -> Option<Region> {
+        let Grid { first, bits } = *self.grids.get(surface as usize)?;
+        if first == NONE {
+            return None;
+        }
+        let mut index = first;
+        if bits != [0; 2] {
+            let place = place();
+            let along = |at: f32, bits: u8| {
+                let size = 1u32 << bits;
+                // A conversion to an integer clamps negative numbers and NaN to 0.
+                ((at * size as f32) as u32).min(size - 1)
+            };
+            index += along(place.x, bits[0]) + (along(place.y, bits[1]) << bits[0]);
+        }
+        self.regions.get(index as usize).copied()
+    }
+
+    /// Returns the number of bytes of the grids.
+    pub fn memory(&self) -> usize {
+        size_of_val(&*self.grids) + size_of_val(&*self.regions)
+    }
+}
+
+impl Depth {
+    /// Returns the binary logarithm of the size of a grid by parameter.
+    fn bits(self) -> [u8; 2] {
+        let [x, y, bisections] = self.splits;
+        let mut bits = [x + bisections.div_ceil(2), y + bisections.div_ceil(2)];
+        let most = MAX_BITS.min(self.leaves.next_power_of_two().ilog2() + BITS_OVER_LEAVES);
+        while bits[0] + bits[1] > most {
+            let longer = usize::from(bits[1] > bits[0]);
+            bits[longer] -= 1;
+        }
+        bits.map(|bits| bits as u8)
+    }
+}

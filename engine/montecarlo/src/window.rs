@@ -1,0 +1,227 @@
+//! Weight window: Russian roulette and splitting of paths by the light that a field expects of them.
+//!
+//! The light that a path still adds to its sample is its throughput times the radiance that its latest vertex scatters. A field
+//! estimates this radiance. The window compares it with the light that the field expected at the first vertex (\[vorba2016\]). A
+//! path below the window survives with a probability. A path above it is split into copies of less weight. The field decides only
+//! how many copies continue, so the mean is correct for any field.
+
+use crate::dimensions as dim;
+use crate::first_hit::find_first_surface;
+use crate::guided::SurfaceGuide;
+use crate::path_state::PathState;
+use femc_field::Field;
+use femc_math::color::luminance;
+use femc_math::{Rgb, SampleStream};
+use femc_prepared::Prepared;
+use std::f32::consts::FRAC_1_PI;
+
+/// Bounds of the light expected of a path, relative to the light expected at its first vertex.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct WeightWindow {
+    /// Lower bound. Below it, paths survive with a probability proportional to their light. 0: Russian roulette
+    /// by weight instead.
+    pub lower: f32,
+    /// Upper bound. Above it, paths are split. Infinite: no splitting.
+    pub upper: f32,
+}
+
+impl Default for WeightWindow {
+    /// The narrowest window that costs no scene more than a twentieth of what another window gains there (measured with
+    /// `two_passes` for 0.25 to 1 and 1 to 3, on boxes, a sphere, and rooms lit through a gap).
+    fn default() -> Self {
+        Self { lower: 0.4, upper: 1.5 }
+    }
+}
+
+/// Minimum survival probability by the window, because the field may be wrong.
+const MIN_SURVIVAL: f32 = 0.05;
+/// Maximum number of copies of a path at a vertex.
+const MAX_COPIES: u32 = 8;
+/// Maximum number of branches of a sample, all copies together. Then its paths are not split any more.
+pub(crate) const MAX_BRANCHES: u32 = 64;
+/// Share of the frame's mean light that is added to the light expected at the first vertex. Otherwise, paths from dark places
+/// would be split at every bright one.
+const FRAME_SHARE: f32 = 0.02;
+/// Number of camera rays by axis for the mean of the frame.
+const FRAME_RAYS: u32 = 16;
+
+/// Decision of the window at a vertex.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum WindowDecision {
+    /// The field has no data, or the window has no lower bound. Russian roulette by weight applies.
+    Unknown,
+    /// The path survives with this probability, in (0, 1).
+    Roulette(f32),
+    /// The path continues as this number of copies, at least 1.
+    Copies(u32),
+}
+
+impl WeightWindow {
+    /// Decides on a path at its latest vertex.
+    /// - `light_ahead`: light that the vertex scatters toward the previous vertex by the field, times pi, cd/m2;
+    /// - `frame_light`: value of [`frame_light`].
+    #[inline(always)]
+    pub(crate) fn decide(&self, path: &mut PathState, light_ahead: Rgb, frame_light: f32) -> WindowDecision {
+        let ahead = luminance(path.throughput * light_ahead) * FRAC_1_PI;
+        if !(ahead > 0.0 && ahead.is_finite()) {
+            return WindowDecision::Unknown;
+        }
+        if path.expected_light == 0.0 {
+            path.expected_light = ahead + FRAME_SHARE * frame_light;
+            return self.inside();
+        }
+        self.decide_by_ratio(ahead / path.expected_light)
+    }
+
+    /// Returns the decision on a path in the window.
+    #[inline(always)]
+    fn inside(&self) -> WindowDecision {
+        if self.lower > 0.0 { WindowDecision::Copies(1) } else { WindowDecision::Unknown }
+    }
+
+    /// Decides on a path.
+    /// - `ratio`: its expected light, relative to that at the first vertex; positive.
+    #[inline(always)]
+    fn decide_by_ratio(&self, ratio: f32) -> WindowDecision {
+        if ratio < self.lower {
+            WindowDecision::Roulette((ratio / self.lower).max(MIN_SURVIVAL))
+        } else if ratio > self.upper {
+            WindowDecision::Copies(((ratio / self.upper).ceil() as u32).clamp(1, MAX_COPIES))
+        } else {
+            self.inside()
+        }
+    }
+}
+
+/// Returns the mean light that a field expects at the first surfaces of a frame, cd/m2.
+pub(crate) fn frame_light(scene: &Prepared, field: &Field) -> f32 {
+    let film = scene.camera.film;
+    let view = scene.camera.view([0.5; 2], 0.5);
+    let light = |place: [u32; 2]| {
+        let [x, y] =
+            [0, 1].map(|axis| (u64::from(film[axis]) * u64::from(2 * place[axis] + 1)) as u32 / (2 * FRAME_RAYS));
+        let pixel = y * film[0] + x;
+        let ray = view.ray(scene.camera.center(pixel));
+        let surface = find_first_surface(scene, &ray, SampleStream::new(0, scene.frame, pixel, 0))?;
+        let light = luminance(SurfaceGuide::new(field, &surface).light_ahead) * FRAC_1_PI;
+        light.is_finite().then_some(light)
+    };
+    let places = (0..FRAME_RAYS * FRAME_RAYS).map(|at| [at % FRAME_RAYS, at / FRAME_RAYS]);
+    places.filter_map(light).sum::<f32>() / (FRAME_RAYS * FRAME_RAYS) as f32
+}
+
+/// Random numbers of a direction: a point in [0, 1)^2, and the choice of a lobe.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct DirectionNumbers {
+    pub u: [f32; 2],
+    pub choice: f32,
+}
+
+impl DirectionNumbers {
+    /// Draws the numbers of the current ray's end.
+    #[inline(always)]
+    pub fn draw(path: &mut PathState) -> Self {
+        path.stream.seek(path.base + dim::LOBE);
+        let choice = path.stream.next_1d();
+        path.stream.seek(path.base + dim::DIRECTION);
+        Self { u: path.stream.next_2d(), choice }
+    }
+
+    /// Returns the numbers of one of several copies. Each copy's numbers are uniform. Those of all copies are evenly spread: they
+    /// are shifted by the points of a Hammersley set.
+    pub fn of_copy(self, copy: u32, copies: u32) -> Self {
+        let shift = |number: f32, by: f32| {
+            let sum = number + by;
+            (if sum >= 1.0 { sum - 1.0 } else { sum }).min(1.0 - f32::EPSILON / 2.0)
+        };
+        let inverse = copy.reverse_bits() as f32 * (1.0 / 4_294_967_296.0);
+        let [u, v] = self.u;
+        Self { u: [shift(u, copy as f32 / copies as f32), shift(v, inverse)], choice: shift(self.choice, inverse) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const WINDOW: WeightWindow = WeightWindow { lower: 0.4, upper: 1.5 };
+
+    /// Brute force over the random number: the mean number of paths times their weight is 1.
+    #[test]
+    fn the_mean_weight_is_unchanged() {
+        const N: u32 = 1 << 12;
+        for ratio in [1e-30, 1e-3, 0.02, 0.1, 0.3, 0.399, 0.4, 1.0, 1.5, 1.6, 3.0, 3.1, 11.9, 1e3, 1e30] {
+            let weight = match WINDOW.decide_by_ratio(ratio) {
+                WindowDecision::Unknown => panic!("{ratio}: no decision"),
+                WindowDecision::Roulette(q) => {
+                    assert!(ratio < WINDOW.lower && q < 1.0 && q >= MIN_SURVIVAL, "{ratio}: {q}");
+                    let survivors = (0..N).filter(|k| (*k as f32 + 0.5) / (N as f32) < q).count();
+                    survivors as f32 / N as f32 / q
+                }
+                WindowDecision::Copies(copies) => {
+                    assert!(ratio >= WINDOW.lower && (1..=MAX_COPIES).contains(&copies), "{ratio}: {copies}");
+                    // A copy is in the window, unless there are too many.
+                    assert!(ratio / copies as f32 <= WINDOW.upper || copies == MAX_COPIES, "{ratio}: {copies}");
+                    assert!(ratio / copies as f32 >= 0.5 * WINDOW.upper || copies == 1, "{ratio}: {copies}");
+                    copies as f32 * (1.0 / copies as f32)
+                }
+            };
+            assert!((weight - 1.0).abs() < 0.01, "{ratio}: {weight}");
+        }
+        let open = WeightWindow { lower: 0.0, upper: f32::INFINITY };
+        assert!([1e-30, 1.0, 1e30].iter().all(|ratio| open.decide_by_ratio(*ratio) == WindowDecision::Unknown));
+    }
+
+    /// The first vertex with data is the center of the window. Vertices without data decide nothing.
+    #[test]
+    fn light_is_compared_with_the_first_vertex() {
+        let scene = crate::test_scene::prepare("m a =\n sides 2\n rd .5\nm a\nv p =\n p 0 0 0\nsph p 1\n");
+        let mut path = crate::test_scene::center_path(&scene, 1);
+        let decide = |path: &mut PathState, light: f32| WINDOW.decide(path, Rgb::splat(light), 5.0);
+        for unknown in [0.0, -1.0, f32::NAN, f32::INFINITY] {
+            assert_eq!(decide(&mut path, unknown), WindowDecision::Unknown);
+        }
+        let pi = std::f32::consts::PI;
+        assert_eq!(decide(&mut path, 0.9 * pi), WindowDecision::Copies(1));
+        assert!((path.expected_light - 1.0).abs() < 1e-6, "0.9 and a fiftieth of 5: {}", path.expected_light);
+        assert_eq!(decide(&mut path, pi), WindowDecision::Copies(1));
+        assert_eq!(decide(&mut path, 2.9 * pi), WindowDecision::Copies(2));
+        path.throughput = Rgb::splat(0.1);
+        let WindowDecision::Roulette(q) = decide(&mut path, pi) else { panic!("a path that may end") };
+        assert!((q - 0.25).abs() < 1e-6, "{q}");
+        assert_eq!(decide(&mut path, 0.0), WindowDecision::Unknown);
+    }
+
+    /// Each copy's numbers are uniform, and those of all copies fill all parts of the square.
+    #[test]
+    fn numbers_of_copies_are_uniform_and_spread() {
+        const N: u32 = 1 << 12;
+        for copies in [2, 3, 8] {
+            for copy in 0..copies {
+                let mut counts = [[0u32; 8]; 3];
+                for k in 0..N {
+                    let drawn = SampleStream::new(1, 1, k, 0).next_2d();
+                    let choice = SampleStream::new(2, 1, k, 0).next_1d();
+                    let DirectionNumbers { u, choice } = DirectionNumbers { u: drawn, choice }.of_copy(copy, copies);
+                    for (counts, number) in counts.iter_mut().zip([u[0], u[1], choice]) {
+                        assert!((0.0..1.0).contains(&number));
+                        counts[(number * 8.0) as usize] += 1;
+                    }
+                }
+                let expected = f64::from(N) / 8.0;
+                for counts in counts {
+                    let chi: f64 = counts.iter().map(|n| (f64::from(*n) - expected).powi(2) / expected).sum();
+                    assert!(chi < 32.0, "7 degrees of freedom, level 4e-5: {chi}");
+                }
+            }
+            let numbers = DirectionNumbers { u: [0.9, 0.7], choice: 0.5 };
+            let mut parts: Vec<u32> =
+                (0..copies).map(|copy| (numbers.of_copy(copy, copies).u[0] * copies as f32) as u32).collect();
+            parts.sort_unstable();
+            assert!(parts.windows(2).all(|pair| pair[0] != pair[1]), "{parts:?}");
+        }
+        let last = 1.0 - f32::EPSILON / 2.0;
+        let extreme = DirectionNumbers { u: [last; 2], choice: last };
+        assert_eq!(extreme.of_copy(0, 8), extreme);
+    }
+}

@@ -34,7 +34,7 @@ impl Default for WeightWindow {
 }
 
 /// Minimum survival probability by the window, because the field may be wrong.
-const MIN_SURVIVAL: f32 = 0.05;
+const MIN_SURVIVAL: f32 = 0.2;
 /// Maximum number of copies of a path at a vertex.
 const MAX_COPIES: u32 = 8;
 /// Maximum number of branches of a sample, all copies together. Then its paths are not split any more.

@@ -92,13 +92,13 @@ pub fn trace_rays(prepared: &Prepared, count: u32, samples: u32) -> Vec<FogRay> 
 
 /// Returns the light of a path that fog scatters on the camera's segment after at least one other scattering event.
 fn multiply_scattered(path: &Recording) -> f64 {
-    let Some(first) = path.steps.first() else { return 0.0 };
+    let Some(first) = path.steps.nodes().first().map(|node| node.step) else { return 0.0 };
     if !matches!(first.vertex.location, VertexLocation::Medium(_)) {
         return 0.0;
     }
-    let counts = |(part, vertices): &&(femc_montecarlo::record::Contribution, usize)| {
+    let counts = |(part, vertices): &&(femc_montecarlo::record::Contribution, u32)| {
         let is_straight = part.technique == LightTechnique::EmitterHit
-            && path.last_scattering(*vertices).is_some_and(|step| step == first);
+            && path.last_scattering(*vertices).is_some_and(|step| *step == first);
         part.bounce > 0 && !is_straight
     };
     path.contributions.iter().filter(counts).map(|(part, _)| f64::from(luminance(part.color))).sum()
@@ -156,7 +156,7 @@ fn mean_over_directions(prepared: &mut Prepared, point: Vec3A, samples: u32) -> 
         let mut tracer = Tracer::with_recorder(prepared, settings(u64::from(sample) + 1), Recording::default());
         tracer.sample(0, 0, PixelCenter);
         let path = &tracer.recorder;
-        let counts = |(part, _): &&(femc_montecarlo::record::Contribution, usize)| {
+        let counts = |(part, _): &&(femc_montecarlo::record::Contribution, u32)| {
             part.bounce > 0 || !matches!(part.technique, LightTechnique::EmitterHit | LightTechnique::CameraNextEvent)
         };
         values.push(path.contributions.iter().filter(counts).map(|(part, _)| f64::from(luminance(part.color))).sum());

@@ -60,7 +60,15 @@ pub trait Recorder {
     fn lobe_split(&mut self, _lobe_split: impl FnOnce() -> LobeSplit) {}
     /// Records a light contribution.
     fn contribution(&mut self, contribution: impl FnOnce() -> Contribution);
-    /// Records that the path ends.
+    /// Records that a copy of the path is split off at the latest vertex. The events up to [`Self::end_branch`] tell how it leaves.
+    fn begin_branch(&mut self);
+    /// Records that the copy waits to be traced, or that it has ended at its vertex. The next events are those of the path that
+    /// remains.
+    /// - `waits`: whether it waits.
+    fn end_branch(&mut self, waits: bool);
+    /// Records that the copy that was split off last, of those that wait, is traced now. The path before it has ended.
+    fn resume_branch(&mut self);
+    /// Records that the path ends, or a branch of it.
     fn terminate(&mut self, termination: Termination);
     /// Ends the sample.
     /// - `color`: radiance of the sample, cd/m2 by channel; `None`: the film rejects it.
@@ -80,6 +88,12 @@ impl Recorder for () {
     fn occluded(&mut self, _: impl FnOnce() -> Ray) {}
     #[inline(always)]
     fn contribution(&mut self, _: impl FnOnce() -> Contribution) {}
+    #[inline(always)]
+    fn begin_branch(&mut self) {}
+    #[inline(always)]
+    fn end_branch(&mut self, _: bool) {}
+    #[inline(always)]
+    fn resume_branch(&mut self) {}
     #[inline(always)]
     fn terminate(&mut self, _: Termination) {}
     #[inline(always)]
@@ -233,13 +247,100 @@ impl Step {
     }
 }
 
+/// Vertices of a path and of its branches. A vertex has a number from 1; 0 is the camera.
+#[derive(Clone, Debug, Default)]
+pub struct StepTree {
+    nodes: Vec<StepNode>,
+    /// Number of the latest vertex of the current branch.
+    latest: u32,
+    /// Way in which the copy leaves that is being split off. The outer `None`: no copy is being split off.
+    leaving: Option<Option<Continuation>>,
+    /// Copies that wait: the number of their vertex, and the way in which they left it.
+    waiting: Vec<(u32, Option<Continuation>)>,
+}
+
+/// A vertex of a [`StepTree`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StepNode {
+    /// Vertex, and the way in which this branch left it.
+    pub step: Step,
+    /// Number of the vertex before it on its branch; 0: the camera.
+    pub parent: u32,
+    /// Number of the vertex that this one repeats, because another copy of the path left it. 0: it is the first.
+    pub repeats: u32,
+}
+
+impl StepTree {
+    /// Removes all vertices.
+    pub fn clear(&mut self) {
+        self.nodes.clear();
+        self.waiting.clear();
+        (self.latest, self.leaving) = (0, None);
+    }
+
+    /// Returns all vertices in the order of their numbers, from 1.
+    pub fn nodes(&self) -> &[StepNode] {
+        &self.nodes
+    }
+
+    /// Returns the number of the latest vertex of the current branch.
+    pub fn latest(&self) -> u32 {
+        self.latest
+    }
+
+    /// Returns the steps of the branch that ends at a vertex, the last one first.
+    pub fn branch(&self, vertex: u32) -> impl Iterator<Item = &Step> + Clone {
+        let node = |number: u32| Some(number).zip(self.nodes.get(number.checked_sub(1)? as usize));
+        std::iter::successors(node(vertex), move |(_, before)| node(before.parent)).map(|(_, node)| &node.step)
+    }
+
+    /// Adds a vertex to the current branch.
+    pub fn vertex(&mut self, vertex: Vertex) {
+        let step = Step { vertex, continuation: None };
+        self.nodes.push(StepNode { step, parent: self.latest, repeats: 0 });
+        self.latest = self.nodes.len() as u32;
+    }
+
+    /// Records how the current branch leaves its latest vertex ([`Recorder::leave`]).
+    pub fn leave(&mut self, continuation: Continuation) {
+        if let Some(leaving) = &mut self.leaving {
+            *leaving = Some(continuation);
+        } else if let Some(last) = (self.latest as usize).checked_sub(1).and_then(|index| self.nodes.get_mut(index)) {
+            last.step.continuation = Some(continuation);
+        }
+    }
+
+    /// Begins a branch ([`Recorder::begin_branch`]).
+    pub fn begin_branch(&mut self) {
+        self.leaving = Some(None);
+    }
+
+    /// Ends the description of a branch ([`Recorder::end_branch`]).
+    pub fn end_branch(&mut self, waits: bool) {
+        let leaving = self.leaving.take().flatten();
+        if waits {
+            self.waiting.push((self.latest, leaving));
+        }
+    }
+
+    /// Continues the latest branch that waits ([`Recorder::resume_branch`]). Its vertex is repeated.
+    pub fn resume_branch(&mut self) {
+        let Some((number, continuation)) = self.waiting.pop() else { return };
+        let Some(index) = (number as usize).checked_sub(1) else { return };
+        let StepNode { step, parent, repeats } = self.nodes[index];
+        let step = Step { continuation, ..step };
+        self.nodes.push(StepNode { step, parent, repeats: if repeats == 0 { number } else { repeats } });
+        self.latest = self.nodes.len() as u32;
+    }
+}
+
 /// Recorder that keeps all events of one sample until the next sample begins.
 #[derive(Clone, Debug, Default)]
 pub struct Recording {
-    /// Vertices in order.
-    pub steps: Vec<Step>,
-    /// Contributions in order, each with the number of vertices of the path up to then.
-    pub contributions: Vec<(Contribution, usize)>,
+    /// Vertices.
+    pub steps: StepTree,
+    /// Contributions in order, each with the number of the latest vertex of its branch.
+    pub contributions: Vec<(Contribution, u32)>,
 }
 
 impl Recorder for Recording {
@@ -250,23 +351,33 @@ impl Recorder for Recording {
     }
 
     fn vertex(&mut self, vertex: impl FnOnce() -> Vertex) {
-        self.steps.push(Step { vertex: vertex(), continuation: None });
+        self.steps.vertex(vertex());
     }
 
     fn leave(&mut self, continuation: Continuation) {
-        if let Some(step) = self.steps.last_mut() {
-            step.continuation = Some(continuation);
-        }
+        self.steps.leave(continuation);
     }
 
     fn contribution(&mut self, contribution: impl FnOnce() -> Contribution) {
         let contribution = contribution();
         if contribution.color != Rgb::ZERO {
-            self.contributions.push((contribution, self.steps.len()));
+            self.contributions.push((contribution, self.steps.latest()));
         }
     }
 
     fn occluded(&mut self, _: impl FnOnce() -> Ray) {}
+
+    fn begin_branch(&mut self) {
+        self.steps.begin_branch();
+    }
+
+    fn end_branch(&mut self, waits: bool) {
+        self.steps.end_branch(waits);
+    }
+
+    fn resume_branch(&mut self) {
+        self.steps.resume_branch();
+    }
 
     fn terminate(&mut self, _: Termination) {}
 
@@ -274,10 +385,10 @@ impl Recorder for Recording {
 }
 
 impl Recording {
-    /// Returns the vertex from which a path with this number of vertices reached a lamp: the last one that it did not go straight
+    /// Returns the vertex from which the branch that ends at a vertex reached a lamp: the last one that it did not go straight
     /// through. `None`: it came from the camera.
-    pub fn last_scattering(&self, vertices: usize) -> Option<&Step> {
-        self.steps[..vertices].iter().rev().find(|step| step.interaction() != InteractionKind::Straight)
+    pub fn last_scattering(&self, vertex: u32) -> Option<&Step> {
+        self.steps.branch(vertex).find(|step| step.interaction() != InteractionKind::Straight)
     }
 }
 
@@ -332,6 +443,18 @@ impl<A: Recorder, B: Recorder> Recorder for RecorderPair<A, B> {
 
     fn contribution(&mut self, contribution: impl FnOnce() -> Contribution) {
         record_both(self, contribution, |it, found| it.contribution(|| found), |it, found| it.contribution(|| found));
+    }
+
+    fn begin_branch(&mut self) {
+        record_both(self, || (), |it, ()| it.begin_branch(), |it, ()| it.begin_branch());
+    }
+
+    fn end_branch(&mut self, waits: bool) {
+        record_both(self, || waits, |it, waits| it.end_branch(waits), |it, waits| it.end_branch(waits));
+    }
+
+    fn resume_branch(&mut self) {
+        record_both(self, || (), |it, ()| it.resume_branch(), |it, ()| it.resume_branch());
     }
 
     fn terminate(&mut self, termination: Termination) {

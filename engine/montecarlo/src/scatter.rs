@@ -141,7 +141,10 @@ impl<R: Recorder> Tracer<'_, R> {
         for copy in 1..copies {
             let mut branch = *path;
             let numbers = numbers.of_copy(copy, copies);
-            if self.continue_path::<MEDIA, RECORD_ALL>(&mut branch, from, numbers, true).is_continue() {
+            record!(self.recorder.begin_branch());
+            let waits = self.continue_path::<MEDIA, RECORD_ALL>(&mut branch, from, numbers, true).is_continue();
+            record!(self.recorder.end_branch(waits));
+            if waits {
                 branch.stream = path.stream.branch(u64::from(path.rays) << 32 | u64::from(copy));
                 self.pending.push(branch);
             }

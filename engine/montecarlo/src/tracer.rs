@@ -233,6 +233,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                 }
                 let Some(branch) = self.pending.pop() else { break };
                 path = branch;
+                record!(self.recorder.resume_branch());
                 // Light that the branch hits with its next ray is weighted against the lights at its latest vertex.
                 if let SegmentOrigin::Surface { light_context, .. } = &path.previous.origin {
                     self.scene.lights.weigh(light_context, &mut self.surface_weights);

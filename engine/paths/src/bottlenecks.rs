@@ -209,14 +209,14 @@ pub fn weighted_paths(all: &LightStatistics) -> Vec<WeightedPath<'_>> {
 /// Returns the part that scattered the light.
 pub fn scattering_part(path: &LightPath, light: &LightRecord) -> ScenePart {
     let volume = |material| ScenePart { material, interaction: Some(InteractionKind::Volume), ..ScenePart::default() };
-    let vertices = &path.intersections[..path.intersections.len().min(light.vertex as usize)];
+    let mut vertices = path.branch(light.vertex.min(path.intersections.len() as u32));
     let vertex = match light.technique {
         // Airlight was scattered on the segment after the vertex.
         LightTechnique::Airlight => return volume(light.medium),
         LightTechnique::Glow => return volume(light.light),
         LightTechnique::CameraNextEvent => None,
-        LightTechnique::EmitterHit => vertices.iter().rev().find(|it| it.interaction != InteractionKind::Straight),
-        LightTechnique::NextEvent | LightTechnique::Field => vertices.last(),
+        LightTechnique::EmitterHit => vertices.find(|it| it.interaction != InteractionKind::Straight),
+        LightTechnique::NextEvent | LightTechnique::Field => vertices.next(),
     };
     vertex.map(ScenePart::from_intersection).unwrap_or_default()
 }
@@ -263,8 +263,9 @@ impl Bottlenecks {
             self.parts.entry(grouping.group(ScenePart::from_intersection(it))).or_default().merge(&evidence);
             self.total.merge(&evidence);
         };
-        for (number, it) in (1..).zip(&path.intersections) {
-            let deep = if number < DEEP_PATH_DEPTH { 0.0 } else { weight * greatest(it) };
+        let levels = path.levels();
+        for (&level, it) in levels.iter().zip(&path.intersections) {
+            let deep = if level < DEEP_PATH_DEPTH { 0.0 } else { weight * greatest(it) };
             add(
                 it,
                 PartStatistics {
@@ -276,7 +277,9 @@ impl Bottlenecks {
             );
         }
         if let Some(first) = path.intersections.iter().find(|it| it.interaction != InteractionKind::Straight) {
-            let left = path.intersections.get(DEEP_PATH_DEPTH as usize - 1).map_or(0.0, greatest);
+            // All branches together.
+            let deep = levels.iter().zip(&path.intersections).filter(|(level, _)| **level == DEEP_PATH_DEPTH);
+            let left = deep.map(|(_, it)| greatest(it)).sum();
             add(
                 first,
                 PartStatistics {

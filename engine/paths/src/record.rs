@@ -184,20 +184,20 @@ numbered! {
     Field = "field",
 }
 
-/// One sample of a pixel: a light path from the camera.
+/// One sample of a pixel: a light path from the camera, with the branches into which it was split.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LightPath {
     /// Key of the sample.
     pub key: PathKey,
     /// Contribution of the sample to its pixel, cd/m2 by channel; finite, not negative.
     pub radiance: [f32; 3],
-    /// Throughput of the path at its end, 0 if nothing is left; finite, not negative.
+    /// Throughput of the longest branch at its end, 0 if nothing is left; finite, not negative.
     pub throughput: [f32; 3],
-    /// Number of its intersections, including those past [`MAX_INTERSECTIONS`].
+    /// Number of intersections of its longest branch, including those past [`MAX_INTERSECTIONS`].
     pub depth: u32,
-    /// Reason why the path ended.
+    /// Reason why the longest branch ended.
     pub end: PathEnd,
-    /// First intersections of the path, in order from the camera.
+    /// First intersections of the path, in order from the camera, branch by branch.
     pub intersections: Vec<Intersection>,
     /// First light contributions of the path, in the order in which they were found.
     pub lights: Vec<LightRecord>,
@@ -211,11 +211,13 @@ pub const MAX_LIGHTS: usize = 1023;
 /// A vertex of a path: a surface or a point in a medium.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Intersection {
+    /// Number, from 1, of the intersection before it on its branch; 0: the camera.
+    pub parent: u32,
     /// Index of the path segment that ends there, 0: the camera's. Surfaces that a segment goes straight through share its index.
     pub bounce: u32,
     /// Position, world, m; finite.
     pub position: [f64; 3],
-    /// Radiance that leaves the intersection along the path, by the light that the path found there and later, cd/m2. This is its
+    /// Radiance that leaves the intersection along the path, by the light that all its branches found there and later, cd/m2. This is its
     /// part of the sample without the throughput on arrival. Finite, not negative.
     pub radiance: [f32; 3],
     /// Throughput of the path on arrival; finite, not negative.
@@ -224,15 +226,17 @@ pub struct Intersection {
     pub object: Name,
     /// Material or medium.
     pub material: Name,
-    /// Interaction with which the path continued.
+    /// Interaction with which the path continued: its first branch, if it was split there.
     pub interaction: InteractionKind,
 }
 
 /// A light contribution at a vertex of a path, possibly occluded.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LightRecord {
-    /// Number of the path's intersections up to then; 0: at the camera.
+    /// Number, from 1, of the latest intersection of its branch; 0: at the camera.
     pub vertex: u32,
+    /// Number of the path's intersections up to then, of all branches.
+    pub order: u32,
     /// Lamp, or the medium that emits. None for the light of a first pass.
     pub light: Name,
     /// Medium that scattered the lamp's light into the segment ([`LightTechnique::Airlight`]), else none.
@@ -256,18 +260,27 @@ impl LightPath {
     /// - `includes_emission`: whether the last lamp hit before an intersection was counted lies at that intersection itself, so
     ///   that its light is included.
     pub fn outgoing_radiance(&self, includes_emission: impl Fn(usize) -> bool) -> Vec<[f32; 3]> {
-        let (mut sum, mut earlier) = ([0f32; 3], &self.lights[..]);
+        let mut earlier = &self.lights[..];
+        // Light of each intersection and of those after it.
+        let mut sums = vec![[0f32; 3]; self.intersections.len()];
         let mut outgoing = vec![[0f32; 3]; self.intersections.len()];
         for (index, (it, sent)) in self.intersections.iter().zip(&mut outgoing).enumerate().rev() {
             while let Some((light, before)) = earlier.split_last()
-                && light.vertex as usize > index
+                && light.order as usize > index
             {
-                sum = add_rgb(sum, light.radiance);
+                // Light of an intersection that is not recorded counts for the last one that is.
+                if let Some(vertex) = (light.vertex as usize).min(sums.len()).checked_sub(1) {
+                    sums[vertex] = add_rgb(sums[vertex], light.radiance);
+                }
                 earlier = before;
             }
-            let mut here = earlier.iter().rev().take_while(|light| light.vertex as usize == index);
+            let mut here = earlier.iter().rev().take_while(|light| light.order as usize == index);
             let own =
                 here.find(|light| light.technique == LightTechnique::EmitterHit).filter(|_| includes_emission(index));
+            let sum = sums[index];
+            if let Some(parent) = (it.parent as usize).checked_sub(1).filter(|parent| *parent < index) {
+                sums[parent] = add_rgb(sums[parent], sum);
+            }
             let all = own.map_or(sum, |own| add_rgb(sum, own.radiance));
             *sent = std::array::from_fn(|channel| {
                 let (light, factor) = (all[channel], it.throughput[channel]);
@@ -275,6 +288,23 @@ impl LightPath {
             });
         }
         outgoing
+    }
+
+    /// Returns the recorded intersections of the branch that ends at an intersection, the last one first.
+    /// - `number`: number of the intersection, from 1; 0: the camera.
+    pub fn branch(&self, number: u32) -> impl Iterator<Item = &Intersection> + Clone {
+        let at = |number: u32| self.intersections.get(number.checked_sub(1)? as usize);
+        std::iter::successors(at(number), move |it| at(it.parent))
+    }
+
+    /// Returns the numbers of intersections from the camera to each intersection, itself included.
+    pub fn levels(&self) -> Vec<u32> {
+        let mut levels = Vec::<u32>::with_capacity(self.intersections.len());
+        for it in &self.intersections {
+            let before = (it.parent as usize).checked_sub(1).and_then(|index| levels.get(index));
+            levels.push(before.map_or(1, |before| before + 1));
+        }
+        levels
     }
 
     /// Returns the sum of its lights, cd/m2. Lights sampled from the camera are added last, as in a renderer.
@@ -315,13 +345,17 @@ impl LightPath {
             is_light(it.radiance) && is_light(it.throughput) && it.position.iter().all(|axis| axis.is_finite())
         });
         let kept = self.intersections.len();
+        let longest = self.levels().into_iter().max().unwrap_or(0);
+        let is_whole = kept < MAX_INTERSECTIONS;
+        let is_number = |number: u32| !is_whole || number as usize <= kept;
         kept <= MAX_INTERSECTIONS
             && self.lights.len() <= MAX_LIGHTS
-            && (self.depth as usize == kept || kept == MAX_INTERSECTIONS && self.depth as usize > kept)
+            && (self.depth == longest || !is_whole && self.depth > longest)
+            && (1..).zip(&self.intersections).all(|(number, it)| it.parent < number)
             && is_light(self.radiance)
             && is_light(self.throughput)
             && are_sound
-            && self.lights.iter().all(|it| is_light(it.radiance) && it.vertex <= self.depth)
+            && self.lights.iter().all(|it| is_light(it.radiance) && it.vertex <= it.order && is_number(it.order))
     }
 }
 

@@ -340,6 +340,9 @@ struct PixelNoise {
     /// Number of times that the path has left a diffuse surface, and luminance that a guide could have found.
     diffuse_bounces: u32,
     guidable: f64,
+    /// State of the path while a copy is split off, and the states of the copies that wait.
+    remaining: u32,
+    waiting: Vec<u32>,
 }
 
 impl PixelNoise {
@@ -379,6 +382,21 @@ impl Recorder for PixelNoise {
         if self.diffuse_bounces > before {
             self.guidable += f64::from(luminance(contribution.color));
         }
+    }
+
+    fn begin_branch(&mut self) {
+        self.remaining = self.diffuse_bounces;
+    }
+
+    fn end_branch(&mut self, waits: bool) {
+        if waits {
+            self.waiting.push(self.diffuse_bounces);
+        }
+        self.diffuse_bounces = self.remaining;
+    }
+
+    fn resume_branch(&mut self) {
+        self.diffuse_bounces = self.waiting.pop().unwrap_or_default();
     }
 
     fn terminate(&mut self, _: Termination) {}

@@ -95,15 +95,15 @@ impl Lamps {
 }
 
 impl ContributionOrigin {
-    /// Returns the origin of a contribution to a sample. `vertices`: number of vertices of the path up to then.
+    /// Returns the origin of a contribution to a sample. `vertex`: number of the latest vertex of its branch.
     pub fn new(
         prepared: &Prepared,
         lamps: &Lamps,
         recording: &Recording,
         contribution: &Contribution,
-        vertices: usize,
+        vertex: u32,
     ) -> Self {
-        let source = recording.last_scattering(vertices);
+        let source = recording.last_scattering(vertex);
         let before = source.map_or(LastScatterer::Camera, |step| scatterer(prepared, step.vertex.location));
         let in_medium = contribution.medium.map_or(before, LastScatterer::Medium);
         let (kind, last_scatterer) = match contribution.technique {
@@ -123,11 +123,8 @@ impl ContributionOrigin {
         let lamp = contribution.light.and_then(|light| lamps.lamp_of_light.get(light as usize).copied());
         let guided = |step: &Step| step.continuation.is_some_and(|continuation| continuation.is_guide_sample);
         // The direction in which the path leaves a vertex does not affect a lamp that was sampled there.
-        let left = vertices.saturating_sub(usize::from(matches!(
-            contribution.technique,
-            LightTechnique::NextEvent | LightTechnique::Field
-        )));
-        let guided = recording.steps[..left].iter().any(guided);
+        let not_left = matches!(contribution.technique, LightTechnique::NextEvent | LightTechnique::Field);
+        let guided = recording.steps.branch(vertex).skip(usize::from(not_left)).any(guided);
         Self { bounce: contribution.bounce, technique: kind, guided, scatterer: last_scatterer, lamp }
     }
 }
@@ -271,8 +268,8 @@ impl PixelReplay {
         for sample in 0..ends.max().unwrap_or(0) {
             let (color, recording) = replay.sample(pixel, sample);
             colors.push(color);
-            for (contribution, vertices) in &recording.contributions {
-                let origin = ContributionOrigin::new(prepared, lamps, recording, contribution, *vertices);
+            for (contribution, vertex) in &recording.contributions {
+                let origin = ContributionOrigin::new(prepared, lamps, recording, contribution, *vertex);
                 parts.push((sample, origin, f64::from(luminance(contribution.color))));
             }
         }

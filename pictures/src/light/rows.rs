@@ -60,9 +60,9 @@ impl RowTable {
         for row in rows {
             let Row { path, number, .. } = row;
             let first_rows = [all.intersections.len(), all.lights.len()];
-            let intersections = (0u32..).zip(source.rows(&INTERSECTION_ATTRIBUTES, row));
-            all.intersections.extend(intersections.map(|(index, values)| {
-                let parent = index.checked_sub(1).unwrap_or(NO_RECORD);
+            let intersections = path.intersections.iter().zip(source.rows(&INTERSECTION_ATTRIBUTES, row));
+            all.intersections.extend(intersections.map(|(it, values)| {
+                let parent = it.parent.checked_sub(1).unwrap_or(NO_RECORD);
                 RecordValues { values, parent }
             }));
             let lights = path.lights.iter().zip(source.rows(&LIGHT_ATTRIBUTES, row));

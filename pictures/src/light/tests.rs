@@ -43,6 +43,7 @@ fn path(key: PathKey) -> LightPath {
     let lights: Vec<LightRecord> = (0..=depth)
         .map(|vertex| LightRecord {
             vertex,
+            order: vertex,
             light: lamp,
             medium: Name::NONE,
             radiance: if draw(vertex + 1) < 100 { [0.0; 3] } else { [draw(vertex) as f32, 2.0, 1.0] },
@@ -54,6 +55,7 @@ fn path(key: PathKey) -> LightPath {
         [sum[0] + light.radiance[0], sum[1] + light.radiance[1], sum[2] + light.radiance[2]]
     });
     let intersection = |bounce: u32| Intersection {
+        parent: bounce,
         bounce,
         position: [f64::from(draw(bounce)) / 64.0, f64::from(draw(2)) / 128.0, 0.5],
         radiance: [f32::from(bounce as u8), 1.0, draw(3) as f32],

@@ -146,6 +146,7 @@ pub fn intersection_columns<'a>() -> Vec<Column<IntersectionRow<'a>>> {
         column("frame", "frame", Count, Comparing, |row| number(row.statistics.scope.frame)),
         column("path", "path", Count, Everyone, |row| number(row.number)),
         column("vertex", "vertex", Count, Everyone, |row| Cell::Count(row.item.0 as u64 + 1)),
+        column("parent", "parent", Count, Programs, |row| number(row.item.1.parent)),
         column("bounce", "bounce", Count, Everyone, |row| number(row.item.1.bounce)),
         column("x", "x m", Number, Everyone, |row| Cell::Real(row.item.1.position[0])),
         column("y", "y", Number, Everyone, |row| Cell::Real(row.item.1.position[1])),

@@ -273,17 +273,18 @@ impl Names<'_> {
     fn brightest(&self, frame: &Frame, origin: &ContributionOrigin, it: &BrightestContribution) -> BrightestReport {
         let mut replay = Replay::new(self.prepared, &frame.settings);
         let (_, recording) = replay.sample(it.pixel, it.sample);
-        let is_it = |entry: &&(_, usize)| {
+        let is_it = |entry: &&(_, u32)| {
             ContributionOrigin::new(self.prepared, self.lamps, recording, &entry.0, entry.1) == *origin
         };
         let luminance = |color| f64::from(femc_pipeline::variance_attribution::luminance(color));
         let found = recording.contributions.iter().filter(is_it);
         let found = found.max_by(|a, b| luminance(a.0.color).total_cmp(&luminance(b.0.color)));
         let vertex = |on, position| VertexReport { on, position: self.prepared.to_world(position) };
-        let path = found.map(|(contribution, vertices)| {
-            let steps = recording.steps[..*vertices].iter().map(|step| step.vertex);
+        let path = found.map(|(contribution, last)| {
+            let steps = recording.steps.branch(*last).map(|step| step.vertex);
             let mut path: Vec<VertexReport> =
                 steps.map(|it| vertex(self.scatterer(scatterer(self.prepared, it.location)), it.position)).collect();
+            path.reverse();
             if !matches!(origin.technique, ContributionKind::NextEvent | ContributionKind::Glow) {
                 let end = if origin.technique == ContributionKind::Airlight {
                     self.scatterer(origin.scatterer)

@@ -4,7 +4,7 @@
 //! | bytes | what |
 //! | --- | --- |
 //! | 8 | `FEMCPATH` |
-//! | 4 | format version, 3 |
+//! | 4 | format version, 4; 3 is read, too |
 //! | 16 | BLAKE3 of everything after this field, first half |
 //! | 4 | version of the attributes and their bins ([`schema`]) |
 //! | 8 | seed |
@@ -46,7 +46,9 @@ use std::collections::BTreeMap;
 use std::io::Read;
 
 const MAGIC: &[u8; 8] = b"FEMCPATH";
-const VERSION: u32 = 3;
+const VERSION: u32 = 4;
+/// Version without branches of paths.
+const VERSION_WITHOUT_BRANCHES: u32 = 3;
 const CHECKSUM: usize = 16;
 const PREFIX: usize = MAGIC.len() + 4 + CHECKSUM;
 /// Maximum number of bytes of all tables: 4 GiB. A film of 8192 x 4320 pixels needs 2.4 GiB.
@@ -153,9 +155,9 @@ impl LightStatistics {
             return Err(PathsError::Corrupt("wrong magic number"));
         }
         let mut front = HeaderReader(&prefix[MAGIC.len()..]);
-        let found = front.word()?;
-        if found != VERSION {
-            return Err(PathsError::Version { found, expected: VERSION });
+        let version = front.word()?;
+        if ![VERSION_WITHOUT_BRANCHES, VERSION].contains(&version) {
+            return Err(PathsError::Version { found: version, expected: VERSION });
         }
         if blake3::hash(body).as_bytes()[..CHECKSUM] != *front.0 {
             return Err(PathsError::Corrupt("checksum mismatch"));
@@ -191,7 +193,7 @@ impl LightStatistics {
         let lengths = front.words()?;
         let plain = front.long()?;
         let tables = decompress(front.0, plain)?;
-        read_tables(TableReader(&tables), scope, threshold, lengths)
+        read_tables(TableReader(&tables), scope, threshold, lengths, version != VERSION_WITHOUT_BRANCHES)
     }
 }
 
@@ -220,13 +222,14 @@ fn read_tables(
     scope: Scope,
     threshold: u64,
     lengths: [u32; 7],
+    has_branches: bool,
 ) -> Result<LightStatistics, PathsError> {
     let [portions, paths, brightest, deepest, intersections, lights, names] = lengths;
     let portions = read_portions(&mut tables, portions, &scope)?;
     let names = read_names(&mut tables, names)?;
     let heads = [paths, brightest, deepest];
     let [paths, brightest, deepest] =
-        records::read_records(&mut tables, heads, [intersections, lights], &names, &scope)?;
+        records::read_records(&mut tables, heads, [intersections, lights], &names, &scope, has_branches)?;
     if !tables.0.is_empty() {
         return Err(PathsError::Corrupt("extra bytes follow the tables"));
     }

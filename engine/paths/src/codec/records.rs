@@ -4,10 +4,10 @@
 //!
 //! | table | words of a record |
 //! | --- | --- |
-//! | heads | pixel, sample, radiance: 3, predicted by the sum of the lights; throughput: 3; depth minus kept intersections; end; numbers of kept intersections and of lights |
-//! | intersections | bounce, minus that of the intersection before; place: 6; radiance: 3, predicted from the lights; throughput: 3; class; object; material |
+//! | heads | pixel, sample, radiance: 3, predicted by the sum of the lights; throughput: 3; depth minus that of the kept intersections; end; numbers of kept intersections and of lights |
+//! | intersections | bounce, minus that of the intersection before; place: 6; radiance: 3, predicted from the lights; throughput: 3; class; object; material; distance from the intersection after the parent |
 //! | places off the grid | 6 |
-//! | lights | class; vertex, minus that of the light before; lamp |
+//! | lights | class; order, minus that of the light before; lamp; order minus vertex |
 //! | occluders, of hidden lights | 1 |
 //! | radiances, of lights with radiance | 3 |
 //! | media, of light scattered in a medium | 1 |
@@ -19,6 +19,7 @@
 //! - The class of an intersection is its interaction, plus 8 if its radiance includes the light of the lamp that the path hit there
 //!   ([`LightPath::outgoing_radiance`]). Its material is 0 if it equals the material of the latest intersection with the same
 //!   object, else one more than its index among the names.
+//! - Format 3 has no branches: the last words of intersections and lights are missing and count as 0.
 //! - The class of a light is the technique that found it, plus 8 if it is hidden, plus 16 if it has radiance.
 
 use super::columns::{TableReader, join_u64, put_table, split_u64};
@@ -32,8 +33,8 @@ use std::collections::HashMap;
 use std::slice::Iter;
 
 const HEAD_WORDS: usize = 12;
-const INTERSECTION_WORDS: usize = 16;
-const LIGHT_WORDS: usize = 3;
+const INTERSECTION_WORDS: usize = 17;
+const LIGHT_WORDS: usize = 4;
 /// Marker of a coordinate that is not on the grid.
 const OFF_GRID: u64 = u64::MAX;
 /// Flag of an intersection whose radiance includes the light of the lamp hit there.
@@ -81,25 +82,27 @@ impl Columns {
         let [r, g, b] = xor_bits(path.radiance, path.sum_of_lights());
         let [s, t, u] = xor_with_first(path.throughput);
         let PathKey { pixel, sample, .. } = path.key;
-        self.heads.push([pixel, sample, r, g, b, s, t, u, path.depth.wrapping_sub(kept), path.end as u32, kept, found]);
+        let deeper = path.depth.wrapping_sub(longest_branch(path));
+        self.heads.push([pixel, sample, r, g, b, s, t, u, deeper, path.end as u32, kept, found]);
         let sent = path.outgoing_radiance(|_| false);
         let has_emitter_hit = path.lights.iter().any(|light| light.technique == LightTechnique::EmitterHit);
         let emitted = if has_emitter_hit { path.outgoing_radiance(|_| true) } else { sent.clone() };
         let mut before = 0;
-        for (it, (sent, emitted)) in path.intersections.iter().zip(sent.into_iter().zip(emitted)) {
+        for (index, (it, (sent, emitted))) in (0..).zip(path.intersections.iter().zip(sent.into_iter().zip(emitted))) {
             let emits = xor_bits(it.radiance, sent) != [0; 3] && xor_bits(it.radiance, emitted) == [0; 3];
             let (sent, class) = if emits { (emitted, EMITS) } else { (sent, 0) };
-            self.intersection(it, it.bounce.wrapping_sub(before), xor_bits(it.radiance, sent), class);
+            let bounce = it.bounce.wrapping_sub(before);
+            self.intersection(it, [bounce, u32::wrapping_sub(index, it.parent)], xor_bits(it.radiance, sent), class);
             before = it.bounce;
         }
         let mut before = 0;
         for light in &path.lights {
-            self.light(light, light.vertex.wrapping_sub(before));
-            before = light.vertex;
+            self.light(light, light.order.wrapping_sub(before));
+            before = light.order;
         }
     }
 
-    fn intersection(&mut self, it: &Intersection, bounce: u32, [r, g, b]: [u32; 3], class: u32) {
+    fn intersection(&mut self, it: &Intersection, [bounce, back]: [u32; 2], [r, g, b]: [u32; 3], class: u32) {
         let [[x, x2], [y, y2], [z, z2]] = grid_indices(it.position, self.grid).map(split_u64);
         if [x, x2] == split_u64(OFF_GRID) {
             let [[x, x2], [y, y2], [z, z2]] = it.position.map(|axis| split_u64(axis.to_bits()));
@@ -110,10 +113,10 @@ impl Columns {
         let (object, material) = (self.name_index(it.object), self.name_index(it.material));
         let latest = self.materials.insert(object, material);
         let material = if latest == Some(material) { 0 } else { 1 + material };
-        self.intersections.push([bounce, x, x2, y, y2, z, z2, r, g, b, s, t, u, class, object, material]);
+        self.intersections.push([bounce, x, x2, y, y2, z, z2, r, g, b, s, t, u, class, object, material, back]);
     }
 
-    fn light(&mut self, light: &LightRecord, vertex: u32) {
+    fn light(&mut self, light: &LightRecord, order: u32) {
         let radiance = light.radiance.map(f32::to_bits);
         let mut class = light.technique as u32;
         if let Some(occluder) = light.occluder {
@@ -127,7 +130,7 @@ impl Columns {
         if light.technique == LightTechnique::Airlight {
             self.media.push([self.name_index(light.medium)]);
         }
-        self.lights.push([class, vertex, self.name_index(light.light)]);
+        self.lights.push([class, order, self.name_index(light.light), light.order.wrapping_sub(light.vertex)]);
     }
 
     fn put(&self, out: &mut Vec<u8>) {
@@ -139,6 +142,11 @@ impl Columns {
         put_table(out, &self.radiances);
         put_table(out, &self.media);
     }
+}
+
+/// Returns the number of intersections of the longest recorded branch.
+fn longest_branch(path: &LightPath) -> u32 {
+    path.levels().into_iter().max().unwrap_or(0)
 }
 
 /// Returns the bits in which the channels differ from the predicted ones.
@@ -181,21 +189,24 @@ fn grid_coordinate(index: u64, grid: f64) -> f64 {
 
 /// Reads the records chosen by hash, the brightest and the deepest.
 /// - `heads`: number of records of each kind;
-/// - `[intersections, lights]`: numbers of intersections and lights of all records.
+/// - `[intersections, lights]`: numbers of intersections and lights of all records;
+/// - `has_branches`: whether the tables have the words of branches.
 pub(super) fn read_records(
     tables: &mut TableReader<'_>,
     heads: [u32; 3],
     [intersections, lights]: [u32; 2],
     names: &Names,
     scope: &Scope,
+    has_branches: bool,
 ) -> Result<[Records; 3], PathsError> {
     let numbers = heads;
     let heads = numbers.map(|number| number as usize).iter().try_fold(0usize, |sum, number| sum.checked_add(*number));
     let heads: Vec<[u32; HEAD_WORDS]> = tables.read_table(heads.ok_or(TRUNCATED)?)?;
-    let intersections: Vec<[u32; INTERSECTION_WORDS]> = tables.read_table(intersections as usize)?;
+    let intersections: Vec<[u32; INTERSECTION_WORDS]> =
+        read_padded::<{ INTERSECTION_WORDS - 1 }, _>(tables, intersections, has_branches)?;
     let off_grid = intersections.iter().filter(|words| join_u64([words[1], words[2]]) == OFF_GRID).count();
     let off_grid = tables.read_table(off_grid)?;
-    let lights: Vec<[u32; LIGHT_WORDS]> = tables.read_table(lights as usize)?;
+    let lights: Vec<[u32; LIGHT_WORDS]> = read_padded::<{ LIGHT_WORDS - 1 }, _>(tables, lights, has_branches)?;
     let of_class = |is: fn(u32) -> bool| lights.iter().filter(|light| is(light[0])).count();
     let occluders = tables.read_table(of_class(|class| class & OCCLUDED != 0))?;
     let radiances = tables.read_table(of_class(|class| class & LIT != 0))?;
@@ -232,6 +243,19 @@ pub(super) fn read_records(
     Ok(all)
 }
 
+/// Reads a table of records of `N` words. Without branches, its records have only the first `M`, and the last one is 0.
+fn read_padded<const M: usize, const N: usize>(
+    tables: &mut TableReader<'_>,
+    records: u32,
+    has_branches: bool,
+) -> Result<Vec<[u32; N]>, PathsError> {
+    if has_branches {
+        return tables.read_table(records as usize);
+    }
+    let short: Vec<[u32; M]> = tables.read_table(records as usize)?;
+    Ok(short.iter().map(|words| std::array::from_fn(|at| words.get(at).copied().unwrap_or(0))).collect())
+}
+
 /// Reader of the parts of the tables that are not read yet.
 struct RecordReader<'a> {
     scope: &'a Scope,
@@ -261,23 +285,24 @@ impl RecordReader<'_> {
             key: PathKey { frame: self.scope.frame, pixel, sample },
             radiance: [0.0; 3],
             throughput: color_from_xor([s, t, u]),
-            depth: deeper.wrapping_add(kept as u32),
+            depth: 0,
             end: enum_from_number(PathEnd::ALL, end)?,
             intersections: Vec::with_capacity(kept.min(self.intersections.len())),
             lights: Vec::with_capacity(found.min(self.lights.len())),
         };
-        let (mut bounce, mut vertex) = (0, 0);
+        let (mut bounce, mut order) = (0, 0);
         // Differences from the predicted radiances, and the flags of emission.
         let mut differences = Vec::with_capacity(path.intersections.capacity());
-        for _ in 0..kept {
-            let (it, difference) = self.intersection(&mut bounce)?;
+        for index in 0..kept as u32 {
+            let (it, difference) = self.intersection(index, &mut bounce)?;
             path.intersections.push(it);
             differences.push(difference);
         }
         for _ in 0..found {
-            let light = self.light(&mut vertex)?;
+            let light = self.light(&mut order)?;
             path.lights.push(light);
         }
+        path.depth = deeper.wrapping_add(longest_branch(&path));
         path.radiance = apply_xor(path.sum_of_lights(), [r, g, b]);
         let sent = path.outgoing_radiance(|index| differences[index].1);
         for (it, (sent, (difference, _))) in path.intersections.iter_mut().zip(sent.into_iter().zip(&differences)) {
@@ -286,8 +311,8 @@ impl RecordReader<'_> {
         if path.is_valid() { Ok(path) } else { Err(OUT_OF_RANGE) }
     }
 
-    fn intersection(&mut self, latest: &mut u32) -> Result<(Intersection, ([u32; 3], bool)), PathsError> {
-        let &[bounce, x, x2, y, y2, z, z2, r, g, b, s, t, u, class, object, material] =
+    fn intersection(&mut self, index: u32, latest: &mut u32) -> Result<(Intersection, ([u32; 3], bool)), PathsError> {
+        let &[bounce, x, x2, y, y2, z, z2, r, g, b, s, t, u, class, object, material, back] =
             self.intersections.next().ok_or(TRUNCATED)?;
         *latest = latest.wrapping_add(bounce);
         let places = [[x, x2], [y, y2], [z, z2]].map(join_u64);
@@ -304,6 +329,7 @@ impl RecordReader<'_> {
         };
         self.materials.insert(object, material);
         let it = Intersection {
+            parent: index.checked_sub(back).ok_or(OUT_OF_RANGE)?,
             bounce: *latest,
             position,
             radiance: [0.0; 3],
@@ -316,8 +342,9 @@ impl RecordReader<'_> {
     }
 
     fn light(&mut self, latest: &mut u32) -> Result<LightRecord, PathsError> {
-        let &[class, vertex, light] = self.lights.next().ok_or(TRUNCATED)?;
-        *latest = latest.wrapping_add(vertex);
+        let &[class, order, light, back] = self.lights.next().ok_or(TRUNCATED)?;
+        *latest = latest.wrapping_add(order);
+        let vertex = latest.checked_sub(back).ok_or(OUT_OF_RANGE)?;
         let found = enum_from_number(LightTechnique::ALL, class & !(OCCLUDED | LIT))?;
         let occluder = match class & OCCLUDED {
             0 => None,
@@ -337,7 +364,8 @@ impl RecordReader<'_> {
             }
             _ => Name::NONE,
         };
-        Ok(LightRecord { vertex: *latest, light: self.name(light)?, medium, radiance, occluder, technique: found })
+        let light = self.name(light)?;
+        Ok(LightRecord { vertex, order: *latest, light, medium, radiance, occluder, technique: found })
     }
 }
 

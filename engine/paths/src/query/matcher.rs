@@ -345,8 +345,14 @@ impl ResolvedCondition {
                 quantity.holds(lights.map(holds))
             }),
             Self::Sequence(objects) => {
-                let mut later = path.intersections.iter();
-                objects.iter().all(|set| later.any(|it| set.contains(it.object)))
+                // Number of objects in this order on the branch up to each intersection.
+                let mut visited = Vec::<usize>::with_capacity(path.intersections.len());
+                for it in &path.intersections {
+                    let before = (it.parent as usize).checked_sub(1).map_or(0, |parent| visited[parent]);
+                    let is_next = objects.get(before).is_some_and(|set| set.contains(it.object));
+                    visited.push(before + usize::from(is_next));
+                }
+                objects.is_empty() || visited.contains(&objects.len())
             }
             Self::InBox([low, high]) => context
                 .intersection()

@@ -1,6 +1,6 @@
 //! Tests of the sources of noise and long paths.
 
-use crate::synthetic::{self, OBJECTS, merge_parts, scope, tasks};
+use crate::synthetic::{self, OBJECTS, leads_through, merge_parts, scope, tasks};
 use femc_paths::bottlenecks::{Bottlenecks, Grouping, PartStatistics, ScenePart, scattering_part, weighted_paths};
 use femc_paths::pixels::PixelMaps;
 use femc_paths::statistics::{DEEP_PATH_DEPTH, LightStatistics, Scope};
@@ -99,8 +99,12 @@ fn the_deep_throughput_is_what_arrives_late() {
     let found = Bottlenecks::from_statistics(&whole, Grouping::Part);
     let share = whole.share();
     let late = |path: &LightPath| {
-        let arriving = path.intersections.iter().skip(DEEP_PATH_DEPTH as usize - 1);
-        arriving.map(|it| f64::from(it.throughput.into_iter().fold(0.0, f32::max))).sum::<f64>()
+        let before = |index: usize| (0..index).filter(|other| leads_through(path, index, *other)).count();
+        let arriving = (0..path.intersections.len()).filter(|index| before(*index) + 1 >= DEEP_PATH_DEPTH as usize);
+        arriving
+            .map(|index| &path.intersections[index])
+            .map(|it| f64::from(it.throughput.into_iter().fold(0.0, f32::max)))
+            .sum::<f64>()
     };
     let recorded: f64 = whole.paths.values().map(late).sum();
     assert!((found.total.deep_throughput - recorded / share).abs() < 1e-6 * found.total.deep_throughput);

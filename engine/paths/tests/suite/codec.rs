@@ -26,6 +26,22 @@ fn statistics_round_trip_bit_exactly_through_bytes() {
     }
 }
 
+/// A file of a program that did not split paths: 4 x 3 pixels of `scenes/cornell-fog.mgf`, 2 samples each.
+#[test]
+fn files_of_format_3_are_read_as_paths_without_branches() {
+    let bytes = include_bytes!("../data/format-3.paths");
+    let old = LightStatistics::decode(bytes).unwrap_or_else(|e| panic!("{e}"));
+    assert_eq!(old.paths.len(), 24);
+    for path in old.paths.values() {
+        assert!(path.is_valid() && path.depth as usize == path.intersections.len());
+        assert!((0..).zip(&path.intersections).all(|(index, it)| it.parent == index));
+        assert!(path.lights.iter().all(|light| light.vertex == light.order));
+        let sum: f32 = path.lights.iter().map(|light| light.radiance[1]).sum();
+        assert!((sum - path.radiance[1]).abs() <= 1e-5 * sum, "{sum} {path:?}");
+    }
+    assert_eq!(LightStatistics::decode(&old.encode()).as_ref(), Ok(&old));
+}
+
 #[test]
 fn any_damage_is_an_error() {
     let bytes = task(&scope(20), 1, 0..2).encode();
@@ -36,8 +52,8 @@ fn any_damage_is_an_error() {
         assert!(LightStatistics::decode(&bytes[..at]).is_err(), "the first {at} bytes");
     }
     let mut newer = bytes.clone();
-    newer[8] = 4;
-    assert_eq!(LightStatistics::decode(&newer), Err(PathsError::Version { found: 4, expected: 3 }));
+    newer[8] = 5;
+    assert_eq!(LightStatistics::decode(&newer), Err(PathsError::Version { found: 5, expected: 4 }));
     let mut bins = bytes.clone();
     bins[28] = 9;
     assert_eq!(LightStatistics::decode(&with_checksum(bins)), Err(PathsError::Schema { found: 9, expected: 1 }));

@@ -1,6 +1,6 @@
 //! Tests of queries for paths.
 
-use crate::synthetic::{merge_parts, scope, tasks};
+use crate::synthetic::{leads_through, merge_parts, scope, tasks};
 use femc_paths::query::{Condition, Query, QueryError, Selection};
 use femc_paths::{
     InteractionKind, Intersection, LightPath, LightRecord, LightStatistics, Name, NameKind, PathEnd, PathKey,
@@ -76,7 +76,7 @@ fn objects_come_one_after_the_other_and_a_box_has_what_is_in_it() {
     let query = Query { objects: vec!["plant".into(), "room.wall".into()], ..Query::default() };
     let expected = all.paths.values().filter(|path| {
         let (plants, walls) = (on(path, "plant"), on(path, "room.wall"));
-        plants.first().is_some_and(|plant| walls.iter().any(|wall| wall > plant))
+        plants.iter().any(|plant| walls.iter().any(|wall| leads_through(path, *wall, *plant)))
     });
     assert!(matching_paths(&all, &query).iter().map(|(path, _)| *path).eq(expected));
     let within = Some([[0.0, 0.0, 0.0], [1.0, 3.0, 1.0]]);

@@ -1,6 +1,6 @@
 //! Tests of selections of recorded paths. Expected values come from loops over the records.
 
-use crate::synthetic::{OBJECTS, merge_parts, path, scope, task, tasks, tiles};
+use crate::synthetic::{OBJECTS, leads_through, merge_parts, path, scope, task, tasks, tiles};
 use femc_paths::attribute::{ATTRIBUTE_COUNTS, intersection_bins, light_bins, path_bins};
 use femc_paths::histogram::Table;
 use femc_paths::octree::Root;
@@ -140,9 +140,11 @@ const PLAIN: [(&str, Holds); 13] = [
             && lights.find(|light| luminance(light.radiance) == brightest).is_some_and(|it| it.light == lamp("lamp b"))
     }),
     ("room.wall then plant", |it| {
-        let wall = it.path.intersections.iter().position(|it| it.object == object("room.wall"));
-        let plant = it.path.intersections.iter().rposition(|it| it.object == object("plant"));
-        wall.is_some() && plant > wall
+        let on = |name: &'static str| {
+            let all = it.path.intersections.iter().enumerate();
+            all.filter(move |(_, it)| it.object == object(name)).map(|(index, _)| index)
+        };
+        on("plant").any(|plant| on("room.wall").any(|wall| leads_through(it.path, plant, wall)))
     }),
 ];
 

@@ -47,13 +47,29 @@ impl PathRandom {
     }
 }
 
+/// Checks whether the way from the camera to an intersection leads through another one, by their indices.
+pub(crate) fn leads_through(path: &LightPath, mut to: usize, through: usize) -> bool {
+    while let Some(before) = (path.intersections[to].parent as usize).checked_sub(1) {
+        if before == through {
+            return true;
+        }
+        to = before;
+    }
+    false
+}
+
 pub(crate) fn path(scope: &Scope, key: PathKey) -> LightPath {
     let mut rolls = PathRandom(combine(&[SEED, u64::from(key.frame), u64::from(key.pixel), u64::from(key.sample)]));
     let (x, y) = (key.pixel % scope.film[0], key.pixel / scope.film[0]);
-    let depth = (-ln(rolls.next().max(1e-6)) * 3.0) as u32;
+    let count = (-ln(rolls.next().max(1e-6)) * 3.0) as u32;
+    // One in four paths is split: some of its intersections follow an earlier one.
+    let hash = |number: u32| combine(&[SEED, 2, u64::from(key.pixel), u64::from(key.sample), u64::from(number)]) as u32;
+    let is_branched = hash(0) % 4 == 0;
+    let parents: Vec<u32> =
+        (0..count).map(|bounce| if is_branched && bounce >= 2 { 1 + hash(bounce) % bounce } else { bounce }).collect();
     let mut throughput = [1.0f32; 3];
     let (mut intersections, mut lights) = (Vec::new(), Vec::new());
-    for bounce in 0..depth {
+    for bounce in 0..count {
         let part = [x as f64 / scope.film[0] as f64, y as f64 / scope.film[1] as f64, 0.5];
         let spread = f64::from(bounce) / 4.0;
         let position = std::array::from_fn(|axis| {
@@ -64,6 +80,7 @@ pub(crate) fn path(scope: &Scope, key: PathKey) -> LightPath {
         let ways =
             [InteractionKind::Diffuse, InteractionKind::Glossy, InteractionKind::Reflection, InteractionKind::Volume];
         intersections.push(Intersection {
+            parent: parents[bounce as usize],
             bounce,
             position,
             radiance: [rolls.next() * 30.0, rolls.next() * 20.0, rolls.next() * 10.0],
@@ -73,7 +90,9 @@ pub(crate) fn path(scope: &Scope, key: PathKey) -> LightPath {
             interaction: ways[rolls.below(4) as usize],
         });
         lights.push(LightRecord {
-            vertex: bounce + 1,
+            // Light of the segment that leads here belongs to the intersection before.
+            vertex: if is_branched && bounce % 2 == 0 { parents[bounce as usize] } else { bounce + 1 },
+            order: if is_branched && bounce % 2 == 0 { bounce } else { bounce + 1 },
             light: Name::new(NameKind::Lamp, ["lamp a", "lamp b"][rolls.below(2) as usize]),
             medium: Name::NONE,
             radiance: [rolls.next(); 3],
@@ -84,7 +103,7 @@ pub(crate) fn path(scope: &Scope, key: PathKey) -> LightPath {
     }
     let bright = if rolls.next() < 0.002 { 5e4 } else { 1.0 };
     let radiance = throughput.map(|factor| factor * bright * (1.0 + x as f32) * -ln(rolls.next().max(1e-6)));
-    let end = if depth == 0 {
+    let end = if count == 0 {
         PathEnd::Escaped
     } else {
         [PathEnd::Absorbed, PathEnd::Roulette, PathEnd::Depth][rolls.below(3) as usize]
@@ -92,8 +111,10 @@ pub(crate) fn path(scope: &Scope, key: PathKey) -> LightPath {
     // The lights' parts add up to the sample. A path without intersections has no radiance.
     let parts: f32 = lights.iter().map(|it: &LightRecord| it.radiance[0]).sum();
     lights.iter_mut().for_each(|it| it.radiance = radiance.map(|all| all * it.radiance[0] / parts));
-    let radiance = if depth == 0 { [0.0; 3] } else { radiance };
-    LightPath { key, radiance, throughput, depth, end, intersections, lights }
+    let radiance = if count == 0 { [0.0; 3] } else { radiance };
+    let mut path = LightPath { key, radiance, throughput, depth: 0, end, intersections, lights };
+    path.depth = path.levels().into_iter().max().unwrap_or(0);
+    path
 }
 
 /// Checks whether a sample is invalid. A few samples are.

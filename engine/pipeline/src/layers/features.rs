@@ -189,6 +189,12 @@ impl Recorder for FeatureRecorder<'_> {
 
     fn vertex(&mut self, _: impl FnOnce() -> Vertex) {}
 
+    fn begin_branch(&mut self) {}
+
+    fn end_branch(&mut self, _: bool) {}
+
+    fn resume_branch(&mut self) {}
+
     fn leave(&mut self, _: Continuation) {}
 
     fn occluded(&mut self, _: impl FnOnce() -> Ray) {}

@@ -52,18 +52,43 @@ struct PixelLight {
     is_lit: Vec<bool>,
 }
 
-/// Notes of a path.
+/// Notes of a path and of its branches, one after the other. Each branch repeats the events of the path before it.
 #[derive(Default)]
 struct PathNotes {
     /// Events of the path. For a surface with both kinds of scattering, the event is the diffuse one.
     events: Vec<Symbol>,
     splits: Vec<NotedSplit>,
     lights: Vec<NotedLight>,
+    /// First notes of the current branch.
+    begin: NotesPlace,
+    /// Finished branches, by their last notes.
+    ends: Vec<NotesPlace>,
+    /// Place at which a copy is being split off.
+    copied: Option<NotesPlace>,
+    /// Branches that wait.
+    waiting: Vec<WaitingNotes>,
+}
+
+/// Numbers of notes up to a place.
+#[derive(Clone, Copy, Default)]
+struct NotesPlace {
+    events: usize,
+    splits: usize,
+    lights: usize,
+}
+
+/// Events of a branch that waits: those of the path before it, by their range, and those of the vertex where it was split off.
+struct WaitingNotes {
+    begin: NotesPlace,
+    end: NotesPlace,
+    event: Option<Symbol>,
+    split: Option<NotedSplit>,
 }
 
 /// A surface that scattered a path both diffusely and around a direction.
+#[derive(Clone, Copy)]
 struct NotedSplit {
-    /// Number of the event.
+    /// Number of the event on its branch.
     event_index: u32,
     glossy: Symbol,
     /// Diffuse share by channel.
@@ -73,7 +98,7 @@ struct NotedSplit {
 /// Light that a path has found.
 struct NotedLight {
     color: Rgb,
-    /// Number of events of the path up to then.
+    /// Number of events of the branch up to then.
     event_count: u32,
     /// Event of the scatterer between the light and the path.
     scattered: Symbol,
@@ -143,14 +168,30 @@ impl<'a> LayerRecorder<'a> {
         }
     }
 
-    /// Adds the light of a path with one state at a time.
-    fn add_path(&mut self) {
+    /// Adds the light of the sample.
+    fn add_sample(&mut self) {
+        self.notes.ends.push(self.notes.place());
+        let mut begin = NotesPlace::default();
+        for index in 0..self.notes.ends.len() {
+            let end = self.notes.ends[index];
+            if begin.splits == end.splits {
+                self.add_branch(begin, end);
+            } else {
+                self.add_split_branch(begin, end);
+            }
+            begin = end;
+        }
+    }
+
+    /// Adds the light of a branch with one state at a time. Its notes are those from `begin` to `end`.
+    fn add_branch(&mut self, begin: NotesPlace, end: NotesPlace) {
         let (automaton, half) = (&self.plan.automaton, self.half);
+        let events = &self.notes.events[begin.events..end.events];
         let (mut state, mut at) = (automaton.start(), 0);
         // Light for the same layers in succession.
         let (mut layer_set, mut light) = (NO_LAYERS, Rgb::ZERO);
-        for find in &self.notes.lights {
-            for event in self.notes.events.get(at..find.event_count as usize).unwrap_or_default() {
+        for find in &self.notes.lights[begin.lights..end.lights] {
+            for event in events.get(at..find.event_count as usize).unwrap_or_default() {
                 state = automaton.next(state, *event);
             }
             at = find.event_count as usize;
@@ -164,21 +205,22 @@ impl<'a> LayerRecorder<'a> {
         add(&mut self.pixel, layer_set, half, light);
     }
 
-    /// Adds the light of a path that was split.
+    /// Adds the light of a branch that surfaces scattered in two ways at once. Its notes are those from `begin` to `end`.
     #[inline(never)]
-    fn add_split_path(&mut self) {
+    fn add_split_branch(&mut self, begin: NotesPlace, end: NotesPlace) {
         let automaton = &self.plan.automaton;
-        let mut splits = self.notes.splits.iter().peekable();
-        let mut finds = self.notes.lights.iter().peekable();
+        let events = &self.notes.events[begin.events..end.events];
+        let mut splits = self.notes.splits[begin.splits..end.splits].iter().peekable();
+        let mut finds = self.notes.lights[begin.lights..end.lights].iter().peekable();
         self.states.reset(automaton.start());
-        for at in 0..=self.notes.events.len() {
+        for at in 0..=events.len() {
             while let Some(find) = finds.next_if(|find| find.event_count as usize == at) {
                 for &(state, share) in &self.states.current {
                     let layer_set = automaton.accepting_layers(automaton.next(state, find.scattered), find.source);
                     add(&mut self.pixel, layer_set, self.half, find.color * share);
                 }
             }
-            let Some(&event) = self.notes.events.get(at) else { break };
+            let Some(&event) = events.get(at) else { break };
             match splits.next_if(|split| split.event_index as usize == at) {
                 None => self.states.step(&[(event, Rgb::ONE)], |state, event| automaton.next(state, event)),
                 Some(NotedSplit { glossy, share, .. }) => {
@@ -219,11 +261,50 @@ impl PathNotes {
         self.events.clear();
         self.splits.clear();
         self.lights.clear();
+        self.ends.clear();
+        self.waiting.clear();
+        self.begin = NotesPlace::default();
+        self.copied = None;
+    }
+
+    /// Returns the place after all notes.
+    fn place(&self) -> NotesPlace {
+        NotesPlace { events: self.events.len(), splits: self.splits.len(), lights: self.lights.len() }
+    }
+
+    /// Returns the number of events of the current branch.
+    #[inline]
+    fn event_count(&self) -> u32 {
+        (self.events.len() - self.begin.events) as u32
+    }
+
+    fn begin_branch(&mut self) {
+        self.copied = Some(self.place());
+    }
+
+    fn end_branch(&mut self, waits: bool) {
+        let Some(end) = self.copied.take() else { return };
+        let (event, split) = (self.events.get(end.events).copied(), self.splits.get(end.splits).copied());
+        self.events.truncate(end.events);
+        self.splits.truncate(end.splits);
+        if waits {
+            self.waiting.push(WaitingNotes { begin: self.begin, end, event, split });
+        }
+    }
+
+    fn resume_branch(&mut self) {
+        let Some(WaitingNotes { begin, end, event, split }) = self.waiting.pop() else { return };
+        self.ends.push(self.place());
+        self.begin = self.place();
+        self.events.extend_from_within(begin.events..end.events);
+        self.events.extend(event);
+        self.splits.extend_from_within(begin.splits..end.splits);
+        self.splits.extend(split);
     }
 
     #[inline(never)]
     fn note_split(&mut self, glossy: Symbol, share: Rgb) {
-        self.splits.push(NotedSplit { event_index: self.events.len() as u32, glossy, share });
+        self.splits.push(NotedSplit { event_index: self.event_count(), glossy, share });
     }
 
     #[inline(never)]
@@ -234,7 +315,7 @@ impl PathNotes {
 
     #[inline]
     fn note_light(&mut self, color: Rgb, scattered: Symbol, source: Symbol) {
-        self.lights.push(NotedLight { color, event_count: self.events.len() as u32, scattered, source });
+        self.lights.push(NotedLight { color, event_count: self.event_count(), scattered, source });
     }
 }
 
@@ -340,6 +421,18 @@ impl Recorder for LayerRecorder<'_> {
         }
     }
 
+    fn begin_branch(&mut self) {
+        self.notes.begin_branch();
+    }
+
+    fn end_branch(&mut self, waits: bool) {
+        self.notes.end_branch(waits);
+    }
+
+    fn resume_branch(&mut self) {
+        self.notes.resume_branch();
+    }
+
     fn terminate(&mut self, _: Termination) {}
 
     #[inline]
@@ -350,10 +443,6 @@ impl Recorder for LayerRecorder<'_> {
         }
         let count = &mut self.count[self.half];
         *count = count.saturating_add(1);
-        if self.notes.splits.is_empty() {
-            self.add_path();
-        } else {
-            self.add_split_path();
-        }
+        self.add_sample();
     }
 }

@@ -7,7 +7,7 @@ use femc_math::Rgb;
 use femc_math::color::luminance;
 use femc_math::hash::HashPrefix;
 use femc_montecarlo::record::{
-    Continuation, Contribution, RecordLevel, Recorder, Step, Termination, Vertex, VertexLocation,
+    Continuation, Contribution, RecordLevel, Recorder, Step, StepNode, StepTree, Termination, Vertex, VertexLocation,
 };
 use femc_paths::pixels::PixelSums;
 use femc_paths::record::{MAX_INTERSECTIONS, MAX_LIGHTS};
@@ -16,8 +16,21 @@ use femc_paths::{
     InteractionKind, Intersection, LightPath, LightRecord, LightTechnique, Name, PathEnd, PathKey, Scope,
 };
 
-/// Light sampled or hit by a path: its contribution, the number of vertices up to then, and its occluder.
-type RecordedLight = (Contribution, usize, Option<Name>);
+/// Light sampled or hit by a path.
+struct RecordedLight {
+    contribution: Contribution,
+    /// Number of the latest vertex of its branch, and the number of vertices of the whole path up to then.
+    vertex: u32,
+    order: u32,
+    occluder: Option<Name>,
+}
+
+/// Numbers in a record for a vertex of a tree: its own number, and the number of intersections up to it.
+#[derive(Clone, Copy)]
+struct RecordNumber {
+    vertex: u32,
+    order: u32,
+}
 
 /// Recorder that keeps the requested data of samples.
 pub(crate) struct PathRecorder<'a> {
@@ -36,8 +49,9 @@ pub(crate) struct PathRecorder<'a> {
     is_wanted: bool,
     /// Current pixel.
     current_pixel: Option<u32>,
-    termination: Termination,
-    steps: Vec<Step>,
+    /// End of the branch with the most vertices.
+    termination: Option<Termination>,
+    steps: StepTree,
     lights: Vec<RecordedLight>,
     occluder: Option<Name>,
 }
@@ -55,8 +69,8 @@ impl<'a> PathRecorder<'a> {
             is_recorded: false,
             is_wanted: false,
             current_pixel: None,
-            termination: Termination { end: PathEnd::Escaped, vertices: 0, throughput: Rgb::ZERO },
-            steps: Vec::new(),
+            termination: None,
+            steps: StepTree::default(),
             lights: Vec::new(),
             occluder: None,
         }
@@ -99,48 +113,81 @@ impl<'a> PathRecorder<'a> {
     }
 
     fn path(&self, color: Rgb) -> LightPath {
-        let Termination { end, vertices, throughput } = self.termination;
+        let Termination { end, vertices, throughput } = self.termination();
+        let (vertices_of_record, numbers) = self.record_vertices();
         let mut path = LightPath {
             key: self.key,
             radiance: color.to_array(),
             throughput: throughput.to_array(),
             depth: vertices,
             end,
-            intersections: self.steps.iter().map(|step| self.intersection(step)).collect(),
-            lights: self.lights.iter().map(|looked| self.recorded_light(looked)).collect(),
+            intersections: vertices_of_record
+                .iter()
+                .map(|node| self.intersection(&node.step, numbers[node.parent as usize].vertex))
+                .collect(),
+            lights: self.lights.iter().map(|light| self.recorded_light(light, &numbers)).collect(),
         };
         // The emission of a vertex is reported before the vertex itself.
         let own = |index: usize| {
-            let before =
-                self.lights.iter().rev().skip_while(|light| light.1 > index).take_while(|light| light.1 == index);
-            let met = before.map(|light| &light.0).find(|found| found.technique == LightTechnique::EmitterHit);
-            met.filter(|found| found.position == self.steps[index].vertex.position)
+            let after = |light: &&RecordedLight| numbers[light.order as usize].order as usize > index;
+            let is_before = |light: &&RecordedLight| numbers[light.order as usize].order as usize == index;
+            let before = self.lights.iter().rev().skip_while(after).take_while(is_before);
+            let met =
+                before.map(|light| &light.contribution).find(|found| found.technique == LightTechnique::EmitterHit);
+            met.filter(|found| found.position == vertices_of_record[index].step.vertex.position)
         };
         let sent = path.outgoing_radiance(|index| own(index).is_some());
         path.intersections.iter_mut().zip(sent).for_each(|(it, sent)| it.radiance = sent);
-        // The path has left all its vertices except the last.
-        if let (Some(last), Some(Step { continuation: None, .. })) = (path.intersections.last_mut(), self.steps.last())
-            && own(self.steps.len() - 1).is_some_and(|own| own.color != Rgb::ZERO)
-        {
-            last.interaction = InteractionKind::Emission;
+        for (index, it) in path.intersections.iter_mut().enumerate() {
+            let has_ended = vertices_of_record[index].step.continuation.is_none();
+            if has_ended && own(index).is_some_and(|own| own.color != Rgb::ZERO) {
+                it.interaction = InteractionKind::Emission;
+            }
         }
         path.intersections.truncate(MAX_INTERSECTIONS);
         path.lights.truncate(MAX_LIGHTS);
         path
     }
 
-    fn recorded_light(&self, (contribution, vertices, occluder): &RecordedLight) -> LightRecord {
+    /// Returns the vertices without their repetitions, and their numbers in the record by those in the tree. A vertex that several
+    /// copies left has the interaction of the first of them that went on.
+    fn record_vertices(&self) -> (Vec<StepNode>, Vec<RecordNumber>) {
+        let nodes = self.steps.nodes();
+        let mut kept = Vec::<StepNode>::with_capacity(nodes.len());
+        let mut numbers = Vec::with_capacity(nodes.len() + 1);
+        numbers.push(RecordNumber { vertex: 0, order: 0 });
+        for node in nodes {
+            if node.repeats == 0 {
+                kept.push(*node);
+                numbers.push(RecordNumber { vertex: kept.len() as u32, order: kept.len() as u32 });
+            } else {
+                let vertex = numbers[node.repeats as usize].vertex;
+                let step = &mut kept[vertex as usize - 1].step;
+                step.continuation = step.continuation.or(node.step.continuation);
+                numbers.push(RecordNumber { vertex, order: kept.len() as u32 });
+            }
+        }
+        (kept, numbers)
+    }
+
+    fn termination(&self) -> Termination {
+        self.termination.unwrap_or(Termination { end: PathEnd::Escaped, vertices: 0, throughput: Rgb::ZERO })
+    }
+
+    fn recorded_light(&self, recorded: &RecordedLight, numbers: &[RecordNumber]) -> LightRecord {
+        let RecordedLight { contribution, vertex, order, occluder } = recorded;
         let &Contribution { technique, light, .. } = contribution;
         let medium = contribution.medium.map_or(Name::NONE, |medium| self.names.medium(medium));
         let (light, medium) = match technique {
             LightTechnique::Glow => (medium, Name::NONE),
             _ => (light.map_or(Name::NONE, |light| self.names.lamp(light)), medium),
         };
-        let (vertex, radiance) = (*vertices as u32, contribution.color.to_array());
-        LightRecord { vertex, light, medium, radiance, occluder: *occluder, technique }
+        let radiance = contribution.color.to_array();
+        let (vertex, order) = (numbers[*vertex as usize].vertex, numbers[*order as usize].order);
+        LightRecord { vertex, order, light, medium, radiance, occluder: *occluder, technique }
     }
 
-    fn intersection(&self, step: &Step) -> Intersection {
+    fn intersection(&self, step: &Step, parent: u32) -> Intersection {
         let (names, vertex) = (self.names, &step.vertex);
         let (object, material) = match vertex.location {
             VertexLocation::Surface { instance, primitive, material } => {
@@ -149,6 +196,7 @@ impl<'a> PathRecorder<'a> {
             VertexLocation::Medium(medium) => (Name::NONE, names.medium(medium)),
         };
         Intersection {
+            parent,
             bounce: vertex.bounce,
             position: self.scope.snap_to_grid(names.prepared.to_world(vertex.position)),
             radiance: [0.0; 3],
@@ -170,6 +218,7 @@ impl Recorder for PathRecorder<'_> {
         if self.current_pixel != Some(pixel) {
             self.begin_pixel(pixel);
         }
+        self.termination = None;
         self.hash = self.key.hash_in_pixel(self.pixel_hash);
         self.is_recorded = self.hash < self.threshold;
         self.is_wanted = self.is_recorded || self.scope.has_full_histograms;
@@ -183,13 +232,11 @@ impl Recorder for PathRecorder<'_> {
     }
 
     fn vertex(&mut self, vertex: impl FnOnce() -> Vertex) {
-        self.steps.push(Step { vertex: vertex(), continuation: None });
+        self.steps.vertex(vertex());
     }
 
     fn leave(&mut self, continuation: Continuation) {
-        if let Some(last) = self.steps.last_mut() {
-            last.continuation = Some(continuation);
-        }
+        self.steps.leave(continuation);
     }
 
     fn occluded(&mut self, shadow: impl FnOnce() -> Ray) {
@@ -200,24 +247,39 @@ impl Recorder for PathRecorder<'_> {
         let (contribution, occluder) = (contribution(), self.occluder.take());
         let is_drawn = matches!(contribution.technique, LightTechnique::NextEvent | LightTechnique::Airlight);
         if contribution.color != Rgb::ZERO || is_drawn && contribution.light.is_some() {
-            self.lights.push((contribution, self.steps.len(), occluder));
+            let [vertex, order] = [self.steps.latest(), self.steps.nodes().len() as u32];
+            self.lights.push(RecordedLight { contribution, vertex, order, occluder });
         }
+    }
+
+    fn begin_branch(&mut self) {
+        self.steps.begin_branch();
+    }
+
+    fn end_branch(&mut self, waits: bool) {
+        self.steps.end_branch(waits);
+    }
+
+    fn resume_branch(&mut self) {
+        self.steps.resume_branch();
     }
 
     #[inline]
     fn terminate(&mut self, termination: Termination) {
-        self.termination = termination;
+        if self.termination.is_none_or(|deepest| deepest.vertices < termination.vertices) {
+            self.termination = Some(termination);
+        }
     }
 
     #[inline(always)]
     fn end_sample(&mut self, color: Option<Rgb>) {
         let half = usize::from(self.key.half());
+        let Termination { end, vertices, throughput } = self.termination();
         let counters = &mut self.recorded.counters[half];
         let Some(color) = color else {
             counters.invalid += 1;
             return;
         };
-        let Termination { end, vertices, throughput } = self.termination;
         let luminance = luminance(color);
         counters.count(luminance, vertices, end);
         let greatest = throughput.max_element().max(0.0);

@@ -141,7 +141,7 @@ fn records_are_the_samples_themselves_and_their_lights_add_up() {
         for path in all.paths.values() {
             let (color, recording) = replay.sample((path.key.pixel % 20, path.key.pixel / 20), path.key.sample);
             assert_eq!(Some(path.radiance), color.map(|color| color.to_array()));
-            assert_eq!(path.intersections.len(), recording.steps.len());
+            assert_eq!(path.intersections.len(), recording.steps.nodes().len());
             let sum = |lights: &mut dyn Iterator<Item = f64>| lights.sum::<f64>();
             let is_near = |a: f64, b: f32| (a - f64::from(b)).abs() <= 1e-4 * a.abs() + 1e-6;
             let lights = sum(&mut path.lights.iter().map(|light| f64::from(light.radiance[1])));
@@ -149,10 +149,9 @@ fn records_are_the_samples_themselves_and_their_lights_add_up() {
             // The light at the camera is the radiance that leaves the first vertex plus the light found before it.
             if let Some(first) = path.intersections.first() {
                 let early = path.lights.iter().filter(|light| light.vertex == 0);
-                let own = recording
-                    .contributions
-                    .iter()
-                    .filter(|(it, vertices)| *vertices == 0 && it.position == recording.steps[0].vertex.position);
+                let own = recording.contributions.iter().filter(|(it, vertices)| {
+                    *vertices == 0 && it.position == recording.steps.nodes()[0].step.vertex.position
+                });
                 let own = sum(&mut own.map(|(it, _)| f64::from(it.color.to_array()[1])));
                 let early_sum = sum(&mut early.map(|light| f64::from(light.radiance[1])));
                 let sent = f64::from(first.radiance[1]) * f64::from(first.throughput[1]);

@@ -3,6 +3,7 @@
 use femc_film::tile::NONE_HELD;
 use femc_film::{FilmError, Frame, FrameImage, LayerImage, LayerPiece, Rect, Tiling};
 use femc_import::{Bundle, load_scene};
+use femc_pipeline::replay::Replay;
 use femc_pipeline::{
     Layer, LayerPlan, Method, Outputs, Prepared, Preset, RenderTask, SceneSource, Settings, StatisticsPlan,
     StopCondition, lamp_labels, plan_job, prepare_frame,
@@ -222,6 +223,44 @@ fn partitioning_layers_sum_to_the_image_with_unchanged_samples() {
             assert_partition(&image, &layers, &first);
         }
     }
+}
+
+/// Layers of split paths add up to the picture. Each has the light that the replayed samples found after as many events.
+#[test]
+fn layers_of_split_paths_have_the_events_of_their_branches() {
+    const SPP: u32 = 8;
+    let text = include_str!("../../../../scenes/door-ajar.mgf");
+    let layers = [
+        ("once", "C[RTV]?L"),
+        ("twice", "C[RTV][RTV]L"),
+        ("thrice", "C[RTV][RTV][RTV]L"),
+        ("more", "C[RTV][RTV][RTV][RTV]+L"),
+        ("glossy", "C.*<RG>.*L"),
+        ("matte", "C<RD>*L"),
+    ];
+    let layers = layers.map(|(name, expression)| Layer::new(name, expression)).into();
+    let settings = Settings { size: Some([16, 12]), ..settings(layers, Method::Femc) };
+    let prepared = world(text, &settings);
+    let (image, layers) = rendered(&prepared, &settings).unwrap();
+    assert_partition(&image, &layers, &["glossy", "matte"]);
+    let mut replay = Replay::new(&prepared, &settings);
+    let mut branches = 0;
+    for pixel in 0..16 * 12 {
+        let mut expected = [0.0; 4];
+        for sample in 0..SPP {
+            let (_, recording) = replay.sample((pixel % 16, pixel / 16), sample);
+            for (found, vertex) in &recording.contributions {
+                let events = recording.steps.branch(*vertex).count();
+                expected[events.clamp(1, 4) - 1] += f64::from(found.color.y) / f64::from(SPP);
+            }
+            branches += recording.steps.nodes().iter().filter(|node| node.repeats > 0).count();
+        }
+        for (layer, expected) in layers.iter().zip(expected) {
+            let light = f64::from(layer.color[pixel as usize][1]);
+            assert!((light - expected).abs() <= 1e-4 * expected + 1e-7, "{} {pixel}: {light} {expected}", layer.name);
+        }
+    }
+    assert!(branches > 100, "{branches} branches");
 }
 
 #[test]

@@ -4,10 +4,12 @@ use femc_film::{Rect, Tiling};
 use femc_import::{Bundle, load_scene};
 use femc_pipeline::paths::bottlenecks::{Bottlenecks, Grouping};
 use femc_pipeline::paths::histogram::{Histograms, Table};
-use femc_pipeline::paths::{InteractionKind, LightPath, LightStatistics, LightTechnique, Name, NameKind, PathEnd};
+use femc_pipeline::paths::{
+    InteractionKind, LightPath, LightRecord, LightStatistics, LightTechnique, Name, NameKind, PathEnd,
+};
 use femc_pipeline::replay::Replay;
 use femc_pipeline::{
-    Outputs, Prepared, RenderTask, SceneSource, Settings, StatisticsPlan, StopCondition, prepare_frame,
+    Method, Outputs, Prepared, RenderTask, SceneSource, Settings, StatisticsPlan, StopCondition, prepare_frame,
 };
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -130,18 +132,35 @@ fn statistics_change_no_bit_of_a_tile_and_hold_all_laws() {
     }
 }
 
+/// Two rooms with a gap between them. Guided paths are split there.
+const GAP: &str = include_str!("../../../../scenes/door-ajar.mgf");
+
+fn guided_settings() -> Settings {
+    Settings { method: Method::Femc, size: Some([20, 12]), ..settings() }
+}
+
 #[test]
 fn records_are_the_samples_themselves_and_their_lights_add_up() {
-    for text in [ROOM.to_owned(), format!("{FOG}{ROOM}")] {
-        let (settings, prepared) = (settings(), prepared(&text, &settings()));
+    let cases = [
+        (ROOM.to_owned(), settings()),
+        (format!("{FOG}{ROOM}"), settings()),
+        (GAP.to_owned(), guided_settings()),
+        (format!("medium haze =\n\tsigma_s .1\nmglobal haze\n{GAP}"), guided_settings()),
+    ];
+    for (text, settings) in cases {
+        let prepared = prepared(&text, &settings);
         let all = frame_statistics(&prepared, &settings, &[8]);
         assert_eq!(all.share(), 1.0, "a small frame has all of its samples");
         assert_eq!(all.paths.len() as u64, 20 * 12 * 8 - all.totals().invalid);
         let mut replay = Replay::new(&prepared, &settings);
+        let mut branches = 0;
         for path in all.paths.values() {
             let (color, recording) = replay.sample((path.key.pixel % 20, path.key.pixel / 20), path.key.sample);
             assert_eq!(Some(path.radiance), color.map(|color| color.to_array()));
-            assert_eq!(path.intersections.len(), recording.steps.nodes().len());
+            let nodes = recording.steps.nodes().iter().filter(|node| node.repeats == 0);
+            assert!(!is_whole(path) || path.intersections.len() == nodes.count());
+            branches += (0u32..).zip(&path.intersections).filter(|(before, it)| it.parent != *before).count();
+            assert_branches_add_up(path);
             let sum = |lights: &mut dyn Iterator<Item = f64>| lights.sum::<f64>();
             let is_near = |a: f64, b: f32| (a - f64::from(b)).abs() <= 1e-4 * a.abs() + 1e-6;
             let lights = sum(&mut path.lights.iter().map(|light| f64::from(light.radiance[1])));
@@ -149,8 +168,8 @@ fn records_are_the_samples_themselves_and_their_lights_add_up() {
             // The light at the camera is the radiance that leaves the first vertex plus the light found before it.
             if let Some(first) = path.intersections.first() {
                 let early = path.lights.iter().filter(|light| light.vertex == 0);
-                let own = recording.contributions.iter().filter(|(it, vertices)| {
-                    *vertices == 0 && it.position == recording.steps.nodes()[0].step.vertex.position
+                let own = recording.contributions.iter().filter(|(it, vertex)| {
+                    *vertex == 0 && it.position == recording.steps.nodes()[0].step.vertex.position
                 });
                 let own = sum(&mut own.map(|(it, _)| f64::from(it.color.to_array()[1])));
                 let early_sum = sum(&mut early.map(|light| f64::from(light.radiance[1])));
@@ -158,6 +177,30 @@ fn records_are_the_samples_themselves_and_their_lights_add_up() {
                 assert!(is_near(sent + early_sum - own, path.radiance[1]), "{path:?}");
             }
         }
+        assert_eq!(branches > 100, settings.method == Method::Femc, "{branches} branches");
+    }
+}
+
+/// Checks whether a record has all intersections of its path.
+fn is_whole(path: &LightPath) -> bool {
+    path.intersections.len() < femc_pipeline::paths::record::MAX_INTERSECTIONS
+}
+
+/// Checks that the light that leaves each intersection is the light found there, plus that of its branches. A lamp that a branch
+/// hits counts for the intersection before it, and may also count for the one at the lamp.
+fn assert_branches_add_up(path: &LightPath) {
+    let light = |radiance: [f32; 3]| f64::from(radiance[1]);
+    for (number, it) in (1u32..).zip(&path.intersections).filter(|_| is_whole(path)) {
+        let sent = light(it.radiance) * light(it.throughput);
+        let children = path.intersections.iter().filter(|child| child.parent == number);
+        let of_children: f64 = children.map(|child| light(child.radiance) * light(child.throughput)).sum();
+        let sum = |counts: &dyn Fn(&LightRecord) -> bool| -> f64 {
+            path.lights.iter().filter(|it| counts(it)).map(|it| light(it.radiance)).sum()
+        };
+        let own = sum(&|it| it.vertex == number);
+        let met = sum(&|it| it.technique == LightTechnique::EmitterHit);
+        let tolerance = 1e-4 * (sent + own) + 1e-5 + met;
+        assert!((sent - own - of_children).abs() <= tolerance, "{number}: {sent} {own} {of_children} {path:?}");
     }
 }
 

@@ -10,6 +10,7 @@ use femc_math::color::luminance;
 use femc_math::glam::Vec3A;
 use femc_math::{Frame, Rgb};
 use femc_scattering::{Bsdf, BsdfSample, LobeKind, Transmitted};
+use std::f32::consts::FRAC_1_PI;
 
 /// Sampler of directions at a vertex.
 pub struct DirectionSampler<'a> {
@@ -24,16 +25,16 @@ pub struct DirectionSampler<'a> {
 pub struct SurfaceGuide<'a> {
     /// Lobes, and the share of directions to sample from them, in (0, 1).
     pub lobes: Option<(&'a Block, f32)>,
-    /// Light that the surface scatters toward the previous vertex according to the field, without direct light from sources: albedo
-    /// by channel times the luminance of the irradiance, lx. It is 0 if the field has no data here.
-    pub light_ahead: Rgb,
+    /// Radiance that the surface scatters toward the previous vertex according to the field, cd/m2, without direct light from
+    /// sources: albedo by channel times the luminance of the irradiance, over pi. It is 0 if the field has no data here.
+    pub radiance: Rgb,
 }
 
 impl<'a> SurfaceGuide<'a> {
     /// Returns the guide of a field at a surface.
     #[inline(always)]
     pub fn new(field: &'a Field, surface: &SurfaceInteraction<'_>) -> Self {
-        let mut out = Self { lobes: None, light_ahead: Rgb::ZERO };
+        let mut out = Self { lobes: None, radiance: Rgb::ZERO };
         // The guide has no data about glossy lobes.
         let diffuse = luminance(surface.bsdf.lambertian(surface.wo).0);
         if diffuse <= 0.0 {
@@ -42,7 +43,7 @@ impl<'a> SurfaceGuide<'a> {
         let side = if surface.back { Side::Back } else { Side::Front };
         let Some(guided) = field.guide_at(&surface.hit, side, surface.point.position) else { return out };
         let albedo = surface.bsdf.albedo(surface.wo);
-        out.light_ahead = albedo * guided.light;
+        out.radiance = albedo * (guided.light * FRAC_1_PI);
         out.lobes = guided.lobes.map(|(block, share)| (block, share * (diffuse / luminance(albedo)).min(1.0)));
         out
     }

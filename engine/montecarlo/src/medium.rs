@@ -7,6 +7,7 @@ use crate::record::{
     Continuation, Contribution, InteractionKind, LightTechnique, PathEnd, Recorder, Termination, Vertex, VertexLocation,
 };
 use crate::tracer::{PathSample, Tracer};
+use crate::window::WindowDecision;
 use femc_geometry::{Ray, shadow_segment};
 use femc_math::Rgb;
 use femc_math::glam::Vec3A;
@@ -107,7 +108,7 @@ impl<R: Recorder> Tracer<'_, R> {
         let position = collision.position;
         path.vertices += 1;
         let field = self.field;
-        let (mut fog, recorder) = self.fog_sampler();
+        let (fog, recorder) = self.fog_sampler();
         record!(recorder.vertex(|| Vertex {
             location: VertexLocation::Medium(fog.dominant_medium(&collision.event)),
             position,
@@ -120,6 +121,17 @@ impl<R: Recorder> Tracer<'_, R> {
             record!(recorder.contribution(|| Contribution::from_field(color, path.throughput, path.bounce, position)));
             return ControlFlow::Break(path.end(PathEnd::Field));
         }
+        // Fog is not split: light that the copies hit would need the weights of the lamps for the segment before.
+        let guidance = self.guidance;
+        let decision = guidance.map_or(WindowDecision::Unknown, |guidance| {
+            guidance.decide(path, guidance.field.fog.scattered_radiance(position, -path.ray.dir))
+        });
+        if let WindowDecision::Roulette(q) = decision
+            && !path.survives_window(q)
+        {
+            return ControlFlow::Break(path.end(PathEnd::Roulette));
+        }
+        let (mut fog, recorder) = self.fog_sampler();
         let Some(scattered) = fog.sample_direction(path, collision) else {
             return ControlFlow::Break(path.end(PathEnd::Absorbed));
         };
@@ -131,7 +143,7 @@ impl<R: Recorder> Tracer<'_, R> {
         path.ray = Ray { origin: position, dir: scattered.dir, t_max: f32::INFINITY, time: path.ray.time };
         path.bounce += 1;
         path.roulette_scale *= scattered.pdf / scattered.phase_pdf;
-        path.roulette::<true>(false)
+        path.roulette::<true>(decision != WindowDecision::Unknown)
     }
 }
 

@@ -1,12 +1,10 @@
 //! Scattering of a path at a surface.
 
-use crate::dimensions as dim;
 use crate::guided::{DirectionSampler, GuidedSample, SurfaceGuide};
 use crate::path_state::{PathState, PreviousVertex, SegmentOrigin};
 use crate::record::{
     Continuation, Contribution, InteractionKind, LobeSplit, PathEnd, Recorder, Termination, Vertex, VertexLocation,
 };
-use crate::roulette::survivor_throughput;
 use crate::surface::SurfaceInteraction;
 use crate::tracer::{PathSample, Tracer};
 use crate::window::{DirectionNumbers, MAX_BRANCHES, WindowDecision};
@@ -65,8 +63,8 @@ impl<R: Recorder> Tracer<'_, R> {
         let lobe_directions;
         let mut decision = WindowDecision::Unknown;
         if let Some(guidance) = &self.guidance {
-            let SurfaceGuide { lobes, light_ahead } = SurfaceGuide::new(guidance.field, surface);
-            decision = guidance.window.decide(path, light_ahead, guidance.frame_light);
+            let SurfaceGuide { lobes, radiance } = SurfaceGuide::new(guidance.field, surface);
+            decision = guidance.decide(path, radiance);
             if guidance.samples_directions
                 && let Some((block, share)) = lobes
             {
@@ -109,11 +107,9 @@ impl<R: Recorder> Tracer<'_, R> {
         match decision {
             WindowDecision::Unknown => return self.continue_path::<MEDIA, RECORD_ALL>(path, from, numbers, false),
             WindowDecision::Roulette(q) => {
-                path.stream.seek(path.base + dim::WINDOW);
-                let Some(throughput) = survivor_throughput(path.throughput, q, path.stream.next_1d()) else {
+                if !path.survives_window(q) {
                     return ControlFlow::Break(path.end(PathEnd::Roulette));
-                };
-                path.throughput = throughput;
+                }
             }
             WindowDecision::Copies(copies) => {
                 let copies = copies.min(1 + MAX_BRANCHES - self.branches);

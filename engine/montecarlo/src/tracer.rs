@@ -8,7 +8,7 @@ use crate::record::{Contribution, LightTechnique, PathEnd, RecordLevel, Recorder
 use crate::shadow::ShadowTester;
 use crate::surface::SurfaceInteraction;
 use crate::technique::MisTechnique;
-use crate::window::{WeightWindow, frame_light};
+use crate::window::{WeightWindow, WindowDecision, frame_light};
 use femc_emission::LightWeights;
 use femc_field::Field;
 use femc_math::{Rgb, SampleStream};
@@ -89,6 +89,13 @@ impl<'a> Guidance<'a> {
             window: WeightWindow::default(),
             frame_light: frame_light(scene, field),
         }
+    }
+
+    /// Decides by the window on a path at its latest vertex.
+    /// - `radiance`: radiance that the vertex scatters toward the previous vertex by the field, cd/m2.
+    #[inline(always)]
+    pub(crate) fn decide(&self, path: &mut PathState, radiance: Rgb) -> WindowDecision {
+        self.window.decide(path, radiance, self.frame_light)
     }
 
     /// Creates the guidance of a frame's paths by `field`, the frame's own, whose mean light is computed once.

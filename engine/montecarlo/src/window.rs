@@ -9,11 +9,11 @@ use crate::dimensions as dim;
 use crate::first_hit::find_first_surface;
 use crate::guided::SurfaceGuide;
 use crate::path_state::PathState;
+use crate::roulette::survivor_throughput;
 use femc_field::Field;
 use femc_math::color::luminance;
 use femc_math::{Rgb, SampleStream};
 use femc_prepared::Prepared;
-use std::f32::consts::FRAC_1_PI;
 
 /// Bounds of the light expected of a path, relative to the light expected at its first vertex.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -58,11 +58,11 @@ pub(crate) enum WindowDecision {
 
 impl WeightWindow {
     /// Decides on a path at its latest vertex.
-    /// - `light_ahead`: light that the vertex scatters toward the previous vertex by the field, times pi, cd/m2;
+    /// - `radiance`: radiance that the vertex scatters toward the previous vertex by the field, cd/m2;
     /// - `frame_light`: value of [`frame_light`].
     #[inline(always)]
-    pub(crate) fn decide(&self, path: &mut PathState, light_ahead: Rgb, frame_light: f32) -> WindowDecision {
-        let ahead = luminance(path.throughput * light_ahead) * FRAC_1_PI;
+    pub(crate) fn decide(&self, path: &mut PathState, radiance: Rgb, frame_light: f32) -> WindowDecision {
+        let ahead = luminance(path.throughput * radiance);
         if !(ahead > 0.0 && ahead.is_finite()) {
             return WindowDecision::Unknown;
         }
@@ -93,6 +93,18 @@ impl WeightWindow {
     }
 }
 
+impl PathState {
+    /// Performs the Russian roulette of the window, and returns whether the path survives.
+    /// - `q`: survival probability.
+    #[inline]
+    pub(crate) fn survives_window(&mut self, q: f32) -> bool {
+        self.stream.seek(self.base + dim::WINDOW);
+        let survivor = survivor_throughput(self.throughput, q, self.stream.next_1d());
+        self.throughput = survivor.unwrap_or(self.throughput);
+        survivor.is_some()
+    }
+}
+
 /// Returns the mean light that a field expects at the first surfaces of a frame, cd/m2.
 pub(crate) fn frame_light(scene: &Prepared, field: &Field) -> f32 {
     let film = scene.camera.film;
@@ -103,7 +115,7 @@ pub(crate) fn frame_light(scene: &Prepared, field: &Field) -> f32 {
         let pixel = y * film[0] + x;
         let ray = view.ray(scene.camera.center(pixel));
         let surface = find_first_surface(scene, &ray, SampleStream::new(0, scene.frame, pixel, 0))?;
-        let light = luminance(SurfaceGuide::new(field, &surface).light_ahead) * FRAC_1_PI;
+        let light = luminance(SurfaceGuide::new(field, &surface).radiance);
         light.is_finite().then_some(light)
     };
     let places = (0..FRAME_RAYS * FRAME_RAYS).map(|at| [at % FRAME_RAYS, at / FRAME_RAYS]);
@@ -181,13 +193,12 @@ mod tests {
         for unknown in [0.0, -1.0, f32::NAN, f32::INFINITY] {
             assert_eq!(decide(&mut path, unknown), WindowDecision::Unknown);
         }
-        let pi = std::f32::consts::PI;
-        assert_eq!(decide(&mut path, 0.9 * pi), WindowDecision::Copies(1));
+        assert_eq!(decide(&mut path, 0.9), WindowDecision::Copies(1));
         assert!((path.expected_light - 1.0).abs() < 1e-6, "0.9 and a fiftieth of 5: {}", path.expected_light);
-        assert_eq!(decide(&mut path, pi), WindowDecision::Copies(1));
-        assert_eq!(decide(&mut path, 2.9 * pi), WindowDecision::Copies(2));
+        assert_eq!(decide(&mut path, 1.0), WindowDecision::Copies(1));
+        assert_eq!(decide(&mut path, 2.9), WindowDecision::Copies(2));
         path.throughput = Rgb::splat(0.1);
-        let WindowDecision::Roulette(q) = decide(&mut path, pi) else { panic!("a path that may end") };
+        let WindowDecision::Roulette(q) = decide(&mut path, 1.0) else { panic!("a path that may end") };
         assert!((q - 0.25).abs() < 1e-6, "{q}");
         assert_eq!(decide(&mut path, 0.0), WindowDecision::Unknown);
     }

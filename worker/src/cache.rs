@@ -20,7 +20,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use femc_metrics::{Counter, Page};
 use femc_model::{Artifact, Digest, Failure, JobSpec};
 use femc_pipeline::{
-    Field, FrameKey, FrameLight, GuideState, Layer, LayerPlan, Prepared, RayState, SceneSource, Settings,
+    Field, FrameKey, FrameLight, GuideState, Layer, LayerPlan, Prepared, RayState, SceneSource, Settings, Solution,
 };
 use femc_proto::Client;
 use femc_scene::Scene;
@@ -75,6 +75,8 @@ struct CacheInner {
     /// Lights of first passes: `fields` for lamps of brightness 1, `frame_lights` for the brightness of the frames' lamps.
     fields: LruCache<Digest, Arc<Field>>,
     frame_lights: LruCache<(Digest, u32), FrameLight>,
+    /// First passes that were solved before the job, by the keys of their tasks. A task takes its solution out.
+    solved: Mutex<BTreeMap<Digest, Arc<Solution>>>,
     /// Solver states of unfinished first passes, by their input artifacts: `states_before_rays` before the rays,
     /// `states_after_rays` after them.
     states_before_rays: LruCache<Digest, Arc<dyn RayState>>,
@@ -117,6 +119,7 @@ impl Cache {
             layers: LruCache::new(frames),
             fields: LruCache::new(Self::FIELDS),
             frame_lights: LruCache::new(Self::FIELDS),
+            solved: Mutex::default(),
             states_before_rays: LruCache::new(1),
             states_after_rays: LruCache::new(1),
             pieces,
@@ -275,6 +278,18 @@ impl Cache {
                 fetch.prepare(|| Field::decode(&bytes)).map_err(|error| lost_field_failure(light, &error))?;
             Ok(Arc::new(field))
         })
+    }
+
+    /// Adds a first pass that was solved before its job, as by the pilot that chose the method. The worker's task uses it instead of
+    /// solving the first pass again.
+    /// - `key`: key of the task's content.
+    pub fn insert_solution(&self, key: Digest, solution: Arc<Solution>) {
+        self.0.solved.lock().unwrap_or_else(PoisonError::into_inner).insert(key, solution);
+    }
+
+    /// Takes out the first pass with this key.
+    pub(crate) fn take_solution(&self, key: Digest) -> Option<Arc<Solution>> {
+        self.0.solved.lock().unwrap_or_else(PoisonError::into_inner).remove(&key)
     }
 
     /// Caches the light of a first pass that this worker solved.

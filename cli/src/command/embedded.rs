@@ -6,6 +6,8 @@ use super::site::site;
 use crate::exit::{Failure, failed};
 use crate::output::Printer;
 use femc_coordinator::{AccessControl, ArtifactStorage, Config, Coordinator, Handle, LogStorage, LoginTokens, Site};
+use femc_model::Digest;
+use femc_pipeline::method_choice::SolvedFirstPass;
 use femc_proto::Dialer;
 use femc_trust::{Authority, Holder, Role, TokenFile, Tokens};
 use femc_worker::{Cache, PieceCache, Worker, WorkerError};
@@ -28,6 +30,8 @@ pub struct EmbeddedConfig<'a> {
     pub workers: u32,
     /// Threads of each worker; `None`: all cores.
     pub threads: Option<u32>,
+    /// First pass that was solved before the job.
+    pub solved: Option<SolvedFirstPass>,
     /// Web pages.
     pub site: Site,
     /// Tokens that clients need; `None`: all clients of this machine are accepted.
@@ -43,6 +47,7 @@ impl EmbeddedConfig<'_> {
             artifacts: ArtifactStorage::Folder(artifacts),
             workers,
             threads,
+            solved: None,
             site: site(),
             tokens: None,
         }
@@ -126,6 +131,9 @@ impl EmbeddedFarm {
         let (stop, stopped) = watch::channel(());
         // No cache is needed: the store is on the same disk.
         let (mut workers, cache) = (JoinSet::new(), Cache::with_pieces(PieceCache::in_memory(0)));
+        if let Some(SolvedFirstPass { key, solution }) = settings.solved {
+            cache.insert_solution(Digest::from_bytes(key), solution);
+        }
         let dialer = |token: fn(&RunTokens) -> &TokenFile| {
             let token = settings.tokens.map(|tokens| token(tokens).clone());
             token.map_or_else(Dialer::tcp, |token| Dialer::tcp().with_token(token))

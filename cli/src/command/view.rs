@@ -13,6 +13,7 @@ use crate::request::ResolvedRequest;
 use clap::Args;
 use femc_coordinator::{ArtifactStorage, LightFault, LightFile, LightSource, LogStorage, MAX_LIGHT_BYTES, Site};
 use femc_model::JobId;
+use femc_pipeline::method_choice::SolvedFirstPass;
 use femc_trust::{Role, Token};
 use serde::Serialize;
 use std::net::SocketAddr;
@@ -79,7 +80,7 @@ fn view_files(args: &ViewArgs, printer: Printer) -> Result<Exit, Failure> {
     let site = Site { light_files: files, ..site() };
     client::runtime()?.block_on(async {
         let mut interrupt = Interrupt::listen()?;
-        let (mut farm, _client, tokens) = start(args, Role::Viewer, 0, None, site).await?;
+        let (mut farm, _client, tokens) = start(args, Role::Viewer, EmbeddedWork::default(), site).await?;
         let page = if args.inputs.len() == 2 { "/view?b=1" } else { "/view" };
         let addresses = Addresses { args, farm: farm.url(), tokens: &tokens, page: page.to_owned(), printer };
         let outcome = tokio::select! {
@@ -125,10 +126,10 @@ fn view_scene(scene: &Path, args: &ViewArgs, printer: Printer) -> Result<Exit, F
     let parcel = resolved.parcel()?;
     let spec = client::job_spec(&resolved, &parcel, resolved.plan.frames.clone())?;
     let Some(&first) = spec.frames.first() else { return Err(usage("--frames: there is no frame")) };
+    let work = EmbeddedWork { workers: resolved.workers, threads: resolved.threads, solved: resolved.solved.clone() };
     client::runtime()?.block_on(async {
         let mut interrupt = Interrupt::listen()?;
-        let (mut farm, client, tokens) =
-            start(args, Role::Operator, resolved.workers, resolved.threads, site()).await?;
+        let (mut farm, client, tokens) = start(args, Role::Operator, work, site()).await?;
         let (job, _) = client.submit(&parcel, unique_key(), spec).await?;
         let page = format!("/jobs/{job}/light?frames={first}");
         let addresses = Addresses { args, farm: farm.url(), tokens: &tokens, page, printer };
@@ -168,12 +169,19 @@ async fn follow(
     }
 }
 
+/// Workers of a farm in this process. By default there are none, and the farm only serves pages.
+#[derive(Default)]
+struct EmbeddedWork {
+    workers: u32,
+    threads: Option<u32>,
+    solved: Option<SolvedFirstPass>,
+}
+
 /// Starts a farm in memory that only holders of its tokens can use.
 async fn start(
     args: &ViewArgs,
     role: Role,
-    workers: u32,
-    threads: Option<u32>,
+    EmbeddedWork { workers, threads, solved }: EmbeddedWork,
     site: Site,
 ) -> Result<(EmbeddedFarm, FarmClient, RunTokens), Failure> {
     let tokens = RunTokens::new(role)?;
@@ -183,6 +191,7 @@ async fn start(
         artifacts: ArtifactStorage::Memory,
         workers,
         threads,
+        solved,
         site,
         tokens: Some(&tokens),
     };

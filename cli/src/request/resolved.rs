@@ -11,7 +11,7 @@ use crate::values::{Frames, Size};
 use femc_fault::{PretendedValue, pretended_value};
 use femc_import::{Bundle, ImportErrors, LoadedScene, ScenePath, Warning};
 use femc_model::JobNotes;
-use femc_pipeline::method_choice::{self, MethodChoice};
+use femc_pipeline::method_choice::{self, MethodChoice, SolvedFirstPass};
 use femc_pipeline::{
     DarkLayer, FIRST_PASS_FEATURE, Feature, Layer, Plan, PlanError, PrepareError, Preset, SceneSource, Settings,
     SettingsError, StopCondition, lamp_labels,
@@ -38,6 +38,8 @@ pub struct ResolvedRequest {
     pub plan: Plan,
     /// Reason for the method, if the settings left it open and [`Self::choose_method`] chose it.
     pub choice: Option<MethodChoice>,
+    /// First pass that was solved for the choice.
+    pub solved: Option<SolvedFirstPass>,
     /// Whether the frames were chosen or are all frames of the clip.
     pub frames_chosen: FramesChosen,
     /// Number of embedded workers, >= 1.
@@ -132,6 +134,7 @@ impl ImportedScene {
             settings,
             plan,
             choice: None,
+            solved: None,
             frames_chosen: if frames.is_some() { FramesChosen::Typed } else { FramesChosen::All },
             workers: typed.workers.unwrap_or(1),
             threads: typed.threads,
@@ -205,7 +208,7 @@ impl ResolvedRequest {
         let failed = |e: &dyn std::fmt::Display| failed(format!("{}: {e}", self.path.display()));
         let pool = threads::pool(self.threads)?;
         let busy = BusyIndicator::new(printer, "a pilot of the first frame decides whether a first pass saves time");
-        let choice = pool
+        let (choice, solved) = pool
             .install(|| method_choice::choose_method(&self.source, &self.settings, &self.plan))
             .map_err(|e| failed(&e))?;
         drop(busy);
@@ -218,7 +221,7 @@ impl ResolvedRequest {
             self.plan =
                 plan_request(self.source.scene(), &self.settings, Some(&self.plan.frames)).map_err(|e| failed(&e))?;
         }
-        self.choice = Some(choice);
+        (self.choice, self.solved) = (Some(choice), solved);
         Ok(self)
     }
 

@@ -253,4 +253,12 @@ fn only_large_jobs_of_a_room_are_guided_by_a_first_pass() {
     let line = format!("submit still.mgf --server {url} --frames 1 --size 160x120 --spp 16384");
     let said = dir.run(&line).exits(0);
     assert!(said.stderr().contains("a first pass guides the paths"), "{}", said.stderr());
+
+    // A render in one process uses the first pass that its pilot has solved.
+    let mut command = dir.command("render still.mgf -o out.exr --frames 1 --size 160x120 --spp 16384 --threads 1");
+    let mut render = dir.start_command("render", command.env("FEMC_LOG", "femc=debug"));
+    render.wait_until("the first pass is finished", || dir.read("render.err").contains("stored="));
+    render.kill();
+    let log = dir.read("render.err");
+    assert!(log.contains("the first pass was solved before the job"), "{log}");
 }

@@ -6,6 +6,7 @@ use crate::path_state::{PathState, PreviousVertex, SegmentOrigin};
 use crate::record::{
     Continuation, Contribution, InteractionKind, LightTechnique, PathEnd, Recorder, Termination, Vertex, VertexLocation,
 };
+use crate::roulette::RouletteRule;
 use crate::tracer::{PathSample, Tracer};
 use crate::window::WindowDecision;
 use femc_geometry::{Ray, shadow_segment};
@@ -143,7 +144,10 @@ impl<R: Recorder> Tracer<'_, R> {
         path.ray = Ray { origin: position, dir: scattered.dir, t_max: f32::INFINITY, time: path.ray.time };
         path.bounce += 1;
         path.roulette_scale *= scattered.pdf / scattered.phase_pdf;
-        path.roulette::<true>(decision != WindowDecision::Unknown)
+        path.roulette::<true>(match decision {
+            WindowDecision::Unknown => RouletteRule::ByWeight,
+            WindowDecision::Roulette(_) | WindowDecision::Copies(_) => RouletteRule::LongPaths,
+        })
     }
 }
 

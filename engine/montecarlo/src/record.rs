@@ -60,12 +60,13 @@ pub trait Recorder {
     fn lobe_split(&mut self, _lobe_split: impl FnOnce() -> LobeSplit) {}
     /// Records a light contribution.
     fn contribution(&mut self, contribution: impl FnOnce() -> Contribution);
-    /// Records that a copy of the path is split off at the latest vertex. The events up to [`Self::end_branch`] tell how it leaves.
+    /// Records that a copy of the path is split off at the latest vertex. The next events describe how the copy leaves, until
+    /// [`Self::suspend_branch`] or [`Self::discard_branch`]. The events after that are those of the remaining path.
     fn begin_branch(&mut self);
-    /// Records that the copy waits to be traced, or that it has ended at its vertex. The next events are those of the path that
-    /// remains.
-    /// - `waits`: whether it waits.
-    fn end_branch(&mut self, waits: bool);
+    /// Records that the copy has left the vertex and waits to be traced.
+    fn suspend_branch(&mut self);
+    /// Records that the copy has ended at the vertex.
+    fn discard_branch(&mut self);
     /// Records that the copy that was split off last, of those that wait, is traced now. The path before it has ended.
     fn resume_branch(&mut self);
     /// Records that the path ends, or a branch of it.
@@ -91,7 +92,9 @@ impl Recorder for () {
     #[inline(always)]
     fn begin_branch(&mut self) {}
     #[inline(always)]
-    fn end_branch(&mut self, _: bool) {}
+    fn suspend_branch(&mut self) {}
+    #[inline(always)]
+    fn discard_branch(&mut self) {}
     #[inline(always)]
     fn resume_branch(&mut self) {}
     #[inline(always)]
@@ -315,12 +318,15 @@ impl StepTree {
         self.leaving = Some(None);
     }
 
-    /// Ends the description of a branch ([`Recorder::end_branch`]).
-    pub fn end_branch(&mut self, waits: bool) {
+    /// Keeps the branch for later ([`Recorder::suspend_branch`]).
+    pub fn suspend_branch(&mut self) {
         let leaving = self.leaving.take().flatten();
-        if waits {
-            self.waiting.push((self.latest, leaving));
-        }
+        self.waiting.push((self.latest, leaving));
+    }
+
+    /// Forgets the branch ([`Recorder::discard_branch`]).
+    pub fn discard_branch(&mut self) {
+        self.leaving = None;
     }
 
     /// Continues the latest branch that waits ([`Recorder::resume_branch`]). Its vertex is repeated.
@@ -371,8 +377,12 @@ impl Recorder for Recording {
         self.steps.begin_branch();
     }
 
-    fn end_branch(&mut self, waits: bool) {
-        self.steps.end_branch(waits);
+    fn suspend_branch(&mut self) {
+        self.steps.suspend_branch();
+    }
+
+    fn discard_branch(&mut self) {
+        self.steps.discard_branch();
     }
 
     fn resume_branch(&mut self) {
@@ -449,8 +459,12 @@ impl<A: Recorder, B: Recorder> Recorder for RecorderPair<A, B> {
         record_both(self, || (), |it, ()| it.begin_branch(), |it, ()| it.begin_branch());
     }
 
-    fn end_branch(&mut self, waits: bool) {
-        record_both(self, || waits, |it, waits| it.end_branch(waits), |it, waits| it.end_branch(waits));
+    fn suspend_branch(&mut self) {
+        record_both(self, || (), |it, ()| it.suspend_branch(), |it, ()| it.suspend_branch());
+    }
+
+    fn discard_branch(&mut self) {
+        record_both(self, || (), |it, ()| it.discard_branch(), |it, ()| it.discard_branch());
     }
 
     fn resume_branch(&mut self) {

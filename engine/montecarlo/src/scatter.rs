@@ -5,6 +5,7 @@ use crate::path_state::{PathState, PreviousVertex, SegmentOrigin};
 use crate::record::{
     Continuation, Contribution, InteractionKind, LobeSplit, PathEnd, Recorder, Termination, Vertex, VertexLocation,
 };
+use crate::roulette::RouletteRule;
 use crate::surface::SurfaceInteraction;
 use crate::tracer::{PathSample, Tracer};
 use crate::window::{DirectionNumbers, MAX_BRANCHES, WindowDecision};
@@ -105,7 +106,9 @@ impl<R: Recorder> Tracer<'_, R> {
     ) -> ControlFlow<Termination> {
         let numbers = DirectionNumbers::draw(path);
         match decision {
-            WindowDecision::Unknown => return self.continue_path::<MEDIA, RECORD_ALL>(path, from, numbers, false),
+            WindowDecision::Unknown => {
+                return self.continue_path::<MEDIA, RECORD_ALL>(path, from, numbers, RouletteRule::ByWeight);
+            }
             WindowDecision::Roulette(q) => {
                 if !path.survives_window(q) {
                     return ControlFlow::Break(path.end(PathEnd::Roulette));
@@ -118,7 +121,7 @@ impl<R: Recorder> Tracer<'_, R> {
                 }
             }
         }
-        self.continue_path::<MEDIA, RECORD_ALL>(path, from, numbers, true)
+        self.continue_path::<MEDIA, RECORD_ALL>(path, from, numbers, RouletteRule::LongPaths)
     }
 
     /// Splits a path at its latest vertex into copies of equal weight. All but one become branches that wait to be traced.
@@ -138,9 +141,10 @@ impl<R: Recorder> Tracer<'_, R> {
             let mut branch = *path;
             let numbers = numbers.of_copy(copy, copies);
             record!(self.recorder.begin_branch());
-            let waits = self.continue_path::<MEDIA, RECORD_ALL>(&mut branch, from, numbers, true).is_continue();
-            record!(self.recorder.end_branch(waits));
-            if waits {
+            if self.continue_path::<MEDIA, RECORD_ALL>(&mut branch, from, numbers, RouletteRule::LongPaths).is_break() {
+                record!(self.recorder.discard_branch());
+            } else {
+                record!(self.recorder.suspend_branch());
                 branch.stream = path.stream.branch(u64::from(path.rays) << 32 | u64::from(copy));
                 self.pending.push(branch);
             }
@@ -148,14 +152,14 @@ impl<R: Recorder> Tracer<'_, R> {
     }
 
     /// Samples the direction in which the path continues from a surface.
-    /// - `in_window`: whether the weight window has decided on the path.
+    /// - `rule`: rule by which Russian roulette ends it there.
     #[inline(always)]
     fn continue_path<const MEDIA: bool, const RECORD_ALL: bool>(
         &mut self,
         path: &mut PathState,
         Continuing { surface, directions, light_context }: Continuing<'_>,
         numbers: DirectionNumbers,
-        in_window: bool,
+        rule: RouletteRule,
     ) -> ControlFlow<Termination> {
         let point = &surface.point;
         let Some(GuidedSample { sample: scattered, pdf_ratio, is_guide_sample }) =
@@ -170,7 +174,7 @@ impl<R: Recorder> Tracer<'_, R> {
         if is_delta && scattered.transmitted == Transmitted::Yes && surface.crossing != Crossing::Scatter {
             record!(self.recorder.leave(Continuation::unguided(InteractionKind::Straight)));
             path.continue_straight(surface);
-            return path.roulette::<MEDIA>(in_window);
+            return path.roulette::<MEDIA>(rule);
         }
         let wi = surface.frame.to_world(scattered.wi);
         if !surface.sides_agree(scattered.wi, wi) {
@@ -199,7 +203,7 @@ impl<R: Recorder> Tracer<'_, R> {
         let origin = offset_origin(point.position, point.error, point.normal, wi);
         path.ray = Ray { origin, dir: wi, t_max: f32::INFINITY, time: path.ray.time };
         path.bounce += 1;
-        path.roulette::<MEDIA>(in_window)
+        path.roulette::<MEDIA>(rule)
     }
 }
 

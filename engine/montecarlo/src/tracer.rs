@@ -5,6 +5,7 @@ use crate::dimensions as dim;
 use crate::fog::FoggyRay;
 use crate::path_state::{PathState, SegmentOrigin};
 use crate::record::{Contribution, LightTechnique, PathEnd, RecordLevel, Recorder, Termination};
+use crate::roulette::RouletteRule;
 use crate::shadow::ShadowTester;
 use crate::surface::SurfaceInteraction;
 use crate::technique::MisTechnique;
@@ -295,7 +296,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
             let before = path.throughput;
             path.throughput *= surface.crossing.straight_through();
             path.continue_straight(&surface);
-            return path.roulette::<MEDIA>(false).map_break(|termination| Termination {
+            return path.roulette::<MEDIA>(RouletteRule::ByWeight).map_break(|termination| Termination {
                 end: if is_last { PathEnd::Depth } else { termination.end },
                 throughput: before,
                 ..termination

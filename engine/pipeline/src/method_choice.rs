@@ -6,11 +6,13 @@
 //! noise is in such light, the first pass is solved and the same samples are traced with its guides. They measure the gain. Work is
 //! counted in rays, not in seconds: the choice depends on the job, not on the machine.
 
-use crate::first_pass::first_pass_key;
+use crate::first_pass::{
+    FieldMismatch, FrameLight, attach_first_pass, first_pass_key, first_pass_world, solve_first_pass,
+};
 use crate::first_pass_steps::{count_surfaces, first_pass_blocks};
 use crate::pilot;
 use crate::plan::Plan;
-use crate::preparation::{frame_key, prepare_frame};
+use crate::preparation::{frame_key, prepare_frame, prepare_world};
 use crate::render::{RenderError, RenderTask};
 use crate::settings::{Method, Settings, StopCondition};
 use femc_film::Rect;
@@ -21,8 +23,11 @@ use femc_montecarlo::record::{
     Continuation, Contribution, InteractionKind, LightTechnique, RecordLevel, Recorder, Termination, Vertex,
 };
 use femc_prepared::{PrepareError, Prepared, SceneSource};
+use femc_radiosity::Solution;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 
 /// Number of samples of each pixel of the pilot, to measure the variance.
 const VARIANCE_PILOT_SPP: u32 = 32;
@@ -81,6 +86,15 @@ pub struct Pilot {
     pub first_pass_rays: f64,
 }
 
+/// First pass that a pilot has solved, for the first frame of a job.
+#[derive(Clone, Debug)]
+pub struct SolvedFirstPass {
+    /// Key of the solution as a single task ([`first_pass_key`](crate::first_pass_key)).
+    pub key: [u8; 32],
+    /// The verified solution.
+    pub solution: Arc<Solution>,
+}
+
 /// Reason why no method could be chosen.
 #[derive(Debug, thiserror::Error)]
 pub enum MethodChoiceError {
@@ -90,25 +104,29 @@ pub enum MethodChoiceError {
     /// A tile was not rendered.
     #[error(transparent)]
     Render(#[from] RenderError),
+    /// The light of the first pass does not match its own frame.
+    #[error(transparent)]
+    Field(#[from] FieldMismatch),
 }
 
-/// Chooses the method of a job whose settings leave it open ([`Method::Auto`]).
+/// Chooses the method of a job whose settings leave it open ([`Method::Auto`]). Also returns the first pass, if the pilot has solved
+/// it.
 /// - `source`: the scene, overrides applied;
 /// - `plan`: plan of `settings`.
 pub fn choose_method(
     source: &SceneSource,
     settings: &Settings,
     plan: &Plan,
-) -> Result<MethodChoice, MethodChoiceError> {
-    let paths = |reason: &str| MethodChoice { method: Method::Pt, reason: reason.to_owned(), pilot: None };
+) -> Result<(MethodChoice, Option<SolvedFirstPass>), MethodChoiceError> {
+    let paths = |reason: &str| (MethodChoice { method: Method::Pt, reason: reason.to_owned(), pilot: None }, None);
     if matches!(settings.stop, StopCondition::Time(_)) {
         return Ok(paths("a frame with a time limit has no first pass, because its samples start at once"));
     }
-    let Some(found) = run_pilot(source, settings, plan)? else {
+    let Some((found, solved)) = run_pilot(source, settings, plan)? else {
         return Ok(paths("the job is small, and path tracing finishes it before a first pass would be solved"));
     };
     let (method, reason) = found.method_and_reason();
-    Ok(MethodChoice { method, reason, pilot: Some(found) })
+    Ok((MethodChoice { method, reason, pilot: Some(found) }, solved))
 }
 
 impl Pilot {
@@ -159,7 +177,11 @@ impl Pilot {
 
 /// Traces some paths of the first frame, and the same samples with guides if that may pay. `None`: the job is too small for a
 /// pilot.
-pub fn run_pilot(source: &SceneSource, settings: &Settings, plan: &Plan) -> Result<Option<Pilot>, MethodChoiceError> {
+fn run_pilot(
+    source: &SceneSource,
+    settings: &Settings,
+    plan: &Plan,
+) -> Result<Option<(Pilot, Option<SolvedFirstPass>)>, MethodChoiceError> {
     let settings = Settings { method: Method::Pt, statistics: false, ..settings.clone() };
     let Some(&frame) = plan.frames.first() else { return Ok(None) };
     let drawn = match settings.stop {
@@ -197,6 +219,7 @@ pub fn run_pilot(source: &SceneSource, settings: &Settings, plan: &Plan) -> Resu
         rays,
         first_pass_rays,
     };
+    let mut solved = None;
     if found.is_promising() {
         // The work is known better now and may justify more pixels.
         let all = samples_a_pixel * f64::from(film[0]) * f64::from(film[1]) * frames;
@@ -206,17 +229,23 @@ pub fn run_pilot(source: &SceneSource, settings: &Settings, plan: &Plan) -> Resu
         let paths = PilotSamples::trace(&prepared, &settings)?;
         let settings = Settings { method: Method::Femc, ..settings };
         found.samples += paths.samples;
-        match prepare_frame(source, &settings, frame, Some(&prepared)) {
-            Ok(prepared) => {
+        let mut prepared = prepare_world(source, &settings, frame, Some(&prepared))?;
+        let world = first_pass_world(source, &settings, frame, Some(&prepared))?;
+        match solve_first_pass(&world, Method::Femc, &AtomicBool::new(false)) {
+            Ok(solution) => {
+                let light = FrameLight::new(Arc::new(solution.field.clone()), prepared.brightness);
+                attach_first_pass(&mut prepared, light)?;
                 let guided = PilotSamples::trace(&prepared, &settings)?;
                 found.samples += guided.samples;
                 found.gain = Some(paths.gain(&guided));
+                let key = first_pass_key(&frame_key(source, &settings, frame)?, Method::Femc, 1);
+                solved = Some(SolvedFirstPass { key, solution: Arc::new(solution) });
             }
-            Err(PrepareError::FirstPass { reason }) => found.untrusted = Some(reason),
+            Err(RenderError::Untrusted(reason)) => found.untrusted = Some(reason.to_string()),
             Err(error) => return Err(error.into()),
         }
     }
-    Ok(Some(found))
+    Ok(Some((found, solved)))
 }
 
 /// Returns a message without its advice.
@@ -388,10 +417,12 @@ impl Recorder for PixelNoise {
         self.remaining = self.diffuse_bounces;
     }
 
-    fn end_branch(&mut self, waits: bool) {
-        if waits {
-            self.waiting.push(self.diffuse_bounces);
-        }
+    fn suspend_branch(&mut self) {
+        self.waiting.push(self.diffuse_bounces);
+        self.diffuse_bounces = self.remaining;
+    }
+
+    fn discard_branch(&mut self) {
         self.diffuse_bounces = self.remaining;
     }
 
@@ -412,7 +443,6 @@ impl Recorder for PixelNoise {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::sync::Arc;
 
     fn source(name: &str) -> SceneSource {
         let path = format!("{}/../../scenes/{name}.mgf", env!("CARGO_MANIFEST_DIR"));
@@ -422,7 +452,7 @@ mod tests {
     fn choose_for(source: &SceneSource, size: [u32; 2], stop: StopCondition) -> MethodChoice {
         let settings = Settings { size: Some(size), stop, ..Settings::default() };
         let plan = crate::plan_job(source.scene(), &settings, Some(&[1])).expect("a plan");
-        choose_method(source, &settings, &plan).expect("a choice")
+        choose_method(source, &settings, &plan).expect("a choice").0
     }
 
     #[test]

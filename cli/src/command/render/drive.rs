@@ -6,7 +6,7 @@ use super::state::RunState;
 use super::target::Target;
 use crate::clock::Clock;
 use crate::command::client::{self, FarmClient};
-use crate::command::embedded::{self, EmbeddedFarm};
+use crate::command::embedded::{EmbeddedConfig, EmbeddedFarm};
 use crate::command::interrupt::Interrupt;
 use crate::command::subject::{self, IncludedLogs};
 use crate::exit::{Failure, failed, interrupted};
@@ -57,12 +57,11 @@ pub struct RenderResult {
 pub fn run(request: &RenderRequest<'_>, state: &RunState, printer: Printer) -> Result<RenderResult, Failure> {
     client::runtime()?.block_on(async {
         let mut interrupt = Interrupt::listen()?;
-        let settings = embedded::EmbeddedConfig::with_files(
-            state.log(),
-            state.artifacts(),
-            request.resolved.workers,
-            request.resolved.threads,
-        );
+        let resolved = request.resolved;
+        let settings = EmbeddedConfig {
+            solved: resolved.solved.clone(),
+            ..EmbeddedConfig::with_files(state.log(), state.artifacts(), resolved.workers, resolved.threads)
+        };
         let (mut farm, client) = EmbeddedFarm::start(settings).await?;
         if request.watch {
             farm.show_in_browser(printer);

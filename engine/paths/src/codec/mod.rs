@@ -193,7 +193,7 @@ impl LightStatistics {
         let lengths = front.words()?;
         let plain = front.long()?;
         let tables = decompress(front.0, plain)?;
-        read_tables(TableReader(&tables), scope, threshold, lengths, version != VERSION_WITHOUT_BRANCHES)
+        read_tables(TableReader(&tables), scope, threshold, lengths, version)
     }
 }
 
@@ -222,14 +222,14 @@ fn read_tables(
     scope: Scope,
     threshold: u64,
     lengths: [u32; 7],
-    has_branches: bool,
+    version: u32,
 ) -> Result<LightStatistics, PathsError> {
     let [portions, paths, brightest, deepest, intersections, lights, names] = lengths;
     let portions = read_portions(&mut tables, portions, &scope)?;
     let names = read_names(&mut tables, names)?;
     let heads = [paths, brightest, deepest];
     let [paths, brightest, deepest] =
-        records::read_records(&mut tables, heads, [intersections, lights], &names, &scope, has_branches)?;
+        records::read_records(&mut tables, heads, [intersections, lights], &names, &scope, version)?;
     if !tables.0.is_empty() {
         return Err(PathsError::Corrupt("extra bytes follow the tables"));
     }

@@ -23,7 +23,7 @@
 //! - The class of a light is the technique that found it, plus 8 if it is hidden, plus 16 if it has radiance.
 
 use super::columns::{TableReader, join_u64, put_table, split_u64};
-use super::{OUT_OF_ORDER, OUT_OF_RANGE, PathsError, TRUNCATED, enum_from_number};
+use super::{OUT_OF_ORDER, OUT_OF_RANGE, PathsError, TRUNCATED, VERSION_WITHOUT_BRANCHES, enum_from_number};
 use crate::record::{
     InteractionKind, Intersection, LightPath, LightRecord, LightTechnique, MAX_INTERSECTIONS, MAX_LIGHTS, Name,
     NameMap, Names, PathEnd, PathKey,
@@ -190,23 +190,23 @@ fn grid_coordinate(index: u64, grid: f64) -> f64 {
 /// Reads the records chosen by hash, the brightest and the deepest.
 /// - `heads`: number of records of each kind;
 /// - `[intersections, lights]`: numbers of intersections and lights of all records;
-/// - `has_branches`: whether the tables have the words of branches.
+/// - `version`: version of the format.
 pub(super) fn read_records(
     tables: &mut TableReader<'_>,
     heads: [u32; 3],
     [intersections, lights]: [u32; 2],
     names: &Names,
     scope: &Scope,
-    has_branches: bool,
+    version: u32,
 ) -> Result<[Records; 3], PathsError> {
     let numbers = heads;
     let heads = numbers.map(|number| number as usize).iter().try_fold(0usize, |sum, number| sum.checked_add(*number));
     let heads: Vec<[u32; HEAD_WORDS]> = tables.read_table(heads.ok_or(TRUNCATED)?)?;
     let intersections: Vec<[u32; INTERSECTION_WORDS]> =
-        read_padded::<{ INTERSECTION_WORDS - 1 }, _>(tables, intersections, has_branches)?;
+        read_padded::<{ INTERSECTION_WORDS - 1 }, _>(tables, intersections, version)?;
     let off_grid = intersections.iter().filter(|words| join_u64([words[1], words[2]]) == OFF_GRID).count();
     let off_grid = tables.read_table(off_grid)?;
-    let lights: Vec<[u32; LIGHT_WORDS]> = read_padded::<{ LIGHT_WORDS - 1 }, _>(tables, lights, has_branches)?;
+    let lights: Vec<[u32; LIGHT_WORDS]> = read_padded::<{ LIGHT_WORDS - 1 }, _>(tables, lights, version)?;
     let of_class = |is: fn(u32) -> bool| lights.iter().filter(|light| is(light[0])).count();
     let occluders = tables.read_table(of_class(|class| class & OCCLUDED != 0))?;
     let radiances = tables.read_table(of_class(|class| class & LIT != 0))?;
@@ -243,13 +243,13 @@ pub(super) fn read_records(
     Ok(all)
 }
 
-/// Reads a table of records of `N` words. Without branches, its records have only the first `M`, and the last one is 0.
+/// Reads a table of records of `N` words. In the version without branches, they have only the first `M`, and the last one is 0.
 fn read_padded<const M: usize, const N: usize>(
     tables: &mut TableReader<'_>,
     records: u32,
-    has_branches: bool,
+    version: u32,
 ) -> Result<Vec<[u32; N]>, PathsError> {
-    if has_branches {
+    if version != VERSION_WITHOUT_BRANCHES {
         return tables.read_table(records as usize);
     }
     let short: Vec<[u32; M]> = tables.read_table(records as usize)?;

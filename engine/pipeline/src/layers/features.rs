@@ -191,7 +191,9 @@ impl Recorder for FeatureRecorder<'_> {
 
     fn begin_branch(&mut self) {}
 
-    fn end_branch(&mut self, _: bool) {}
+    fn suspend_branch(&mut self) {}
+
+    fn discard_branch(&mut self) {}
 
     fn resume_branch(&mut self) {}
 

@@ -282,14 +282,17 @@ impl PathNotes {
         self.copied = Some(self.place());
     }
 
-    fn end_branch(&mut self, waits: bool) {
-        let Some(end) = self.copied.take() else { return };
+    fn suspend_branch(&mut self) {
+        let Some(end) = self.copied else { return };
         let (event, split) = (self.events.get(end.events).copied(), self.splits.get(end.splits).copied());
+        self.waiting.push(WaitingNotes { begin: self.begin, end, event, split });
+        self.discard_branch();
+    }
+
+    fn discard_branch(&mut self) {
+        let Some(end) = self.copied.take() else { return };
         self.events.truncate(end.events);
         self.splits.truncate(end.splits);
-        if waits {
-            self.waiting.push(WaitingNotes { begin: self.begin, end, event, split });
-        }
     }
 
     fn resume_branch(&mut self) {
@@ -425,8 +428,12 @@ impl Recorder for LayerRecorder<'_> {
         self.notes.begin_branch();
     }
 
-    fn end_branch(&mut self, waits: bool) {
-        self.notes.end_branch(waits);
+    fn suspend_branch(&mut self) {
+        self.notes.suspend_branch();
+    }
+
+    fn discard_branch(&mut self) {
+        self.notes.discard_branch();
     }
 
     fn resume_branch(&mut self) {

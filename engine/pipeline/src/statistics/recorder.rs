@@ -256,8 +256,12 @@ impl Recorder for PathRecorder<'_> {
         self.steps.begin_branch();
     }
 
-    fn end_branch(&mut self, waits: bool) {
-        self.steps.end_branch(waits);
+    fn suspend_branch(&mut self) {
+        self.steps.suspend_branch();
+    }
+
+    fn discard_branch(&mut self) {
+        self.steps.discard_branch();
     }
 
     fn resume_branch(&mut self) {

@@ -166,7 +166,7 @@ mod tests {
             let weight = match WINDOW.decide_by_ratio(ratio) {
                 WindowDecision::Unknown => panic!("{ratio}: no decision"),
                 WindowDecision::Roulette(q) => {
-                    assert!(ratio < WINDOW.lower && q < 1.0 && q >= MIN_SURVIVAL, "{ratio}: {q}");
+                    assert!(ratio < WINDOW.lower && (MIN_SURVIVAL..1.0).contains(&q), "{ratio}: {q}");
                     let survivors = (0..N).filter(|k| (*k as f32 + 0.5) / (N as f32) < q).count();
                     survivors as f32 / N as f32 / q
                 }

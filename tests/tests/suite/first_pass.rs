@@ -94,7 +94,7 @@ fn mean_irradiance(solution: &Solution, surface: usize) -> f64 {
     (0..EDGE * EDGE).map(at).sum::<f64>() / f64::from(EDGE * EDGE)
 }
 
-fn furnace(reflectance: f64, fog: &str) -> String {
+pub(crate) fn furnace(reflectance: f64, fog: &str) -> String {
     format!("{CAMERA}{fog}m wall =\n  sides 1\n  rd {reflectance}\n  ed {PI}\n{}", cube())
 }
 

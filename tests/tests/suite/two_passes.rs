@@ -1,9 +1,11 @@
 //! Guided paths have the same mean as unguided paths, whatever the guide says.
 
+use crate::first_pass::furnace;
 use femc_field::Leaf;
 use femc_film::Filter;
 use femc_math::color::luminance;
 use femc_math::glam::Vec3A;
+use femc_math::sampler::{REPLICATES, replicate_of};
 use femc_montecarlo::{Guidance, PathSettings, PixelFilter, Tracer};
 use femc_pipeline::radiosity::{self, SolveOptions};
 use femc_pipeline::{Field, SceneSource, Settings, prepare_frame};
@@ -137,19 +139,80 @@ fn light_that_is_wrong_changes_no_mean() {
         ("endless in places", |leaf| if leaf % 3 == 0 { f32::INFINITY } else { 1.0 }),
     ];
     for (name, scale) in wrong {
-        let mut leaves = field.leaves.clone();
-        for (k, leaf) in leaves.iter_mut().enumerate() {
-            match leaf {
-                Leaf::Triangle(values) => values.iter_mut().for_each(|value| *value *= scale(k)),
-                Leaf::Rectangle(values) => values.iter_mut().for_each(|value| *value *= scale(k)),
-                Leaf::Curved(light) => light.0.iter_mut().for_each(|value| *value *= scale(k)),
-            }
-        }
-        let (of, lobes) = (field.guides.by_leaf().to_vec(), field.guides.lobes().to_vec());
-        let changed =
-            Field { guides: femc_field::Guides::new(of, lobes, &field.roots, &field.cells, &leaves), ..field.clone() };
+        let changed = with_scaled_leaves(&field, scale);
         assert_same_means(name, &paths, &blocks(&prepared, Some(&changed), 2, 128));
     }
+}
+
+/// Returns a field with the light of each leaf multiplied by a factor.
+fn with_scaled_leaves(field: &Field, factor: impl Fn(usize) -> f32) -> Field {
+    let mut leaves = field.leaves.clone();
+    for (k, leaf) in leaves.iter_mut().enumerate() {
+        match leaf {
+            Leaf::Triangle(values) => values.iter_mut().for_each(|value| *value *= factor(k)),
+            Leaf::Rectangle(values) => values.iter_mut().for_each(|value| *value *= factor(k)),
+            Leaf::Curved(light) => light.0.iter_mut().for_each(|value| *value *= factor(k)),
+        }
+    }
+    let (of, lobes) = (field.guides.by_leaf().to_vec(), field.guides.lobes().to_vec());
+    Field { guides: femc_field::Guides::new(of, lobes, &field.roots, &field.cells, &leaves), ..field.clone() }
+}
+
+/// In a closed box whose walls shine evenly, the luminance is 1 / (1 - albedo) everywhere. Fields that are wrong by wall split paths
+/// at some walls and end them at others.
+#[test]
+fn pixels_of_a_furnace_have_its_light_if_paths_are_split() {
+    type Scale = fn(usize) -> f32;
+    let scales: [(&str, Scale); 3] = [
+        ("as solved", |_| 1.0),
+        ("wrong by wall", |leaf| 3f32.powi((leaf * 7 % 5) as i32 - 2)),
+        ("dark walls", |leaf| (leaf % 2) as f32),
+    ];
+    for (albedo, fog) in [(0.5, ""), (0.8, ""), (0.5, "medium air =\n  sigma_s 1\nmbox air 0 0 0 1 1 1\n")] {
+        let prepared = prepare_scene(parse_scene(&furnace(albedo, fog)));
+        let field = solve_guides(&prepared);
+        for (name, scale) in scales {
+            let changed = with_scaled_leaves(&field, scale);
+            let name = format!("albedo {albedo}, {} bytes of fog, {name}", fog.len());
+            assert_pixels_have_light(&name, &prepared, &changed, 1.0 / (1.0 - albedo));
+        }
+    }
+}
+
+/// Checks the mean of the frame at 4 standard errors (once in 16,000 times), those of blocks of pixels at 5, and those of pixels at 8,
+/// because their few samples are not distributed normally.
+fn assert_pixels_have_light(name: &str, prepared: &Prepared, field: &Field, light: f64) {
+    const SPP: u32 = 64;
+    let (n, count) = (f64::from(SPP), REPLICATES as f64);
+    let pixel = |pixel: u32| {
+        let path = PathSettings { seed: 3, max_depth: 0, single_technique: None };
+        let mut tracer = Tracer::new(prepared, path).with_guidance(Guidance::new(prepared, field));
+        let mut sums = [0.0; REPLICATES];
+        for sample in 0..SPP {
+            let drawn = tracer.sample(pixel, sample, FilterAdapter(Filter::Box));
+            sums[replicate_of(sample)] += f64::from(luminance(drawn.color));
+        }
+        let mean = sums.iter().sum::<f64>() / n;
+        let spread: f64 = sums.iter().map(|sum| (sum * count / n - mean).powi(2)).sum();
+        [mean, spread / (count * (count - 1.0)), tracer.counters.segments as f64 / n]
+    };
+    let pixels: Vec<[f64; 3]> = (0..EDGE * EDGE).into_par_iter().map(pixel).collect();
+    let number = pixels.len() as f64;
+    let [mean, variance, segments] = [0, 1, 2].map(|at| pixels.iter().map(|pixel| pixel[at]).sum::<f64>() / number);
+    let z = (mean - light) / (variance / number).sqrt();
+    let worst = |errors: &mut dyn Iterator<Item = f64>| errors.map(f64::abs).fold(0.0, f64::max) / variance.sqrt();
+    let of_pixels = worst(&mut pixels.iter().map(|pixel| pixel[0] - light));
+    let (across, area) = (EDGE / BLOCK, f64::from(BLOCK * BLOCK));
+    let block = |index: u32| {
+        let rows = (0..BLOCK).map(|row| (index / across * BLOCK + row) * EDGE + index % across * BLOCK);
+        rows.flat_map(|row| row..row + BLOCK).map(|pixel| pixels[pixel as usize][0] - light).sum::<f64>() / area.sqrt()
+    };
+    let of_blocks = worst(&mut (0..across * across).map(block));
+    println!(
+        "{name}: {z:+.2} standard errors, worst block {of_blocks:.2}, worst pixel {of_pixels:.2}, {segments:.1} segments"
+    );
+    assert!(z.abs() < 4.0, "{name}: {mean} {light} {z}");
+    assert!(of_blocks < 5.0 && of_pixels < 8.0, "{name}: {of_blocks} {of_pixels}");
 }
 
 /// A lamp shines at the ceiling, which lights everything else. Guided samples have less variance there.

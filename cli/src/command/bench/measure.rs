@@ -122,17 +122,37 @@ impl PreparedScene<'_> {
         Ok(self.first_passes.len() - 1)
     }
 
-    /// Renders one frame and compares it with the reference. The time of a method with a first pass includes the first pass.
+    /// Chooses the method if the settings leave it open. Returns the settings, and the wall and processor time of the pilot if there
+    /// was one.
+    fn choose_method(&self, settings: Settings) -> Result<(Settings, Option<[Duration; 2]>), Failure> {
+        if settings.method != femc_pipeline::Method::Auto {
+            return Ok((settings, None));
+        }
+        let BenchScene { setup, resolved, .. } = self.scene;
+        let (clock, cpu) = (Clock, femc_worker::process_time());
+        let begun = clock.now();
+        let plan = femc_pipeline::plan_job(resolved.scene(), &settings, Some(&[setup.frame])).map_err(failed)?;
+        let choose = || femc_pipeline::method_choice::choose_method(&resolved.source, &settings, &plan);
+        let (choice, _) = self.pool.install(choose).map_err(failed)?;
+        let taken = [clock.since(begun), femc_worker::process_time().saturating_sub(cpu)];
+        Ok((Settings { method: choice.method, ..settings }, Some(taken)))
+    }
+
+    /// Renders one frame and compares it with the reference. The time of a method with a first pass includes the first pass, and
+    /// that of `auto` the pilot.
     pub fn run(&mut self, method: &Method, budget: f64, seed: u64) -> Result<Run, Failure> {
         let BenchScene { setup, resolved, reference } = self.scene;
         let settings =
             Settings { stop: method.stop(budget), method: method.transport, seed, ..resolved.settings.clone() };
+        let (settings, pilot) = self.choose_method(settings)?;
         let plan = femc_pipeline::plan_job(resolved.scene(), &settings, Some(&[setup.frame])).map_err(failed)?;
         let first_pass =
-            if method.transport.has_first_pass() { Some(self.first_pass_index(method.transport)?) } else { None };
+            if settings.method.has_first_pass() { Some(self.first_pass_index(settings.method)?) } else { None };
         let first_pass = first_pass.map(|at| &self.first_passes[at].1);
         let prepared = first_pass.map_or(&self.prepared, |lit| &lit.prepared);
-        let [first, first_cpu] = first_pass.map_or([Duration::ZERO; 2], |lit| [lit.seconds, lit.cpu]);
+        // A pilot that chooses a first pass has solved it, so it counts once.
+        let before = pilot.or(first_pass.map(|lit| [lit.seconds, lit.cpu]));
+        let [first, first_cpu] = before.unwrap_or([Duration::ZERO; 2]);
         let (clock, progress) = (Clock, AtomicU64::new(0));
         let (begun, cpu) = (clock.now(), femc_worker::process_time());
         let rendered = self.pool.install(|| {

@@ -32,7 +32,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
     femc bench scenes/cornell.mgf --reference cornell.exr --methods pt,adaptive --report bench.html\n  \
     femc bench box.mgf fog.mgf --reference box.exr fog.exr --spp 1,4,16,64 --error 0.5,0.2 -o bench.json\n  \
     femc bench box.mgf --reference A.exr,B.exr --methods pt --seeds 10 --json | jq .summary.methods\n\n\
-    Methods: pt (budgets: --spp), adaptive (budgets: --error). The first method is the baseline of the comparison. Only rendering \
+    Methods: pt, femc, fem, auto (budgets: --spp), adaptive (budgets: --error). The first method is the baseline of the comparison. Only rendering \
     is timed, in this process: the scene is read and compiled before. If the independent halves REF_A.exr and REF_B.exr exist \
     beside a reference REF.exr, the noise of the reference is estimated and subtracted from mse and relmse, but not from flip.\n\
     With -o each measurement is saved as soon as it is made: rerun the command to resume after a stop. With more seeds, budgets, \

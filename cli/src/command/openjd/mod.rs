@@ -15,10 +15,10 @@ mod template;
 #[cfg(test)]
 mod tests;
 
-use crate::args::SettingsArgs;
+use crate::args::{Method, SettingsArgs};
 use crate::exit::{Exit, Failure, failed, usage};
 use crate::output::{Printer, human};
-use crate::request::{ImportedScene, JobFile};
+use crate::request::{ImportedScene, JobFile, ResolvedRequest};
 use clap::{Args, Subcommand};
 use export::FrameChunks;
 use std::num::NonZeroUsize;
@@ -99,9 +99,19 @@ fn import(args: &ImportArgs, printer: Printer) -> Result<Exit, Failure> {
 }
 
 fn export(args: &ExportArgs, printer: Printer) -> Result<Exit, Failure> {
-    let job = JobFile::load(&args.job).map_err(usage)?;
+    let mut job = JobFile::load(&args.job).map_err(usage)?;
     let imported = ImportedScene::open(&job.scene, job.settings.root.as_deref(), printer)?;
-    let frames = frames(&job, &imported)?;
+    let first = first_variant(&job, &imported)?;
+    let frames = first.plan.frames.clone();
+    if !job.sweep.iter().flat_map(|sweep| &sweep.axes).any(|axis| axis.name == "method") {
+        // Tasks that chose for themselves could choose differently, and each would need a pilot.
+        let chosen = first.choose_method(printer)?;
+        chosen.explain_method(printer);
+        if let Some(choice) = &chosen.choice {
+            let guided = choice.method == femc_pipeline::Method::Femc;
+            job.settings.method = Some(if guided { Method::Femc } else { Method::Pt });
+        }
+    }
     let frames = FrameChunks { all: &frames, chunk: args.chunk };
     let exported = export::export(&job, frames, &args.out).map_err(map_template_error)?;
     write(&args.out, &exported.text)?;
@@ -115,12 +125,12 @@ fn export(args: &ExportArgs, printer: Printer) -> Result<Exit, Failure> {
     Ok(Exit::Done)
 }
 
-/// Returns the frames of the first variant. Plans every variant, so that the template is as valid as its job.
-fn frames(job: &JobFile, imported: &ImportedScene) -> Result<Vec<u32>, Failure> {
-    let ask = |settings: &SettingsArgs| Ok(imported.resolve(settings, &|key| job.location(key))?.plan.frames);
-    let Some(sweep) = &job.sweep else { return ask(&job.settings) };
+/// Resolves the first variant. Resolves every variant, so that the template is as valid as its job.
+fn first_variant(job: &JobFile, imported: &ImportedScene) -> Result<ResolvedRequest, Failure> {
+    let resolve = |settings: &SettingsArgs| imported.resolve(settings, &|key| job.location(key));
+    let Some(sweep) = &job.sweep else { return resolve(&job.settings) };
     let mut all =
-        sweep.variants().iter().map(|variant| ask(&variant.apply(&job.settings))).collect::<Result<Vec<_>, _>>()?;
+        sweep.variants().iter().map(|variant| resolve(&variant.apply(&job.settings))).collect::<Result<Vec<_>, _>>()?;
     Ok(all.swap_remove(0))
 }
 

@@ -11,13 +11,13 @@
 //! - `first s`: processor seconds of the first pass; `s`: of the samples;
 //! - `rays`: rays and shadow rays of a sample;
 //! - `variance`: variance of the mean of all samples of a pixel, times their number, over the pixel's squared mean + 0.01, averaged
-//!   over all pixels. Evenly spread samples have less variance than independent ones; the column `independent` ignores their spread;
+//!   over all pixels and channels, as in relmse. Evenly spread samples have less variance than independent ones; the column `independent` ignores their spread;
 //! - `±`: standard error of the variance, %, from the spread over rows of pixels;
 //! - `gain`: variance times seconds of the baseline over that of the method; `with first`: with the seconds of the first pass;
 //! - `z`: difference of the mean from the baseline's, in standard errors.
 
 use femc_film::Filter;
-use femc_math::color::luminance;
+use femc_math::glam::DVec3;
 use femc_math::sampler::{REPLICATES, replicate_of};
 use femc_montecarlo::{Guidance, PathSettings, PixelFilter, Tracer, WeightWindow};
 use femc_pipeline::radiosity::{self, SolveOptions};
@@ -135,8 +135,8 @@ struct Statistics {
 /// Sums of the samples of a pixel: by replicate, and their squares.
 #[derive(Clone, Copy, Default)]
 struct PixelSums {
-    replicates: [f64; REPLICATES],
-    squares: f64,
+    replicates: [DVec3; REPLICATES],
+    squares: DVec3,
 }
 
 /// Traces the samples of all methods, in alternation.
@@ -167,7 +167,7 @@ fn measure(
                         for sample in samples.clone() {
                             let pixel = row as u32 * size + column as u32;
                             let drawn = tracer.sample(pixel, sample, FilterAdapter(Filter::Box));
-                            let value = f64::from(luminance(drawn.color));
+                            let value = drawn.color.as_dvec3();
                             sums.replicates[replicate_of(sample)] += value;
                             sums.squares += value * value;
                         }
@@ -180,23 +180,25 @@ fn measure(
         }
     }
     let n = f64::from(spp);
-    let mean = |pixel: &PixelSums| pixel.replicates.iter().sum::<f64>() / n;
+    let mean = |pixel: &PixelSums| pixel.replicates.iter().sum::<DVec3>() / n;
     // All variances are divided by the same mean, because the mean of few samples of a pixel is uncertain.
-    let means: Vec<f64> = (0..sums[0].len())
-        .map(|at| sums.iter().map(|pixels| mean(&pixels[at])).sum::<f64>() / sums.len() as f64)
+    let means: Vec<DVec3> = (0..sums[0].len())
+        .map(|at| sums.iter().map(|pixels| mean(&pixels[at])).sum::<DVec3>() / sums.len() as f64)
         .collect();
     let area = f64::from(size * size);
     for (pixels, out) in sums.iter().zip(&mut out) {
         let mut rows = vec![0.0; size as usize];
         for (at, (pixel, likely)) in pixels.iter().zip(&means).enumerate() {
             let (mean, count) = (mean(pixel), REPLICATES as f64);
-            let spread = pixel.replicates.iter().map(|sum| (sum * count / n - mean).powi(2)).sum::<f64>();
+            let square = |difference: DVec3| difference * difference;
+            let spread = pixel.replicates.iter().map(|sum| square(*sum * count / n - mean)).sum::<DVec3>();
             let of_mean = spread / (count - 1.0) / count;
-            let weight = 1.0 / (likely * likely + 1e-2);
-            out.mean += mean / area;
-            out.error2 += of_mean / (area * area);
-            rows[at / size as usize] += of_mean * n * weight / f64::from(size);
-            out.independent += (pixel.squares / n - mean * mean) * n / (n - 1.0) * weight / area;
+            let weight = DVec3::ONE / (likely * likely + 1e-2) / 3.0;
+            out.mean += mean.element_sum() / 3.0 / area;
+            // At most, because the channels of a sample depend on each other.
+            out.error2 += of_mean.element_sum() / 3.0 / (area * area);
+            rows[at / size as usize] += of_mean.dot(weight) * n / f64::from(size);
+            out.independent += (pixel.squares / n - mean * mean).dot(weight) * n / (n - 1.0) / area;
         }
         out.variance = rows.iter().sum::<f64>() / rows.len() as f64;
         let squares = rows.iter().map(|row| (row - out.variance).powi(2)).sum::<f64>();

@@ -1,6 +1,7 @@
 //! Output of the program: results on stdout; progress, notes and errors on stderr.
 
 mod busy;
+pub mod decisions;
 pub mod error;
 pub mod faults;
 pub mod half_blocks;

@@ -74,6 +74,15 @@ fn the_account_names_what_was_planted() {
     let path = first["brightest"]["path"].as_array().expect("a path");
     assert_eq!(path.len(), 3, "floor, plate, lamp: {first}");
     assert_eq!((&path[0]["object"], &path[1]["object"]), (&"ground".into(), &"plate".into()));
+    assert_eq!(report["decisions"], serde_json::Value::Null);
+    let decisions =
+        &dir.run("fireflies a.exr caustic.mgf --blocks 1 --decisions=4 --json").exits(0).json()["decisions"];
+    assert!((sum(&decisions["parts"], "share") - 1.0).abs() < 1e-9, "{decisions}");
+    assert_eq!(decisions["samples"], 4 * 256);
+    // Light that arrives by way of the mirror is found by directions alone.
+    assert_eq!(decisions["parts"][0]["decision"], "direction", "{decisions}");
+    let table = dir.run("fireflies a.exr caustic.mgf --blocks 1 --decisions=4").exits(0).stdout();
+    assert!(table.contains("by the spread of the samples"), "{table}");
     let said = dir.run("fireflies a.exr caustic.mgf").exits(0).stdout();
     assert!(said.contains("chrome of plate") && said.contains("bulb of upward, caustic.mgf:"), "{said}");
 }

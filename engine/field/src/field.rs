@@ -65,6 +65,11 @@ impl Leaf {
 
     /// Returns the luminance of the mean irradiance over the leaf, lx; at least 0.
     pub fn mean_illuminance(&self) -> f32 {
+        luminance(self.mean_irradiance())
+    }
+
+    /// Returns the mean irradiance over the leaf, lx by channel; at least 0.
+    pub fn mean_irradiance(&self) -> Rgb {
         let mean = |values: &[Rgb]| values.iter().copied().sum::<Rgb>() * (1.0 / values.len() as f32);
         let mean = match self {
             Self::Triangle(values) => mean(values),
@@ -76,7 +81,7 @@ impl Leaf {
                     .sum()
             }
         };
-        luminance(mean.max(Rgb::ZERO))
+        mean.max(Rgb::ZERO)
     }
 }
 
@@ -133,13 +138,6 @@ impl Field {
     pub fn guide_at(&self, hit: &Hit, side: Side, position: Vec3A) -> Option<Guided<'_>> {
         let surface = self.sides[hit.instance as usize][hit.primitive as usize][usize::from(side == Side::Back)];
         self.guides.at(surface, || self.surfaces[surface as usize].parameters(position, [hit.u, hit.v]))
-    }
-
-    /// Returns the luminance of the mean irradiance of the leaf at a hit, lx.
-    #[inline]
-    pub fn light_at(&self, hit: &Hit, side: Side, position: Vec3A) -> Option<f32> {
-        let (leaf, _) = self.leaf_at(hit, side, position)?;
-        Some(self.leaves[leaf as usize].mean_illuminance())
     }
 
     /// Returns the leaf of a hit, and the hit's coordinates in it.

@@ -4,7 +4,7 @@ use crate::regions::RegionGrids;
 use crate::{Cell, Leaf};
 use femc_math::elementary::sin_cos;
 use femc_math::glam::{Vec2, Vec3A};
-use femc_math::{Frame, cross};
+use femc_math::{Frame, Rgb, cross};
 use std::collections::HashMap;
 use std::f32::consts::PI;
 
@@ -64,8 +64,8 @@ pub struct Guides {
 pub struct Guided<'a> {
     /// Lobes from which light comes, if sampling them is worthwhile, and the share of directions to sample from them.
     pub lobes: Option<&'a (Block, f32)>,
-    /// Luminance of the irradiance near the point, lx, without direct light from light sources.
-    pub light: f32,
+    /// Irradiance near the point, lx by channel, without direct light from light sources.
+    pub light: Rgb,
 }
 
 const UNGUIDED: u32 = u32::MAX;
@@ -125,7 +125,7 @@ impl Guides {
     #[inline]
     pub fn at(&self, surface: u32, place: impl FnOnce() -> Vec2) -> Option<Guided<'_>> {
         let region = self.regions.at(surface, place)?;
-        Some(Guided { lobes: self.blocks.get(region.data as usize), light: region.light })
+        Some(Guided { lobes: self.blocks.get(region.data as usize), light: Rgb::from(region.light) })
     }
 }
 

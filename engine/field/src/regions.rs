@@ -11,8 +11,8 @@ use femc_math::glam::Vec2;
 pub(crate) struct Region {
     /// Index of its data.
     pub data: u32,
-    /// Luminance of the mean irradiance of its leaf, lx, without direct light from light sources.
-    pub light: f32,
+    /// Mean irradiance of its leaf, lx by channel, without direct light from light sources.
+    pub light: [f32; 3],
 }
 
 /// Grids of all surfaces.
@@ -66,7 +66,7 @@ impl RegionGrids {
                 }
             };
         }
-        let light: Vec<f32> = leaves.iter().map(Leaf::mean_illuminance).collect();
+        let light: Vec<[f32; 3]> = leaves.iter().map(|leaf| leaf.mean_irradiance().to_array()).collect();
         let most = MAX_REGIONS_OVER_CELLS * cells.len();
         let mut out = Self { grids: Vec::with_capacity(roots.len()), regions: Vec::new() };
         for &root in roots {
@@ -92,7 +92,7 @@ impl RegionGrids {
 
     /// Multiplies the light by a factor.
     pub fn scale(&mut self, factor: f32) {
-        self.regions.iter_mut().for_each(|region| region.light *= factor);
+        self.regions.iter_mut().flat_map(|region| &mut region.light).for_each(|light| *light *= factor);
     }
 
     /// Returns the region of a point of a surface. `None` if the surface has no data.

@@ -8,6 +8,7 @@
 
 use crate::dimensions as dim;
 use crate::path_state::PathState;
+use crate::record::Decision;
 use crate::shadow::ShadowTester;
 use crate::square;
 use crate::technique::{MisTechnique, mis_weight};
@@ -169,18 +170,26 @@ impl FogSampler<'_> {
     }
 
     /// Samples single scattering on the segment with a light and a distance for it (way 1).
-    pub fn sample_airlight(&mut self, path: &mut PathState) -> Option<SingleScatterSample> {
+    /// - `decide`: called before the random numbers of each decision are drawn.
+    pub fn sample_airlight(
+        &mut self,
+        path: &mut PathState,
+        mut decide: impl FnMut(Decision, &mut PathState),
+    ) -> Option<SingleScatterSample> {
         let scene = self.scene;
         let light_context = self.ray.light_context?;
+        decide(Decision::AirlightLamp, path);
         path.stream.seek(path.base + dim::AIRLIGHT_LIGHT);
         let choice = dim::uniform_48(path.stream.next_2d());
         let (light, probability) = scene.lights.choose(&self.ray.light_weights, &light_context, choice)?;
         let distances = airlight_distances(scene, self.ray, &light_context, light, path.ray.time)?;
+        decide(Decision::AirlightDistance, path);
         path.stream.seek(path.base + dim::AIRLIGHT);
         let u = path.stream.next_1d();
         path.stream.seek(path.base + dim::AIRLIGHT_CHANNEL);
         let (event, density) = distances.sample(&scene.media, &self.ray.media, u, path.stream.next_1d())?;
         let position = path.ray.origin + path.ray.dir * event.t;
+        decide(Decision::AirlightPoint, path);
         path.stream.seek(path.base + dim::AIRLIGHT_POINT);
         let point = path.stream.next_2d();
         let sample = scene.lights.sample_light(&scene.world, &scene.textures, light, position, path.ray.time, point)?;
@@ -415,7 +424,7 @@ f e f g h
         let mut distances = Vec::new();
         for seed in 0..40_000 {
             let mut path = center_path(&scene, seed);
-            let scattered = fixture.sampler().sample_airlight(&mut path);
+            let scattered = fixture.sampler().sample_airlight(&mut path, |_, _| ());
             distances.push(scattered.map(|scattered| {
                 assert_eq!(scattered.light, 0);
                 scattered.event.t

@@ -26,7 +26,7 @@ pub struct SurfaceGuide<'a> {
     /// Lobes, and the share of directions to sample from them, in (0, 1).
     pub lobes: Option<(&'a Block, f32)>,
     /// Radiance that the surface scatters toward the previous vertex according to the field, cd/m2, without direct light from
-    /// sources: albedo by channel times the luminance of the irradiance, over pi. It is 0 if the field has no data here.
+    /// sources: albedo times irradiance, over pi. It is 0 if the field has no data here.
     pub radiance: Rgb,
 }
 
@@ -43,7 +43,7 @@ impl<'a> SurfaceGuide<'a> {
         let side = if surface.back { Side::Back } else { Side::Front };
         let Some(guided) = field.guide_at(&surface.hit, side, surface.point.position) else { return out };
         let albedo = surface.bsdf.albedo(surface.wo);
-        out.radiance = albedo * (guided.light * FRAC_1_PI);
+        out.radiance = albedo * guided.light * FRAC_1_PI;
         out.lobes = guided.lobes.map(|(block, share)| (block, share * (diffuse / luminance(albedo)).min(1.0)));
         out
     }

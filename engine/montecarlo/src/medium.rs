@@ -4,7 +4,8 @@ use crate::dimensions as dim;
 use crate::fog::{Collision, FogSampler, FreeFlight, SingleScatterSample};
 use crate::path_state::{PathState, PreviousVertex, SegmentOrigin};
 use crate::record::{
-    Continuation, Contribution, InteractionKind, LightTechnique, PathEnd, Recorder, Termination, Vertex, VertexLocation,
+    Continuation, Contribution, Decision, InteractionKind, LightTechnique, PathEnd, Recorder, Termination, Vertex,
+    VertexLocation,
 };
 use crate::roulette::RouletteRule;
 use crate::tracer::{PathSample, Tracer};
@@ -46,6 +47,7 @@ impl<R: Recorder> Tracer<'_, R> {
         }
         let is_last = self.settings.is_last(path.bounce);
         let (mut fog, recorder) = self.fog_sampler();
+        record!(recorder.decide(Decision::Glow, path.bounce, &mut path.stream));
         let color = path.throughput * fog.glow(path);
         out.color += color;
         if color != Rgb::ZERO {
@@ -61,7 +63,10 @@ impl<R: Recorder> Tracer<'_, R> {
         }
         if !is_last {
             fog.weigh_lights(path);
-            if let Some(scattered) = fog.sample_airlight(path) {
+            let decide = |decision, path: &mut PathState| {
+                record!(recorder.decide(decision, path.bounce, &mut path.stream));
+            };
+            if let Some(scattered) = fog.sample_airlight(path, decide) {
                 if RECORD_ALL
                     && R::WANTS_OCCLUDERS
                     && scattered.color == Rgb::ZERO
@@ -84,6 +89,7 @@ impl<R: Recorder> Tracer<'_, R> {
                 }
             }
         }
+        record!(recorder.decide(Decision::Distance, path.bounce, &mut path.stream));
         match fog.sample_collision(path) {
             FreeFlight::Collision(collision) => Some(collision),
             FreeFlight::Through { weight } => {
@@ -127,12 +133,14 @@ impl<R: Recorder> Tracer<'_, R> {
         let decision = guidance.map_or(WindowDecision::Unknown, |guidance| {
             guidance.decide(path, guidance.field.fog.scattered_radiance(position, -path.ray.dir))
         });
-        if let WindowDecision::Roulette(q) = decision
-            && !path.survives_window(q)
-        {
-            return ControlFlow::Break(path.end(PathEnd::Roulette));
+        if let WindowDecision::Roulette(q) = decision {
+            record!(self.recorder.decide(Decision::Window, path.bounce, &mut path.stream));
+            if !path.survives_window(q) {
+                return ControlFlow::Break(path.end(PathEnd::Roulette));
+            }
         }
         let (mut fog, recorder) = self.fog_sampler();
+        record!(recorder.decide(Decision::Direction, path.bounce, &mut path.stream));
         let Some(scattered) = fog.sample_direction(path, collision) else {
             return ControlFlow::Break(path.end(PathEnd::Absorbed));
         };
@@ -142,6 +150,7 @@ impl<R: Recorder> Tracer<'_, R> {
         let origin = SegmentOrigin::Medium { collision: *collision, phase_pdf: scattered.phase_pdf };
         path.previous = PreviousVertex { position, origin };
         path.ray = Ray { origin: position, dir: scattered.dir, t_max: f32::INFINITY, time: path.ray.time };
+        record!(self.recorder.decide(Decision::Roulette, path.bounce, &mut path.stream));
         path.bounce += 1;
         path.roulette_scale *= scattered.pdf / scattered.phase_pdf;
         path.roulette::<true>(match decision {

@@ -3,7 +3,7 @@
 use crate::dimensions as dim;
 use crate::guided::DirectionSampler;
 use crate::path_state::PathState;
-use crate::record::{Contribution, LightTechnique, LobeSplit, Recorder};
+use crate::record::{Contribution, Decision, LightTechnique, LobeSplit, Recorder};
 use crate::square;
 use crate::surface::SurfaceInteraction;
 use crate::technique::{MisTechnique, mis_weight};
@@ -29,6 +29,7 @@ impl<R: Recorder> Tracer<'_, R> {
             return;
         }
         lights.weigh(light_context, &mut self.surface_weights);
+        record!(self.recorder.decide(Decision::Lamp, path.bounce, &mut path.stream));
         path.stream.seek(path.base + dim::LIGHT);
         let number = dim::uniform_48(path.stream.next_2d());
         let Some(chosen) = lights.choose(&self.surface_weights, light_context, number) else { return };
@@ -59,6 +60,7 @@ impl<R: Recorder> Tracer<'_, R> {
         chosen: (u32, f32),
     ) -> Rgb {
         let (scene, point, time) = (self.scene, &surface.point, path.ray.time);
+        record!(self.recorder.decide(Decision::LampPoint, path.bounce, &mut path.stream));
         path.stream.seek(path.base + dim::LIGHT_POINT);
         let u = path.stream.next_2d();
         let Some(mut light) =

@@ -27,8 +27,9 @@ pub(crate) struct PathState {
     /// mixtures that replaced the BSDF or the phase function. If only the latest ratio counts, the reference roundabout has 8 %
     /// more variance.
     pub roulette_scale: f32,
-    /// Light that the field expected at the path's first vertex with data, and a share of the frame's mean, cd/m2; 0 before.
-    pub expected_light: f32,
+    /// Light that the field expected at the path's first vertex with data, and a share of the frame's mean, cd/m2 by channel;
+    /// 0 before.
+    pub expected_light: Rgb,
     /// Closed objects that contain the ray's origin.
     pub medium_stack: MediumStack,
     /// Vertex at which the segment began.
@@ -94,7 +95,7 @@ impl PathState {
             base: 0,
             throughput: Rgb::ONE,
             roulette_scale: 1.0,
-            expected_light: 0.0,
+            expected_light: Rgb::ZERO,
             medium_stack,
             previous: PreviousVertex { position: ray.origin, origin },
             awaits_first_surface: true,

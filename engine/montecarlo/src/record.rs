@@ -7,8 +7,8 @@
 //! `femc-paths` defines the kinds of events, so that recorders and recorded paths share them.
 
 use femc_geometry::Ray;
-use femc_math::Rgb;
 use femc_math::glam::Vec3A;
+use femc_math::{Rgb, SampleStream};
 pub use femc_paths::{InteractionKind, LightTechnique, PathEnd};
 use femc_prepared::camera::View;
 use femc_scattering::Bsdf;
@@ -32,6 +32,71 @@ pub enum RecordLevel {
     All,
 }
 
+/// Decision of a path for which random numbers are drawn, in the order in which a ray makes them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Decision {
+    /// Position in the pixel and on the lens, and time.
+    Camera,
+    /// Small emitter that the camera sees, and points on it.
+    CameraEmitter,
+    /// Point of a glowing medium.
+    Glow,
+    /// Lamp whose light the media of a ray scatter.
+    AirlightLamp,
+    /// Distance at which the media scatter it.
+    AirlightDistance,
+    /// Point on that lamp.
+    AirlightPoint,
+    /// Distance of the next collision in the media.
+    Distance,
+    /// Lamp for the direct light at a surface.
+    Lamp,
+    /// Point on that lamp.
+    LampPoint,
+    /// Russian roulette of the weight window.
+    Window,
+    /// Direction in which the path continues, and its lobe.
+    Direction,
+    /// Russian roulette by weight, and that of long paths.
+    Roulette,
+}
+
+impl Decision {
+    /// All decisions.
+    pub const ALL: [Self; 12] = [
+        Self::Camera,
+        Self::CameraEmitter,
+        Self::Glow,
+        Self::AirlightLamp,
+        Self::AirlightDistance,
+        Self::AirlightPoint,
+        Self::Distance,
+        Self::Lamp,
+        Self::LampPoint,
+        Self::Window,
+        Self::Direction,
+        Self::Roulette,
+    ];
+
+    /// Returns the word for it in tables.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Camera => "camera",
+            Self::CameraEmitter => "camera emitter",
+            Self::Glow => "glow",
+            Self::AirlightLamp => "airlight lamp",
+            Self::AirlightDistance => "airlight distance",
+            Self::AirlightPoint => "airlight point",
+            Self::Distance => "distance",
+            Self::Lamp => "lamp",
+            Self::LampPoint => "point on lamp",
+            Self::Window => "window",
+            Self::Direction => "direction",
+            Self::Roulette => "roulette",
+        }
+    }
+}
+
 /// Recorder that the tracer calls for each vertex of a path, for each contribution to a sample, and at the path's end.
 pub trait Recorder {
     /// Whether the recorder wants the occluders of light ([`Self::occluded`]), which takes work to find.
@@ -48,6 +113,10 @@ pub trait Recorder {
     /// Records the camera ray of the sample, independent of the other events to report.
     /// - `view`: the view of the point `lens` of the lens, in [0, 1)^2, at the ray's time.
     fn camera_ray(&mut self, _view: &View, _lens: [f32; 2], _ray: &Ray) {}
+    /// Records that random numbers are drawn next for a decision.
+    /// - `bounce`: index of the segment, 0: the camera's;
+    /// - `stream`: their source. A recorder may replace it by a branch, so that this decision and all later ones are new.
+    fn decide(&mut self, _decision: Decision, _bounce: u32, _stream: &mut SampleStream) {}
     /// Records that the path reached a surface that may scatter, or a collision in a medium.
     fn vertex(&mut self, vertex: impl FnOnce() -> Vertex);
     /// Records that the path leaves its latest vertex.
@@ -428,6 +497,11 @@ impl<A: Recorder, B: Recorder> Recorder for RecorderPair<A, B> {
         self.record_all = [self.first.begin_sample(pixel, sample), self.second.begin_sample(pixel, sample)]
             .map(|it| it == RecordLevel::All);
         if self.record_all == [false; 2] { RecordLevel::End } else { RecordLevel::All }
+    }
+
+    fn decide(&mut self, decision: Decision, bounce: u32, stream: &mut SampleStream) {
+        self.first.decide(decision, bounce, stream);
+        self.second.decide(decision, bounce, stream);
     }
 
     fn camera_ray(&mut self, view: &View, lens: [f32; 2], ray: &Ray) {

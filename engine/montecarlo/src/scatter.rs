@@ -3,7 +3,8 @@
 use crate::guided::{DirectionSampler, GuidedSample, SurfaceGuide};
 use crate::path_state::{PathState, PreviousVertex, SegmentOrigin};
 use crate::record::{
-    Continuation, Contribution, InteractionKind, LobeSplit, PathEnd, Recorder, Termination, Vertex, VertexLocation,
+    Continuation, Contribution, Decision, InteractionKind, LobeSplit, PathEnd, Recorder, Termination, Vertex,
+    VertexLocation,
 };
 use crate::roulette::RouletteRule;
 use crate::surface::SurfaceInteraction;
@@ -104,21 +105,26 @@ impl<R: Recorder> Tracer<'_, R> {
         decision: WindowDecision,
         from: Continuing<'_>,
     ) -> ControlFlow<Termination> {
-        let numbers = DirectionNumbers::draw(path);
         match decision {
             WindowDecision::Unknown => {
+                record!(self.recorder.decide(Decision::Direction, path.bounce, &mut path.stream));
+                let numbers = DirectionNumbers::draw(path);
                 return self.continue_path::<MEDIA, RECORD_ALL>(path, from, numbers, RouletteRule::ByWeight);
             }
             WindowDecision::Roulette(q) => {
+                record!(self.recorder.decide(Decision::Window, path.bounce, &mut path.stream));
                 if !path.survives_window(q) {
                     return ControlFlow::Break(path.end(PathEnd::Roulette));
                 }
             }
-            WindowDecision::Copies(copies) => {
-                let copies = copies.min(1 + MAX_BRANCHES - self.branches);
-                if copies > 1 {
-                    self.split::<MEDIA, RECORD_ALL>(path, from, numbers, copies);
-                }
+            WindowDecision::Copies(_) => {}
+        }
+        record!(self.recorder.decide(Decision::Direction, path.bounce, &mut path.stream));
+        let numbers = DirectionNumbers::draw(path);
+        if let WindowDecision::Copies(copies) = decision {
+            let copies = copies.min(1 + MAX_BRANCHES - self.branches);
+            if copies > 1 {
+                self.split::<MEDIA, RECORD_ALL>(path, from, numbers, copies);
             }
         }
         self.continue_path::<MEDIA, RECORD_ALL>(path, from, numbers, RouletteRule::LongPaths)
@@ -174,6 +180,7 @@ impl<R: Recorder> Tracer<'_, R> {
         if is_delta && scattered.transmitted == Transmitted::Yes && surface.crossing != Crossing::Scatter {
             record!(self.recorder.leave(Continuation::unguided(InteractionKind::Straight)));
             path.continue_straight(surface);
+            record!(self.recorder.decide(Decision::Roulette, path.bounce, &mut path.stream));
             return path.roulette::<MEDIA>(rule);
         }
         let wi = surface.frame.to_world(scattered.wi);
@@ -202,6 +209,7 @@ impl<R: Recorder> Tracer<'_, R> {
         path.previous = PreviousVertex { position: point.position, origin };
         let origin = offset_origin(point.position, point.error, point.normal, wi);
         path.ray = Ray { origin, dir: wi, t_max: f32::INFINITY, time: path.ray.time };
+        record!(self.recorder.decide(Decision::Roulette, path.bounce, &mut path.stream));
         path.bounce += 1;
         path.roulette::<MEDIA>(rule)
     }

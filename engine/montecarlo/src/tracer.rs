@@ -4,7 +4,7 @@ use crate::camera_next_event::{CAMERA_NEXT_EVENTS, CameraSample};
 use crate::dimensions as dim;
 use crate::fog::FoggyRay;
 use crate::path_state::{PathState, SegmentOrigin};
-use crate::record::{Contribution, LightTechnique, PathEnd, RecordLevel, Recorder, Termination};
+use crate::record::{Contribution, Decision, LightTechnique, PathEnd, RecordLevel, Recorder, Termination};
 use crate::roulette::RouletteRule;
 use crate::shadow::ShadowTester;
 use crate::surface::SurfaceInteraction;
@@ -179,6 +179,11 @@ impl<'a, R: Recorder> Tracer<'a, R> {
     pub fn sample(&mut self, pixel: u32, sample: u32, filter: impl PixelFilter) -> PathSample {
         let record_level = self.recorder.begin_sample(pixel, sample);
         let mut stream = SampleStream::new(self.settings.seed, self.scene.frame, pixel, sample);
+        // A constant for recorders of only the ends of paths.
+        let records_all = record_level == RecordLevel::All;
+        if records_all {
+            self.recorder.decide(Decision::Camera, 0, &mut stream);
+        }
         stream.seek(dim::FILM);
         let offset = filter.sample(stream.next_2d());
         stream.seek(dim::LENS);
@@ -201,6 +206,9 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                 film_pdf: filter.density(offset),
                 solid_angle: view.solid_angle(film_position),
             };
+            if records_all {
+                self.recorder.decide(Decision::CameraEmitter, 0, &mut stream);
+            }
             stream.seek(dim::CAMERA_EMITTER);
             let choice = stream.next_1d();
             stream.seek(dim::CAMERA_EMITTER_POINT);
@@ -296,6 +304,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
             let before = path.throughput;
             path.throughput *= surface.crossing.straight_through();
             path.continue_straight(&surface);
+            record!(self.recorder.decide(Decision::Roulette, path.bounce, &mut path.stream));
             return path.roulette::<MEDIA>(RouletteRule::ByWeight).map_break(|termination| Termination {
                 end: if is_last { PathEnd::Depth } else { termination.end },
                 throughput: before,

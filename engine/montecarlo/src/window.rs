@@ -1,7 +1,8 @@
 //! Weight window: Russian roulette and splitting of paths by the light that a field expects of them.
 //!
 //! The light that a path still adds to its sample is its throughput times the radiance that its latest vertex scatters. A field
-//! estimates this radiance. The window compares it with the light that the field expected at the first vertex (\[vorba2016\]). A
+//! estimates this radiance. The window compares it with the light that the field expected at the first vertex (\[vorba2016\]), by
+//! the root mean square over the channels, so that no channel of a colored surface becomes noisier than the others. A
 //! path below the window survives with a probability. A path above it is split into copies of less weight. The field decides only
 //! how many copies continue, so the mean is correct for any field.
 
@@ -62,15 +63,17 @@ impl WeightWindow {
     /// - `frame_light`: value of [`frame_light`].
     #[inline(always)]
     pub(crate) fn decide(&self, path: &mut PathState, radiance: Rgb, frame_light: f32) -> WindowDecision {
-        let ahead = luminance(path.throughput * radiance);
-        if !(ahead > 0.0 && ahead.is_finite()) {
+        let ahead = path.throughput * radiance;
+        if !(ahead.max_element() > 0.0 && ahead.is_finite()) {
             return WindowDecision::Unknown;
         }
-        if path.expected_light == 0.0 {
-            path.expected_light = ahead + FRAME_SHARE * frame_light;
+        if path.expected_light == Rgb::ZERO {
+            path.expected_light = ahead + Rgb::splat(FRAME_SHARE * frame_light);
             return self.inside();
         }
-        self.decide_by_ratio(ahead / path.expected_light)
+        // A channel without light in the center has none in the sample, unless the field is wrong.
+        let ratio = ahead / path.expected_light.max(Rgb::splat(f32::MIN_POSITIVE));
+        self.decide_by_ratio((ratio.length_squared() * (1.0 / 3.0)).sqrt())
     }
 
     /// Returns the decision on a path in the window.
@@ -194,13 +197,17 @@ mod tests {
             assert_eq!(decide(&mut path, unknown), WindowDecision::Unknown);
         }
         assert_eq!(decide(&mut path, 0.9), WindowDecision::Copies(1));
-        assert!((path.expected_light - 1.0).abs() < 1e-6, "0.9 and a fiftieth of 5: {}", path.expected_light);
+        assert!((path.expected_light - Rgb::ONE).length() < 1e-6, "0.9 and a fiftieth of 5: {}", path.expected_light);
         assert_eq!(decide(&mut path, 1.0), WindowDecision::Copies(1));
         assert_eq!(decide(&mut path, 2.9), WindowDecision::Copies(2));
         path.throughput = Rgb::splat(0.1);
         let WindowDecision::Roulette(q) = decide(&mut path, 1.0) else { panic!("a path that may end") };
         assert!((q - 0.25).abs() < 1e-6, "{q}");
         assert_eq!(decide(&mut path, 0.0), WindowDecision::Unknown);
+        // One channel of three counts by the root of a third.
+        path.throughput = Rgb::new(0.3, 0.0, 0.0);
+        let WindowDecision::Roulette(q) = decide(&mut path, 1.0) else { panic!("a path that may end") };
+        assert!((q - 0.3 / 3f32.sqrt() / 0.4).abs() < 1e-5, "{q}");
     }
 
     /// Each copy's numbers are uniform, and those of all copies fill all parts of the square.

@@ -23,6 +23,7 @@ mod solver;
 mod stage;
 mod statistics;
 pub mod variance_attribution;
+pub mod variance_by_decision;
 
 pub use allocation::{AllocationError, SampleAllocation};
 pub use femc_field::{Field, FieldError, Form, Side, SolveStatistics as FirstPassStatistics};

@@ -37,6 +37,11 @@ impl<'a, R: Recorder> Replay<'a, R> {
         (color, &self.tracer.recorder)
     }
 
+    /// Returns the recorder, to change what it records of the next samples.
+    pub fn recorder_mut(&mut self) -> &mut R {
+        &mut self.tracer.recorder
+    }
+
     /// Returns the recorder, with its data of all samples.
     pub fn into_recorder(self) -> R {
         self.tracer.recorder

@@ -3,7 +3,10 @@
 
 use crate::clock::Clock;
 use crate::exit::{Failure, failed, interrupted, usage};
+use crate::output::decisions::DecisionsReport;
 use crate::request::ResolvedRequest;
+use femc_pipeline::paths::record::luminance;
+use femc_pipeline::variance_by_decision::{VarianceByDecision, WeightedPixel};
 use femc_pipeline::{Prepared, RenderError, Settings};
 use femc_reports::bench::Run;
 use femc_reports::bench::method::Method;
@@ -40,6 +43,8 @@ struct FirstPassFrame {
     cpu: Duration,
 }
 
+/// Maximum number of pixels whose variance is attributed to decisions.
+const MAX_DECISION_PIXELS: f64 = 4096.0;
 /// Edge of the tile that is rendered before the first timing, in pixels.
 const WARM_UP: u32 = 64;
 
@@ -120,6 +125,31 @@ impl PreparedScene<'_> {
         femc_pipeline::attach_first_pass(&mut prepared, light).map_err(failed)?;
         self.first_passes.push((method, FirstPassFrame { prepared, seconds, cpu }));
         Ok(self.first_passes.len() - 1)
+    }
+
+    /// Attributes the relative variance of a method's samples to decisions: `samples` samples of pixels that are spread over the
+    /// film.
+    pub fn attribute_to_decisions(&mut self, method: &Method, samples: u32) -> Result<DecisionsReport, Failure> {
+        let first_pass = method.transport.has_first_pass().then(|| self.first_pass_index(method.transport));
+        let prepared = match first_pass.transpose()? {
+            Some(at) => &self.first_passes[at].1.prepared,
+            None => &self.prepared,
+        };
+        let settings = Settings { method: method.transport, ..self.scene.resolved.settings.clone() };
+        let image = &self.scene.reference.image;
+        let area = f64::from(image.width) * f64::from(image.height);
+        let step = (area / MAX_DECISION_PIXELS).sqrt().ceil().max(1.0) as u32;
+        let [columns, rows] = [image.width, image.height].map(|size| (0..size).step_by(step as usize));
+        let pixel = |(x, y): (u32, u32)| {
+            let light = f64::from(luminance(image.pixels[(y * image.width + x) as usize]));
+            // As in `relmse`.
+            WeightedPixel { pixel: (x, y), weight: 1.0 / (light * light + 0.01) }
+        };
+        let pixels: Vec<WeightedPixel> = rows.flat_map(|y| columns.clone().map(move |x| (x, y))).map(pixel).collect();
+        let none = AtomicU64::new(0);
+        let found =
+            self.pool.install(|| VarianceByDecision::from_replay(prepared, &settings, &pixels, 0..samples, &none));
+        Ok(DecisionsReport::new(&found))
     }
 
     /// Chooses the method if the settings leave it open. Returns the settings, and the wall and processor time of the pilot if there

@@ -8,7 +8,8 @@ use crate::clock::Clock;
 use crate::command::client;
 use crate::command::interrupt::Interrupt;
 use crate::exit::{Exit, Failure, failed, usage};
-use crate::output::{Printer, Progress, human, json};
+use crate::output::decisions::DecisionsReport;
+use crate::output::{BusyIndicator, Printer, Progress, human, json};
 use crate::request::{FramesChosen, ResolvedRequest};
 use crate::threads;
 use crate::values::{Frames, Override, Size};
@@ -62,6 +63,11 @@ pub struct BenchArgs {
     /// File that keeps the measurements; those that are in it already are not repeated
     #[arg(long, short, value_name = "BENCH.json")]
     out: Option<PathBuf>,
+    /// Attribute the variance of each method to the decisions of the paths, too: directions, lamps, points on lamps, distances in
+    /// fog, Russian roulette. Traces N samples of some thousand pixels, each about 30 times
+    #[arg(long, value_name = "N", num_args = 0..=1, default_missing_value = "16", require_equals = true,
+        value_parser = clap::value_parser!(u32).range(2..))]
+    decisions: Option<u32>,
     /// Write a page with plots and tables
     #[arg(long, value_name = "FILE.html")]
     report: Option<PathBuf>,
@@ -107,6 +113,17 @@ struct Document<'a> {
     #[serde(flatten)]
     record: &'a Record,
     summary: &'a Summary,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    decisions: Vec<MethodDecisions>,
+}
+
+/// Parts of the variance of a method by decision.
+#[derive(Serialize)]
+struct MethodDecisions {
+    scene: String,
+    method: &'static str,
+    #[serde(flatten)]
+    report: DecisionsReport,
 }
 
 /// Runs `femc bench`: measures what is missing, and prints the summary.
@@ -150,7 +167,8 @@ pub fn run(args: &BenchArgs, printer: Printer) -> Result<Exit, Failure> {
     bench.measure(&mut record, &bench_scenes)?;
     let noises: Vec<_> = bench_scenes.iter().map(|bed| (bed.setup.name.as_str(), bed.reference().noise)).collect();
     let summary = Summary::new(&record, &noises, &ladders, &seeds);
-    let document = Document { record: &record, summary: &summary };
+    let decisions = bench.attribute_to_decisions(&bench_scenes)?;
+    let document = Document { record: &record, summary: &summary, decisions };
     if let Some(out) = out {
         write_atomic(out, &encode_json(&document)?).map_err(failed)?;
     }
@@ -161,6 +179,9 @@ pub fn run(args: &BenchArgs, printer: Printer) -> Result<Exit, Failure> {
         json::print(printer, &document)?;
     } else {
         show::print(&record.setup, &summary, printer);
+        for MethodDecisions { scene, method, report } in &document.decisions {
+            show::print_decisions(scene, method, report, printer);
+        }
     }
     Ok(Exit::Done)
 }
@@ -213,6 +234,26 @@ impl Bench<'_> {
         }
         progress.finish();
         Ok(())
+    }
+
+    /// Attributes the variance of each scene and unbiased method to decisions, if that was requested.
+    fn attribute_to_decisions(&self, bench_scenes: &[BenchScene]) -> Result<Vec<MethodDecisions>, Failure> {
+        let Some(samples) = self.args.decisions else { return Ok(Vec::new()) };
+        let cancel = AtomicBool::new(false);
+        let busy = BusyIndicator::new(self.printer, "samples are traced again for each of their decisions");
+        let mut all = Vec::new();
+        for bench_scene in bench_scenes {
+            let mut prepared = bench_scene.prepare(self.pool, &cancel)?;
+            for &method in &self.args.methods {
+                if matches!(method.transport, femc_pipeline::Method::Pt | femc_pipeline::Method::Femc) {
+                    let report = prepared.attribute_to_decisions(method, samples)?;
+                    let scene = bench_scene.setup.name.clone();
+                    all.push(MethodDecisions { scene, method: method.name, report });
+                }
+            }
+        }
+        drop(busy);
+        Ok(all)
     }
 
     fn save_run(&self, record: &mut Record, run: Run) -> Result<(), Failure> {

@@ -1,5 +1,6 @@
 //! Prints the tables on stdout.
 
+use crate::output::decisions::DecisionsReport;
 use crate::output::{Printer, human};
 use femc_reports::bench::setup::Setup;
 use femc_reports::bench::summary::Summary;
@@ -18,6 +19,12 @@ pub fn print(setup: &Setup, summary: &Summary, printer: Printer) {
     if !methods.1.is_empty() {
         section("geometric means over scenes", methods, printer);
     }
+}
+
+/// Prints the parts of the variance of a method by decision.
+pub fn print_decisions(scene: &str, method: &str, report: &DecisionsReport, printer: Printer) {
+    printer.result(format!("\n{}", printer.style_heading(&format!("{scene}, {method}: variance by decision"))));
+    report.table().into_iter().for_each(|line| printer.result(line));
 }
 
 fn section(title: &str, (titles, rows): Table, printer: Printer) {

@@ -7,10 +7,12 @@ mod report;
 use crate::args::FormatArgs;
 use crate::clock::Clock;
 use crate::exit::{Exit, Failure, failed, usage};
-use crate::output::{Printer, Progress, ProgressSnapshot, json};
+use crate::output::decisions::DecisionsReport;
+use crate::output::{BusyIndicator, Printer, Progress, ProgressSnapshot, json};
 use crate::request::{load_scene, with_root_prefix};
 use clap::Args;
 use femc_pipeline::variance_attribution::{Lamps, VarianceAttribution};
+use femc_pipeline::variance_by_decision::{VarianceByDecision, WeightedPixel};
 use femc_pipeline::{Prepared, SceneSource};
 use frame::{Frame, WorstBlock};
 use report::{FirefliesReport, Names};
@@ -23,7 +25,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 #[command(after_help = "Examples:\n  \
     femc fireflies drive/roundabout.0012.exr scenes/roundabout.mgf\n  \
     femc fireflies box.exr scenes/cornell-fog.mgf --blocks 3\n  \
-    femc fireflies box.exr scenes/cornell-fog.mgf --json | jq '.origins[0]'\n\n\
+    femc fireflies box.exr scenes/cornell-fog.mgf --json | jq '.origins[0]'\n  \
+    femc fireflies box.exr scenes/cornell-fog.mgf --decisions    # directions, lamps, distances, roulette\n\n\
     A sample is a function of the settings, which the file states. The samples of the blocks with the largest relative_error.Y \
     are traced again, and each contribution is recorded. A share is the covariance of an origin's contributions with the samples \
     of their pixels, divided by the variance: shares add up to 100 %, and are negative if light is missing where the rest is \
@@ -41,6 +44,11 @@ pub struct FirefliesArgs {
     /// Number of blocks to examine
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..))]
     blocks: u32,
+    /// Attribute the variance to the decisions of the paths, too: directions, lamps, points on lamps, distances in fog, Russian
+    /// roulette. Traces N samples of each pixel, each about 30 times
+    #[arg(long, value_name = "N", num_args = 0..=1, default_missing_value = "16", require_equals = true,
+        value_parser = clap::value_parser!(u32).range(2..))]
+    decisions: Option<u32>,
     /// Folder that contains the includes, textures and lamps of the scene, at any depth [default: the scene's folder]
     #[arg(long, value_name = "DIR")]
     root: Option<PathBuf>,
@@ -71,13 +79,36 @@ pub fn run(args: &FirefliesArgs, printer: Printer) -> Result<Exit, Failure> {
     let lamps = Lamps::new(&prepared);
     let accounts = attribute_variance(&frame, &prepared, &lamps, &worst, printer);
     let names = Names { prepared: &prepared, lamps: &lamps, display_path: &|file| with_root_prefix(&root, file) };
-    let report = FirefliesReport::new(&args.frame, &args.scene, &frame, &worst, &accounts, &names);
+    let mut report = FirefliesReport::new(&args.frame, &args.scene, &frame, &worst, &accounts, &names);
+    report.decisions =
+        args.decisions.map(|samples| attribute_to_decisions(&frame, &prepared, &worst, samples, printer));
     if args.format.json {
         json::print(printer, &report)?;
     } else {
         print::print(printer, &report);
     }
     Ok(Exit::Done)
+}
+
+/// Attributes the variance of samples of the blocks to decisions. Each block counts by its relative variance.
+fn attribute_to_decisions(
+    frame: &Frame,
+    prepared: &Prepared,
+    worst: &[WorstBlock],
+    samples: u32,
+    printer: Printer,
+) -> DecisionsReport {
+    let busy = BusyIndicator::new(printer, "samples are traced again for each of their decisions");
+    let pixels: Vec<WeightedPixel> = worst
+        .iter()
+        .flat_map(|block| {
+            let weight = 1.0 / (block.scale * block.scale);
+            block.rect.pixels().map(move |pixel| WeightedPixel { pixel, weight })
+        })
+        .collect();
+    let found = VarianceByDecision::from_replay(prepared, &frame.settings, &pixels, 0..samples, &AtomicU64::new(0));
+    drop(busy);
+    DecisionsReport::new(&found)
 }
 
 /// Returns the accounts of the blocks, in order.

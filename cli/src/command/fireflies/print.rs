@@ -28,6 +28,10 @@ pub fn print(printer: Printer, report: &FirefliesReport) {
     for origin in report.origins.iter().take(MAX_PATHS) {
         printer.result(format!("  {}", path(origin)));
     }
+    if let Some(decisions) = &report.decisions {
+        printer.result("");
+        decisions.table().into_iter().for_each(|line| printer.result(line));
+    }
     if report.unlike > 0 {
         printer.result(printer.style_warning(&format!(
             "{} with unknown samples: their first samples were used",

@@ -1,6 +1,7 @@
 //! The report of `femc fireflies`, with names instead of indices.
 
 use super::frame::{Frame, WorstBlock};
+use crate::output::decisions::DecisionsReport;
 use femc_pipeline::Prepared;
 use femc_pipeline::replay::Replay;
 use femc_pipeline::variance_attribution::{
@@ -31,6 +32,9 @@ pub struct FirefliesReport {
     pub blocks: Vec<BlockReport>,
     /// Origins in all these blocks together, each block weighted by its relative variance; the largest share first.
     pub origins: Vec<OriginReport>,
+    /// Parts of the variance by decision, if requested.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub decisions: Option<DecisionsReport>,
 }
 
 /// A block.
@@ -197,6 +201,7 @@ impl FirefliesReport {
             unlike: whole.mismatched,
             blocks: blocks.collect(),
             origins: origins(&whole, frame, names, usize::MAX),
+            decisions: None,
         }
     }
 }

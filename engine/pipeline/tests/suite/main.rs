@@ -1,6 +1,7 @@
 //! Tests of the pipeline on small scenes.
 
 mod dark_layers;
+mod decisions;
 mod features;
 mod layers;
 mod statistics;

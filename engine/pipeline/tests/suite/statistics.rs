@@ -16,7 +16,7 @@ use std::ops::Range;
 use std::sync::Arc;
 
 /// A room with a mirror ball and a plate above a white floor. The plate hides the lamp from a part of the floor.
-const ROOM: &str = "\
+pub(crate) const ROOM: &str = "\
 camera main =
 	origin 0 -3 1
 	target 0 0 .8
@@ -72,9 +72,9 @@ sph l .2
 o
 ";
 
-const FOG: &str = "medium fog =\n\tsigma_s .3\nmbox fog -4 -4 0 4 4 3\n";
+pub(crate) const FOG: &str = "medium fog =\n\tsigma_s .3\nmbox fog -4 -4 0 4 4 3\n";
 
-fn prepared(text: &str, settings: &Settings) -> Prepared {
+pub(crate) fn prepared(text: &str, settings: &Settings) -> Prepared {
     let files = BTreeMap::from([("room.mgf".to_owned(), text.as_bytes().to_vec())]);
     let scene = load_scene(&Bundle(files), "room.mgf").unwrap_or_else(|e| panic!("{e}")).scene;
     prepare_frame(&SceneSource::new(Arc::new(scene)), settings, 1, None).unwrap_or_else(|e| panic!("{e}"))
@@ -133,7 +133,7 @@ fn statistics_change_no_bit_of_a_tile_and_hold_all_laws() {
 }
 
 /// Two rooms with a gap between them. Guided paths are split there.
-const GAP: &str = include_str!("../../../../scenes/door-ajar.mgf");
+pub(crate) const GAP: &str = include_str!("../../../../scenes/door-ajar.mgf");
 
 fn guided_settings() -> Settings {
     Settings { method: Method::Femc, size: Some([20, 12]), ..settings() }

@@ -14,6 +14,7 @@ pub mod laws;
 pub mod picture_comparison;
 pub mod random_rooms;
 pub mod reference;
+pub mod relative_variance;
 pub mod rng;
 pub mod stress;
 pub mod text;

@@ -149,6 +149,10 @@ impl<R: Recorder> Tracer<'_, R> {
             record!(self.recorder.begin_branch());
             if self.continue_path::<MEDIA, RECORD_ALL>(&mut branch, from, numbers, RouletteRule::LongPaths).is_break() {
                 record!(self.recorder.discard_branch());
+                // A copy with an invalid throughput makes the sample a bad one.
+                if !branch.throughput.is_finite() {
+                    path.throughput = Rgb::NAN;
+                }
             } else {
                 record!(self.recorder.suspend_branch());
                 branch.stream = path.stream.branch(u64::from(path.rays) << 32 | u64::from(copy));

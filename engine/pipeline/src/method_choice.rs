@@ -18,7 +18,7 @@ use crate::settings::{Method, Settings, StopCondition};
 use femc_film::Rect;
 use femc_geometry::Ray;
 use femc_math::Rgb;
-use femc_math::color::luminance;
+use femc_math::glam::DVec3;
 use femc_montecarlo::record::{
     Continuation, Contribution, InteractionKind, LightTechnique, RecordLevel, Recorder, Termination, Vertex,
 };
@@ -49,7 +49,7 @@ const MAX_FIRST_PASS_SHARE: f64 = 0.04;
 /// gain.
 const MAX_GUIDED_SHARE: f64 = 0.8;
 /// Work of a vertex at which guides sample directions, in rays of a scene whose rays are fast.
-const RAYS_PER_GUIDED_VERTEX: f64 = 1.0;
+pub const RAYS_PER_GUIDED_VERTEX: f64 = 1.0;
 /// Minimum ratio of the samples' variance to the variance of the light that no guide can improve.
 const MIN_POSSIBLE_GAIN: f64 = 1.5;
 
@@ -89,7 +89,7 @@ pub struct Pilot {
 /// First pass that a pilot has solved, for the first frame of a job.
 #[derive(Clone, Debug)]
 pub struct SolvedFirstPass {
-    /// Key of the solution as a single task ([`first_pass_key`](crate::first_pass_key)).
+    /// Key of the solution as a single task ([`first_pass_key`]).
     pub key: [u8; 32],
     /// The verified solution.
     pub solution: Arc<Solution>,
@@ -260,7 +260,7 @@ struct PilotSamples {
     rays_per_sample: f64,
     film: [u32; 2],
     /// Pixels by row and column.
-    pixels: Vec<LuminanceSums>,
+    pixels: Vec<LightSums>,
 }
 
 impl PilotSamples {
@@ -280,9 +280,10 @@ impl PilotSamples {
     /// Returns the relative variance of all light, divided by that of the light which no guide can improve.
     fn max_gain(&self) -> f64 {
         let weights = pixel_weights(&[self]);
-        let sum =
-            |part: fn(&LuminanceSums) -> f64| self.pixels.iter().zip(&weights).map(|(it, w)| part(it) * w).sum::<f64>();
-        let (all, rest) = (sum(LuminanceSums::variance), sum(LuminanceSums::unguidable_variance));
+        let sum = |part: fn(&LightSums) -> DVec3| -> f64 {
+            self.pixels.iter().zip(&weights).map(|(it, weight)| part(it).dot(*weight)).sum()
+        };
+        let (all, rest) = (sum(LightSums::variance), sum(LightSums::unguidable_variance));
         if all <= rest { 1.0 } else { (all / rest.max(1e-6 * all)).max(1.0) }
     }
 
@@ -290,7 +291,8 @@ impl PilotSamples {
     fn gain(&self, guided: &Self) -> f64 {
         let weights = pixel_weights(&[self, guided]);
         let sum = |of: &Self| {
-            of.pixels.iter().zip(&weights).map(|(it, w)| it.variance() * w).sum::<f64>() * of.rays_per_sample
+            let variance: f64 = of.pixels.iter().zip(&weights).map(|(it, weight)| it.variance().dot(*weight)).sum();
+            variance * of.rays_per_sample
         };
         let (paths, guided) = (sum(self), sum(guided));
         if guided > 0.0 { paths / guided } else { 1.0 }
@@ -300,27 +302,29 @@ impl PilotSamples {
 /// Edge of the blocks whose means weight their pixels, pixels.
 const WEIGHT_BLOCK_EDGE: u32 = 8;
 
-/// Returns the weight of each pixel: 1 over the squared mean of all samples of its block, to which a hundredth of the frame's
-/// squared mean is added, so that dark blocks do not dominate. A pixel's own samples are not used: a pixel with one bright sample
-/// would look bright, which would hide its variance.
-fn pixel_weights(all: &[&PilotSamples]) -> Vec<f64> {
+/// Returns the weights of each pixel's channels: 1 over the squared mean of all samples of its block, to which a hundredth of the
+/// frame's squared mean is added, so that dark blocks and channels do not dominate. A pixel's own samples are not used: a pixel with
+/// one bright sample would look bright, which would hide its variance.
+fn pixel_weights(all: &[&PilotSamples]) -> Vec<DVec3> {
     let Some([width, height]) = all.first().map(|drawn| drawn.film) else { return Vec::new() };
     let (across, down) = (width.div_ceil(WEIGHT_BLOCK_EDGE), height.div_ceil(WEIGHT_BLOCK_EDGE));
     let block = |at: usize| {
         let at = at as u32;
         (at / width / WEIGHT_BLOCK_EDGE * across + at % width / WEIGHT_BLOCK_EDGE) as usize
     };
-    let mut sums = vec![[0.0; 2]; (across * down) as usize];
+    let mut sums = vec![(DVec3::ZERO, 0.0); (across * down) as usize];
     for (at, pixel) in all.iter().flat_map(|drawn| drawn.pixels.iter().enumerate()) {
-        let [sum, count] = &mut sums[block(at)];
-        *sum += pixel.all.iter().sum::<f64>();
+        let (sum, count) = &mut sums[block(at)];
+        *sum += pixel.all.iter().sum::<DVec3>();
         *count += pixel.counts.iter().sum::<f64>();
     }
-    let floor = sums.iter().map(|[sum, _]| sum).sum::<f64>() / sums.iter().map(|[_, count]| count).sum::<f64>();
+    let frame = sums.iter().map(|(sum, _)| sum).sum::<DVec3>() / sums.iter().map(|(_, count)| count).sum::<f64>();
+    let floor = frame.element_sum() / 3.0;
     let weight = |at| {
-        let [sum, count] = sums[block(at)];
-        let weight = 1.0 / ((sum / count).powi(2) + 0.01 * floor * floor);
-        if weight.is_finite() { weight } else { 0.0 }
+        let (sum, count) = sums[block(at)];
+        let mean = sum / count;
+        let weight = DVec3::ONE / (mean * mean + 0.01 * floor * floor);
+        if weight.is_finite() { weight } else { DVec3::ZERO }
     };
     (0..all[0].pixels.len()).map(weight).collect()
 }
@@ -333,29 +337,30 @@ fn first_pass_count(source: &SceneSource, settings: &Settings, plan: &Plan) -> R
     Ok(keys?.len())
 }
 
-/// Sums of the luminance of a pixel's samples, by half: of all light, and of the light that no guide can improve.
+/// Sums of a pixel's samples by half, cd/m2 by channel: of all light, and of the light that no guide can improve.
 #[derive(Clone, Copy, Debug, Default)]
-struct LuminanceSums {
+struct LightSums {
     counts: [f64; 2],
-    all: [f64; 2],
-    unguidable: [f64; 2],
+    all: [DVec3; 2],
+    unguidable: [DVec3; 2],
 }
 
-impl LuminanceSums {
-    fn variance(&self) -> f64 {
+impl LightSums {
+    fn variance(&self) -> DVec3 {
         self.mean_variance(self.all)
     }
 
-    fn unguidable_variance(&self) -> f64 {
+    fn unguidable_variance(&self) -> DVec3 {
         self.mean_variance(self.unguidable)
     }
 
     /// Returns the variance of the mean, multiplied by the number of samples. It uses the two halves, which are independent. The
     /// samples of one half are evenly spread, and the benefit of that depends on how their directions are sampled.
-    fn mean_variance(&self, sums: [f64; 2]) -> f64 {
+    fn mean_variance(&self, sums: [DVec3; 2]) -> DVec3 {
         let [a, b] = [0, 1].map(|half| sums[half] / self.counts[half]);
-        let variance = self.counts.iter().sum::<f64>() * (0.5 * (a - b)).powi(2);
-        if variance.is_finite() { variance } else { 0.0 }
+        let half = 0.5 * (a - b);
+        let variance = half * half * self.counts.iter().sum::<f64>();
+        if variance.is_finite() { variance } else { DVec3::ZERO }
     }
 }
 
@@ -364,18 +369,18 @@ impl LuminanceSums {
 struct PixelNoise {
     current_pixel: Option<u32>,
     half: usize,
-    current_sums: LuminanceSums,
-    finished_pixels: Vec<LuminanceSums>,
-    /// Number of times that the path has left a diffuse surface, and luminance that a guide could have found.
+    current_sums: LightSums,
+    finished_pixels: Vec<LightSums>,
+    /// Number of times that the path has left a diffuse surface, and light that a guide could have found.
     diffuse_bounces: u32,
-    guidable: f64,
+    guidable: DVec3,
     /// State of the path while a copy is split off, and the states of the copies that wait.
     remaining: u32,
     waiting: Vec<u32>,
 }
 
 impl PixelNoise {
-    fn into_pixels(mut self) -> Vec<LuminanceSums> {
+    fn into_pixels(mut self) -> Vec<LightSums> {
         if self.current_sums.counts != [0.0; 2] {
             self.finished_pixels.push(self.current_sums);
         }
@@ -392,7 +397,7 @@ impl Recorder for PixelNoise {
             self.finished_pixels.push(std::mem::take(&mut self.current_sums));
         }
         self.current_pixel = Some(pixel);
-        (self.diffuse_bounces, self.guidable) = (0, 0.0);
+        (self.diffuse_bounces, self.guidable) = (0, DVec3::ZERO);
         RecordLevel::All
     }
 
@@ -409,7 +414,7 @@ impl Recorder for PixelNoise {
         // A lamp that is hit from the first surface is direct light: it is also sampled from there.
         let before = u32::from(contribution.technique == LightTechnique::EmitterHit);
         if self.diffuse_bounces > before {
-            self.guidable += f64::from(luminance(contribution.color));
+            self.guidable += contribution.color.as_dvec3();
         }
     }
 
@@ -433,7 +438,7 @@ impl Recorder for PixelNoise {
     fn terminate(&mut self, _: Termination) {}
 
     fn end_sample(&mut self, color: Option<Rgb>) {
-        let Some(all) = color.map(|color| f64::from(luminance(color))) else { return };
+        let Some(all) = color.map(|color| color.as_dvec3()) else { return };
         self.current_sums.counts[self.half] += 1.0;
         self.current_sums.all[self.half] += all;
         self.current_sums.unguidable[self.half] += all - self.guidable;

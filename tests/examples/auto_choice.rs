@@ -1,0 +1,78 @@
+//! Measures how much `--method auto` loses against the better of path tracing and two passes, in counted work.
+//!
+//! `cargo run --release -p femc-tests --example auto_choice -- SCENE.mgf.. [--spp N] [--size N] [--seeds N]`
+//!
+//! The cost of a method is the variance of its samples times their rays, with the first pass. The cost of `auto` is that of the method
+//! that its pilot chooses with a seed, with the work of the pilot. One line for each scene: costs relative to path tracing's, how
+//! often two passes were chosen, and the ratio of `auto` to the better method, with the upper end of its 95 % interval over seeds.
+
+use femc_montecarlo::Guidance;
+use femc_pipeline::method_choice::{Pilot, RAYS_PER_GUIDED_VERTEX, choose_method};
+use femc_pipeline::radiosity::{self, SolveOptions};
+use femc_pipeline::{Method, SceneSource, Settings, StopCondition, plan_job, prepare_frame};
+use femc_tests::relative_variance::measure;
+use std::error::Error;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let (mut scenes, mut spp, mut size, mut seeds) = (Vec::new(), 1024u32, 96u32, 10u64);
+    let mut args = std::env::args().skip(1);
+    while let Some(arg) = args.next() {
+        let mut value = || args.next().ok_or(format!("{arg} needs a value"));
+        match arg.as_str() {
+            "--spp" => spp = value()?.parse()?,
+            "--size" => size = value()?.parse()?,
+            "--seeds" => seeds = value()?.parse()?,
+            scene => scenes.push(scene.to_owned()),
+        }
+    }
+    if scenes.is_empty() || seeds < 2 {
+        return Err("usage: auto_choice SCENE.mgf.. [--spp N] [--size N] [--seeds N]; at least 2 seeds".into());
+    }
+    println!("scene\tfirst pass\tfemc\tchosen\tgain by pilot\tauto over better\tupper");
+    for path in scenes {
+        let source = SceneSource::new(Arc::new(femc_import::load_scene_file(path.as_ref())?.scene));
+        let settings = Settings { size: Some([size; 2]), stop: StopCondition::Spp(spp), ..Settings::default() };
+        let prepared = prepare_frame(&source, &Settings { method: Method::Pt, ..settings.clone() }, 1, None)?;
+        let options = SolveOptions { error: 1.0, guides: true, ..SolveOptions::default() };
+        let solution = radiosity::solve(&prepared, &options, &AtomicBool::new(false)).map_err(|_| "cancelled")?;
+        let methods = [None, Some(Guidance::new(&prepared, &solution.field))];
+        let measured = measure(&methods, &prepared, size, spp.min(256), 2);
+        let samples = f64::from(spp) * f64::from(size * size);
+        let work = [0, 1]
+            .map(|method: usize| samples * (measured[method].rays + RAYS_PER_GUIDED_VERTEX * measured[method].guided));
+        let plan = plan_job(source.scene(), &settings, Some(&[1]))?;
+        let (mut ratios, mut chosen, mut first_pass, mut gains) = (Vec::new(), 0, 0.0, Vec::new());
+        let mut costs = [measured[0].variance * work[0], measured[1].variance * work[1]];
+        for seed in 1..=seeds {
+            let (choice, _) = choose_method(&source, &Settings { seed, ..settings.clone() }, &plan)?;
+            let Some(Pilot { samples: drawn, rays_a_sample, first_pass_rays, gain, .. }) = choice.pilot else {
+                return Err(format!("{path}: the job is too small for a pilot").into());
+            };
+            first_pass = first_pass_rays;
+            costs[1] = measured[1].variance * (work[1] + first_pass);
+            let is_guided = choice.method == Method::Femc;
+            chosen += u64::from(is_guided);
+            gains.extend(gain.map(|gain| format!("{gain:.1}")));
+            // A first pass that was solved for the choice counts once.
+            let spare = if gain.is_some() && !is_guided { first_pass } else { 0.0 };
+            let pilot = drawn as f64 * rays_a_sample + spare;
+            let own = costs[usize::from(is_guided)] + measured[usize::from(is_guided)].variance * pilot;
+            ratios.push(own / costs[0].min(costs[1]));
+        }
+        let n = ratios.len() as f64;
+        let mean = ratios.iter().sum::<f64>() / n;
+        let error = (ratios.iter().map(|ratio| (ratio - mean).powi(2)).sum::<f64>() / (n - 1.0) / n).sqrt();
+        let name = std::path::Path::new(&path).file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        // Student's distribution with 9 degrees of freedom.
+        println!(
+            "{name}\t{:.3}\t{:.2}\t{chosen} of {seeds}\t{}\t{mean:.3}\t{:.3}",
+            first_pass / work[0],
+            costs[1] / costs[0],
+            gains.join(" "),
+            mean + 2.26 * error
+        );
+    }
+    Ok(())
+}

@@ -15,7 +15,7 @@ pub struct DecisionsReport {
     pub variance: f64,
     /// Standard error of the sum.
     pub variance_error: f64,
-    /// The same variance from the spread of each pixel's samples, for comparison.
+    /// Variance from the spread of each pixel's samples, for comparison.
     pub spread: f64,
     /// Standard error of the spread.
     pub spread_error: f64,

@@ -1,8 +1,8 @@
 //! Tests of light statistics: `--stats` and `femc paths`.
 
-use crate::common::{TestFolder, TestProcess, pixels, start_coordinator, status, submit};
+use crate::common::{TestFolder, TestProcess, pixels, samples_done, start_coordinator, status, submit};
 use femc_pipeline::paths::histogram::{Histograms, Table};
-use femc_pipeline::paths::{InteractionKind, LightStatistics, Name, NameKind, PortionKey};
+use femc_pipeline::paths::{InteractionKind, LightPath, LightStatistics, Name, NameKind, PortionKey};
 
 fn statistics(dir: &TestFolder, name: &str) -> LightStatistics {
     let bytes = std::fs::read(dir.path(name)).unwrap_or_else(|e| panic!("{name}: {e}"));
@@ -124,6 +124,32 @@ fn farm_statistics_with_a_killed_worker_equal_one_process() {
     );
     let moved = (sent - sent_without) / u64::from(FRAMES);
     assert!(moved > 1 << 10 && moved < 64 << 20, "{moved} bytes a frame");
+}
+
+/// Guided paths are split where light comes through the door. Their pixels, records and layers have the same bytes on a farm of three
+/// workers, one of which is killed, as in one process.
+#[test]
+fn split_paths_with_a_killed_worker_equal_one_process() {
+    const SETTINGS: &str = "--size 48x36 --spp 256 --method femc --stats --layers direct,indirect";
+    let dir = TestFolder::new();
+    let door = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/../scenes/door-ajar.mgf"));
+    dir.write("door.mgf", &door.expect("a scene"));
+    let (_farm, url) = start_coordinator(&dir, 0);
+    let (mut victim, _second, _third) = (worker(&dir, &url), worker(&dir, &url), worker(&dir, &url));
+    let job = dir.run(&format!("submit door.mgf --server {url} {SETTINGS}")).exits(0).stdout().trim().to_owned();
+    victim.wait_until("samples", || samples_done(&dir, &url, &job) > 0.0);
+    assert!(victim.kill(), "the victim was alive");
+    dir.run(&format!("watch {job} --server {url}")).exits(0);
+    dir.run(&format!("fetch {job} -o out.exr --server {url}")).exits(0);
+    dir.run(&format!("render door.mgf {SETTINGS} -o alone.exr --workers 1 --threads 1")).exits(0);
+    for kind in ["exr", "paths", "layers.exr"] {
+        assert!(bytes(&dir, &format!("out.{kind}")) == bytes(&dir, &format!("alone.{kind}")), "{kind}");
+    }
+    let recorded = statistics(&dir, "out.paths");
+    let is_split = |path: &&LightPath| (0..).zip(&path.intersections).any(|(before, it)| it.parent != before);
+    assert!(recorded.paths.values().filter(is_split).count() > 100);
+    let rows = dir.run("paths out.paths --table intersections --csv").exits(0).stdout();
+    assert!(rows.lines().next().is_some_and(|header| header.contains("parent")), "{rows}");
 }
 
 #[test]

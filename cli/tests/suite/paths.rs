@@ -140,15 +140,17 @@ fn split_paths_with_a_killed_worker_equal_one_process() {
     victim.wait_until("samples", || samples_done(&dir, &url, &job) > 0.0);
     assert!(victim.kill(), "the victim was alive");
     dir.run(&format!("watch {job} --server {url}")).exits(0);
-    dir.run(&format!("fetch {job} -o out.exr --server {url}")).exits(0);
-    dir.run(&format!("render door.mgf {SETTINGS} -o alone.exr --workers 1 --threads 1")).exits(0);
-    for kind in ["exr", "paths", "layers.exr"] {
-        assert!(bytes(&dir, &format!("out.{kind}")) == bytes(&dir, &format!("alone.{kind}")), "{kind}");
+    dir.run(&format!("fetch {job} -o out --server {url}")).exits(0);
+    dir.run(&format!("render door.mgf {SETTINGS} -o alone --workers 1 --threads 1")).exits(0);
+    let name = |folder: &str, kind: &str| format!("{folder}/door.0001.{kind}");
+    assert!(pixels(&dir.path(&name("out", "exr"))) == pixels(&dir.path(&name("alone", "exr"))));
+    for kind in ["paths", "layers.exr"] {
+        assert!(bytes(&dir, &name("out", kind)) == bytes(&dir, &name("alone", kind)), "{kind}");
     }
-    let recorded = statistics(&dir, "out.paths");
+    let recorded = statistics(&dir, "out/door.0001.paths");
     let is_split = |path: &&LightPath| (0..).zip(&path.intersections).any(|(before, it)| it.parent != before);
     assert!(recorded.paths.values().filter(is_split).count() > 100);
-    let rows = dir.run("paths out.paths --table intersections --csv").exits(0).stdout();
+    let rows = dir.run("paths out/door.0001.paths --table intersections --csv").exits(0).stdout();
     assert!(rows.lines().next().is_some_and(|header| header.contains("parent")), "{rows}");
 }
 

@@ -21,7 +21,7 @@ use std::sync::atomic::AtomicBool;
 const CAMERA: &str = "camera main =\n  origin .31 .42 .23\n  target .8 .6 .7\n  fov 90\n  film 24 24\n";
 
 /// Returns the unit cube with inward faces and the current material.
-fn cube() -> String {
+pub(crate) fn cube() -> String {
     let mut text = String::new();
     for (k, [x, y, z]) in
         [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]].iter().enumerate()

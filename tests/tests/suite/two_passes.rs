@@ -1,6 +1,6 @@
 //! Guided paths have the same mean as unguided paths, whatever the guide says.
 
-use crate::first_pass::furnace;
+use crate::first_pass::{cube, furnace};
 use femc_field::Leaf;
 use femc_film::Filter;
 use femc_math::color::luminance;
@@ -177,6 +177,28 @@ fn pixels_of_a_furnace_have_its_light_if_paths_are_split() {
             assert_pixels_have_light(&name, &prepared, &changed, 1.0 / (1.0 - albedo));
         }
     }
+}
+
+/// The weights of lamps differ from vertex to vertex. Branches that wait must find those of their own vertex again.
+#[test]
+fn branches_weigh_lamps_as_at_the_vertex_they_left() {
+    let lamp = |name: &str, [x, y, z]: [f64; 3]| {
+        let corner = |k: usize, [dx, dy]: [f64; 2]| format!("v {name}{k} =\n  p {} {} {z}\n", x + dx, y + dy);
+        let corners: String = [[0.0, 0.0], [0.3, 0.0], [0.3, 0.3], [0.0, 0.3]]
+            .into_iter()
+            .enumerate()
+            .map(|(k, at)| corner(k, at))
+            .collect();
+        format!("{corners}f {name}0 {name}1 {name}2 {name}3\n")
+    };
+    let lamps = [lamp("s", [0.02, 0.02, 0.15]), lamp("t", [0.68, 0.68, 0.85]), lamp("u", [0.68, 0.02, 0.4])].concat();
+    let camera = "camera main =\n  origin .31 .42 .53\n  target .8 .6 .7\n  fov 90\n  film 24 24\n";
+    let wall = format!("m wall =\n  sides 2\n  c\n  rd .8\n{}", cube());
+    let text = format!("{camera}{wall}m lamp =\n  sides 2\n  c\n  rd .5\n  ed 10\n{lamps}");
+    let prepared = prepare_scene(parse_scene(&text));
+    let field = solve_guides(&prepared);
+    let changed = with_scaled_leaves(&field, |leaf| 3f32.powi((leaf * 7 % 5) as i32 - 2));
+    assert_same_means("three lamps", &blocks(&prepared, None, 1, 256), &blocks(&prepared, Some(&changed), 2, 256));
 }
 
 /// Checks the mean of the frame at 4 standard errors (once in 16,000 times), those of blocks of pixels at 5, and those of pixels at 8,

@@ -126,8 +126,8 @@ fn farm_statistics_with_a_killed_worker_equal_one_process() {
     assert!(moved > 1 << 10 && moved < 64 << 20, "{moved} bytes a frame");
 }
 
-/// Guided paths are split where light comes through the door. Their pixels, records and layers have the same bytes on a farm of three
-/// workers, one of which is killed, as in one process.
+/// Guided paths are split where light comes through the door. A farm of three workers, one of which is killed, gives the bytes of one
+/// process: pixels, records and layers.
 #[test]
 fn split_paths_with_a_killed_worker_equal_one_process() {
     const SETTINGS: &str = "--size 48x36 --spp 256 --method femc --stats --layers direct,indirect";

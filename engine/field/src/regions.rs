@@ -31,10 +31,11 @@ struct Grid {
 
 /// Maximum of the binary logarithm of the number of regions of a surface.
 const MAX_BITS: u32 = 14;
-/// Binary logarithm of the maximum number of regions for each leaf of a surface.
+/// Binary logarithm of the maximum number of regions for each leaf of a surface; for triangles, whose cells do not lie along the
+/// parameters, and which fill only half of their grids, one more.
 const BITS_OVER_LEAVES: u32 = 2;
 /// Maximum number of regions for each cell of the field.
-const MAX_REGIONS_OVER_CELLS: usize = 4;
+const MAX_REGIONS_OVER_CELLS: usize = 8;
 
 /// Number of leaves below a cell, and of splits on the longest way to one: by parameter, and bisections.
 #[derive(Clone, Copy, Default)]
@@ -126,12 +127,86 @@ impl Depth {
     /// Returns the binary logarithm of the size of a grid by parameter.
     fn bits(self) -> [u8; 2] {
         let [x, y, bisections] = self.splits;
-        let mut bits = [x + bisections.div_ceil(2), y + bisections.div_ceil(2)];
-        let most = MAX_BITS.min(self.leaves.next_power_of_two().ilog2() + BITS_OVER_LEAVES);
+        let finer = u32::from(bisections > 0);
+        let mut bits = [x, y].map(|bits| bits + bisections.div_ceil(2) + finer);
+        let most = MAX_BITS.min(self.leaves.next_power_of_two().ilog2() + BITS_OVER_LEAVES + finer);
         while bits[0] + bits[1] > most {
             let longer = usize::from(bits[1] > bits[0]);
             bits[longer] -= 1;
         }
         bits.map(|bits| bits as u8)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Outline;
+    use femc_math::Rgb;
+
+    /// Splits a surface into leaves, breadth first. `split`: split of the cell with this number, or none.
+    fn cells(split: impl Fn(usize) -> Split) -> (Vec<Cell>, Vec<Leaf>) {
+        let mut outlines = vec![Outline::WHOLE];
+        let (mut cells, mut leaves) = (Vec::new(), Vec::new());
+        while let Some(&outline) = outlines.get(cells.len()) {
+            let split = split(cells.len());
+            let next = if split == Split::None {
+                leaves.push(Leaf::Triangle([Rgb::splat(leaves.len() as f32); 3]));
+                leaves.len() - 1
+            } else {
+                outlines.extend(Outline::halves(split, |a, b| (b - a).length()));
+                outlines.len() - 2
+            };
+            cells.push(Cell { outline, split, next: next as u32 });
+        }
+        (cells, leaves)
+    }
+
+    /// Uneven splits of a rectangle, first by one parameter and then by the other: regions are exact, up to the limits of the grid.
+    #[test]
+    fn regions_of_a_rectangle_are_its_leaves() {
+        let (cells, leaves) = cells(|number| match number {
+            0 | 1 => Split::Half(0),
+            2 | 4 | 6 => Split::Half(1),
+            _ => Split::None,
+        });
+        let data: Vec<u32> = (0..leaves.len() as u32).map(|leaf| 10 * leaf).collect();
+        let grids = RegionGrids::new(&[NONE, 0], &cells, &leaves, &data);
+        assert!(grids.at(0, || Vec2::splat(0.5)).is_none() && grids.at(2, || Vec2::splat(0.5)).is_none());
+        for place in (0..400).map(|at| Vec2::new((at % 20) as f32 + 0.5, (at / 20) as f32 + 0.5) / 20.0) {
+            let (leaf, _) = Cell::find(&cells, 0, place).expect("a leaf");
+            let region = grids.at(1, || place).expect("a region");
+            assert_eq!((region.data, region.light), (10 * leaf, [leaf as f32; 3]), "{place}");
+        }
+        for outside in [-1.0, 2.0, f32::NAN, f32::INFINITY] {
+            assert!(grids.at(1, || Vec2::new(outside, 0.1)).is_some());
+        }
+    }
+
+    /// Cells of a triangle do not lie along the parameters, so regions at the borders of leaves may differ.
+    #[test]
+    fn most_regions_of_a_triangle_are_its_leaves() {
+        let (cells, leaves) = cells(|number| if number < 31 { Split::Bisection } else { Split::None });
+        let data: Vec<u32> = (0..leaves.len() as u32).collect();
+        let grids = RegionGrids::new(&[0], &cells, &leaves, &data);
+        let places = (0..1600).map(|at| Vec2::new((at % 40) as f32 + 0.3, (at / 40) as f32 + 0.4) / 40.0);
+        let inside: Vec<Vec2> = places.filter(|place| place.x + place.y < 1.0).collect();
+        let is_exact = |place: &&Vec2| {
+            let leaf = Cell::find(&cells, 0, **place).map(|(leaf, _)| leaf);
+            grids.at(0, || **place).map(|region| region.data) == leaf
+        };
+        let exact = inside.iter().filter(is_exact).count();
+        assert!(exact * 10 > inside.len() * 7, "{exact} of {}", inside.len());
+    }
+
+    /// A long chain of splits has no grid as fine as its last leaf.
+    #[test]
+    fn the_number_of_regions_is_limited() {
+        let (cells, leaves) = cells(|number| if number % 2 == 0 && number < 60 { Split::Half(0) } else { Split::None });
+        let grids = RegionGrids::new(&[0], &cells, &leaves, &vec![0; leaves.len()]);
+        assert!(grids.regions.len() <= 8 * leaves.len(), "{} for {}", grids.regions.len(), leaves.len());
+        let mut scaled = grids.clone();
+        scaled.scale(2.0);
+        assert!(scaled.regions.iter().zip(&grids.regions).all(|(a, b)| a.light[0] == 2.0 * b.light[0]));
     }
 }

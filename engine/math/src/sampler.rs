@@ -146,6 +146,22 @@ mod tests {
         assert!(dims.abs() < bound && pixels.abs() < bound, "{dims} {pixels} against {bound}");
     }
 
+    /// Correlations of the first numbers, over pixels, at the 4-sigma level.
+    #[test]
+    fn branches_are_independent_of_their_stream_and_of_each_other() {
+        let n = 20_000;
+        let mut sums = [0.0f64; 3];
+        for pixel in 0..n {
+            let stream = SampleStream::new(1, 1, pixel, 5);
+            let centered = |mut stream: SampleStream| f64::from(stream.next_1d()) - 0.5;
+            let [own, one, two] = [stream, stream.branch(1), stream.branch(2)].map(centered);
+            sums[0] += own * one * 12.0;
+            sums[1] += one * two * 12.0;
+            sums[2] += one * 12f64.sqrt();
+        }
+        assert!(sums.iter().all(|sum| sum.abs() < 4.0 * f64::from(n).sqrt()), "{sums:?}");
+    }
+
     #[test]
     fn replicates_are_independent_though_each_is_stratified() {
         // Each replicate's mean of the first coordinate deviates from 1/2 by about (12 n^3)^-1/2. Over pixels, the product of two

@@ -7,7 +7,6 @@ use crate::record::{
     Continuation, Contribution, Decision, InteractionKind, LightTechnique, PathEnd, Recorder, Termination, Vertex,
     VertexLocation,
 };
-use crate::roulette::RouletteRule;
 use crate::tracer::{PathSample, Tracer};
 use crate::window::WindowDecision;
 use femc_geometry::{Ray, shadow_segment};
@@ -153,10 +152,7 @@ impl<R: Recorder> Tracer<'_, R> {
         record!(self.recorder.decide(Decision::Roulette, path.bounce, &mut path.stream));
         path.bounce += 1;
         path.roulette_scale *= scattered.pdf / scattered.phase_pdf;
-        path.roulette::<true>(match decision {
-            WindowDecision::Unknown => RouletteRule::ByWeight,
-            WindowDecision::Roulette(_) | WindowDecision::Copies(_) => RouletteRule::LongPaths,
-        })
+        path.roulette::<true>(decision.roulette_rule())
     }
 }
 

@@ -83,12 +83,9 @@ impl<R: Recorder> Tracer<'_, R> {
         let visibility = self.shadow.visibility::<MEDIA>(scene, from, light, time, &medium_stack, &mut self.counters);
         if visibility == Rgb::ZERO {
             record!(self.recorder.occluded(|| shadow_segment(from, (light.position, light.error, light.normal), time)));
-        } else {
-            record!(self.recorder.lobe_split(|| LobeSplit::new(&surface.bsdf, surface.wo, wi)));
-        }
-        if visibility == Rgb::ZERO {
             return Rgb::ZERO;
         }
+        record!(self.recorder.lobe_split(|| LobeSplit::new(&surface.bsdf, surface.wo, wi)));
         let by_scattering =
             if light.delta == DeltaKind::Position { 0.0 } else { square(directions.pdf(wi, light.dir) / light.pdf) };
         let weight = mis_weight(self.settings.single_technique, MisTechnique::Light, by_scattering);

@@ -62,22 +62,6 @@ pub enum Decision {
 }
 
 impl Decision {
-    /// All decisions.
-    pub const ALL: [Self; 12] = [
-        Self::Camera,
-        Self::CameraEmitter,
-        Self::Glow,
-        Self::AirlightLamp,
-        Self::AirlightDistance,
-        Self::AirlightPoint,
-        Self::Distance,
-        Self::Lamp,
-        Self::LampPoint,
-        Self::Window,
-        Self::Direction,
-        Self::Roulette,
-    ];
-
     /// Returns the word for it in tables.
     pub fn word(self) -> &'static str {
         match self {
@@ -95,6 +79,19 @@ impl Decision {
             Self::Roulette => "roulette",
         }
     }
+}
+
+/// Event of a branch: a copy of a path that is split at a vertex.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BranchEvent {
+    /// A copy is split off at the latest vertex. The next events are those of the copy, up to `Suspend` or `Discard`.
+    Begin,
+    /// The copy has left the vertex and waits. The next events are those of the original path.
+    Suspend,
+    /// The copy has ended at the vertex. The next events are those of the original path.
+    Discard,
+    /// The current path has ended. The next events are those of the copy that began to wait last.
+    Resume,
 }
 
 /// Recorder that the tracer calls for each vertex of a path, for each contribution to a sample, and at the path's end.
@@ -129,15 +126,8 @@ pub trait Recorder {
     fn lobe_split(&mut self, _lobe_split: impl FnOnce() -> LobeSplit) {}
     /// Records a light contribution.
     fn contribution(&mut self, contribution: impl FnOnce() -> Contribution);
-    /// Records that a copy of the path is split off at the latest vertex. The next events describe how the copy leaves, until
-    /// [`Self::suspend_branch`] or [`Self::discard_branch`]. The events after that are those of the remaining path.
-    fn begin_branch(&mut self);
-    /// Records that the copy has left the vertex and waits to be traced.
-    fn suspend_branch(&mut self);
-    /// Records that the copy has ended at the vertex.
-    fn discard_branch(&mut self);
-    /// Records that the copy that was split off last, of those that wait, is traced now. The path before it has ended.
-    fn resume_branch(&mut self);
+    /// Records that a path is split, or that one of its branches is traced.
+    fn branch(&mut self, event: BranchEvent);
     /// Records that the path ends, or a branch of it.
     fn terminate(&mut self, termination: Termination);
     /// Ends the sample.
@@ -159,13 +149,7 @@ impl Recorder for () {
     #[inline(always)]
     fn contribution(&mut self, _: impl FnOnce() -> Contribution) {}
     #[inline(always)]
-    fn begin_branch(&mut self) {}
-    #[inline(always)]
-    fn suspend_branch(&mut self) {}
-    #[inline(always)]
-    fn discard_branch(&mut self) {}
-    #[inline(always)]
-    fn resume_branch(&mut self) {}
+    fn branch(&mut self, _: BranchEvent) {}
     #[inline(always)]
     fn terminate(&mut self, _: Termination) {}
     #[inline(always)]
@@ -382,24 +366,17 @@ impl StepTree {
         }
     }
 
-    /// Begins a branch ([`Recorder::begin_branch`]).
-    pub fn begin_branch(&mut self) {
-        self.leaving = Some(None);
+    /// Processes an event of a branch. A branch that is resumed begins with a repetition of the vertex that it left.
+    pub fn on_branch(&mut self, event: BranchEvent) {
+        match event {
+            BranchEvent::Begin => self.leaving = Some(None),
+            BranchEvent::Suspend => self.waiting.push((self.latest, self.leaving.take().flatten())),
+            BranchEvent::Discard => self.leaving = None,
+            BranchEvent::Resume => self.resume(),
+        }
     }
 
-    /// Keeps the branch for later ([`Recorder::suspend_branch`]).
-    pub fn suspend_branch(&mut self) {
-        let leaving = self.leaving.take().flatten();
-        self.waiting.push((self.latest, leaving));
-    }
-
-    /// Forgets the branch ([`Recorder::discard_branch`]).
-    pub fn discard_branch(&mut self) {
-        self.leaving = None;
-    }
-
-    /// Continues the latest branch that waits ([`Recorder::resume_branch`]). Its vertex is repeated.
-    pub fn resume_branch(&mut self) {
+    fn resume(&mut self) {
         let Some((number, continuation)) = self.waiting.pop() else { return };
         let Some(index) = (number as usize).checked_sub(1) else { return };
         let StepNode { step, parent, repeats } = self.nodes[index];
@@ -442,20 +419,8 @@ impl Recorder for Recording {
 
     fn occluded(&mut self, _: impl FnOnce() -> Ray) {}
 
-    fn begin_branch(&mut self) {
-        self.steps.begin_branch();
-    }
-
-    fn suspend_branch(&mut self) {
-        self.steps.suspend_branch();
-    }
-
-    fn discard_branch(&mut self) {
-        self.steps.discard_branch();
-    }
-
-    fn resume_branch(&mut self) {
-        self.steps.resume_branch();
+    fn branch(&mut self, event: BranchEvent) {
+        self.steps.on_branch(event);
     }
 
     fn terminate(&mut self, _: Termination) {}
@@ -529,20 +494,8 @@ impl<A: Recorder, B: Recorder> Recorder for RecorderPair<A, B> {
         record_both(self, contribution, |it, found| it.contribution(|| found), |it, found| it.contribution(|| found));
     }
 
-    fn begin_branch(&mut self) {
-        record_both(self, || (), |it, ()| it.begin_branch(), |it, ()| it.begin_branch());
-    }
-
-    fn suspend_branch(&mut self) {
-        record_both(self, || (), |it, ()| it.suspend_branch(), |it, ()| it.suspend_branch());
-    }
-
-    fn discard_branch(&mut self) {
-        record_both(self, || (), |it, ()| it.discard_branch(), |it, ()| it.discard_branch());
-    }
-
-    fn resume_branch(&mut self) {
-        record_both(self, || (), |it, ()| it.resume_branch(), |it, ()| it.resume_branch());
+    fn branch(&mut self, event: BranchEvent) {
+        record_both(self, || event, |it, event| it.branch(event), |it, event| it.branch(event));
     }
 
     fn terminate(&mut self, termination: Termination) {

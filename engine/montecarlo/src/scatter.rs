@@ -3,8 +3,8 @@
 use crate::guided::{DirectionSampler, GuidedSample, SurfaceGuide};
 use crate::path_state::{PathState, PreviousVertex, SegmentOrigin};
 use crate::record::{
-    Continuation, Contribution, Decision, InteractionKind, LobeSplit, PathEnd, Recorder, Termination, Vertex,
-    VertexLocation,
+    BranchEvent, Continuation, Contribution, Decision, InteractionKind, LobeSplit, PathEnd, Recorder, Termination,
+    Vertex, VertexLocation,
 };
 use crate::roulette::RouletteRule;
 use crate::surface::SurfaceInteraction;
@@ -105,19 +105,11 @@ impl<R: Recorder> Tracer<'_, R> {
         decision: WindowDecision,
         from: Continuing<'_>,
     ) -> ControlFlow<Termination> {
-        match decision {
-            WindowDecision::Unknown => {
-                record!(self.recorder.decide(Decision::Direction, path.bounce, &mut path.stream));
-                let numbers = DirectionNumbers::draw(path);
-                return self.continue_path::<MEDIA, RECORD_ALL>(path, from, numbers, RouletteRule::ByWeight);
+        if let WindowDecision::Roulette(q) = decision {
+            record!(self.recorder.decide(Decision::Window, path.bounce, &mut path.stream));
+            if !path.survives_window(q) {
+                return ControlFlow::Break(path.end(PathEnd::Roulette));
             }
-            WindowDecision::Roulette(q) => {
-                record!(self.recorder.decide(Decision::Window, path.bounce, &mut path.stream));
-                if !path.survives_window(q) {
-                    return ControlFlow::Break(path.end(PathEnd::Roulette));
-                }
-            }
-            WindowDecision::Copies(_) => {}
         }
         record!(self.recorder.decide(Decision::Direction, path.bounce, &mut path.stream));
         let numbers = DirectionNumbers::draw(path);
@@ -127,7 +119,7 @@ impl<R: Recorder> Tracer<'_, R> {
                 self.split::<MEDIA, RECORD_ALL>(path, from, numbers, copies);
             }
         }
-        self.continue_path::<MEDIA, RECORD_ALL>(path, from, numbers, RouletteRule::LongPaths)
+        self.continue_path::<MEDIA, RECORD_ALL>(path, from, numbers, decision.roulette_rule())
     }
 
     /// Splits a path at its latest vertex into copies of equal weight. All but one become branches that wait to be traced.
@@ -146,15 +138,15 @@ impl<R: Recorder> Tracer<'_, R> {
         for copy in 1..copies {
             let mut branch = *path;
             let numbers = numbers.of_copy(copy, copies);
-            record!(self.recorder.begin_branch());
+            record!(self.recorder.branch(BranchEvent::Begin));
             if self.continue_path::<MEDIA, RECORD_ALL>(&mut branch, from, numbers, RouletteRule::LongPaths).is_break() {
-                record!(self.recorder.discard_branch());
+                record!(self.recorder.branch(BranchEvent::Discard));
                 // A copy with an invalid throughput makes the sample a bad one.
                 if !branch.throughput.is_finite() {
                     path.throughput = Rgb::NAN;
                 }
             } else {
-                record!(self.recorder.suspend_branch());
+                record!(self.recorder.branch(BranchEvent::Suspend));
                 branch.stream = path.stream.branch(u64::from(path.rays) << 32 | u64::from(copy));
                 self.pending.push(branch);
             }

@@ -4,7 +4,7 @@ use crate::camera_next_event::{CAMERA_NEXT_EVENTS, CameraSample};
 use crate::dimensions as dim;
 use crate::fog::FoggyRay;
 use crate::path_state::{PathState, SegmentOrigin};
-use crate::record::{Contribution, Decision, LightTechnique, PathEnd, RecordLevel, Recorder, Termination};
+use crate::record::{BranchEvent, Contribution, Decision, LightTechnique, PathEnd, RecordLevel, Recorder, Termination};
 use crate::roulette::RouletteRule;
 use crate::shadow::ShadowTester;
 use crate::surface::SurfaceInteraction;
@@ -82,14 +82,14 @@ pub struct Guidance<'a> {
 }
 
 impl<'a> Guidance<'a> {
-    /// Creates the guidance of a frame's paths by `field`.
+    /// Creates the guidance of a frame's paths by `field`. The mean light of the frame's own field is computed once.
     pub fn new(scene: &Prepared, field: &'a Field) -> Self {
-        Self {
-            field,
-            samples_directions: true,
-            window: WeightWindow::default(),
-            frame_light: frame_light(scene, field),
-        }
+        let is_own = scene.field().is_some_and(|own| std::ptr::eq(own, field));
+        let frame_light = match is_own {
+            true => *scene.field_light.get_or_init(|| frame_light(scene, field)),
+            false => frame_light(scene, field),
+        };
+        Self { field, samples_directions: true, window: WeightWindow::default(), frame_light }
     }
 
     /// Decides by the window on a path at its latest vertex.
@@ -97,12 +97,6 @@ impl<'a> Guidance<'a> {
     #[inline(always)]
     pub(crate) fn decide(&self, path: &mut PathState, radiance: Rgb) -> WindowDecision {
         self.window.decide(path, radiance, self.frame_light)
-    }
-
-    /// Creates the guidance of a frame's paths by `field`, the frame's own, whose mean light is computed once.
-    pub fn with_own(scene: &Prepared, field: &'a Field) -> Self {
-        let frame_light = *scene.field_light.get_or_init(|| frame_light(scene, field));
-        Self { field, samples_directions: true, window: WeightWindow::default(), frame_light }
     }
 }
 
@@ -249,7 +243,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                 }
                 let Some(branch) = self.pending.pop() else { break };
                 path = branch;
-                record!(self.recorder.resume_branch());
+                record!(self.recorder.branch(BranchEvent::Resume));
                 // Light that the branch hits with its next ray is weighted against the lights at its latest vertex.
                 if let SegmentOrigin::Surface { light_context, .. } = &path.previous.origin {
                     self.scene.lights.weigh(light_context, &mut self.surface_weights);

@@ -20,7 +20,8 @@ use femc_geometry::Ray;
 use femc_math::Rgb;
 use femc_math::glam::DVec3;
 use femc_montecarlo::record::{
-    Continuation, Contribution, InteractionKind, LightTechnique, RecordLevel, Recorder, Termination, Vertex,
+    BranchEvent, Continuation, Contribution, InteractionKind, LightTechnique, RecordLevel, Recorder, Termination,
+    Vertex,
 };
 use femc_prepared::{PrepareError, Prepared, SceneSource};
 use femc_radiosity::Solution;
@@ -109,8 +110,8 @@ pub enum MethodChoiceError {
     Field(#[from] FieldMismatch),
 }
 
-/// Chooses the method of a job whose settings leave it open ([`Method::Auto`]). Also returns the first pass, if the pilot has solved
-/// it.
+/// Chooses the method of a job whose settings leave it open ([`Method::Auto`]). Also returns the first pass of
+/// the choice, if it has one.
 /// - `source`: the scene, overrides applied;
 /// - `plan`: plan of `settings`.
 pub fn choose_method(
@@ -126,6 +127,7 @@ pub fn choose_method(
         return Ok(paths("the job is small, and path tracing finishes it before a first pass would be solved"));
     };
     let (method, reason) = found.method_and_reason();
+    let solved = solved.filter(|_| method == Method::Femc);
     Ok((MethodChoice { method, reason, pilot: Some(found) }, solved))
 }
 
@@ -241,7 +243,7 @@ fn run_pilot(
                 let key = first_pass_key(&frame_key(source, &settings, frame)?, Method::Femc, 1);
                 solved = Some(SolvedFirstPass { key, solution: Arc::new(solution) });
             }
-            Err(RenderError::Untrusted(reason)) => found.untrusted = Some(reason.to_string()),
+            Err(error @ RenderError::Untrusted(_)) => found.untrusted = Some(error.to_string()),
             Err(error) => return Err(error.into()),
         }
     }
@@ -374,8 +376,8 @@ struct PixelNoise {
     /// Number of times that the path has left a diffuse surface, and light that a guide could have found.
     diffuse_bounces: u32,
     guidable: DVec3,
-    /// State of the path while a copy is split off, and the states of the copies that wait.
-    remaining: u32,
+    /// `diffuse_bounces` of the original path while a copy is split off, and those of the copies that wait.
+    original: u32,
     waiting: Vec<u32>,
 }
 
@@ -418,21 +420,13 @@ impl Recorder for PixelNoise {
         }
     }
 
-    fn begin_branch(&mut self) {
-        self.remaining = self.diffuse_bounces;
-    }
-
-    fn suspend_branch(&mut self) {
-        self.waiting.push(self.diffuse_bounces);
-        self.diffuse_bounces = self.remaining;
-    }
-
-    fn discard_branch(&mut self) {
-        self.diffuse_bounces = self.remaining;
-    }
-
-    fn resume_branch(&mut self) {
-        self.diffuse_bounces = self.waiting.pop().unwrap_or_default();
+    fn branch(&mut self, event: BranchEvent) {
+        match event {
+            BranchEvent::Begin => self.original = self.diffuse_bounces,
+            BranchEvent::Suspend => self.waiting.push(std::mem::replace(&mut self.diffuse_bounces, self.original)),
+            BranchEvent::Discard => self.diffuse_bounces = self.original,
+            BranchEvent::Resume => self.diffuse_bounces = self.waiting.pop().unwrap_or_default(),
+        }
     }
 
     fn terminate(&mut self, _: Termination) {}

@@ -16,12 +16,11 @@ use femc_geometry::Ray;
 use femc_math::SampleStream;
 use femc_math::color::luminance;
 pub use femc_montecarlo::record::Decision;
-use femc_montecarlo::record::{Continuation, Contribution, RecordLevel, Recorder, Termination, Vertex};
+use femc_montecarlo::record::{BranchEvent, Continuation, Contribution, RecordLevel, Recorder, Termination, Vertex};
 use femc_prepared::Prepared;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::ops::Range;
-use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Segment from which on decisions are not told apart.
 pub const MAX_BOUNCE: u32 = 8;
@@ -88,7 +87,7 @@ impl Sums {
         self.squares += other.squares;
     }
 
-    /// Returns the mean of `n` values, of which those that were not added are 0.
+    /// Returns the mean of `n` values. Values that were not added count as 0.
     fn estimate(self, n: f64) -> MeanEstimate {
         let mean = self.sum / n.max(1.0);
         let variance = (self.squares / n.max(1.0) - mean * mean).max(0.0) / (n - 1.0).max(1.0);
@@ -108,23 +107,15 @@ struct PixelResult {
 
 impl VarianceByDecision {
     /// Traces samples of pixels, and each again for all of its decisions. The result does not depend on the number of threads.
-    /// - `samples`: numbers of the samples of each pixel;
-    /// - `progress`: counts samples.
+    /// - `samples`: numbers of the samples of each pixel.
     pub fn from_replay(
         prepared: &Prepared,
         settings: &Settings,
         pixels: &[WeightedPixel],
         samples: Range<u32>,
-        progress: &AtomicU64,
     ) -> Self {
-        let results: Vec<PixelResult> = pixels
-            .par_iter()
-            .map(|pixel| {
-                let result = PixelResult::new(prepared, settings, *pixel, samples.clone());
-                progress.fetch_add(u64::from(samples.end - samples.start), Ordering::Relaxed);
-                result
-            })
-            .collect();
+        let results: Vec<PixelResult> =
+            pixels.par_iter().map(|pixel| PixelResult::new(prepared, settings, *pixel, samples.clone())).collect();
         let (mut parts, mut sum, mut spread) = (BTreeMap::<DecisionKey, Sums>::new(), Sums::default(), Sums::default());
         let mut out = Self::default();
         for result in results {
@@ -243,27 +234,66 @@ impl Recorder for DecisionRecorder {
 
     fn contribution(&mut self, _: impl FnOnce() -> Contribution) {}
 
-    fn begin_branch(&mut self) {
-        self.is_in_branch = true;
-        self.was_cut = self.is_cut;
-    }
-
-    fn suspend_branch(&mut self) {
-        self.discard_branch();
-    }
-
-    fn discard_branch(&mut self) {
-        self.is_in_branch = false;
-        // The remaining path still has the numbers from before the copy.
-        self.is_old_branch |= self.is_cut && !self.was_cut;
-    }
-
-    fn resume_branch(&mut self) {
-        // Decisions of this branch come after those of the path before it.
-        self.is_old_branch = true;
+    fn branch(&mut self, event: BranchEvent) {
+        match event {
+            BranchEvent::Begin => (self.is_in_branch, self.was_cut) = (true, self.is_cut),
+            BranchEvent::Suspend | BranchEvent::Discard => {
+                self.is_in_branch = false;
+                // The original path still has the numbers from before the copy.
+                self.is_old_branch |= self.is_cut && !self.was_cut;
+            }
+            // The branch still has the numbers from before the cut.
+            BranchEvent::Resume => self.is_old_branch = true,
+        }
     }
 
     fn terminate(&mut self, _: Termination) {}
 
     fn end_sample(&mut self, _: Option<femc_math::Rgb>) {}
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Records one direction, and returns whether its random numbers are new.
+    fn decides_anew(recorder: &mut DecisionRecorder, stream: &mut SampleStream) -> bool {
+        let number = |mut stream: SampleStream| {
+            stream.seek(7);
+            stream.next_1d().to_bits()
+        };
+        let before = number(*stream);
+        recorder.decide(Decision::Direction, 0, stream);
+        number(*stream) != before
+    }
+
+    /// A path is split at its second decision. The copy decides once while it leaves and once when it is resumed; the original path
+    /// decides once in between. All decisions from the cut on, and no other, get new numbers.
+    #[test]
+    fn decisions_of_all_branches_after_the_cut_are_new() {
+        for cut in 0..6u32 {
+            let mut recorder = DecisionRecorder { cut: Some(cut), ..DecisionRecorder::default() };
+            recorder.begin_sample(0, 0);
+            let mut original = SampleStream::new(1, 1, 0, 0);
+            let mut renewed = Vec::new();
+            renewed.push(decides_anew(&mut recorder, &mut original));
+            renewed.push(decides_anew(&mut recorder, &mut original));
+            recorder.branch(BranchEvent::Begin);
+            let mut copy = original;
+            renewed.push(decides_anew(&mut recorder, &mut copy));
+            recorder.branch(BranchEvent::Suspend);
+            // The tracer replaces the stream of a copy that waits.
+            let mut waiting = original.branch(1);
+            renewed.push(decides_anew(&mut recorder, &mut original));
+            recorder.branch(BranchEvent::Resume);
+            let is_new_by_split = cut < 2;
+            renewed.push(decides_anew(&mut recorder, &mut waiting) || is_new_by_split);
+            let is_new: Vec<bool> = (0..5).map(|number| number >= cut).collect();
+            // A stream that was renewed stays so without another change.
+            let has_new_numbers = |number: usize| renewed[..=number].iter().any(|renewed| *renewed);
+            assert!((0..5).all(|number| has_new_numbers(number) == is_new[number]), "{cut}: {renewed:?}");
+            assert!(cut != 2 || renewed[3] && renewed[4], "{renewed:?}");
+            assert!(cut != 3 || renewed[4], "{renewed:?}");
+        }
+    }
 }

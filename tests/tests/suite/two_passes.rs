@@ -179,7 +179,7 @@ fn pixels_of_a_furnace_have_its_light_if_paths_are_split() {
     }
 }
 
-/// The weights of lamps differ from vertex to vertex. Branches that wait must find those of their own vertex again.
+/// The weights of lamps differ from vertex to vertex. A branch that is resumed needs the weights at the vertex that it left.
 #[test]
 fn branches_weigh_lamps_as_at_the_vertex_they_left() {
     let lamp = |name: &str, [x, y, z]: [f64; 3]| {
@@ -201,8 +201,8 @@ fn branches_weigh_lamps_as_at_the_vertex_they_left() {
     assert_same_means("three lamps", &blocks(&prepared, None, 1, 256), &blocks(&prepared, Some(&changed), 2, 256));
 }
 
-/// Checks the mean of the frame at 4 standard errors (once in 16,000 times), those of blocks of pixels at 5, and those of pixels at 8,
-/// because their few samples are not distributed normally.
+/// Checks the frame's mean at 4 standard errors (once in 16,000 times), each block's mean at 5, and each pixel's mean at 8, because
+/// the few samples of a pixel are not distributed normally.
 fn assert_pixels_have_light(name: &str, prepared: &Prepared, field: &Field, light: f64) {
     const SPP: u32 = 64;
     let (n, count) = (f64::from(SPP), REPLICATES as f64);

@@ -146,9 +146,7 @@ impl PreparedScene<'_> {
             WeightedPixel { pixel: (x, y), weight: 1.0 / (light * light + 0.01) }
         };
         let pixels: Vec<WeightedPixel> = rows.flat_map(|y| columns.clone().map(move |x| (x, y))).map(pixel).collect();
-        let none = AtomicU64::new(0);
-        let found =
-            self.pool.install(|| VarianceByDecision::from_replay(prepared, &settings, &pixels, 0..samples, &none));
+        let found = self.pool.install(|| VarianceByDecision::from_replay(prepared, &settings, &pixels, 0..samples));
         Ok(DecisionsReport::new(&found))
     }
 

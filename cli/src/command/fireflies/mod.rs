@@ -106,7 +106,7 @@ fn attribute_to_decisions(
             block.rect.pixels().map(move |pixel| WeightedPixel { pixel, weight })
         })
         .collect();
-    let found = VarianceByDecision::from_replay(prepared, &frame.settings, &pixels, 0..samples, &AtomicU64::new(0));
+    let found = VarianceByDecision::from_replay(prepared, &frame.settings, &pixels, 0..samples);
     drop(busy);
     DecisionsReport::new(&found)
 }

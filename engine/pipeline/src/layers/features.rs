@@ -13,7 +13,7 @@ use femc_geometry::Ray;
 use femc_layers::{Feature, cryptomatte};
 use femc_math::{Rgb, SampleStream};
 use femc_montecarlo::first_surface;
-use femc_montecarlo::record::{Continuation, Contribution, RecordLevel, Recorder, Termination, Vertex};
+use femc_montecarlo::record::{BranchEvent, Continuation, Contribution, RecordLevel, Recorder, Termination, Vertex};
 use femc_prepared::camera::View;
 use femc_prepared::{NextFrame, PrepareError, Prepared};
 use femc_scene::Scene;
@@ -189,13 +189,7 @@ impl Recorder for FeatureRecorder<'_> {
 
     fn vertex(&mut self, _: impl FnOnce() -> Vertex) {}
 
-    fn begin_branch(&mut self) {}
-
-    fn suspend_branch(&mut self) {}
-
-    fn discard_branch(&mut self) {}
-
-    fn resume_branch(&mut self) {}
+    fn branch(&mut self, _: BranchEvent) {}
 
     fn leave(&mut self, _: Continuation) {}
 

@@ -14,8 +14,8 @@ use femc_layers::{DEAD_STATE, EventKind, LabelOffset, LayerSetIndex, NO_LAYERS, 
 use femc_math::Rgb;
 use femc_math::sampler::replicate_of;
 use femc_montecarlo::record::{
-    Continuation, Contribution, InteractionKind, LightTechnique, LobeShares, LobeSplit, RecordLevel, Recorder,
-    Termination, Transmitted, Vertex, VertexLocation,
+    BranchEvent, Continuation, Contribution, InteractionKind, LightTechnique, LobeShares, LobeSplit, RecordLevel,
+    Recorder, Termination, Transmitted, Vertex, VertexLocation,
 };
 use femc_prepared::Prepared;
 
@@ -77,7 +77,7 @@ struct NotesPlace {
     lights: usize,
 }
 
-/// Events of a branch that waits: those of the path before it, by their range, and those of the vertex where it was split off.
+/// Events of a branch that waits: the range of the events before the split, and the event of the vertex at the split.
 struct WaitingNotes {
     begin: NotesPlace,
     end: NotesPlace,
@@ -278,10 +278,6 @@ impl PathNotes {
         (self.events.len() - self.begin.events) as u32
     }
 
-    fn begin_branch(&mut self) {
-        self.copied = Some(self.place());
-    }
-
     fn suspend_branch(&mut self) {
         let Some(end) = self.copied else { return };
         let (event, split) = (self.events.get(end.events).copied(), self.splits.get(end.splits).copied());
@@ -424,20 +420,13 @@ impl Recorder for LayerRecorder<'_> {
         }
     }
 
-    fn begin_branch(&mut self) {
-        self.notes.begin_branch();
-    }
-
-    fn suspend_branch(&mut self) {
-        self.notes.suspend_branch();
-    }
-
-    fn discard_branch(&mut self) {
-        self.notes.discard_branch();
-    }
-
-    fn resume_branch(&mut self) {
-        self.notes.resume_branch();
+    fn branch(&mut self, event: BranchEvent) {
+        match event {
+            BranchEvent::Begin => self.notes.copied = Some(self.notes.place()),
+            BranchEvent::Suspend => self.notes.suspend_branch(),
+            BranchEvent::Discard => self.notes.discard_branch(),
+            BranchEvent::Resume => self.notes.resume_branch(),
+        }
     }
 
     fn terminate(&mut self, _: Termination) {}

@@ -7,7 +7,8 @@ use femc_math::Rgb;
 use femc_math::color::luminance;
 use femc_math::hash::HashPrefix;
 use femc_montecarlo::record::{
-    Continuation, Contribution, RecordLevel, Recorder, Step, StepNode, StepTree, Termination, Vertex, VertexLocation,
+    BranchEvent, Continuation, Contribution, RecordLevel, Recorder, Step, StepNode, StepTree, Termination, Vertex,
+    VertexLocation,
 };
 use femc_paths::pixels::PixelSums;
 use femc_paths::record::{MAX_INTERSECTIONS, MAX_LIGHTS};
@@ -252,20 +253,8 @@ impl Recorder for PathRecorder<'_> {
         }
     }
 
-    fn begin_branch(&mut self) {
-        self.steps.begin_branch();
-    }
-
-    fn suspend_branch(&mut self) {
-        self.steps.suspend_branch();
-    }
-
-    fn discard_branch(&mut self) {
-        self.steps.discard_branch();
-    }
-
-    fn resume_branch(&mut self) {
-        self.steps.resume_branch();
+    fn branch(&mut self, event: BranchEvent) {
+        self.steps.on_branch(event);
     }
 
     #[inline]

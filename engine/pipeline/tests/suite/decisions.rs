@@ -3,7 +3,6 @@
 use crate::statistics::{FOG, GAP, ROOM, prepared};
 use femc_pipeline::variance_by_decision::{Decision, DecisionKey, MeanEstimate, VarianceByDecision, WeightedPixel};
 use femc_pipeline::{Method, Prepared, Settings};
-use std::sync::atomic::AtomicU64;
 
 /// First row of pixels that do not see the lamp of the room.
 const BELOW_LAMP: u32 = 6;
@@ -21,7 +20,7 @@ fn matte_room() -> String {
 fn parts(prepared: &Prepared, settings: &Settings, row: u32, spp: u32) -> VarianceByDecision {
     let pixels: Vec<WeightedPixel> =
         (row * 20..20 * 12).map(|at| WeightedPixel { pixel: (at % 20, at / 20), weight: 1.0 }).collect();
-    VarianceByDecision::from_replay(prepared, settings, &pixels, 0..spp, &AtomicU64::new(0))
+    VarianceByDecision::from_replay(prepared, settings, &pixels, 0..spp)
 }
 
 /// Returns the part of a decision on all segments.

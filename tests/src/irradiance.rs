@@ -6,9 +6,9 @@ use femc_math::color::luminance;
 use femc_math::glam::{DVec3, Vec3A};
 use femc_math::warp;
 use femc_montecarlo::record::LightTechnique;
-use femc_montecarlo::{PathSettings, PixelFilter, Recording, Tracer};
+use femc_montecarlo::{PathSettings, Recording, Tracer};
 use femc_pipeline::radiosity::{Solution, SolveOptions, solve};
-use femc_pipeline::{SceneSource, Settings, Side, prepare_frame};
+use femc_pipeline::{FilterAdapter, SceneSource, Settings, Side, prepare_frame};
 use femc_prepared::Prepared;
 use femc_prepared::camera::{CameraPose, KernelCamera};
 use femc_scene::Scene;
@@ -124,19 +124,6 @@ fn estimate_irradiance(
     let n = f64::from(samples);
     let mean = sum / n;
     [mean, ((squares / n - mean * mean).max(0.0) / (n - 1.0)).sqrt()]
-}
-
-#[derive(Clone, Copy)]
-struct FilterAdapter(Filter);
-
-impl PixelFilter for FilterAdapter {
-    fn sample(self, u: [f32; 2]) -> [f32; 2] {
-        self.0.sample(u)
-    }
-
-    fn density(self, offset: [f32; 2]) -> f32 {
-        self.0.density(offset)
-    }
 }
 
 /// Finds the surface at a point with a ray from above.

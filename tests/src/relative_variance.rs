@@ -4,22 +4,10 @@ use crate::clock::processor_seconds;
 use femc_film::Filter;
 use femc_math::glam::DVec3;
 use femc_math::sampler::{REPLICATES, replicate_of};
-use femc_montecarlo::{Guidance, PathSettings, PixelFilter, Tracer};
+use femc_montecarlo::{Guidance, PathSettings, Tracer};
+use femc_pipeline::FilterAdapter;
 use femc_prepared::Prepared;
 use rayon::prelude::*;
-
-#[derive(Clone, Copy)]
-struct FilterAdapter(Filter);
-
-impl PixelFilter for FilterAdapter {
-    fn sample(self, u: [f32; 2]) -> [f32; 2] {
-        self.0.sample(u)
-    }
-
-    fn density(self, offset: [f32; 2]) -> f32 {
-        self.0.density(offset)
-    }
-}
 
 /// Results of one method.
 #[derive(Debug, Default)]

@@ -6,28 +6,15 @@ use femc_film::Filter;
 use femc_math::color::luminance;
 use femc_math::glam::Vec3A;
 use femc_math::sampler::{REPLICATES, replicate_of};
-use femc_montecarlo::{Guidance, PathSettings, PixelFilter, Tracer};
+use femc_montecarlo::{Guidance, PathSettings, Tracer};
 use femc_pipeline::radiosity::{self, SolveOptions};
-use femc_pipeline::{Field, SceneSource, Settings, prepare_frame};
+use femc_pipeline::{Field, FilterAdapter, SceneSource, Settings, prepare_frame};
 use femc_prepared::Prepared;
 use femc_scene::Scene;
 use femc_tests::parse_scene;
 use rayon::prelude::*;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
-
-#[derive(Clone, Copy)]
-struct FilterAdapter(Filter);
-
-impl PixelFilter for FilterAdapter {
-    fn sample(self, u: [f32; 2]) -> [f32; 2] {
-        self.0.sample(u)
-    }
-
-    fn density(self, offset: [f32; 2]) -> f32 {
-        self.0.density(offset)
-    }
-}
 
 const EDGE: u32 = 48;
 /// Side length of a block in pixels.

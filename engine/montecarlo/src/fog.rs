@@ -170,11 +170,12 @@ impl FogSampler<'_> {
     }
 
     /// Samples single scattering on the segment with a light and a distance for it (way 1).
-    /// - `decide`: called before the random numbers of each decision are drawn.
+    /// - `decide`: called before the random numbers of each decision are drawn. It is not generic: copies of this function for each
+    ///   recorder are inlined less, which costs path tracing in fog 2 % more instructions.
     pub fn sample_airlight(
         &mut self,
         path: &mut PathState,
-        mut decide: impl FnMut(Decision, &mut PathState),
+        decide: &mut dyn FnMut(Decision, &mut PathState),
     ) -> Option<SingleScatterSample> {
         let scene = self.scene;
         let light_context = self.ray.light_context?;
@@ -424,7 +425,7 @@ f e f g h
         let mut distances = Vec::new();
         for seed in 0..40_000 {
             let mut path = center_path(&scene, seed);
-            let scattered = fixture.sampler().sample_airlight(&mut path, |_, _| ());
+            let scattered = fixture.sampler().sample_airlight(&mut path, &mut |_, _| ());
             distances.push(scattered.map(|scattered| {
                 assert_eq!(scattered.light, 0);
                 scattered.event.t

@@ -62,10 +62,10 @@ impl<R: Recorder> Tracer<'_, R> {
         }
         if !is_last {
             fog.weigh_lights(path);
-            let decide = |decision, path: &mut PathState| {
+            let mut decide = |decision, path: &mut PathState| {
                 record!(recorder.decide(decision, path.bounce, &mut path.stream));
             };
-            if let Some(scattered) = fog.sample_airlight(path, decide) {
+            if let Some(scattered) = fog.sample_airlight(path, &mut decide) {
                 if RECORD_ALL
                     && R::WANTS_OCCLUDERS
                     && scattered.color == Rgb::ZERO

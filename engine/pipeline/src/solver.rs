@@ -26,7 +26,7 @@ pub fn solver(method: Method) -> Arc<dyn Solver> {
 pub struct SolverPhases {
     /// Number of times that blocks cast rays and one task applies the results.
     pub rounds: u32,
-    /// Whether blocks compute guides after each round.
+    /// Whether blocks compute guides after the last round.
     pub has_guides: bool,
 }
 
@@ -104,19 +104,14 @@ pub trait LinkedState: Debug + Send + Sync {
     fn encode_start(&self) -> Vec<u8>;
 
     /// Prepares the state for the rays of the next round.
-    /// - `guides`: outputs of all blocks of the round before, in order; none before the first rays.
-    fn before_rays(
-        self: Box<Self>,
-        prepared: &Prepared,
-        guides: Vec<BlockOutput>,
-    ) -> Result<Arc<dyn RayState>, StepDecodeError>;
+    fn before_rays(self: Box<Self>, prepared: &Prepared) -> Arc<dyn RayState>;
 
     /// Prepares the state for guides.
     /// - `rays`: outputs of all blocks of this round, in order.
     fn after_rays(self: Box<Self>, rays: Vec<BlockOutput>) -> Result<Arc<dyn GuideState>, StepDecodeError>;
 
     /// Creates the solution.
-    /// - `guides`: outputs of all blocks of the last round, in order; none for a field that does not guide paths.
+    /// - `guides`: outputs of all blocks, in order; none for a field that does not guide paths.
     fn solution(&self, prepared: &Prepared, guides: Vec<BlockOutput>) -> Result<Solution, StepDecodeError>;
 }
 

@@ -38,21 +38,8 @@ const EVEN: f32 = 0.2;
 const WORTH: f32 = 0.75;
 /// Minimum brightness of a way relative to the mean, for the search for portals.
 const BRIGHT: f32 = 8.0;
-/// Share of a lobe toward a portal that no ray of the group has found, for rays.
-const SEEK: f32 = 0.25;
-/// Share of a lobe toward a portal that no ray of the group has found, for paths.
+/// Share of a lobe toward a portal that no ray of the group has found.
 const BEWARE: f32 = 0.1;
-/// Share of rays toward lobes in the search for portals.
-const AIMED: f32 = 0.25;
-
-/// Purpose of sampled directions.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Purpose {
-    /// Paths: a guide is used only if it is known to lower the variance.
-    Paths,
-    /// Further rays of the first pass: more of them go toward portals that no ray of the group has found so far.
-    Rays,
-}
 
 /// Computes, for each group of leaves, the share of directions to sample from its lobes, and the lobes. Adjacent leaves share one
 /// guide, so that it is based on enough rays: light that few rays find reaches all of these leaves.
@@ -64,7 +51,6 @@ pub fn of_groups(
     (links, rays): (&[Link], &Rays),
     groups: &[(u32, Vec<u32>)],
     portals: &[Portal],
-    purpose: Purpose,
 ) -> Vec<(f32, Vec<Lobe>)> {
     let light_sent = SentLight::new(arena, lights, BentLamps::Included);
     groups
@@ -97,7 +83,7 @@ pub fn of_groups(
             }
             let element = &arena.elements[*group as usize];
             let found = guide(element, &ways, &seen, portals);
-            toward(found, element, portals, purpose)
+            toward(found, element, portals)
         })
         .collect()
 }
@@ -171,28 +157,22 @@ fn root(arena: &Arena, leaf: u32) -> u32 {
     }
 }
 
-/// Adds lobes for all portals in front of a group that it has no lobe for. Rays must search there for light that the group has not
-/// found, and paths must sample it before they hit it by chance.
-fn toward(
-    (share, mut lobes): (f32, Vec<Lobe>),
-    group: &Element,
-    portals: &[Portal],
-    purpose: Purpose,
-) -> (f32, Vec<Lobe>) {
+/// Adds lobes for all portals in front of a group that it has no lobe for: paths must sample such light before they hit it by
+/// chance.
+fn toward((share, mut lobes): (f32, Vec<Lobe>), group: &Element, portals: &[Portal]) -> (f32, Vec<Lobe>) {
     let is_there = |portal: &&Portal| !lobes.iter().any(|lobe| portal.has(group.center, lobe.target));
-    let [seek, least] = match purpose {
-        Purpose::Rays => [SEEK, AIMED],
-        Purpose::Paths => [BEWARE, SHARES[0]],
-    };
-    let seen: Vec<Lobe> =
-        portals.iter().filter(is_there).filter_map(|portal| portal.lobe(group.center, group.normal(), seek)).collect();
+    let seen: Vec<Lobe> = portals
+        .iter()
+        .filter(is_there)
+        .filter_map(|portal| portal.lobe(group.center, group.normal(), BEWARE))
+        .collect();
     if seen.is_empty() {
         return (share, lobes);
     }
     lobes.sort_by(|a, b| b.share.total_cmp(&a.share));
     lobes.truncate(LOBES - seen.len());
     lobes.extend(seen);
-    (share.max(least), lobes)
+    (share.max(SHARES[0]), lobes)
 }
 
 /// Returns the smallest parts of surfaces that have [`ENOUGH`] ways, or whole surfaces, with their leaves.

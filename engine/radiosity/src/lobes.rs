@@ -10,7 +10,9 @@ use crate::portals::Portal;
 use femc_field::{Block, Directions, HALF, LOBES, Lobe};
 use femc_math::Frame;
 use femc_math::elementary::{atan2, ln, sin_cos};
-use femc_math::glam::Vec3A;
+use femc_math::glam::{Vec3A, Vec4};
+use std::array;
+use std::cell::OnceCell;
 
 /// Distance of the nearest candidate for a lobe's center, relative to that of its ways' ends, and number of steps from there to
 /// these.
@@ -164,11 +166,11 @@ pub fn fit(parts: &[Part], center: Vec3A, frame: &Frame, portals: &[Portal]) -> 
     let most = if portals.is_empty() { HALF } else { LOBES };
     let mut bundles = vec![Bundle::new(places, 0.25)];
     while bundles.len() + fixed.len() < most {
-        let gain = |k: usize| bundles[k].cut.map_or(0.0, |cut| cut.gain);
+        let gain = |k: usize| bundles[k].cut().map_or(0.0, |cut| cut.gain);
         let best = (1..bundles.len()).fold(0, |best, k| if gain(k) > gain(best) { k } else { best });
-        let Some(cut) = bundles[best].cut.filter(|cut| cut.gain > GAIN * whole) else { break };
+        let Some(cut) = bundles[best].cut().filter(|cut| cut.gain > GAIN * whole) else { break };
         let Bundle { places, area, .. } = bundles.swap_remove(best);
-        let (places, rest) = places.into_iter().partition(|place| place.along(cut.axis) < cut.at);
+        let (places, rest) = places.into_iter().partition(|place| place.along[cut.axis] < cut.at);
         bundles.extend([places, rest].map(|places: Vec<Place>| Bundle::new(places, area)));
     }
     let mut lobes: Vec<Lobe> = bundles.iter().filter_map(|bundle| bundle.lobe(center)).collect();
@@ -185,91 +187,66 @@ pub fn fit(parts: &[Part], center: Vec3A, frame: &Frame, portals: &[Portal]) -> 
 #[derive(Clone, Copy, Debug)]
 struct Place {
     part: Part,
-    /// Positions of its direction, and of the direction from the leaf's center to its target.
-    at: [[f32; 2]; 2],
-    /// Variance on the disk caused by the width of the way itself.
-    own: f32,
+    /// Coordinates along the axes on which bundles are split: x, y, x + y and x - y of the way's direction, and of the direction from
+    /// the leaf's center to its target.
+    along: [f32; AXES],
+    moments: Moments,
 }
 
 impl Place {
     fn new(part: &Part, center: Vec3A, frame: &Frame) -> Option<Self> {
         let dirs = [part.target - part.origin, part.target - center].map(|way| frame.to_local(way.normalize_or_zero()));
-        if !(dirs[1].z > 0.0 && part.amount > 0.0) {
+        let amount = part.amount;
+        if !(dirs[1].z > 0.0 && amount > 0.0) {
             return None;
         }
         let distance2 = part.target.distance_squared(part.origin).max(f32::MIN_POSITIVE);
+        // Variance on the disk caused by the width of the way itself.
         let own = (0.5 * part.spread / distance2).clamp(1e-7, 0.25) * dirs[0].z.clamp(0.05, 1.0);
-        Some(Self { part: *part, at: dirs.map(|dir| [dir.x, dir.y]), own })
-    }
-
-    /// Returns the coordinate along one of [`AXES`].
-    fn along(&self, axis: usize) -> f32 {
-        let [x, y] = self.at[axis / 4];
-        match axis % 4 {
-            0 => x,
-            1 => y,
-            2 => x + y,
-            _ => x - y,
-        }
+        let [x, y, u, v] = [dirs[0].x, dirs[0].y, dirs[1].x, dirs[1].y];
+        let moments = [1.0, amount, own, x, y, x * x, x * y, y * y, u, v, u * u, u * v, v * v, 0.0, 0.0, 0.0];
+        Some(Self {
+            part: *part,
+            along: [x, y, x + y, x - y, u, v, u + v, u - v],
+            moments: array::from_fn(|k| Vec4::from_slice(&moments[4 * k..]) * amount),
+        })
     }
 }
 
 /// Number of axes along which bundles are split: four on each disk.
 const AXES: usize = 8;
 
-/// Sums over positions on both disks.
-#[derive(Clone, Copy, Debug, Default)]
-struct Extent {
-    amount: f32,
-    /// Sum of the squared amounts.
-    squared: f32,
-    own: f32,
-    middle: [[f32; 2]; 2],
-    squares: [[f32; 3]; 2],
+/// Number of sums over positions, padded to whole vectors. Each is weighted by the amount: 1, the amount, the variance of the way
+/// itself, and, by disk, x, y, xx, xy, yy.
+const MOMENTS: usize = 16;
+/// Sums of moments, in vectors.
+type Moments = [Vec4; MOMENTS / 4];
+
+/// Adds moments to sums of moments.
+#[inline(always)]
+fn add(sums: &mut Moments, moments: &Moments) {
+    sums.iter_mut().zip(moments).for_each(|(sum, moment)| *sum += *moment);
 }
 
-impl Extent {
-    fn add(&mut self, place: &Place) {
-        let amount = place.part.amount;
-        self.amount += amount;
-        self.squared += amount * amount;
-        self.own += amount * place.own;
-        for (disc, at) in place.at.iter().enumerate() {
-            let squares = [at[0] * at[0], at[0] * at[1], at[1] * at[1]];
-            self.middle[disc].iter_mut().zip(at).for_each(|(sum, x)| *sum += amount * x);
-            self.squares[disc].iter_mut().zip(squares).for_each(|(sum, x)| *sum += amount * x);
-        }
-    }
+/// Returns the part of the disk that positions with these moments fill. Few positions do not determine it well, so the area of the
+/// bundle before the split counts as prior knowledge, with the weight of [`PRIOR`] positions.
+#[inline(always)]
+fn filled_area(moment: impl Fn(usize) -> f32, before: f32) -> f32 {
+    let (amount, squared) = (moment(0), moment(1));
+    let share = 1.0 / amount;
+    let own = (moment(2) * share).max(1e-8);
+    let square = |first: usize| {
+        let [x, y, xx, xy, yy] = [0, 1, 2, 3, 4].map(|k| moment(first + k) * share);
+        let [a, b, c] = [(xx - x * x).max(0.0) + own, xy - x * y, (yy - y * y).max(0.0) + own];
+        (a * c - b * b).max(own * own)
+    };
+    let number = amount * amount / squared.max(f32::MIN_POSITIVE);
+    (number * square(3).min(square(8)).sqrt() + PRIOR * before) / (number + PRIOR)
+}
 
-    fn sum(&mut self, other: &Self, scale: f32) {
-        self.amount += scale * other.amount;
-        self.squared += scale * other.squared;
-        self.own += scale * other.own;
-        for disc in 0..2 {
-            self.middle[disc].iter_mut().zip(other.middle[disc]).for_each(|(sum, x)| *sum += scale * x);
-            self.squares[disc].iter_mut().zip(other.squares[disc]).for_each(|(sum, x)| *sum += scale * x);
-        }
-    }
-
-    /// Returns the part of the disk that the positions fill. Few positions do not determine it well, so the area of the bundle
-    /// before the split counts as prior knowledge, with the weight of [`PRIOR`] positions.
-    fn area(&self, before: f32) -> f32 {
-        let share = 1.0 / self.amount;
-        let area = |disc: usize| {
-            let [x, y] = self.middle[disc].map(|sum| sum * share);
-            let [xx, xy, yy] = self.squares[disc].map(|sum| sum * share);
-            let own = (self.own * share).max(1e-8);
-            let [a, b, c] = [(xx - x * x).max(0.0) + own, xy - x * y, (yy - y * y).max(0.0) + own];
-            (a * c - b * b).max(own * own).sqrt()
-        };
-        let number = self.amount * self.amount / self.squared.max(f32::MIN_POSITIVE);
-        (number * area(0).min(area(1)) + PRIOR * before) / (number + PRIOR)
-    }
-
-    /// Returns the logarithm of the likelihood: of the amount over the part of the disk.
-    fn likelihood(&self, before: f32) -> f32 {
-        if self.amount <= f32::MIN_POSITIVE { 0.0 } else { self.amount * ln(self.amount / self.area(before)) }
-    }
+/// Returns the logarithm of the likelihood: of the amount over the part of the disk.
+fn likelihood(amount: f32, area: f32) -> f32 {
+    if amount <= f32::MIN_POSITIVE { 0.0 } else { amount * ln(amount / area) }
 }
 
 /// Best split of a bundle.
@@ -283,48 +260,74 @@ struct Cut {
 
 struct Bundle {
     places: Vec<Place>,
+    /// Sums of the places' moments.
+    whole: [f32; MOMENTS],
     /// Part of the disk that they fill.
     area: f32,
-    cut: Option<Cut>,
+    /// Best split, once it is known.
+    cut: OnceCell<Option<Cut>>,
 }
 
 impl Bundle {
-    /// Creates a bundle and finds its best split.
+    /// Creates a bundle.
     /// - `area`: area of the bundle from which it was split.
     fn new(places: Vec<Place>, area: f32) -> Self {
-        let mut whole = Extent::default();
-        places.iter().for_each(|place| whole.add(place));
-        let area = if whole.amount > 0.0 { whole.area(area) } else { area };
-        let before = whole.likelihood(area);
+        let mut sums = Moments::default();
+        places.iter().for_each(|place| add(&mut sums, &place.moments));
+        let whole: [f32; MOMENTS] = array::from_fn(|k| sums[k / 4][k % 4]);
+        let area = if whole[0] > 0.0 { filled_area(|k| whole[k], area) } else { area };
+        Self { places, whole, area, cut: OnceCell::new() }
+    }
+
+    /// Returns the best split. `None` if the bundle cannot be split.
+    fn cut(&self) -> Option<Cut> {
+        *self.cut.get_or_init(|| self.find_best_cut())
+    }
+
+    fn find_best_cut(&self) -> Option<Cut> {
+        let (mut low, mut high) = ([f32::INFINITY; AXES], [f32::NEG_INFINITY; AXES]);
+        for place in &self.places {
+            for axis in 0..AXES {
+                low[axis] = low[axis].min(place.along[axis]);
+                high[axis] = high[axis].max(place.along[axis]);
+            }
+        }
+        let widths: [f32; AXES] = array::from_fn(|axis| (high[axis] - low[axis]) / BINS as f32);
+        let scales = widths.map(f32::recip);
+        let mut bins = [[Moments::default(); BINS]; AXES];
+        for place in &self.places {
+            for axis in 0..AXES {
+                // Without a width, the product is no number, and the bin is the first.
+                let bin = ((place.along[axis] - low[axis]) * scales[axis]) as usize;
+                add(&mut bins[axis][bin.min(BINS - 1)], &place.moments);
+            }
+        }
+        let before = likelihood(self.whole[0], filled_area(|k| self.whole[k], self.area));
         let mut best: Option<Cut> = None;
-        for axis in 0..AXES {
-            let (low, high) = places.iter().fold((f32::INFINITY, f32::NEG_INFINITY), |(low, high), place| {
-                let along = place.along(axis);
-                (low.min(along), high.max(along))
-            });
-            let width = (high - low) / BINS as f32;
-            if width <= 0.0 {
-                continue;
-            }
-            let mut bins = [Extent::default(); BINS];
-            for place in &places {
-                bins[(((place.along(axis) - low) / width) as usize).min(BINS - 1)].add(place);
-            }
-            let mut first = Extent::default();
-            for (k, bin) in bins.iter().enumerate().take(BINS - 1) {
-                if bin.amount <= 0.0 {
-                    continue;
+        for axis in (0..AXES).filter(|&axis| widths[axis] > 0.0) {
+            // Moments of the first bins and of the rest, by the number of first bins.
+            let (mut first, mut rest) = ([[0.0f32; BINS]; MOMENTS], [[0.0f32; BINS]; MOMENTS]);
+            for (moment, &whole) in self.whole.iter().enumerate() {
+                let mut sum = 0.0;
+                for (bin, moments) in bins[axis].iter().enumerate() {
+                    sum += moments[moment / 4][moment % 4];
+                    (first[moment][bin], rest[moment][bin]) = (sum, whole - sum);
                 }
-                first.sum(bin, 1.0);
-                let mut rest = whole;
-                rest.sum(&first, -1.0);
-                let gain = first.likelihood(area) + rest.likelihood(area) - before;
+            }
+            let (mut areas, mut rest_areas) = ([0.0; BINS], [0.0; BINS]);
+            for bin in 0..BINS {
+                areas[bin] = filled_area(|k| first[k][bin], self.area);
+                rest_areas[bin] = filled_area(|k| rest[k][bin], self.area);
+            }
+            for bin in (0..BINS - 1).filter(|&bin| bins[axis][bin][0].x > 0.0) {
+                let likelihoods = [(first[0][bin], areas[bin]), (rest[0][bin], rest_areas[bin])];
+                let gain = likelihoods.into_iter().map(|(amount, area)| likelihood(amount, area)).sum::<f32>() - before;
                 if best.is_none_or(|best| gain > best.gain) {
-                    best = Some(Cut { axis, at: low + width * (k + 1) as f32, gain });
+                    best = Some(Cut { axis, at: low[axis] + widths[axis] * (bin + 1) as f32, gain });
                 }
             }
         }
-        Self { places, area, cut: best.filter(|cut| cut.gain.is_finite()) }
+        best.filter(|cut| cut.gain.is_finite())
     }
 
     fn lobe(&self, center: Vec3A) -> Option<Lobe> {

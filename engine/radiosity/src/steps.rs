@@ -2,7 +2,7 @@
 //!
 //! [`SolverState::new`] links all elements on one machine. Then, three times, rays are cast and their results are applied. The rays
 //! are cast by blocks of leaves ([`CastingState::cast`]), the rest is done on one machine again ([`CastingState::apply_hits`]).
-//! Between two rounds, and at the end if the field guides paths, the guides are computed by blocks of groups of leaves
+//! At the end, if the field guides paths, the guides are computed by blocks of groups of leaves
 //! ([`CorrectedState::guides`]). The state between steps travels as bytes. The blocks depend only on the elements, so the
 //! distribution over machines changes no bit, and [`crate::solve`], which does all steps in one process, has the same result.
 
@@ -11,7 +11,7 @@ use crate::bytes::{Reader, StepDecodeError, Writer, colors_from_floats, position
 use crate::element::Element;
 use crate::exits::ClusterWeights;
 use crate::gather::{ElementLight, ElementLights, FROM_ELEMENTS, FROM_LAMPS, IncidentLight};
-use crate::incoming::{self, Purpose};
+use crate::incoming;
 use crate::link::Link;
 use crate::portals::{self, Portal};
 use crate::rays::{Aims, RayHits, RayPlan, Rays, are_complete, block_range, ray_leaves};
@@ -29,10 +29,12 @@ use std::sync::atomic::AtomicBool;
 pub fn solve(prepared: &Prepared, options: &SolveOptions, cancel: &AtomicBool) -> Result<Solution, Cancelled> {
     let (mut state, mut guides) = (SolverState::new(prepared, options, cancel)?, Vec::new());
     while !state.is_finished() {
-        let casting = state.plan_rays(prepared, options, guides);
+        let casting = state.plan_rays(prepared, options);
         let hits = vec![casting.cast(prepared, 0, 1)];
         let corrected = correct_with_rays(casting.state, casting.plan, prepared, options, hits, cancel)?;
-        guides = if options.guides { vec![corrected.guides(prepared, 0, 1)] } else { Vec::new() };
+        if options.guides && corrected.state.is_finished() {
+            guides = vec![corrected.guides(prepared, 0, 1)];
+        }
         state = corrected.state;
     }
     Ok(state.solution(prepared, guides))
@@ -45,7 +47,7 @@ pub fn min_solve_bytes(prepared: &Prepared) -> u64 {
     (Scene::new(prepared).surfaces.len() * surface) as u64
 }
 
-/// A first pass before rays are cast, with their guides.
+/// A first pass before rays are cast, with the directions of some of them.
 #[derive(Debug)]
 pub struct CastingState {
     state: SolverState,
@@ -100,16 +102,12 @@ impl SolverState {
     }
 
     /// Prepares the state for casting rays.
-    /// - `guides`: guides of all groups of leaves, in order; none before the first rays.
-    pub fn plan_rays(mut self, prepared: &Prepared, options: &SolveOptions, guides: Vec<BlockGuides>) -> CastingState {
+    pub fn plan_rays(mut self, prepared: &Prepared, options: &SolveOptions) -> CastingState {
         let scene = Scene::new(prepared);
-        let leaves = surface_leaves(&self.arena);
-        let (guides, lobes) = join_guides(guides, &leaves);
-        let mut aims = Aims::new(&self.arena, &leaves, &guides, &lobes);
         if self.arena.root != NONE && !self.is_finished() {
             self.split_uneven_leaves(&scene);
         }
-        aims.grow(&self.arena);
+        let aims = Aims::new(&self.arena, &self.portals);
         let plan = self.ray_plan(options.memory);
         CastingState { state: self, aims, plan }
     }
@@ -419,9 +417,7 @@ impl CorrectedState {
         let SolverState { arena, lights, links, portals, .. } = &self.state;
         let GuideGroups { groups, first } = self.groups.get_or_init(|| self.build_groups());
         let groups = &groups[block_range(first, block, blocks)];
-        // The guides serve rays first, and paths at the end.
-        let purpose = if self.state.is_finished() { Purpose::Paths } else { Purpose::Rays };
-        let guides = incoming::of_groups(&scene, arena, lights, (links, &self.rays), groups, portals, purpose);
+        let guides = incoming::of_groups(&scene, arena, lights, (links, &self.rays), groups, portals);
         let groups = groups.iter().map(|(_, leaves)| leaves.clone()).collect();
         BlockGuides { groups, guides }
     }

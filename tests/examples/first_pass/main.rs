@@ -249,18 +249,21 @@ fn steps(path: &Path) -> Result<(), Box<dyn Error>> {
     let solver = solver(Method::Femc);
     let begun = solver.begin(&world, &cancel)?;
     let start = begun.encode_start();
-    let mut casting = begun.before_rays(&world, Vec::new())?;
+    let mut casting = begun.before_rays(&world);
     took("elements and links");
-    for _ in 0..solver.phases().rounds {
+    let rounds = solver.phases().rounds;
+    for round in 1..=rounds {
         let rays = casting.cast(&world, 0, 1);
         took("rays");
         let hits = vec![solver.decode_block(BlockPhase::Rays, &rays)?];
         let corrected = casting.apply(&world, hits, &cancel)?.ok_or("rays of other elements")?;
         took("what rays have met is taken in, and portals are found");
-        let guides = corrected.guides(&world, 0, 1);
-        took("where light comes from");
-        let next = solver.decode(&world, &start, Some(&corrected.encode_elements()))?;
-        casting = next.before_rays(&world, vec![solver.decode_block(BlockPhase::Guides, &guides)?])?;
+        if round == rounds {
+            corrected.guides(&world, 0, 1);
+            took("where light comes from");
+            break;
+        }
+        casting = solver.decode(&world, &start, Some(&corrected.encode_elements()))?.before_rays(&world);
         took("bytes between steps");
     }
     let whole: f64 = rows.iter().map(|row| row.1).sum();

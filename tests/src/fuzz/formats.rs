@@ -404,7 +404,7 @@ fn first_pass_steps(prepared: Prepared) -> Vec<Target> {
     let (options, cancel) = (SolveOptions { error: 1.0, memory: 0, guides: true }, AtomicBool::new(false));
     let state = SolverState::new(&prepared, &options, &cancel).expect("elements");
     let links = state.encode_links();
-    let casting = state.plan_rays(&prepared, &options, Vec::new());
+    let casting = state.plan_rays(&prepared, &options);
     let hits = casting.cast(&prepared, 0, 1);
     let corrected = casting.apply_hits(&prepared, &options, vec![hits.clone()], &cancel).expect("nobody cancels");
     let corrected = corrected.expect("its own rays");

@@ -39,11 +39,9 @@ pub(super) fn linked_artifacts(task: &Task) -> Vec<Artifact> {
 
 /// Returns the state from which the rays start.
 pub(super) fn state_before_rays(task: &Task, tools: &Tools, world: &World) -> Result<Arc<dyn RayState>, Failure> {
-    let guides = states_from(task, StageKind::FirstPassGuides);
-    tools.cache.state_before_rays(&[linked_artifacts(task), guides.clone()].concat(), || {
+    tools.cache.state_before_rays(&linked_artifacts(task), || {
         let state = linked_state(task, tools, world)?;
-        let outputs = read_guides(task, tools, world)?;
-        tools.install(task, || state.before_rays(&world.prepared, outputs)).map_err(|error| damaged(&guides, error))
+        Ok(tools.install(task, || state.before_rays(&world.prepared)))
     })
 }
 

@@ -81,13 +81,9 @@ impl LinkedState for Linked {
         self.0.encode_start()
     }
 
-    fn before_rays(
-        self: Box<Self>,
-        prepared: &Prepared,
-        guides: Vec<BlockOutput>,
-    ) -> Result<Arc<dyn RayState>, StepDecodeError> {
+    fn before_rays(self: Box<Self>, prepared: &Prepared) -> Arc<dyn RayState> {
         let Self(state, options) = *self;
-        Ok(Arc::new(Casting(state.plan_rays(prepared, &options, BlockOutput::unwrap_all(guides)?), options)))
+        Arc::new(Casting(state.plan_rays(prepared, &options), options))
     }
 
     fn after_rays(self: Box<Self>, rays: Vec<BlockOutput>) -> Result<Arc<dyn GuideState>, StepDecodeError> {

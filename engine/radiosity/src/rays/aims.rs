@@ -1,16 +1,19 @@
-//! Guides for later rays, from the results of earlier ones.
+//! Directions of later rays toward the portals that earlier rays have found.
 
 use crate::arena::Arena;
-use femc_field::{Block, Directions, Guide, Lobe, NONE, SurfaceSpot};
+use crate::portals::Portal;
+use femc_field::{Block, Directions, Lobe, NONE, SurfaceSpot};
 use femc_math::glam::Vec3A;
-use std::collections::HashMap;
 use std::f32::consts::PI;
 
-/// Guide for a share of a leaf's rays.
-#[derive(Clone, Debug)]
-pub struct Aim(Option<(Block, f32)>);
+/// Share of a leaf's rays that are cast toward portals.
+const AIMED: f32 = 0.25;
 
-/// Guides for a share of the rays, by element.
+/// Lobes toward the portals in front of a leaf, for a share of its rays.
+#[derive(Clone, Debug)]
+pub struct Aim(Option<Block>);
+
+/// Lobes toward portals, by leaf.
 #[derive(Clone, Debug, Default)]
 pub struct Aims {
     by_element: Vec<u32>,
@@ -18,31 +21,27 @@ pub struct Aims {
 }
 
 impl Aims {
-    /// Creates the guides.
-    /// - `guides`: guide of each leaf, in the order of `leaves`.
-    pub fn new(arena: &Arena, leaves: &[u32], guides: &[Guide], lobes: &[Lobe]) -> Self {
+    /// Creates the lobes of all flat leaves. Rays search at the portals for light that the leaf has not found.
+    pub fn new(arena: &Arena, portals: &[Portal]) -> Self {
+        if portals.is_empty() {
+            return Self::default();
+        }
         let mut out = Self { by_element: vec![NONE; arena.elements.len()], aims: Vec::new() };
-        let mut known = HashMap::new();
-        for (&leaf, guide) in leaves.iter().zip(guides).filter(|(_, guide)| guide.count > 0) {
-            let range = guide.first as usize..(guide.first + guide.count) as usize;
-            out.by_element[leaf as usize] = *known.entry(guide.first).or_insert_with(|| {
-                out.aims.push(Aim(Some((Block::new(&lobes[range]), guide.share))));
-                out.aims.len() as u32 - 1
-            });
+        for (aim, leaf) in out.by_element.iter_mut().zip(&arena.elements) {
+            if !(leaf.is_leaf() && leaf.patch().is_some()) {
+                continue;
+            }
+            let lobe = |portal: &Portal| portal.lobe(leaf.center, leaf.normal(), 1.0);
+            let lobes: Vec<Lobe> = portals.iter().filter_map(lobe).collect();
+            if !lobes.is_empty() {
+                *aim = out.aims.len() as u32;
+                out.aims.push(Aim(Some(Block::new(&lobes))));
+            }
         }
         out
     }
 
-    /// Gives new elements the guides of their parents.
-    pub fn grow(&mut self, arena: &Arena) {
-        if self.aims.is_empty() {
-            return;
-        }
-        for element in &arena.elements[self.by_element.len()..] {
-            self.by_element.push(if element.parent == NONE { NONE } else { self.by_element[element.parent as usize] });
-        }
-    }
-
+    /// Returns the lobes of a leaf.
     pub fn get(&self, leaf: u32) -> &Aim {
         let at = self.by_element.get(leaf as usize).copied().unwrap_or(NONE);
         self.aims.get(at as usize).unwrap_or(&Aim::NONE)
@@ -52,20 +51,19 @@ impl Aims {
 impl Aim {
     pub const NONE: Self = Self(None);
 
-    /// Returns the number of guided rays of a part.
+    /// Returns the number of rays of a part that are cast toward portals.
     pub fn number(&self, each: usize) -> usize {
-        self.0.as_ref().map_or(0, |(_, share)| ((each as f32 * share) as usize).min(each - 1))
+        self.0.as_ref().map_or(0, |_| ((each as f32 * AIMED) as usize).min(each - 1))
     }
 
     pub fn sample(&self, point: Vec3A, choice: f32, u: [f32; 2]) -> Option<Vec3A> {
-        let (block, _) = self.0.as_ref()?;
-        Some(Directions::new(block, point).non_empty()?.sample(choice, u))
+        Some(Directions::new(self.0.as_ref()?, point).non_empty()?.sample(choice, u))
     }
 
     /// Returns the density of directions relative to the cosine distribution.
     pub fn ratio(&self, spot: &SurfaceSpot, dir: Vec3A, each: usize) -> f32 {
         let aimed = self.number(each);
-        let (Some((block, _)), true) = (&self.0, aimed > 0) else { return 1.0 };
+        let (Some(block), true) = (&self.0, aimed > 0) else { return 1.0 };
         let Some(directions) = Directions::new(block, spot.position).non_empty() else { return 1.0 };
         let share = aimed as f32 / each as f32;
         let cosine = (spot.normal.dot(dir) / PI).max(1e-6);

@@ -100,7 +100,7 @@ impl RayPlan {
     }
 
     /// Casts the rays of these leaves.
-    /// - `aims`: guides for a share of the rays.
+    /// - `aims`: directions of a share of the rays.
     pub fn cast(&self, scene: &Scene<'_>, arena: &Arena, aims: &Aims, part: Range<usize>) -> RayHits {
         let density = &self.density;
         let counts: Vec<u32> = self.first[part.start..=part.end].windows(2).map(|ends| ends[1] - ends[0]).collect();

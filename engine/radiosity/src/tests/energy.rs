@@ -65,7 +65,7 @@ fn light_does_not_grow_whatever_the_links_bring() {
 /// Casts rays from all leaves.
 fn cast(scene: &Scene<'_>, state: &SolverState) -> Rays {
     let plan = state.ray_plan(OPTIONS.memory);
-    let aims = Aims::new(&state.arena, &[], &[], &[]);
+    let aims = Aims::default();
     let hits = plan.cast(scene, &state.arena, &aims, 0..ray_leaves(&state.arena).len());
     plan.into_rays(vec![hits])
 }

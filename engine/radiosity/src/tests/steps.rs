@@ -24,7 +24,7 @@ fn world() -> Prepared {
 
 fn casting(world: &Prepared) -> CastingState {
     let state = SolverState::new(world, &OPTIONS, &CANCEL).unwrap();
-    state.plan_rays(world, &OPTIONS, Vec::new())
+    state.plan_rays(world, &OPTIONS)
 }
 
 #[test]
@@ -114,16 +114,14 @@ fn steps_through_bytes_have_the_solution_of_one_process() {
         let mut of_blocks = Vec::new();
         for _ in 0..RAY_ROUNDS {
             let state = SolverState::decode(&world, &elements, &links).unwrap();
-            let casting = state.plan_rays(&world, &options, of_blocks);
+            let casting = state.plan_rays(&world, &options);
             let cast = |block: u32| RayHits::decode(&casting.cast(&world, block, 3).encode()).unwrap();
             let hits: Vec<RayHits> = (0..3).map(cast).collect();
             let corrected = casting.apply_hits(&world, &options, hits.clone(), &CANCEL).unwrap().expect("all hits");
             elements = corrected.state().encode_elements();
-            if guides {
+            if guides && corrected.state().is_finished() {
                 let again = SolverState::decode(&world, &elements, &links).unwrap().with_hits(hits).unwrap();
                 of_blocks = (0..3).map(|block| again.guides(&world, block, 3)).collect();
-            } else {
-                of_blocks = Vec::new();
             }
         }
         let found = SolverState::decode(&world, &elements, &links).unwrap().solution(&world, of_blocks);

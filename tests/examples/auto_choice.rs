@@ -3,8 +3,10 @@
 //! `cargo run --release -p femc-tests --example auto_choice -- SCENE.mgf.. [--spp N] [--size N] [--seeds N]`
 //!
 //! The cost of a method is the variance of its samples times their rays, with the first pass. The cost of `auto` is that of the method
-//! that its pilot chooses with a seed, with the work of the pilot. One line for each scene: costs relative to path tracing's, how
-//! often two passes were chosen, and the ratio of `auto` to the better method, with the upper end of its 95 % interval over seeds.
+//! that its pilot chooses with a seed, with the work of the pilot. One line for each scene: the pilots' mean relative variance and
+//! their mean maximum gain, the estimated work of the first pass and the cost of two passes relative to path tracing's, the gain
+//! without the first pass, how often two passes were chosen, the gains that the pilots measured and (in parentheses) estimated, and
+//! the ratio of `auto` to the better method, with the upper end of its 95 % interval over seeds.
 
 use femc_montecarlo::Guidance;
 use femc_pipeline::method_choice::{Pilot, RAYS_PER_GUIDED_VERTEX, choose_method};
@@ -30,7 +32,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     if scenes.is_empty() || seeds < 2 {
         return Err("usage: auto_choice SCENE.mgf.. [--spp N] [--size N] [--seeds N]; at least 2 seeds".into());
     }
-    println!("scene\tfirst pass\tfemc\tchosen\tgain by pilot\tauto over better\tupper");
+    println!("scene\tvariance\tmost gain\tfirst pass\tfemc\tgain\tchosen\tgains by pilot\tauto over better\tupper");
     for path in scenes {
         let source = SceneSource::new(Arc::new(femc_import::load_scene_file(path.as_ref())?.scene));
         let settings = Settings { size: Some([size; 2]), stop: StopCondition::Spp(spp), ..Settings::default() };
@@ -44,17 +46,21 @@ fn main() -> Result<(), Box<dyn Error>> {
             .map(|method: usize| samples * (measured[method].rays + RAYS_PER_GUIDED_VERTEX * measured[method].guided));
         let plan = plan_job(source.scene(), &settings, Some(&[1]))?;
         let (mut ratios, mut chosen, mut first_pass, mut gains) = (Vec::new(), 0, 0.0, Vec::new());
+        let (mut variances, mut most_gains) = (0.0, 0.0);
         let mut costs = [measured[0].variance * work[0], measured[1].variance * work[1]];
         for seed in 1..=seeds {
             let (choice, _) = choose_method(&source, &Settings { seed, ..settings.clone() }, &plan)?;
-            let Some(Pilot { samples: drawn, rays_a_sample, first_pass_rays, gain, .. }) = choice.pilot else {
+            let Some(Pilot { samples: drawn, rays_a_sample, first_pass_rays, gain, variance, most_gain, .. }) =
+                choice.pilot
+            else {
                 return Err(format!("{path}: the job is too small for a pilot").into());
             };
             first_pass = first_pass_rays;
             costs[1] = measured[1].variance * (work[1] + first_pass);
             let is_guided = choice.method == Method::Femc;
             chosen += u64::from(is_guided);
-            gains.extend(gain.map(|gain| format!("{gain:.1}")));
+            gains.extend(gain.map(|gain| format!("{:.2} ({:.2})", gain.measured, gain.estimated)));
+            (variances, most_gains) = (variances + variance, most_gains + most_gain);
             // A first pass that was solved for the choice counts once.
             let spare = if gain.is_some() && !is_guided { first_pass } else { 0.0 };
             let pilot = drawn as f64 * rays_a_sample + spare;
@@ -67,9 +73,12 @@ fn main() -> Result<(), Box<dyn Error>> {
         let name = std::path::Path::new(&path).file_stem().unwrap_or_default().to_string_lossy().into_owned();
         // Student's distribution with 9 degrees of freedom.
         println!(
-            "{name}\t{:.3}\t{:.2}\t{chosen} of {seeds}\t{}\t{mean:.3}\t{:.3}",
+            "{name}\t{:.2}\t{:.1}\t{:.3}\t{:.2}\t{:.2}\t{chosen} of {seeds}\t{}\t{mean:.3}\t{:.3}",
+            variances / n,
+            most_gains / n,
             first_pass / work[0],
             costs[1] / costs[0],
+            costs[0] / (measured[1].variance * work[1]),
             gains.join(" "),
             mean + 2.26 * error
         );

@@ -32,6 +32,7 @@ mod python;
 mod queues;
 mod real_files;
 mod render;
+mod resume_matrix;
 mod room;
 mod s3;
 mod scenes;

@@ -131,6 +131,7 @@ pub(crate) struct FrameView<'a> {
     pub film: [u32; 2],
     pub shutter: [f64; 2],
     pub origin: DVec3,
+    pub filter_radius: f32,
 }
 
 impl<'a> FrameView<'a> {
@@ -142,12 +143,14 @@ impl<'a> FrameView<'a> {
             film: spec.size.unwrap_or(camera.film),
             shutter: scene.shutter(camera, spec.frame),
             origin: rebase_origin(source, spec.camera.as_deref())?,
+            filter_radius: spec.filter_radius,
         })
     }
 
     fn frame_key(&self, source: &SceneSource, scalars: &Scalars, frame: u32) -> FrameKey {
-        let Self { camera, film, shutter, origin } = *self;
-        source.scene().frame_key(source.static_digest(), scalars, &Viewpoint { camera, film, frame, shutter, origin })
+        let Self { camera, film, shutter, origin, filter_radius } = *self;
+        let viewpoint = Viewpoint { camera, film, frame, shutter, origin, filter_radius };
+        source.scene().frame_key(source.static_digest(), scalars, &viewpoint)
     }
 }
 
@@ -503,7 +506,7 @@ pub(crate) fn kernel_camera(
     spec: &FrameSpec,
     view: &FrameView<'_>,
 ) -> Result<KernelCamera, PrepareError> {
-    let FrameView { camera, film, shutter, origin } = *view;
+    let FrameView { camera, film, shutter, origin, .. } = *view;
     let steps = if camera.is_animated(paths) && shutter[1] > shutter[0] { 5 } else { 1 };
     let poses = (0..steps).map(|k| {
         let time = shutter[0] + (shutter[1] - shutter[0]) * f64::from(k) / f64::from((steps - 1).max(1));

@@ -31,7 +31,8 @@ impl NextFrame {
         let scalars = scene.scalars_at(scene.frame_time(frame))?;
         let camera = find_camera(&scalars.cameras, spec.camera.as_deref())?;
         let shutter = scene.shutter(camera, frame);
-        let view = FrameView { camera, film: prepared.camera.film, shutter, origin: prepared.origin };
+        let (film, origin, filter_radius) = (prepared.camera.film, prepared.origin, spec.filter_radius);
+        let view = FrameView { camera, film, shutter, origin, filter_radius };
         let camera = kernel_camera(&scalars.paths, &FrameSpec { frame, ..spec.clone() }, &view)?;
         let (mut inputs, mut index) = (Vec::new(), Vec::with_capacity(prepared.instances.len()));
         for instance in prepared.instances.iter() {

@@ -4,7 +4,7 @@
 //! - [`StaticDigest`]: everything that no selector reaches (surfaces, images, photometry);
 //! - the content: the world at the frame's time, regardless of the viewpoint;
 //! - the prepared world, around an origin that may follow the camera;
-//! - the view of one camera.
+//! - the view of one camera, through a pixel filter.
 //!
 //! Time itself does not count, only its effects. A scalar that varies counts with its value. A path counts with its motion while
 //! the shutter is open ([`PathMotion`]); where it stands still, it counts with its pose. The digests never miss a difference. They
@@ -51,6 +51,8 @@ pub struct Viewpoint<'a> {
     pub shutter: [f64; 2],
     /// World position of the prepared coordinates' origin, m.
     pub origin: DVec3,
+    /// Radius of the pixel filter, pixels. It decides which pixels see a lamp.
+    pub filter_radius: f32,
 }
 
 impl Scene {
@@ -77,7 +79,7 @@ impl Scene {
     /// - `static_digest`: that of this scene, or of the scene that it is a variant of;
     /// - `now`: [`Scene::scalars_at`] the frame's time.
     pub fn frame_key(&self, static_digest: StaticDigest, now: &Scalars, viewpoint: &Viewpoint<'_>) -> FrameKey {
-        let Viewpoint { camera, film, frame, shutter, origin } = *viewpoint;
+        let Viewpoint { camera, film, frame, shutter, origin, filter_radius } = *viewpoint;
         let paths = self.paths_of_surfaces();
         let paths = || paths.iter().map(|path| now.paths.get(path.index()));
         let content_of = |form: &str, now: &Scalars| {
@@ -102,7 +104,7 @@ impl Scene {
         let world = world_of("world", content);
         let light = world_of("light", content_of("content of brightness 1", &now.with_unit_brightness()));
         let mut canonical = CanonicalHasher::new("view");
-        canonical.value(&(world, film, frame));
+        canonical.value(&(world, film, frame, filter_radius));
         canonical.value(&Camera { name: String::new(), location: NOWHERE, film, ..camera.clone() });
         let along = camera.along.and_then(|path| now.paths.get(path.index()));
         canonical.path(along, shutter);

@@ -26,9 +26,10 @@ struct TestView {
     open: f64,
     origin: f64,
     fov: f64,
+    filter_radius: f32,
 }
 
-const TEST_VIEW: TestView = TestView { frame: 15, open: 0.05, origin: 0.0, fov: 40.0 };
+const TEST_VIEW: TestView = TestView { frame: 15, open: 0.05, origin: 0.0, fov: 40.0, filter_radius: 0.5 };
 
 fn frame_key(scene: &Scene, view: &TestView) -> FrameKey {
     let camera = Camera { fov: view.fov, ..camera("main", 3) };
@@ -39,6 +40,7 @@ fn frame_key(scene: &Scene, view: &TestView) -> FrameKey {
         frame: view.frame,
         shutter: [time, time + view.open],
         origin: DVec3::X * view.origin,
+        filter_radius: view.filter_radius,
     };
     scene.frame_key(scene.static_digest(), &scene.scalars_at(time).unwrap(), &viewpoint)
 }
@@ -50,6 +52,9 @@ fn neither_the_camera_nor_the_origin_counts_in_the_content() {
     let turned = frame_key(&scene, &TestView { fov: 20.0, ..TEST_VIEW });
     assert_eq!((one.content, one.world), (turned.content, turned.world));
     assert_ne!(one.view, turned.view);
+    let filtered = frame_key(&scene, &TestView { filter_radius: 1.5, ..TEST_VIEW });
+    assert_eq!((one.content, one.world), (filtered.content, filtered.world));
+    assert_ne!(one.view, filtered.view, "a lamp is in other pixels");
     let moved = frame_key(&scene, &TestView { origin: far, ..TEST_VIEW });
     assert_eq!(one.content, moved.content);
     assert_ne!(one.world, moved.world, "what is prepared is prepared around the origin");

@@ -1,0 +1,307 @@
+//! The law of commands that resume: a run that is broken off with some arguments and continued with others has the results of a fresh
+//! run with these.
+//!
+//! For each argument that decides results, a run with its first value is broken off and continued with its second value. A fresh run
+//! with the second value must have the same files. The arguments come from `femc COMMAND --help`, so each new argument must be
+//! added to a table here. Likewise, a worker that renders jobs with both values in turn has the results of a worker for each.
+
+use crate::common::{FOG, TestFolder, file_names, start_coordinator};
+use femc_film::exr::Channels;
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+use std::time::Duration;
+
+/// Arguments of all commands that decide no result.
+const SHOWN: &[&str] =
+    &["--quiet", "--verbose", "--color", "--log-format", "--config", "--print-config", "--help", "--json"];
+
+/// Cases of a command.
+struct Matrix {
+    /// Command, with arguments of all runs.
+    command: &'static str,
+    /// More arguments of all runs. An argument of a case replaces the same argument here.
+    base: &'static [&'static str],
+    cases: &'static [Case],
+    /// Arguments that decide no result: places of the results, what is shown, and what runs elsewhere.
+    inert: &'static [&'static str],
+    /// Output of a run in which a new file shows that the run has begun.
+    begun: &'static str,
+}
+
+/// An argument, and the arguments of the run that is broken off and of the run that continues.
+struct Case {
+    argument: &'static str,
+    first: &'static str,
+    second: &'static str,
+    /// Arguments of the base that exclude this one.
+    without: &'static [&'static str],
+}
+
+const fn case(argument: &'static str, first: &'static str, second: &'static str) -> Case {
+    Case { argument, first, second, without: &[] }
+}
+
+const RENDER: Matrix = Matrix {
+    command: "render room.mgf",
+    base: &["--frames 1..3", "--size 32x32", "--spp 16", "--method pt", "--preview"],
+    cases: &[
+        case("--exposure", "--exposure 5", "--exposure 9"),
+        Case {
+            without: &["--frames", "--size", "--spp", "--method"],
+            ..case("--replay", "--replay one.exr", "--replay two.exr")
+        },
+        case("--video", "", "--video clip.png"),
+        case("--preview", "", "--preview --layers direct"),
+        case("--contact-sheet", "", "--contact-sheet sheet.png"),
+        case("--camera", "--camera main", "--camera side"),
+        case("--size", "--size 32x32", "--size 24x32"),
+        case("--frames", "--frames 1..3", "--frames 2..4"),
+        case("--spp", "--spp 16", "--spp 24"),
+        Case { without: &["--spp"], ..case("--error", "--error 0.4", "--error 0.1") },
+        case("--method", "--method pt", "--method femc"),
+        case("--max-depth", "--max-depth 2", "--max-depth 3"),
+        case("--filter", "--filter box", "--filter gaussian"),
+        case("--seed", "--seed 1", "--seed 2"),
+        case("--workers", "--workers 1", "--workers 2"),
+        case("--threads", "--threads 1", "--threads 2"),
+        case("--set", "--set material.lamp.ed=300", "--set material.lamp.ed=200"),
+        case("--stats", "--stats=some", "--stats=full"),
+        case("--layer", "--layer direct=CDL", "--layer direct=CD*L"),
+        case("--layers", "--layers direct", "--layers direct,indirect"),
+        case("--style", "--style oil", "--style cel"),
+        case("--boil", "--style oil --boil 0", "--style oil --boil 0.9"),
+        case(
+            "--style-source",
+            "--style one.png --style-source one.layers.exr",
+            "--style one.png --style-source two.layers.exr",
+        ),
+    ],
+    // The samples of a time budget depend on the clock, so no two runs are alike.
+    inert: &["--out", "--report", "--fresh", "--watch", "--root", "--time"],
+    begun: "room.0001.exr",
+};
+
+const SWEEP: Matrix = Matrix {
+    command: "sweep job.toml --local",
+    base: &["--frames 1..2", "--size 16x16", "--spp 16", "--method pt"],
+    cases: &[
+        case("--camera", "--camera main", "--camera side"),
+        case("--size", "--size 16x16", "--size 24x16"),
+        case("--frames", "--frames 1..2", "--frames 2..3"),
+        case("--spp", "--spp 16", "--spp 24"),
+        Case { without: &["--spp"], ..case("--error", "--error 0.4", "--error 0.1") },
+        case("--method", "--method pt", "--method femc"),
+        case("--max-depth", "--max-depth 2", "--max-depth 3"),
+        case("--filter", "--filter box", "--filter gaussian"),
+        case("--seed", "--seed 1", "--seed 2"),
+        case("--workers", "--workers 1", "--workers 2"),
+        case("--threads", "--threads 1", "--threads 2"),
+        case("--set", "--set camera.main.fov=30", "--set camera.main.fov=50"),
+        case("--stats", "--stats=some", "--stats=full"),
+        case("--layer", "--layer direct=CDL", "--layer direct=CD*L"),
+        case("--layers", "--layers direct", "--layers direct,indirect"),
+    ],
+    inert: &[
+        "--out",
+        "--detach",
+        "--local",
+        "--priority",
+        "--owner",
+        "--comment",
+        "--label",
+        "--notify",
+        "--server",
+        "--identity",
+        "--token-file",
+        "--root",
+        "--time",
+    ],
+    begun: "ed=100/room.0001.exr",
+};
+
+const STYLIZE: Matrix = Matrix {
+    command: "stylize",
+    base: &[
+        "--style one.png",
+        "--source one.layers.exr",
+        "--target t-1.exr --target t-2.exr",
+        "--iterations 2",
+        "--levels 2",
+    ],
+    cases: &[
+        case("--style", "--style one.png", "--style two.png"),
+        case("--source", "--source one.layers.exr", "--source two.layers.exr"),
+        case("--target", "--target t-1.exr --target t-2.exr", "--target t-2.exr --target t-1.exr"),
+        case("--guides", "--guides full", "--guides full,direct_diffuse"),
+        case("--exposure", "--exposure 5", "--exposure 9"),
+        case("--method", "--method balanced", "--method em"),
+        case("--mu", "--mu 1", "--mu 5"),
+        case("--balance", "--balance 1", "--balance 40"),
+        case("--boil", "--boil 0", "--boil 0.9"),
+        case("--patch", "--patch 3", "--patch 5"),
+        case("--levels", "--levels 2", "--levels 1"),
+        case("--iterations", "--iterations 2", "--iterations 3"),
+        case("--threads", "--threads 1", "--threads 2"),
+    ],
+    inert: &["--out"],
+    begun: ".part",
+};
+
+/// Folder with a scene of two cameras, a sweep of it, and frames with layers.
+fn test_folder() -> TestFolder {
+    let dir = TestFolder::new();
+    let side = "camera side =\n\torigin 0.5 -3 1.4\n\ttarget 0 0 1\n\tfov 40\n\tfilm 32 32\nmedium fog =";
+    dir.write("room.mgf", &FOG.replacen("medium fog =", side, 1));
+    dir.write("job.toml", "scene = \"room.mgf\"\n[sweep]\n\"material.lamp.ed\" = [100, 300]\n");
+    for (name, seed, frame) in [("one", 5, 1), ("two", 6, 4), ("t-1", 7, 2), ("t-2", 8, 6)] {
+        let settings = "--size 32x32 --spp 8 --method pt --preview --layers guides,motion,depth";
+        dir.run(&format!("render room.mgf -o {name}.exr --frames {frame} --seed {seed} {settings}")).exits(0);
+    }
+    for name in ["t-1", "t-2"] {
+        std::fs::rename(dir.path(&format!("{name}.layers.exr")), dir.path(&format!("{name}.exr"))).expect("renamed");
+    }
+    dir
+}
+
+/// Returns the names of the arguments in a command's help.
+fn arguments(dir: &TestFolder, command: &str) -> BTreeSet<String> {
+    let help = dir.run(&format!("{command} --help")).exits(0).stdout();
+    let lines = help.lines().map(str::trim_start).filter(|line| line.starts_with('-'));
+    let name = |line: &str| {
+        let from = line.find("--")?;
+        let rest = &line[from + 2..];
+        let end = rest.find(|c: char| !c.is_ascii_alphanumeric() && c != '-').unwrap_or(rest.len());
+        (end > 0).then(|| format!("--{}", &rest[..end]))
+    };
+    lines.filter_map(name).collect()
+}
+
+/// Returns the command line of a run.
+fn line(matrix: &Matrix, case: &Case, arguments: &str, out: &str) -> String {
+    let replaced = |own: &&&str| {
+        let flag = own.split(' ').next().expect("a flag");
+        !(arguments.split(' ').any(|word| word == flag) || case.argument == flag || case.without.contains(&flag))
+    };
+    let base: Vec<&str> = matrix.base.iter().filter(replaced).copied().collect();
+    format!("{} {} {arguments} -o {out}", matrix.command, base.join(" "))
+}
+
+/// Returns the contents of the results in a folder by name. Of an EXR file these are the channels, because its attributes have times.
+/// Tables have times, too, and are left out.
+fn results(folder: &Path, at: &str, out: &mut BTreeMap<String, blake3::Hash>) {
+    for name in file_names(folder) {
+        let path = folder.join(&name);
+        let name = format!("{at}{name}");
+        match path.extension().and_then(|extension| extension.to_str()) {
+            _ if path.is_dir() => results(&path, &format!("{name}/"), out),
+            Some("exr") => {
+                let channels = format!("{:?}", Channels::read(&path).expect("an EXR file"));
+                out.insert(name, blake3::hash(channels.as_bytes()));
+            }
+            Some("png" | "paths") => drop(out.insert(name, blake3::hash(&std::fs::read(&path).expect("a file")))),
+            _ => {}
+        }
+    }
+}
+
+/// Checks all cases of a command, each in folders of its own. Prints how many runs were broken off before their end.
+fn check(matrix: &Matrix) {
+    let dir = test_folder();
+    let name = matrix.command.split(' ').next().expect("a command");
+    let known: BTreeSet<String> = matrix
+        .cases
+        .iter()
+        .map(|case| case.argument)
+        .chain(matrix.inert.iter().chain(SHOWN).copied())
+        .map(str::to_owned)
+        .collect();
+    assert_eq!(arguments(&dir, name), known, "the arguments of `femc {name}` and of its table");
+    let mut cut = 0;
+    for (number, case) in matrix.cases.iter().enumerate() {
+        let [broken, fresh] = ["broken", "fresh"].map(|run| format!("{run}-{number}"));
+        // A file of all frames goes into the folder of the run.
+        let places = |words: &str, folder: &str| {
+            words
+                .replace("clip.png", &format!("{folder}/clip.png"))
+                .replace("sheet.png", &format!("{folder}/sheet.png"))
+        };
+        let begun = if matrix.begun.starts_with('.') {
+            format!("{broken}{}", matrix.begun)
+        } else {
+            format!("{broken}/{}", matrix.begun)
+        };
+        let out = |folder: &str| format!("{folder}/");
+        let mut run = dir.start_as(&broken, &line(matrix, case, &places(case.first, &broken), &out(&broken)));
+        while run.is_running() && !dir.path(&begun).exists() {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        cut += u32::from(run.is_running() && run.kill());
+        dir.run(&line(matrix, case, &places(case.second, &broken), &out(&broken))).exits(0);
+        dir.run(&line(matrix, case, &places(case.second, &fresh), &out(&fresh))).exits(0);
+        let [found, expected] = [&broken, &fresh].map(|folder| {
+            let mut all = BTreeMap::new();
+            results(&dir.path(folder), "", &mut all);
+            all
+        });
+        assert!(!expected.is_empty(), "{}: no results", case.argument);
+        for (file, hash) in expected {
+            assert_eq!(
+                found.get(&file),
+                Some(&hash),
+                "{}: {file} after `{}`, broken off, and `{}`",
+                case.argument,
+                case.first,
+                case.second
+            );
+        }
+    }
+    println!("{name}: {cut} of {} runs were broken off", matrix.cases.len());
+    assert!(2 * cut as usize > matrix.cases.len(), "most runs end before they are broken off");
+}
+
+#[test]
+fn a_render_goes_on_only_with_the_same_arguments() {
+    check(&RENDER);
+}
+
+#[test]
+fn a_sweep_goes_on_only_with_the_same_arguments() {
+    check(&SWEEP);
+}
+
+#[test]
+fn a_painting_goes_on_only_with_the_same_arguments() {
+    check(&STYLIZE);
+}
+
+/// Checks that nothing that a worker keeps from a job changes the next job, which differs in one setting.
+#[test]
+fn jobs_that_differ_in_a_setting_do_not_mix_on_a_worker() {
+    let dir = test_folder();
+    let (_farm, url) = start_coordinator(&dir, 0);
+    let words = |case: &Case, arguments: &str| {
+        let matrix = Matrix { command: "", ..SWEEP };
+        line(&matrix, case, arguments, "").trim_end_matches("-o ").to_owned()
+    };
+    let mut jobs = Vec::new();
+    for case in SWEEP.cases.iter().filter(|case| !matches!(case.argument, "--workers" | "--threads")) {
+        for arguments in [case.first, case.second] {
+            let settings = words(case, arguments);
+            let submitted = dir.run(&format!("submit room.mgf {settings} --server {url}")).exits(0).stdout();
+            jobs.push((submitted.lines().last().expect("a job").to_owned(), settings));
+        }
+    }
+    let _worker = dir.start(&format!("worker --join {url} --threads 2"));
+    for (job, settings) in jobs {
+        let [of_job, alone] = ["job", "alone"].map(|folder| format!("{folder}-{job}"));
+        dir.run(&format!("fetch {job} --wait -o {of_job} --server {url}")).exits(0);
+        dir.run(&format!("render room.mgf {settings} -o {alone}/")).exits(0);
+        let [found, expected] = [&of_job, &alone].map(|folder| {
+            let mut all = BTreeMap::new();
+            results(&dir.path(folder), "", &mut all);
+            all
+        });
+        assert!(!expected.is_empty(), "{settings}: no results");
+        assert_eq!(found, expected, "{settings}");
+    }
+}

@@ -186,14 +186,21 @@ fn line(matrix: &Matrix, case: &Case, arguments: &str, out: &str) -> String {
     format!("{} {} {arguments} -o {out}", matrix.command, base.join(" "))
 }
 
-/// Returns the contents of the results in a folder by name. Of an EXR file these are the channels, because its attributes have times.
+/// Returns the digests of the results in a folder, by name.
+fn results(folder: &Path) -> BTreeMap<String, blake3::Hash> {
+    let mut out = BTreeMap::new();
+    add_results(folder, "", &mut out);
+    out
+}
+
+/// Adds the digests of the results in a folder, with `at` before their names. Of an EXR file these are the channels, because its attributes have times.
 /// Tables have times, too, and are left out.
-fn results(folder: &Path, at: &str, out: &mut BTreeMap<String, blake3::Hash>) {
+fn add_results(folder: &Path, at: &str, out: &mut BTreeMap<String, blake3::Hash>) {
     for name in file_names(folder) {
         let path = folder.join(&name);
         let name = format!("{at}{name}");
         match path.extension().and_then(|extension| extension.to_str()) {
-            _ if path.is_dir() => results(&path, &format!("{name}/"), out),
+            _ if path.is_dir() => add_results(&path, &format!("{name}/"), out),
             Some("exr") => {
                 let channels = format!("{:?}", Channels::read(&path).expect("an EXR file"));
                 out.insert(name, blake3::hash(channels.as_bytes()));
@@ -238,11 +245,7 @@ fn check(matrix: &Matrix) {
         cut += u32::from(run.is_running() && run.kill());
         dir.run(&line(matrix, case, &places(case.second, &broken), &out(&broken))).exits(0);
         dir.run(&line(matrix, case, &places(case.second, &fresh), &out(&fresh))).exits(0);
-        let [found, expected] = [&broken, &fresh].map(|folder| {
-            let mut all = BTreeMap::new();
-            results(&dir.path(folder), "", &mut all);
-            all
-        });
+        let [found, expected] = [&broken, &fresh].map(|folder| results(&dir.path(folder)));
         assert!(!expected.is_empty(), "{}: no results", case.argument);
         for (file, hash) in expected {
             assert_eq!(
@@ -296,11 +299,7 @@ fn jobs_that_differ_in_a_setting_do_not_mix_on_a_worker() {
         let [of_job, alone] = ["job", "alone"].map(|folder| format!("{folder}-{job}"));
         dir.run(&format!("fetch {job} --wait -o {of_job} --server {url}")).exits(0);
         dir.run(&format!("render room.mgf {settings} -o {alone}/")).exits(0);
-        let [found, expected] = [&of_job, &alone].map(|folder| {
-            let mut all = BTreeMap::new();
-            results(&dir.path(folder), "", &mut all);
-            all
-        });
+        let [found, expected] = [&of_job, &alone].map(|folder| results(&dir.path(folder)));
         assert!(!expected.is_empty(), "{settings}: no results");
         assert_eq!(found, expected, "{settings}");
     }

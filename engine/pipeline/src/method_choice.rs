@@ -48,11 +48,11 @@ const RAYS_PER_SURFACE: f64 = 1e3;
 /// Maximum work of a first pass that is tried, as a share of the work of path tracing. It is lost if the gain is small.
 const MAX_FIRST_PASS_SHARE: f64 = 0.3;
 /// Relative variance of a sample up to which two passes gain nothing, and the power of the variance beyond it that they gain. In
-/// eleven scenes with variances of 0.5 to 600, the gain was 0.5 to 1.6 times the expected one (docs/two-passes.md).
+/// fifteen scenes with variances of 0.1 to 600, the gain was 0.5 to 1.4 times the expected one (docs/two-passes.md).
 const GAINLESS_VARIANCE: f64 = 0.5;
 const GAIN_POWER: f64 = 0.25;
-/// Standard deviations of the logarithm of the expected gain, and of a gain measured with many of the few samples of a pilot: with
-/// more samples, which are spread more evenly, path tracing improves more than guided sampling does.
+/// Standard deviations of the logarithm of the expected gain, and of the gain that a pilot measures even with infinitely many pixels.
+/// A job has more samples in a pixel than the pilot. They are spread more evenly, which helps path tracing more than two passes.
 const EXPECTED_GAIN_DEVIATION: f64 = 0.3;
 const PILOT_GAIN_DEVIATION: f64 = 0.15;
 /// Work of a vertex at which guides sample directions, in rays of a scene whose rays are fast.

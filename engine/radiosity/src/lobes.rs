@@ -297,7 +297,7 @@ impl Bundle {
         let mut bins = [[Moments::default(); BINS]; AXES];
         for place in &self.places {
             for axis in 0..AXES {
-                // Without a width, the product is no number, and the bin is the first.
+                // If all places have the same coordinate, the product is NaN, which becomes bin 0.
                 let bin = ((place.along[axis] - low[axis]) * scales[axis]) as usize;
                 add(&mut bins[axis][bin.min(BINS - 1)], &place.moments);
             }

@@ -2,9 +2,9 @@
 //!
 //! [`SolverState::new`] links all elements on one machine. Then, three times, rays are cast and their results are applied. The rays
 //! are cast by blocks of leaves ([`CastingState::cast`]), the rest is done on one machine again ([`CastingState::apply_hits`]).
-//! At the end, if the field guides paths, the guides are computed by blocks of groups of leaves
-//! ([`CorrectedState::guides`]). The state between steps travels as bytes. The blocks depend only on the elements, so the
-//! distribution over machines changes no bit, and [`crate::solve`], which does all steps in one process, has the same result.
+//! At the end, if the field guides paths, the guides are computed by blocks of groups of leaves ([`CorrectedState::guides`]). The
+//! state between steps travels as bytes. The blocks depend only on the elements, so the distribution over machines changes no bit,
+//! and [`crate::solve`], which does all steps in one process, has the same result.
 
 use crate::arena::Arena;
 use crate::bytes::{Reader, StepDecodeError, Writer, colors_from_floats, position_from_floats, to_floats};

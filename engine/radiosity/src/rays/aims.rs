@@ -53,7 +53,7 @@ impl Aim {
 
     /// Returns the number of rays of a part that are cast toward portals.
     pub fn number(&self, each: usize) -> usize {
-        self.0.as_ref().map_or(0, |_| ((each as f32 * AIMED) as usize).min(each - 1))
+        self.0.as_ref().map_or(0, |_| (each as f32 * AIMED) as usize)
     }
 
     pub fn sample(&self, point: Vec3A, choice: f32, u: [f32; 2]) -> Option<Vec3A> {

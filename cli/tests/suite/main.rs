@@ -26,6 +26,7 @@ mod manual;
 mod messages;
 mod metrics;
 mod openjd;
+mod oracles;
 mod otel;
 mod paths;
 mod python;

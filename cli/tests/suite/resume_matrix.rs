@@ -147,6 +147,38 @@ const STYLIZE: Matrix = Matrix {
     begun: ".part",
 };
 
+/// Like the others, with a file of measurements instead of a folder of results. `one` and `two` are references.
+const BENCH: Matrix = Matrix {
+    command: "bench room.mgf --json",
+    base: &[
+        "--reference one.exr",
+        "--methods pt,adaptive",
+        "--spp 2,4",
+        "--error 0.8",
+        "--seeds 2",
+        "--size 32x32",
+        "--threads 1",
+    ],
+    cases: &[
+        case("--reference", "--reference one.exr", "--reference two.exr"),
+        case("--methods", "--methods pt", "--methods femc"),
+        case("--spp", "--spp 2,4", "--spp 3,4"),
+        case("--error", "--error 0.8", "--error 0.4"),
+        case("--seeds", "--seeds 1", "--seeds 2"),
+        case("--seed", "--seed 1", "--seed 2"),
+        case("--camera", "--camera main", "--camera side"),
+        case("--size", "--size 32x32", "--size 24x32 --reference small.exr"),
+        case("--frames", "--frames 1", "--frames 3"),
+        case("--max-depth", "--max-depth 2", "--max-depth 3"),
+        case("--filter", "--filter box", "--filter gaussian"),
+        case("--threads", "--threads 1", "--threads 2"),
+        case("--set", "--set material.lamp.ed=300", "--set material.lamp.ed=200"),
+    ],
+    // Parts of variances are printed, but not kept.
+    inert: &["--out", "--report", "--root", "--decisions"],
+    begun: ".json",
+};
+
 /// Folder with a scene of two cameras, a sweep of it, and frames with layers.
 fn test_folder() -> TestFolder {
     let dir = TestFolder::new();
@@ -157,6 +189,7 @@ fn test_folder() -> TestFolder {
         let settings = "--size 32x32 --spp 8 --method pt --preview --layers guides,motion,depth";
         dir.run(&format!("render room.mgf -o {name}.exr --frames {frame} --seed {seed} {settings}")).exits(0);
     }
+    dir.run("render room.mgf -o small.exr --frames 1 --size 24x32 --spp 8 --method pt").exits(0);
     for name in ["t-1", "t-2"] {
         std::fs::rename(dir.path(&format!("{name}.layers.exr")), dir.path(&format!("{name}.exr"))).expect("renamed");
     }
@@ -211,18 +244,19 @@ fn add_results(folder: &Path, at: &str, out: &mut BTreeMap<String, blake3::Hash>
     }
 }
 
+/// Checks that a table has all arguments of its command. Returns the command's name.
+fn check_arguments(dir: &TestFolder, matrix: &Matrix) -> &'static str {
+    let name = matrix.command.split(' ').next().expect("a command");
+    let decisive = matrix.cases.iter().map(|case| case.argument);
+    let known = decisive.chain(matrix.inert.iter().chain(SHOWN).copied()).map(str::to_owned).collect();
+    assert_eq!(arguments(dir, name), known, "the arguments of `femc {name}` and of its table");
+    name
+}
+
 /// Checks all cases of a command, each in folders of its own. Prints how many runs were broken off before their end.
 fn check(matrix: &Matrix) {
     let dir = test_folder();
-    let name = matrix.command.split(' ').next().expect("a command");
-    let known: BTreeSet<String> = matrix
-        .cases
-        .iter()
-        .map(|case| case.argument)
-        .chain(matrix.inert.iter().chain(SHOWN).copied())
-        .map(str::to_owned)
-        .collect();
-    assert_eq!(arguments(&dir, name), known, "the arguments of `femc {name}` and of its table");
+    let name = check_arguments(&dir, matrix);
     let mut cut = 0;
     for (number, case) in matrix.cases.iter().enumerate() {
         let [broken, fresh] = ["broken", "fresh"].map(|run| format!("{run}-{number}"));
@@ -275,6 +309,41 @@ fn a_sweep_goes_on_only_with_the_same_arguments() {
 #[test]
 fn a_painting_goes_on_only_with_the_same_arguments() {
     check(&STYLIZE);
+}
+
+/// Returns the measured errors and samples of runs, by scene, method, budget and seed.
+fn measurements(document: &serde_json::Value) -> BTreeMap<String, String> {
+    let join = |run: &serde_json::Value, keys: [&str; 4]| keys.map(|key| run[key].to_string()).join(" ");
+    let runs = document["runs"].as_array().expect("runs").iter();
+    runs.map(|run| (join(run, ["scene", "method", "budget", "seed"]), join(run, ["mse", "relmse", "flip", "samples"])))
+        .collect()
+}
+
+#[test]
+fn a_bench_keeps_only_measurements_of_the_same_arguments() {
+    let dir = test_folder();
+    check_arguments(&dir, &BENCH);
+    let (mut refused, mut continued) = (0, 0);
+    for (number, case) in BENCH.cases.iter().enumerate() {
+        let [kept, fresh] = ["kept", "fresh"].map(|run| format!("{run}-{number}.json"));
+        dir.run(&line(&BENCH, case, case.first, &kept)).exits(0);
+        let before = dir.read(&kept);
+        let second = dir.run(&line(&BENCH, case, case.second, &kept));
+        if second.code() == Some(2) {
+            assert!(second.stderr().contains(" in the file, "), "{}: {}", case.argument, second.stderr());
+            assert_eq!(dir.read(&kept), before, "{}: what was refused changes nothing", case.argument);
+            refused += 1;
+            continue;
+        }
+        continued += 1;
+        let found = measurements(&second.exits(0).json());
+        let expected = dir.run(&line(&BENCH, case, case.second, &fresh)).exits(0).json();
+        for (run, errors) in measurements(&expected) {
+            assert_eq!(found.get(&run), Some(&errors), "{}: {run}", case.argument);
+        }
+    }
+    println!("bench: {refused} of {} continuations were refused", BENCH.cases.len());
+    assert!(refused >= 6 && continued >= 4, "{refused} refused, {continued} continued");
 }
 
 /// Checks that nothing that a worker keeps from a job changes the next job, which differs in one setting.

@@ -12,21 +12,7 @@ use rand::rngs::SmallRng;
 use rand::seq::SliceRandom as _;
 use serde::Deserialize;
 
-/// Source files that are mutated.
-const FILES: [&str; 12] = [
-    "farm/schedule/src/**/*.rs",
-    "farm/queue/src/**/*.rs",
-    "farm/store/src/**/*.rs",
-    "coordinator/src/session.rs",
-    "coordinator/src/janitor.rs",
-    "coordinator/src/actor.rs",
-    "coordinator/src/queries.rs",
-    "coordinator/src/roster.rs",
-    "coordinator/src/worker_events.rs",
-    "worker/src/outbox/*.rs",
-    "worker/src/claims.rs",
-    "worker/src/session.rs",
-];
+use crate::group::Group;
 
 /// Position in a file: line and column, counted from 1.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
@@ -71,11 +57,11 @@ pub struct Mutant {
     pub replacement: String,
 }
 
-/// Lists all mutants of the sources at `root`.
-pub fn list_mutants(root: &Path) -> anyhow::Result<Vec<Mutant>> {
+/// Lists all mutants of the group in the sources at `root`.
+pub fn list_mutants(root: &Path, group: &Group) -> anyhow::Result<Vec<Mutant>> {
     let mut command = Command::new("cargo");
     command.args(["mutants", "--list", "--json"]).current_dir(root);
-    for file in FILES {
+    for file in group.files {
         command.args(["--file", file]);
     }
     let output = command.output()?;

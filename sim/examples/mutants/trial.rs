@@ -12,17 +12,21 @@ use anyhow::{Context as _, bail, ensure};
 use clap::Args;
 use serde::Deserialize;
 
+use crate::group::Group;
 use crate::list::{self, Mutant};
 use crate::weave::{self, WovenSource};
 
 /// Arguments of the `run` command.
 #[derive(Debug, Args)]
 pub struct RunArgs {
+    /// Group of sources: farm, light, views or commands
+    #[arg(value_parser = Group::from_name)]
+    pub group: &'static Group,
     /// Use the sources of this commit instead of the checkout
     #[arg(long, value_name = "COMMIT")]
     at: Option<String>,
-    /// File of verdicts, one per line; mutants listed there are not run again [default: mutants/verdicts under the target
-    /// directory]
+    /// File of verdicts, one per line; mutants listed there are not run again. It is for the same sources only [default:
+    /// mutants/GROUP-SOURCES under the target directory]
     #[arg(long, value_name = "FILE")]
     verdicts: Option<PathBuf>,
     /// Run surviving mutants again
@@ -36,15 +40,6 @@ pub struct RunArgs {
     seeds: u64,
 }
 
-/// Crates whose sources are mutated, with their folders.
-const CRATES: [(&str, &str); 5] = [
-    ("femc-schedule", "farm/schedule"),
-    ("femc-queue", "farm/queue"),
-    ("femc-store", "farm/store"),
-    ("femc-coordinator", "coordinator"),
-    ("femc-worker", "worker"),
-];
-
 /// Time limit of a mutant: a multiple of the usual duration, plus a constant, because some mutants slow tests and worlds down. A
 /// mutant that exceeds it counts as hanging.
 const TIME_LIMIT: (u32, Duration) = (4, Duration::from_secs(20));
@@ -55,17 +50,19 @@ const COMPILE_ERROR_VERDICT: &str = "does not compile";
 /// Runs the mutants of the list that have no verdict.
 pub fn run(root: &Path, list: &Path, args: &RunArgs) -> anyhow::Result<()> {
     let home = crate::target(root).join("mutants");
-    let tree = check_out(root, &home, args.at.as_deref())?;
+    let group = args.group;
+    let (tree, sources) = check_out(root, &home, args.at.as_deref())?;
     let keys = list::read(list)?;
     let mut all: BTreeMap<String, Mutant> =
-        list::list_mutants(&tree)?.into_iter().map(|mutant| (mutant.key.clone(), mutant)).collect();
+        list::list_mutants(&tree, group)?.into_iter().map(|mutant| (mutant.key.clone(), mutant)).collect();
     let mutants: Vec<(usize, Mutant)> = (1..).zip(&keys).filter_map(|(n, key)| Some((n, all.remove(key)?))).collect();
     let gone = keys.len() - mutants.len();
-    let path = args.verdicts.clone().unwrap_or_else(|| home.join("verdicts"));
-    let mut verdicts = read(&path)?;
+    let path = args.verdicts.clone().unwrap_or_else(|| home.join(format!("{}-{}", group.name, &sources[..12])));
+    let origin = format!("# sources {sources}, {} worlds", if group.has_worlds() { args.seeds } else { 0 });
+    let mut verdicts = read(&path, &origin)?;
     let out =
         mutants.iter().filter(|(_, m)| verdicts.get(&m.key).is_some_and(|verdict| verdict == COMPILE_ERROR_VERDICT));
-    let built = build(&tree, &home, &mutants, out.map(|(number, _)| *number).collect())?;
+    let built = build(&tree, &home, group, &mutants, out.map(|(number, _)| *number).collect())?;
     if args.again {
         verdicts.retain(|_, verdict| verdict != "survived");
     }
@@ -74,8 +71,8 @@ pub fn run(root: &Path, list: &Path, args: &RunArgs) -> anyhow::Result<()> {
             verdicts.insert(mutant.key.clone(), COMPILE_ERROR_VERDICT.into());
         }
     }
-    save(&path, &verdicts)?;
-    let trial = Trial::new(&tree, built, args.seeds)?;
+    save(&path, &origin, &verdicts)?;
+    let trial = Trial::new(&tree, group, built, args.seeds)?;
     let mut left: Vec<&(usize, Mutant)> = mutants.iter().filter(|(_, m)| !verdicts.contains_key(&m.key)).collect();
     left.reverse();
     println!("{} mutants, {} to try", mutants.len(), left.len());
@@ -85,12 +82,13 @@ pub fn run(root: &Path, list: &Path, args: &RunArgs) -> anyhow::Result<()> {
         workers.into_iter().try_for_each(|worker| worker.join().unwrap_or_else(|_| bail!("a thread panicked")))
     })?;
     let explained = root.join("sim/mutants/explained");
-    print_summary(&read(&path)?, &read_explained(&explained)?, &keys, gone);
+    print_summary(&read(&path, &origin)?, &read_explained(&explained)?, &keys, gone);
     Ok(())
 }
 
-/// Checks the sources out into a worktree at a fixed path, so that its build can be reused.
-fn check_out(root: &Path, home: &Path, at: Option<&str>) -> anyhow::Result<PathBuf> {
+/// Checks the sources out into a worktree at a fixed path, so that its build can be reused. Returns the path, and the identity of the
+/// sources.
+fn check_out(root: &Path, home: &Path, at: Option<&str>) -> anyhow::Result<(PathBuf, String)> {
     let git = |arguments: &[&str]| -> anyhow::Result<String> {
         let ran = Command::new("git").arg("-C").arg(root).args(arguments).output()?;
         ensure!(ran.status.success(), "git {arguments:?}: {}", String::from_utf8_lossy(&ran.stderr));
@@ -113,7 +111,8 @@ fn check_out(root: &Path, home: &Path, at: Option<&str>) -> anyhow::Result<PathB
     } else {
         git(&["worktree", "add", "--quiet", "--force", "--detach", &tree.display().to_string(), &commit])?;
     }
-    Ok(tree)
+    let sources = git(&["rev-parse", &format!("{commit}^{{tree}}")])?;
+    Ok((tree, sources))
 }
 
 /// Executables of one build.
@@ -153,10 +152,11 @@ struct DiagnosticSpan {
 fn build(
     tree: &Path,
     home: &Path,
+    group: &Group,
     mutants: &[(usize, Mutant)],
     mut out: BTreeSet<usize>,
 ) -> anyhow::Result<BuildOutput> {
-    let sources = sources(tree, mutants)?;
+    let sources = sources(tree, group, mutants)?;
     loop {
         let mut woven: BTreeMap<&str, WovenSource> = BTreeMap::new();
         for (file, source) in &sources {
@@ -166,24 +166,24 @@ fn build(
                 .map(|(number, mutant)| (*number, mutant))
                 .collect();
             let mut text = weave::weave(source, &of_file).with_context(|| file.clone())?;
-            if CRATES.iter().any(|(_, folder)| *file == format!("{folder}/src/lib.rs")) {
+            if group.crates.iter().any(|(_, folder)| *file == root_file(tree, folder)) {
                 text.text.push_str(weave::SWITCH);
             }
             fs::write(tree.join(file), &text.text)?;
             woven.insert(file, text);
         }
         let mut tests = vec!["test", "--no-run", "--locked"];
-        CRATES.iter().for_each(|(name, _)| tests.extend(["-p", name]));
+        group.crates.iter().for_each(|(name, _)| tests.extend(["-p", name]));
         let (mut messages, is_built) = cargo(tree, home, &tests)?;
         let mut is_whole = is_built;
-        if is_built {
+        if is_built && group.has_worlds() {
             let (more, is_built) = cargo(tree, home, &["build", "--release", "--locked", "-p", "femc-sim"])?;
             messages.extend(more);
             is_whole = is_built;
         }
         if is_whole {
             let within = woven.values().flat_map(|woven| woven.mutants.iter().copied()).collect();
-            return collect_build(messages, within);
+            return collect_build(group, messages, within);
         }
         let before = out.len();
         for error in messages.iter().filter_map(|m| m.message.as_ref()).filter(|error| error.level == "error") {
@@ -200,9 +200,15 @@ fn build(
     }
 }
 
-fn sources(tree: &Path, mutants: &[(usize, Mutant)]) -> anyhow::Result<BTreeMap<String, String>> {
+/// Returns the root file of a crate: of its library, or else of its program.
+fn root_file(tree: &Path, folder: &str) -> String {
+    let library = format!("{folder}/src/lib.rs");
+    if tree.join(&library).exists() { library } else { format!("{folder}/src/main.rs") }
+}
+
+fn sources(tree: &Path, group: &Group, mutants: &[(usize, Mutant)]) -> anyhow::Result<BTreeMap<String, String>> {
     let mut files: BTreeSet<String> = mutants.iter().map(|(_, mutant)| mutant.file.clone()).collect();
-    files.extend(CRATES.iter().map(|(_, folder)| format!("{folder}/src/lib.rs")));
+    files.extend(group.crates.iter().map(|(_, folder)| root_file(tree, folder)));
     files.into_iter().map(|file| Ok((file.clone(), fs::read_to_string(tree.join(&file))?))).collect()
 }
 
@@ -216,27 +222,29 @@ fn cargo(tree: &Path, home: &Path, arguments: &[&str]) -> anyhow::Result<(Vec<Me
     Ok((messages, output.status.success()))
 }
 
-fn collect_build(messages: Vec<Message>, mutants: BTreeSet<usize>) -> anyhow::Result<BuildOutput> {
+fn collect_build(group: &Group, messages: Vec<Message>, mutants: BTreeSet<usize>) -> anyhow::Result<BuildOutput> {
     let mut built = BuildOutput { mutants, ..BuildOutput::default() };
     for message in messages.into_iter().filter(|message| message.reason == "compiler-artifact") {
         let (Some(executable), Some(package)) = (message.executable, message.package_id) else { continue };
         if executable.parent().is_some_and(|folder| folder.ends_with("examples")) {
             continue;
         }
-        let tested = CRATES.iter().find(|(_, folder)| package.contains(&format!("/{folder}#")));
+        let tested = group.crates.iter().find(|(_, folder)| package.contains(&format!("/{folder}#")));
         match tested {
             Some((name, _)) => built.tests.entry((*name).to_owned()).or_default().push(executable),
             None if executable.ends_with("femc-sim") => built.simulation = executable,
             None => {}
         }
     }
-    ensure!(built.simulation.exists() && built.tests.len() == CRATES.len(), "not all was built: {built:?}");
+    let has_worlds = built.simulation.exists() || !group.has_worlds();
+    ensure!(has_worlds && built.tests.len() == group.crates.len(), "not all was built: {built:?}");
     Ok(built)
 }
 
 /// Executables and time limits for running mutants.
 struct Trial<'a> {
     tree: &'a Path,
+    group: &'a Group,
     built: BuildOutput,
     seeds: u64,
     /// Usual duration of the tests of each crate, and of the worlds.
@@ -248,19 +256,22 @@ const SIMULATION_KEY: &str = "simulation";
 
 impl<'a> Trial<'a> {
     /// Measures the usual durations, without any mutant.
-    fn new(tree: &'a Path, mut built: BuildOutput, seeds: u64) -> anyhow::Result<Self> {
+    fn new(tree: &'a Path, group: &'a Group, mut built: BuildOutput, seeds: u64) -> anyhow::Result<Self> {
         // Run small test executables first: the large ones start processes and wait for clocks.
         let size = |path: &PathBuf| fs::metadata(path).map_or(0, |found| found.len());
         built.tests.values_mut().for_each(|tests| tests.sort_by_key(size));
-        let mut trial = Self { tree, built, seeds, baseline: BTreeMap::new() };
+        let mut trial = Self { tree, group, built, seeds, baseline: BTreeMap::new() };
         let most = Duration::from_secs(1800);
-        for (name, _) in CRATES {
+        for (name, _) in group.crates {
             let begun = Instant::now();
             if let Some(killer) = trial.killing_test(name, 0, most)? {
                 bail!("{killer} fails without any mutant");
             }
-            trial.baseline.insert(name.to_owned(), begun.elapsed());
+            trial.baseline.insert((*name).to_owned(), begun.elapsed());
             println!("{name}: {:.1} s", begun.elapsed().as_secs_f64());
+        }
+        if !group.has_worlds() {
+            return Ok(trial);
         }
         let begun = Instant::now();
         ensure!(trial.worlds_pass(0, most)?, "a world goes wrong without any mutant");
@@ -284,11 +295,22 @@ impl<'a> Trial<'a> {
     /// Runs one mutant and returns its verdict. Tests or worlds run first, whichever are faster.
     fn verdict(&self, number: usize, mutant: &Mutant) -> anyhow::Result<String> {
         let by_worlds = || -> anyhow::Result<Option<String>> {
+            if !self.group.has_worlds() {
+                return Ok(None);
+            }
             let lives = self.worlds_pass(number, self.time_limit(SIMULATION_KEY))?;
             Ok((!lives).then(|| "the simulation".to_owned()))
         };
-        let by_tests = || self.killing_test(&mutant.package, number, self.time_limit(&mutant.package));
-        let killer = if self.baseline.get(SIMULATION_KEY) < self.baseline.get(&mutant.package) {
+        let by_tests = || -> anyhow::Result<Option<String>> {
+            for package in self.group.tested_crates(&mutant.package) {
+                let killer = self.killing_test(package, number, self.time_limit(package))?;
+                if killer.is_some() {
+                    return Ok(killer);
+                }
+            }
+            Ok(None)
+        };
+        let killer = if self.group.has_worlds() && self.baseline.get(SIMULATION_KEY) < self.baseline.get(&mutant.package) {
             by_worlds()?.map_or_else(by_tests, |killer| Ok(Some(killer)))?
         } else {
             by_tests()?.map_or_else(by_worlds, |killer| Ok(Some(killer)))?
@@ -303,11 +325,11 @@ impl<'a> Trial<'a> {
 
     /// Returns the test that detects the mutant.
     fn killing_test(&self, package: &str, number: usize, most: Duration) -> anyhow::Result<Option<String>> {
-        let Some((_, folder)) = CRATES.iter().find(|(name, _)| *name == package) else { return Ok(None) };
+        let Some((_, folder)) = self.group.crates.iter().find(|(name, _)| *name == package) else { return Ok(None) };
         let begun = Instant::now();
         for test in self.built.tests.get(package).into_iter().flatten() {
             let mut command = Command::new(test);
-            command.arg("--quiet").current_dir(self.tree.join(folder));
+            command.arg("--quiet").args(self.group.test_arguments()).current_dir(self.tree.join(folder));
             // On a busy machine, a test may fail for lack of time, so a test must fail twice. A test that hangs is not repeated.
             let mut passes = || passes(&mut command, number, most.saturating_sub(begun.elapsed()));
             if !passes()? && (begun.elapsed() >= most || !passes()?) {
@@ -346,15 +368,19 @@ fn passes(command: &mut Command, number: usize, most: Duration) -> anyhow::Resul
 
 type Verdicts = BTreeMap<String, String>;
 
-fn read(path: &Path) -> anyhow::Result<Verdicts> {
-    let text = if path.exists() { fs::read_to_string(path)? } else { String::new() };
+/// Reads verdicts.
+/// - `origin`: sources and tests of the verdicts; those of others are an error.
+fn read(path: &Path, origin: &str) -> anyhow::Result<Verdicts> {
+    let text = if path.exists() { fs::read_to_string(path)? } else { origin.to_owned() };
+    let first = text.lines().next().unwrap_or_default();
+    ensure!(first == origin, "{}: verdicts of `{first}`, not of `{origin}`; remove the file", path.display());
     let pair = |line: &str| line.split_once('\t').map(|(verdict, key)| (key.to_owned(), verdict.to_owned()));
     Ok(text.lines().filter_map(pair).collect())
 }
 
-fn save(path: &Path, verdicts: &Verdicts) -> anyhow::Result<()> {
+fn save(path: &Path, origin: &str, verdicts: &Verdicts) -> anyhow::Result<()> {
     let lines: String = verdicts.iter().map(|(key, verdict)| format!("{verdict}\t{key}\n")).collect();
-    fs::write(path, lines).with_context(|| path.display().to_string())
+    fs::write(path, format!("{origin}\n{lines}")).with_context(|| path.display().to_string())
 }
 
 /// Reads the keys of mutants that may survive. Indented lines below each key give the reason.

@@ -298,6 +298,14 @@ fn check_sweep_sheet(sheet: &Picture, films: &[Film]) {
     }
 }
 
+/// Sums of the samples of a half of a pixel.
+#[derive(Clone, Copy, Default)]
+struct HalfSums {
+    color: [f64; 3],
+    depth: u32,
+    samples: u32,
+}
+
 /// Checks that the union of the tasks' statistics has every sample of the film once, and that all counts and the image itself follow
 /// from the recorded samples.
 #[test]
@@ -316,36 +324,36 @@ fn counts_and_image_of_a_frame_follow_from_its_samples() {
         let count = |end: PathEnd| all.paths.values().filter(|path| path.end == end).count() as u64;
         assert!(PathEnd::ALL.iter().map(|end| count(*end)).eq(totals.ends));
         let film = film(&name("exr"));
-        let mut sums = vec![[0.0; 3]; (width * height) as usize];
-        let mut depths = vec![0; sums.len()];
+        // Even samples are one half of a pixel, odd samples the other.
+        let mut halves = vec![[HalfSums::default(); 2]; (width * height) as usize];
         for path in all.paths.values() {
-            let pixel = path.key.pixel as usize;
-            (0..3).for_each(|channel| sums[pixel][channel] += f64::from(path.radiance[channel]));
-            depths[pixel] += path.depth;
+            let half = &mut halves[path.key.pixel as usize][path.key.sample as usize % 2];
+            (0..3).for_each(|channel| half.color[channel] += f64::from(path.radiance[channel]));
+            half.depth += path.depth;
+            half.samples += 1;
         }
-        let mut counted = vec![(0, 0, 0.0); sums.len()];
+        let columns = width.div_ceil(all.scope.tile_size);
+        let mut pixels = 0;
         for (portion, counters) in &all.portions {
-            let columns = width.div_ceil(all.scope.tile_size);
             let [left, top] = [portion.tile % columns, portion.tile / columns].map(|at| at * all.scope.tile_size);
             let tile_width = all.scope.tile_size.min(width - left);
             for (at, pixel) in (0..).zip(&counters.pixels) {
                 let (x, y) = (left + at % tile_width, top + at / tile_width);
-                let sum = &mut counted[(y * width + x) as usize];
-                sum.0 += pixel.samples;
-                sum.1 += pixel.depth;
-                sum.2 += pixel.luminance as f64 / 65536.0;
+                let half = halves[(y * width + x) as usize][usize::from(portion.half)];
+                assert_eq!((pixel.samples, pixel.depth), (half.samples, half.depth), "column {x}, row {y}");
+                let (found, expected) = (pixel.luminance as f64 / 65536.0, luminance(half.color));
+                assert!((found - expected).abs() <= 1e-4 * (1.0 + expected), "column {x}, row {y}: {found} {expected}");
+                pixels += 1;
             }
         }
-        for at in 0..sums.len() {
-            let mean = sums[at].map(|sum| sum / f64::from(spp));
+        assert_eq!(pixels, 2 * width * height, "each half of each pixel once");
+        for (at, [even, odd]) in halves.iter().enumerate() {
             let pixel = color(&film, at as u32 % width, at as u32 / width);
             for channel in 0..3 {
-                let error = (pixel[channel] - mean[channel]).abs();
-                assert!(error <= 1e-5 * mean[channel], "pixel {at} of frame {frame}: {pixel:?}, samples {mean:?}");
+                let mean = (even.color[channel] + odd.color[channel]) / f64::from(spp);
+                let error = (pixel[channel] - mean).abs();
+                assert!(error <= 1e-5 * mean, "pixel {at} of frame {frame}: {pixel:?}, samples {mean}");
             }
-            assert_eq!((counted[at].0, counted[at].1), (spp, depths[at]), "pixel {at}");
-            let expected = luminance(sums[at]);
-            assert!((counted[at].2 - expected).abs() <= 1e-4 * (1.0 + expected), "{} {expected}", counted[at].2);
         }
     }
     // The union of both frames has the rows of each.

@@ -53,7 +53,7 @@ pub const GROUPS: [Group; 4] = [
     },
     Group {
         name: "light",
-        files: &["engine/paths/src/query/*.rs", "engine/layers/src/*.rs", "engine/montecarlo/src/guided/*.rs"],
+        files: &["engine/paths/src/query/*.rs", "engine/layers/src/*.rs", "engine/montecarlo/src/guided.rs"],
         crates: &[
             ("femc-paths", "engine/paths"),
             ("femc-layers", "engine/layers"),

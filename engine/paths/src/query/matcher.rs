@@ -222,6 +222,9 @@ impl ResolvedCondition {
             Condition::And(a, b) => Self::And(inner(a), inner(b)),
             Condition::Or(a, b) => Self::Or(inner(a), inner(b)),
             Condition::Not(condition) => Self::Not(inner(condition)),
+            Condition::Number(attribute, CompareOp::Unequal, value) => {
+                Self::Not(inner(&Condition::Number(attribute, CompareOp::Equal, *value)))
+            }
             Condition::Number(attribute, op, value) => Self::Number(attribute, *op, *value),
             Condition::Word(attribute, EqualityOp::IsNot, value) => {
                 Self::Not(inner(&Condition::Word(attribute, EqualityOp::Is, value.clone())))

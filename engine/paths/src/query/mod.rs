@@ -11,8 +11,8 @@
 //! means this intersection, a name of a light any light sampled there.
 //!
 //! Numbers are compared with `==`, `!=`, `<`, `<=`, `>`, `>=`, words with the first two. A name matches an object and everything in
-//! it: `room` matches `room.wall`, too. A missing value equals nothing: `occluder != door` holds if nothing is in the way,
-//! `occluder == door` does not.
+//! it: `room` matches `room.wall`, too. A missing value equals nothing, and `!=` holds if `==` does not: `occluder != door` holds if
+//! nothing is in the way, and `first.x != 2` holds for a path without intersections.
 //!
 //! More terms, which `and`, `or` and `not` join with the others:
 //!
@@ -84,7 +84,8 @@ pub enum Condition {
 pub enum Quantity {
     /// At least one.
     Any,
-    /// Every one. The condition also holds if there are no things.
+    /// Every one. For lights, the condition also holds if there are none. A path without intersections is examined once without an
+    /// intersection.
     All,
 }
 

@@ -3,6 +3,7 @@
 
 mod bottlenecks;
 mod codec;
+mod conditions;
 mod frames;
 mod invariants;
 mod plants;

@@ -94,7 +94,15 @@ impl EventPattern {
 
     /// Checks whether an event of this kind matches with suitable labels.
     pub fn may_match(&self, kind: EventKind) -> bool {
-        self.matches(kind, |_| true) || self.matches(kind, |_| false)
+        let is_asked_for = |label: &str| {
+            let classes = self.any.iter().filter(|class| class.kinds & kind.bit() != 0);
+            let mut asking = classes.filter_map(|class| class.labels.as_ref().filter(|(_, negated)| !negated));
+            asking.any(|(labels, _)| labels.iter().any(|it| it == label))
+        };
+        self.matches(kind, |_| true)
+            || self.matches(kind, |_| false)
+            // In a negated bracket, some labels must be missing and others present: [^'a'<L.[^'b']>].
+            || self.matches(kind, |label| !is_asked_for(label))
     }
 
     /// Returns the kinds that match, regardless of labels.

@@ -8,6 +8,8 @@ mod frames;
 mod invariants;
 mod plants;
 mod queries;
+mod recorded_counts;
 mod representatives;
+mod scales;
 mod selection;
 mod synthetic;

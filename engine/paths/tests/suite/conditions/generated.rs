@@ -115,7 +115,7 @@ pub(crate) fn random_condition(draws: &mut Draws, depth: usize) -> Meaning {
 }
 
 /// Writes a condition with no more parentheses than it needs, or with some more.
-fn written(meaning: &Meaning, draws: &mut Draws) -> String {
+pub(crate) fn written(meaning: &Meaning, draws: &mut Draws) -> String {
     let quoted = |text: &str, draws: &mut Draws| {
         if text.contains(' ') || draws.is_one_in(4) { format!("\"{text}\"") } else { text.to_owned() }
     };

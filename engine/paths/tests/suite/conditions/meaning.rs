@@ -135,7 +135,7 @@ struct Place<'a> {
 
 /// A value of a record.
 #[derive(PartialEq)]
-enum Own {
+pub(crate) enum Own {
     Number(f64),
     Text(&'static str),
 }
@@ -152,7 +152,7 @@ fn is_text_in(text: &str, parent: &str) -> bool {
     }
 }
 
-fn luminance([r, g, b]: [f32; 3]) -> f32 {
+pub(crate) fn luminance([r, g, b]: [f32; 3]) -> f32 {
     0.212_639 * r + 0.715_168_7 * g + 0.072_192_32 * b
 }
 
@@ -337,4 +337,16 @@ fn parent(path: &LightPath, light: &LightRecord) -> Option<usize> {
 
 fn is_recorded(path: &LightPath, light: &LightRecord) -> bool {
     light.vertex as usize <= path.intersections.len()
+}
+
+/// Returns the value of an attribute of a path, of one of its intersections, or of one of its lights.
+pub(crate) fn value_of(
+    path: &LightPath,
+    width: u32,
+    field: &str,
+    at: Option<usize>,
+    light: Option<&LightRecord>,
+) -> Option<Own> {
+    let place = Place { path, width, at, light, is_alone: true };
+    place.values(field).into_iter().next()
 }

@@ -2,7 +2,7 @@
 //! crate ([`meaning`]).
 
 mod attributes;
-mod generated;
+pub(crate) mod generated;
 pub(crate) mod meaning;
 mod tables;
 

@@ -23,3 +23,4 @@ mod shared;
 mod shares;
 mod snapshots;
 mod tables;
+mod tags;

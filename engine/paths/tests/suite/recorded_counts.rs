@@ -11,6 +11,7 @@ use femc_paths::histogram::{Histograms, Table};
 use femc_paths::pixels::PixelMaps;
 use femc_paths::recorded::{HistogramRequest, PairKey, Weighting};
 use femc_paths::represent::{Distance, PathBins, Target, choose_representative, rarest_paths};
+use femc_paths::schema::Scale;
 use femc_paths::selection::{BitMask, SelectedRecords};
 use femc_paths::{FrameStatistics, LightPath, LightRecord, LightStatistics, Name, PathKey, RecordedPaths, Scope};
 use std::collections::{BTreeMap, BTreeSet};
@@ -101,8 +102,8 @@ fn own_bin(field: &str, [lower, upper]: [[f64; 3]; 2], (path, at, light): Record
         "pixel.x" => (number as u32 * 64 / 36) as u8,
         "pixel.y" => (number as u32 * 64 / 20) as u8,
         "depth" | "bounce" => number.min(63.0) as u8,
-        _ if field.contains("throughput") => bin_among(&edges(false), number as f32),
-        _ if field.contains("radiance") => bin_among(&edges(true), number as f32),
+        _ if field.contains("throughput") => bin_among(&edges(Scale::Throughput), number as f32),
+        _ if field.contains("radiance") => bin_among(&edges(Scale::Radiance), number as f32),
         _ => {
             let axis = "xyz".find(&field[field.len() - 1..]).unwrap();
             let part = ((number - lower[axis]) * 63.0 / (upper[axis] - lower[axis])).floor();

@@ -32,7 +32,8 @@ pub(crate) fn nearest_power(fourths: i32) -> f32 {
 }
 
 /// Edges of the bins 2 to 63: two an octave from 2^-10 on, and four an octave from 2^-11.75 on.
-pub(crate) fn edges(is_radiance: bool) -> Vec<f32> {
+pub(crate) fn edges(scale: Scale) -> Vec<f32> {
+    let is_radiance = scale == Scale::Radiance;
     (0..62).map(|bin| nearest_power(if is_radiance { -40 + 2 * bin } else { -47 + bin })).collect()
 }
 
@@ -44,9 +45,9 @@ pub(crate) fn bin_among(edges: &[f32], value: f32) -> u8 {
 #[test]
 fn bins_of_light_begin_at_powers_of_two() {
     let radiance: (Scale, fn(f32) -> u8) = (Scale::Radiance, radiance_bin);
-    for (is_radiance, (scale, bin)) in [(true, radiance), (false, (Scale::Throughput, throughput_bin))] {
-        let edges = edges(is_radiance);
-        let ends = if is_radiance { [1.0 / 1024.0, 1_482_910.4] } else { [0.000_290_3, 11.313_708] };
+    for (scale, bin) in [radiance, (Scale::Throughput, throughput_bin)] {
+        let edges = edges(scale);
+        let ends = if scale == Scale::Radiance { [1.0 / 1024.0, 1_482_910.4] } else { [0.000_290_3, 11.313_708] };
         assert!((edges[0] / ends[0] - 1.0).abs() < 1e-3 && (edges[61] / ends[1] - 1.0).abs() < 1e-6, "{edges:?}");
         let mut values = vec![0.0, -0.0, -1.0, f32::from_bits(1), f32::MIN_POSITIVE, 1e-30, 1e30, f32::MAX];
         values.push(f32::INFINITY);

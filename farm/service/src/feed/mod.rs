@@ -68,8 +68,18 @@ struct State {
     /// Number and encoded event of the last change.
     delta: Option<(u64, Bytes)>,
     snapshot: Option<(u64, Bytes)>,
-    /// Whether a task queries the farm.
-    is_running: bool,
+    query_task: QueryTask,
+}
+
+/// State of the task that queries the farm.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum QueryTask {
+    /// There is no task, because there are no listeners.
+    Stopped,
+    /// The task has not finished its first query. The known state may be old.
+    Starting,
+    /// The known state is that of the latest query.
+    Running,
 }
 
 /// Items by number, each as JSON with the number of its last change.
@@ -134,7 +144,7 @@ impl State {
             warnings_changed: 0,
             delta: None,
             snapshot: None,
-            is_running: false,
+            query_task: QueryTask::Stopped,
         }
     }
 
@@ -279,10 +289,14 @@ impl<S: Send + 'static> Feed<S> {
         let (news, known) = {
             let mut state = self.hub.lock();
             let mut news = self.hub.updates.subscribe();
-            if !std::mem::replace(&mut state.is_running, true) {
-                tokio::spawn(self.clone().run());
-            } else if state.seq > 0 {
-                news.mark_changed();
+            match state.query_task {
+                QueryTask::Stopped => {
+                    state.query_task = QueryTask::Starting;
+                    tokio::spawn(self.clone().run());
+                }
+                // The listener waits for the end of the first query.
+                QueryTask::Starting => {}
+                QueryTask::Running => news.mark_changed(),
             }
             let number = |id: &str| id.strip_prefix(&*state.start)?.strip_prefix('-')?.parse().ok();
             (news, last.and_then(number).filter(|known: &u64| *known > 0 && *known <= state.seq))
@@ -305,11 +319,14 @@ impl<S: Send + 'static> Feed<S> {
             if !is_first {
                 let mut state = self.hub.lock();
                 if self.hub.updates.receiver_count() == 0 {
-                    state.is_running = false;
+                    state.query_task = QueryTask::Stopped;
                     return;
                 }
             }
             let is_new = self.query(&mut scope).await;
+            if is_first {
+                self.hub.lock().query_task = QueryTask::Running;
+            }
             if is_new || is_first {
                 self.hub.updates.send_modify(|news| *news += 1);
             }

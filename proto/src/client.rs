@@ -133,7 +133,7 @@ impl Client {
         from_status(self.url(), status)
     }
 
-    /// Submits a job. A second submission with the same key returns the same job.
+    /// Submits a job. A second submission with the same key returns the same job, or is refused if its results would differ.
     pub async fn submit(&self, key: Option<String>, spec: JobSpec) -> Result<JobId, CallError> {
         let request = wire::SubmitRequest { job: Some(spec.into()), key };
         let reply = self.jobs().submit(request).await.map_err(|status| self.call_error(&status))?;

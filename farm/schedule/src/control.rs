@@ -24,7 +24,7 @@ impl Scheduler {
             });
         }
         if let Some(job) = key.as_deref().and_then(|key| self.ledger.job_of_key(key)) {
-            return Ok(Answer::Submitted(job));
+            return self.repeat_submission(job, &spec);
         }
         self.check_quota(&spec)?;
         let job = self.ledger.next_job();
@@ -35,6 +35,15 @@ impl Scheduler {
         self.retry_shared(job, |_| true, now, out);
         out.push(Command::JobChanged(job));
         Ok(Answer::Submitted(job))
+    }
+
+    /// Answers a submission whose key belongs to this job. Only a specification with equal results is a repetition.
+    fn repeat_submission(&self, job: JobId, spec: &JobSpec) -> Result<Answer, Refusal> {
+        if self.ledger.jobs.get(&job).is_some_and(|known| known.spec.key() == spec.key()) {
+            return Ok(Answer::Submitted(job));
+        }
+        let message = format!("job {job} was submitted with this key and another specification; submit with a new key");
+        Err(Refusal::Invalid { field: "key".into(), message })
     }
 
     /// Refuses a job that would exceed its owner's quota.

@@ -18,7 +18,7 @@ pub enum Event {
     Submitted {
         /// Number of the request, for the answer.
         request: RequestId,
-        /// Key of the submission; a second submission with this key returns the same job.
+        /// Key of the submission; a second submission with this key returns the same job, or is refused if its results would differ.
         key: Option<String>,
         /// Specification of the job.
         spec: Box<JobSpec>,

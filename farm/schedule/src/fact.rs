@@ -29,7 +29,7 @@ pub enum Fact {
     Submitted {
         /// Number of the job.
         job: JobId,
-        /// Key of the submission; a second submission with this key returns the same job.
+        /// Key of the submission; a second submission with this key returns the same job, or is refused if its results would differ.
         key: Option<String>,
         /// Specification of the job, as submitted.
         spec: Box<JobSpec>,

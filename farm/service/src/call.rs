@@ -85,7 +85,7 @@ pub struct Backup {
 pub enum Call<S> {
     /// Queue a job.
     Submit {
-        /// Idempotency key: a second submission with this key returns the same job.
+        /// Idempotency key: a second submission with this key returns the same job, or is refused if its results would differ.
         key: Option<String>,
         /// The job.
         spec: Box<JobSpec>,

@@ -94,7 +94,7 @@ impl Pictures {
         let draw = self.draw()?;
         let finished = farm.call(|reply| Call::Frames { job, reply }).await?;
         let of_frame = finished.into_iter().find(|record| record.frame == frame);
-        let (tag, outputs, parts) = match &of_frame {
+        let (current, outputs, parts) = match &of_frame {
             Some(record) => {
                 let Some(output) = best(record, kind) else { return Ok(None) };
                 (tag(&[output], kind), vec![output], None)
@@ -109,20 +109,24 @@ impl Pictures {
                 (tag(&outputs, kind), outputs, Some(parts))
             }
         };
-        if known == Some(&tag) {
-            return Ok(Some(Picture { tag, bytes: Bytes::new() }));
+        if known == Some(&current) {
+            return Ok(Some(Picture { tag: current, bytes: Bytes::new() }));
         }
-        if let Some(kept) = self.cached_thumbnail(&tag) {
+        if let Some(kept) = self.cached_thumbnail(&current) {
             return Ok(Some(kept));
         }
         // The semaphore is never closed.
         let _turn = self.draw_permits.acquire().await;
         let if_missing = if parts.is_some() { MissingOutput::Replaced } else { MissingOutput::Lost };
-        let mut artifacts = Vec::with_capacity(outputs.len());
-        for Output { role, artifact } in outputs {
-            let bytes = farm.read_output(&self.store, artifact.digest, if_missing).await?;
-            artifacts.extend(bytes.map(|bytes| (role, bytes)));
+        let (mut artifacts, mut read) = (Vec::with_capacity(outputs.len()), Vec::new());
+        for output in outputs {
+            if let Some(bytes) = farm.read_output(&self.store, output.artifact.digest, if_missing).await? {
+                artifacts.push((output.role, bytes));
+                read.push(output);
+            }
         }
+        // Outputs may be missing. The tag is that of the outputs in the picture.
+        let tag = tag(&read, kind);
         let source = match (parts, artifacts.pop()) {
             (Some(parts), Some(last)) => PictureSource::Parts(parts, artifacts.into_iter().chain([last]).collect()),
             (None, Some((Role::Preview, png))) => PictureSource::Preview(png),

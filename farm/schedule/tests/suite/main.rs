@@ -24,3 +24,4 @@ mod shares;
 mod snapshots;
 mod tables;
 mod tags;
+mod tickets;

@@ -74,7 +74,15 @@ impl From<Refusal> for LightViewError {
     }
 }
 
-type OpenedLight = Option<Arc<dyn LightData>>;
+/// Decoded data of a target.
+#[derive(Clone)]
+struct OpenedLight {
+    /// Tag of the parts that were read.
+    tag: String,
+    /// Data; `None`: no sample is recorded yet.
+    data: Option<Arc<dyn LightData>>,
+}
+
 type OpenedCell = Arc<OnceCell<OpenedLight>>;
 
 /// Answers questions of all clients. Clones share the cache.
@@ -97,9 +105,17 @@ pub(crate) struct LightViews {
 #[derive(Clone)]
 struct CachedLight {
     target: LightTarget,
+    /// Tag of the parts for which the entry was made.
     tag: String,
     created: Instant,
     cell: OpenedCell,
+}
+
+impl CachedLight {
+    /// Returns the tag of the data, or of the parts that will be read.
+    fn tag(&self) -> &str {
+        self.cell.get().map_or(&self.tag, |opened| &opened.tag)
+    }
 }
 
 impl fmt::Debug for LightViews {
@@ -187,17 +203,19 @@ impl LightViews {
         let LightQuestion { target, call, since } = question;
         let open = self.open.ok_or_else(|| unavailable("this program cannot read light statistics".into()))?;
         let Some(located) = self.locate(farm, &target).await? else { return Ok(None) };
-        let CachedLight { tag: data_tag, cell, .. } = self.cached(&target, &located);
-        let tag = Digest::compute(format!("{data_tag} {call:?}").as_bytes()).to_string();
+        let cached = self.cached(&target, &located);
+        let answer_tag = |data: &str| Digest::compute(format!("{data} {call:?}").as_bytes()).to_string();
+        let tag = answer_tag(cached.tag());
         if known == Some(&tag) {
             return Ok(Some(TaggedAnswer { tag, answer: None }));
         }
         let slot = Arc::new(self.slots.acquire(caller_key).await);
-        let opened = match cell.get() {
+        let opened = match cached.cell.get() {
             Some(opened) => opened.clone(),
-            None => self.open_in_background(farm, open, TargetParts { tag: data_tag, ..located }, cell, &slot).await?,
+            None => self.open_in_background(farm, open, located, cached.cell, &slot).await?,
         };
-        let Some(data) = opened else { return Ok(None) };
+        let OpenedLight { tag: data_tag, data: Some(data) } = opened else { return Ok(None) };
+        let tag = answer_tag(&data_tag);
         let earlier = since.and_then(|since| self.known_rows().find(&target, &since));
         let permit = self.permit().await;
         let is_cancelled = CancelOnDrop::default();
@@ -298,9 +316,7 @@ impl LightViews {
             );
             return Err(LightViewError::Invalid { field: "frames", message });
         }
-        let mut identity: Vec<u8> = artifacts().flat_map(|artifact| *artifact.digest.as_bytes()).collect();
-        identity.extend(parts.iter().map(|part| u8::from(part.is_growing)));
-        let tag = Digest::compute(&identity).to_string();
+        let tag = parts_tag(&parts);
         Ok((!parts.is_empty()).then_some(TargetParts { tag, parts }))
     }
 
@@ -312,7 +328,7 @@ impl LightViews {
         let position = cache.iter().position(|cached| cached.target == *target);
         let is_current = |cached: &CachedLight| {
             let is_recent = cached.cell.get().is_none() || cached.created.elapsed() < Self::MIN_GROWTH_INTERVAL;
-            cached.tag == parts.tag || (parts.is_growing() && is_recent)
+            cached.tag() == parts.tag || (parts.is_growing() && is_recent)
         };
         let cached = position.and_then(|position| cache.remove(position)).filter(is_current);
         let cached = cached.unwrap_or_else(|| CachedLight {
@@ -329,7 +345,7 @@ impl LightViews {
     fn evict(&self) {
         let mut cache = self.cache.lock().unwrap_or_else(PoisonError::into_inner);
         let size =
-            |cached: &CachedLight| cached.cell.get().and_then(Option::as_ref).map_or(0, |data| data.memory_bytes());
+            |cached: &CachedLight| cached.cell.get().and_then(|it| it.data.as_ref()).map_or(0, |it| it.memory_bytes());
         let mut sizes: VecDeque<usize> = cache.iter().map(size).collect();
         while cache.len() > 1 && (sizes.iter().sum::<usize>() > Self::CACHE_BYTES || cache.len() > Self::MAX_CACHED) {
             cache.pop_front();
@@ -359,6 +375,7 @@ impl LightViews {
         let mut sources = Vec::with_capacity(located.parts.len());
         // Job and digests of the parts of each source.
         let mut origins: Vec<(JobId, Vec<Digest>)> = Vec::new();
+        let mut tag = located.tag;
         for TargetPart { name, is_growing, origin } in located.parts {
             let parts = match origin {
                 Origin::File(path) => vec![read_file(&path, MAX_LIGHT_BYTES).await?],
@@ -367,9 +384,13 @@ impl LightViews {
                     let (mut parts, mut digests) = (Vec::with_capacity(artifacts.len()), Vec::new());
                     for Artifact { digest, .. } in artifacts {
                         let read = farm.read_output(&self.store, digest, if_missing).await;
-                        if let Some(bytes) = read.map_err(|refusal| unreadable_artifact(job, frame, refusal))? {
-                            parts.push(bytes);
-                            digests.push(digest);
+                        match read.map_err(|refusal| unreadable_artifact(job, frame, refusal))? {
+                            Some(bytes) => {
+                                parts.push(bytes);
+                                digests.push(digest);
+                            }
+                            // The data are not those of the whole tag.
+                            None => tag = Digest::compute(format!("{tag} without {digest}").as_bytes()).to_string(),
                         }
                     }
                     origins.push((job, digests));
@@ -381,7 +402,7 @@ impl LightViews {
         let names: Vec<String> = sources.iter().map(|source| source.name.clone()).collect();
         let work = move || {
             let _permit = permit;
-            open(&located.tag, sources)
+            open(&tag, sources).map(|data| OpenedLight { tag, data })
         };
         let opened = tokio::task::spawn_blocking(work).await.map_err(|error| unreadable(error.to_string()))?;
         match opened {
@@ -399,6 +420,19 @@ impl LightViews {
             }
         }
     }
+}
+
+/// Returns a tag that identifies parts of frames: the name and the artifacts of each part, and whether it grows.
+fn parts_tag(parts: &[TargetPart]) -> String {
+    let mut identity = Vec::new();
+    for TargetPart { name, is_growing, origin } in parts {
+        let digests = match origin {
+            Origin::Frame { artifacts, .. } => artifacts.iter().map(|artifact| artifact.digest.to_string()).collect(),
+            Origin::File(path) => vec![path.display().to_string()],
+        };
+        identity.push(format!("{name} {is_growing} {}", digests.join(" ")));
+    }
+    Digest::compute(identity.join("\n").as_bytes()).to_string()
 }
 
 /// Converts the refusal of a frame's statistics.

@@ -4,7 +4,7 @@ use bytes::Bytes;
 use femc_model::{JobId, JobNotes, JobState, JobStatus};
 use femc_service::{Body, ConnectedClient, Farm, Gate, Http, Limits, Site, TransferSlots};
 use femc_store::Store;
-use http::header::{ETAG, HeaderName};
+use http::header::{CONTENT_TYPE, ETAG, HeaderName};
 use http::{Request, Response};
 use http_body_util::{BodyExt as _, Full};
 
@@ -52,25 +52,44 @@ pub fn wide_limits() -> Limits {
     Limits { rate: 1_000_000, transfers: 64, transfers_per_connection: 64, ..Limits::default() }
 }
 
-/// Sends a request and returns the response before its body is read.
+/// Makes the gate of a farm without authentication.
+pub fn open_gate() -> Gate {
+    Gate::new(None, wide_limits(), None)
+}
+
+/// Sends a request without a body, and returns the response before its body is read.
 pub async fn send(http: &Http<()>, line: &str, headers: &[(HeaderName, &str)]) -> Response<Body> {
+    send_body(http, line, headers, "").await
+}
+
+async fn send_body(http: &Http<()>, line: &str, headers: &[(HeaderName, &str)], body: &'static str) -> Response<Body> {
     let (method, path) = line.split_once(' ').expect("a method and a path");
     let mut request = Request::builder().method(method).uri(path);
     for (name, value) in headers {
         request = request.header(name, *value);
     }
-    let request = request.body(Full::new(Bytes::new())).expect("a request");
+    let request = request.body(Full::new(Bytes::from_static(body.as_bytes()))).expect("a request");
     http.serve(request, ConnectedClient::default()).await
 }
 
 /// Sends a request and returns its whole answer.
 pub async fn ask(http: &Http<()>, line: &str, headers: &[(HeaderName, &str)]) -> Answer {
-    let response = send(http, line, headers).await;
+    answer(send(http, line, headers).await).await
+}
+
+/// Sends a change of the farm as JSON, and returns its whole answer.
+pub async fn post(http: &Http<()>, path: &str, authorization: (HeaderName, &str), body: &'static str) -> Answer {
+    let own = (HeaderName::from_static("x-femc"), "1");
+    let headers = [authorization, own, (CONTENT_TYPE, "application/json")];
+    answer(send_body(http, &format!("POST {path}"), &headers, body).await).await
+}
+
+async fn answer(response: Response<Body>) -> Answer {
     let header = |name: HeaderName| {
         let value = response.headers().get(name).map(|value| value.to_str().expect("text").to_owned());
         value.unwrap_or_default()
     };
-    let (tag, kind) = (header(ETAG).trim_matches('"').to_owned(), header(http::header::CONTENT_TYPE));
+    let (tag, kind) = (header(ETAG).trim_matches('"').to_owned(), header(CONTENT_TYPE));
     let status = response.status().as_u16();
     let body = response.into_body().collect().await.expect("a body").to_bytes();
     Answer { status, tag, kind, body }

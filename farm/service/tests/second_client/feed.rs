@@ -16,7 +16,7 @@ use serde_json::Value;
 use tokio::sync::mpsc;
 use tokio::time::{Instant, sleep, timeout};
 
-use crate::common::{Random, job_status, send, serve, wide_limits};
+use crate::common::{Random, job_status, open_gate, send, serve};
 
 /// Interval between two queries of the feed.
 const INTERVAL: Duration = Duration::from_secs(1);
@@ -93,7 +93,7 @@ fn text(value: &Value) -> String {
 
 /// State of a farm for its feed.
 #[derive(Debug, Default)]
-struct FarmState {
+pub struct FarmState {
     now: Model,
     /// Jobs that changed since the previous query.
     touched: BTreeSet<u64>,
@@ -139,7 +139,7 @@ impl FarmState {
     }
 
     /// Changes something that users see.
-    fn change(&mut self, random: &mut Random) {
+    pub fn change(&mut self, random: &mut Random) {
         let number = 1 + random.below(6) as u64;
         match random.below(8) {
             0 => {
@@ -155,8 +155,8 @@ impl FarmState {
             }
             5 => *self.now.workers.entry(number).or_default() += 1,
             6 => {
-                self.now.offline =
-                    ["w1", "w2", "w3"][random.below(4).min(2)..].iter().map(ToString::to_string).collect()
+                let names = ["w1", "w2", "w3"][random.below(4).min(2)..].iter();
+                self.now.offline = names.map(ToString::to_string).collect();
             }
             _ => self.now.warnings = vec!["the disk is nearly full".to_owned(); random.below(3)],
         }
@@ -178,7 +178,8 @@ fn worker(number: u64, completed: u64, silent: u64) -> WorkerStatus {
     }
 }
 
-fn start(state: &Arc<Mutex<FarmState>>) -> Http<()> {
+/// Starts a coordinator of a farm.
+pub fn start(state: &Arc<Mutex<FarmState>>, gate: Gate) -> Http<()> {
     let (calls, mut inbox) = mpsc::channel(8);
     let state = state.clone();
     tokio::spawn(async move {
@@ -192,7 +193,7 @@ fn start(state: &Arc<Mutex<FarmState>>) -> Http<()> {
             drop(reply.send(answer));
         }
     });
-    serve(Farm::new(calls), Store::in_memory(), Gate::new(None, wide_limits(), None), Site::default())
+    serve(Farm::new(calls), Store::in_memory(), gate, Site::default())
 }
 
 /// Knowledge of a client, which it keeps while it is disconnected.
@@ -306,7 +307,7 @@ impl Schedule {
         let delay = Duration::from_millis(*random.pick(&[0, 0, 300]));
         let state = Arc::new(Mutex::new(FarmState { delay, ..FarmState::default() }));
         (0..random.below(12)).for_each(|_| state.lock().unwrap().change(&mut random));
-        let http = start(&state);
+        let http = start(&state, open_gate());
         let (listeners, away, changed_at) = (Vec::new(), Vec::new(), Instant::now());
         Self { random, state, http, listeners, away, start: 0, changed_at, counts: Counts::default() }
     }
@@ -378,7 +379,7 @@ impl Schedule {
             12 if self.random.below(6) == 0 => {
                 // Another start of the coordinator: every id becomes invalid.
                 self.away.extend(self.listeners.drain(..).map(|listener| listener.memory));
-                self.http = start(&self.state);
+                self.http = start(&self.state, open_gate());
                 self.start += 1;
             }
             _ => {

@@ -4,5 +4,7 @@
 
 mod answers;
 mod common;
+mod documentation;
 mod feed;
 mod identities;
+mod world;

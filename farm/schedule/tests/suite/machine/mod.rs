@@ -26,7 +26,7 @@ struct Machine {
     /// Build of the engine of each worker.
     builds: BTreeMap<u64, &'static str>,
     jobs: Vec<JobId>,
-    keys: BTreeMap<u8, JobId>,
+    keys: BTreeMap<u8, (JobId, JobSpec)>,
     /// Jobs that a person has cancelled.
     cancelled: BTreeSet<JobId>,
     /// Jobs that a person has paused.
@@ -147,7 +147,7 @@ impl Machine {
                     self.shared.retain(|_, known| *known != job);
                     self.done.retain(|task| !job.is_shared() || task.job != job);
                     self.results.retain(|step, _| !job.is_shared() || step.0 != job);
-                    self.keys.retain(|_, known| *known != job);
+                    self.keys.retain(|_, (known, _)| *known != job);
                     self.ended.retain(|(_, held)| held.task.job != job);
                     assert!(self.live.iter().all(|(task, _)| task.job != job), "{job} is forgotten and leased");
                 }

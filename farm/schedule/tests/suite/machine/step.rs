@@ -210,15 +210,22 @@ impl Machine {
         let spec =
             Box::new(JobSpec { owner, priority, tags, contents, ..common::job_with_graph(&frames, tiles, graph) });
         let name = key.map(|key| key.to_string());
-        let commands = self.farm.handle(Event::Submitted { request: RequestId(0), key: name, spec, date: None });
-        let known = key.and_then(|key| self.keys.get(&key).copied());
+        let commands =
+            self.farm.handle(Event::Submitted { request: RequestId(0), key: name, spec: spec.clone(), date: None });
+        let known = key.and_then(|key| self.keys.get(&key));
         match common::find_answer(&commands) {
             Some(Answer::Submitted(job)) if known.is_none() => {
                 assert!(!self.jobs.contains(&job), "{job} is new");
                 self.jobs.push(job);
-                self.keys.extend(key.map(|key| (key, job)));
+                self.keys.extend(key.map(|key| (key, (job, *spec))));
             }
-            answer => assert_eq!(answer, known.map(Answer::Submitted), "the same key is the same job"),
+            answer => {
+                let (job, first) = known.expect("a job is refused only for its key");
+                let is_same =
+                    (&first.frames, &first.graph, &first.contents) == (&spec.frames, &spec.graph, &spec.contents);
+                let due = is_same.then_some(Answer::Submitted(*job));
+                assert_eq!(answer, due, "the same key is the same job, or is refused");
+            }
         }
         self.check_commands(commands);
     }

@@ -19,7 +19,7 @@ impl KnownRows {
 
     /// Adds the rows of an answer, and drops the oldest answers beyond the limit.
     pub(super) fn add(&mut self, target: LightTarget, rows: EarlierRows) {
-        self.answers.retain(|(_, known)| known.tag != rows.tag);
+        self.answers.retain(|(own, known)| *own != target || known.tag != rows.tag);
         self.answers.push_back((target, rows));
         self.rows = self.answers.iter().map(|(_, known)| known.identities.len()).sum();
         while self.rows > Self::MAX_ROWS

@@ -42,7 +42,7 @@ impl LightData for Echo {
 }
 
 /// Opens a source slowly. The name of a large one begins with `large`.
-fn open(_tag: &str, sources: Vec<LightSource>) -> Result<OpenedLight, LightFault> {
+fn open(_tag: &str, sources: Vec<LightSource>) -> Result<Option<Arc<dyn LightData>>, LightFault> {
     let source = sources.into_iter().next().expect("a source");
     if let Some(part) = source.parts.iter().position(|part| part.as_ref() == b"bad") {
         return Err(LightFault { sources: vec![source.name], part: Some(part), message: "no light".into() });

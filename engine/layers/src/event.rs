@@ -120,11 +120,11 @@ impl EventPattern {
     pub fn label_phrase(&self) -> String {
         let labels: Vec<String> = self.labels().map(|label| format!("'{label}'")).collect();
         let is_negated = self.negated || self.any.iter().any(|class| matches!(class.labels, Some((_, true))));
-        match is_negated {
-            _ if labels.is_empty() => String::new(),
-            true => format!(" at places other than {}", labels.join(" or ")),
-            false => format!(" at {}", labels.join(" or ")),
+        if labels.is_empty() {
+            return String::new();
         }
+        let places = if is_negated { " at places other than " } else { " at " };
+        format!("{places}{}", labels.join(" or "))
     }
 
     /// Returns the labels that the condition names.

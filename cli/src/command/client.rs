@@ -213,6 +213,14 @@ impl FarmClient {
         self.client.control(job, control).await.map_err(map_call_error)
     }
 
+    /// Cancels a job, unless it has ended in the meantime.
+    pub async fn cancel_if_running(&self, job: JobId) -> Result<(), Failure> {
+        match self.client.control(job, Control::Cancel).await {
+            Ok(()) | Err(CallError::Refused(Refusal::Ended { .. })) => Ok(()),
+            Err(error) => Err(map_call_error(error)),
+        }
+    }
+
     /// Returns the log records of a job's tasks, oldest first, of attempts reported since `since`.
     pub async fn logs(&self, job: JobId, since: Tick) -> Result<Vec<LogRecord>, Failure> {
         self.client.logs(job, since).await.map_err(map_call_error)

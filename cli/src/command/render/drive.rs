@@ -154,7 +154,7 @@ async fn find_or_submit_job(
         match other.state {
             JobState::Paused if other.job == job => farm.control(job, Control::Resume).await?,
             JobState::Failed | JobState::Cancelled if other.job == job => farm.control(job, Control::Retry).await?,
-            state if other.job != job && !state.has_ended() => farm.control(other.job, Control::Cancel).await?,
+            state if other.job != job && !state.has_ended() => farm.cancel_if_running(other.job).await?,
             _ => {}
         }
     }

@@ -111,7 +111,7 @@ pub async fn resume_jobs(queued: &[QueuedJob<'_>], farm: &FarmClient) -> Result<
 pub async fn cancel_others(queued: &[QueuedJob<'_>], farm: &FarmClient) -> Result<(), Failure> {
     let ours: BTreeSet<JobId> = queued.iter().map(|queued| queued.job).collect();
     for status in farm.jobs().await?.iter().filter(|s| !ours.contains(&s.job) && !s.state.has_ended()) {
-        farm.control(status.job, Control::Cancel).await?;
+        farm.cancel_if_running(status.job).await?;
     }
     Ok(())
 }

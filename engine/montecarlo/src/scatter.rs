@@ -244,3 +244,6 @@ fn field_light(field: &Field, surface: &SurfaceInteraction<'_>) -> Rgb {
     }
     color
 }
+
+#[cfg(test)]
+mod weights;

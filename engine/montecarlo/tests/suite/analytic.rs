@@ -19,7 +19,7 @@ const ALL: [Option<MisTechnique>; 3] = [None, Some(MisTechnique::Light), Some(Mi
 
 /// Square pixel, or only its center.
 #[derive(Clone, Copy)]
-struct Square(f32);
+pub(crate) struct Square(f32);
 
 impl PixelFilter for Square {
     fn sample(self, u: [f32; 2]) -> [f32; 2] {
@@ -32,10 +32,10 @@ impl PixelFilter for Square {
     }
 }
 
-const CENTER: Square = Square(1e-4);
+pub(crate) const CENTER: Square = Square(1e-4);
 const PIXEL: Square = Square(1.0);
 
-fn prepare(text: &str, camera: &str) -> Prepared {
+pub(crate) fn prepare(text: &str, camera: &str) -> Prepared {
     let files = [("test.mgf".to_owned(), text.as_bytes().to_vec())];
     let scene = load_scene(&Bundle(files.into()), "test.mgf").unwrap_or_else(|error| panic!("{error}")).scene;
     let spec = FrameSpec { camera: Some(camera.to_owned()), size: None, frame: 1, filter_radius: 0.5 };

@@ -1,3 +1,4 @@
 //! Tests of the path loop through its public interface.
 
 mod analytic;
+mod weights;

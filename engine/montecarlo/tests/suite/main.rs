@@ -1,4 +1,5 @@
 //! Tests of the path loop through its public interface.
 
 mod analytic;
+mod horizons;
 mod weights;

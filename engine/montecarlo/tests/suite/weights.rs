@@ -178,21 +178,28 @@ impl Run<'_> {
 fn guides_and_windows_change_no_mean_on_matte_floors() {
     let scene = &room("", " c\n rd .7\n");
     let field = &field(scene);
-    Run { scene, field, max_depth: 3, samples: 200_000 }.assert_equal_means("matte_floors", 0.005);
+    Run { scene, field, max_depth: 3, samples: 200_000 }.assert_equal_means("matte floors", 0.005);
 }
 
 #[test]
 fn guides_and_windows_change_no_mean_on_rough_floors() {
     let scene = &room("", " c\n rd .3\n rs .5 .2\n");
     let field = &field(scene);
-    Run { scene, field, max_depth: 3, samples: 200_000 }.assert_equal_means("rough_floors", 0.005);
+    Run { scene, field, max_depth: 3, samples: 200_000 }.assert_equal_means("rough floors", 0.005);
 }
 
 #[test]
 fn guides_and_windows_change_no_mean_on_coated_floors() {
     let scene = &room("", " c\n crgb .6 .3 .1\n rd .5\n c\n rs .3 .1\n");
     let field = &field(scene);
-    Run { scene, field, max_depth: 3, samples: 200_000 }.assert_equal_means("coated_floors", 0.005);
+    Run { scene, field, max_depth: 3, samples: 200_000 }.assert_equal_means("coated floors", 0.005);
+}
+
+#[test]
+fn guides_and_windows_change_no_mean_on_polished_floors() {
+    let scene = &room("", " c\n rd .4\n rs .4 0\n");
+    let field = &field(scene);
+    Run { scene, field, max_depth: 3, samples: 200_000 }.assert_equal_means("polished floors", 0.005);
 }
 
 #[test]

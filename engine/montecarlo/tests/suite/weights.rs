@@ -81,11 +81,12 @@ fn room(media: &str, floor: &str) -> Prepared {
 /// Returns a field with equal guides for all surfaces. Half of the guides' directions go toward the ball, the others beside the
 /// lamps. The wall is forty times as bright as the rest, so that paths split there.
 fn field(scene: &Prepared) -> Field {
-    field_toward(scene, [(Vec3A::new(0.6, 0.3, 1.2), 0.06), (Vec3A::new(-1.5, 0.7, 0.9), 0.4)])
+    field_toward(scene, [(Vec3A::new(0.6, 0.3, 1.2), 0.06), (Vec3A::new(-1.5, 0.7, 0.9), 0.4)], [0.85; 2])
 }
 
 /// Returns a field like [`field`] whose guides sample these places: position, and mean squared distance from it, m2.
-fn field_toward(scene: &Prepared, places: [(Vec3A, f32); 2]) -> Field {
+/// - `shares`: shares of the guides' directions at the wall and elsewhere.
+fn field_toward(scene: &Prepared, places: [(Vec3A, f32); 2], [at_wall, elsewhere]: [f32; 2]) -> Field {
     let shift = scene.origin.as_vec3a();
     let lobe = |target: Vec3A, spread, share| Lobe::round(target - shift, target.normalize(), spread, share);
     let lobes = vec![lobe(places[0].0, places[0].1, 0.5), lobe(places[1].0, places[1].1, 0.3)];
@@ -93,7 +94,7 @@ fn field_toward(scene: &Prepared, places: [(Vec3A, f32); 2]) -> Field {
     let surface = Surface { instance: 0, primitives: [0; 2], material: 0, side: Side::Front, form };
     let cells: Vec<Cell> = (0..2).map(|next| Cell { outline: Outline::WHOLE, split: Split::None, next }).collect();
     let leaves = [1.0, 40.0].map(|light| Leaf::Rectangle([Rgb::splat(light); 4])).to_vec();
-    let (roots, by_leaf) = (vec![0, 1], vec![Guide { first: 0, count: 2, share: 0.85 }; 2]);
+    let (roots, by_leaf) = (vec![0, 1], [elsewhere, at_wall].map(|share| Guide { first: 0, count: 2, share }).to_vec());
     let guides = Guides::new(by_leaf, lobes, &roots, &cells, &leaves);
     let mut sides = vec![vec![[0; 2]; 64]; 4];
     for x in [-1.8, 1.8] {
@@ -275,6 +276,7 @@ f b2 b3 c3 c2
 #[test]
 fn waiting_branches_weigh_lamps_at_their_own_vertex() {
     let scene = &prepare(TABLE, "main");
-    let field = &field_toward(scene, [(Vec3A::new(0.0, 0.7, 1.2), 0.005), (Vec3A::new(0.0, 1.0, 0.7), 0.5)]);
+    let field =
+        &field_toward(scene, [(Vec3A::new(0.0, 0.7, 1.2), 0.005), (Vec3A::new(0.0, 1.0, 0.7), 0.5)], [0.85, 0.0]);
     Run { scene, field, max_depth: 4, samples: 100_000 }.assert_equal_means("table", 0.008);
 }

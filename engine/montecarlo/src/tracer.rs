@@ -230,7 +230,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
     /// Traces a path and all its branches to their ends.
     /// - `MEDIA`: whether the scene has media;
     /// - `RECORD_ALL`: whether the recorder receives all events of this sample ([`RecordLevel::All`]).
-    fn trace<const MEDIA: bool, const RECORD_ALL: bool>(&mut self, mut path: PathState) -> PathSample {
+    pub(crate) fn trace<const MEDIA: bool, const RECORD_ALL: bool>(&mut self, mut path: PathState) -> PathSample {
         let mut out = PathSample { color: Rgb::ZERO, albedo: Rgb::ZERO, depth: f32::INFINITY };
         self.branches = 1;
         loop {

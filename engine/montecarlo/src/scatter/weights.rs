@@ -222,9 +222,15 @@ impl Tally {
                 let ends = tracer.continue_path::<false, false>(&mut path, continuing, numbers, rule).is_break();
                 let hit = scene.world.intersect(&path.ray).filter(|_| !ends)?;
                 let point = scene.shading_point(&path.ray, &hit);
-                (point.light == light).then(|| luminance(tracer.emitter_hit(&path.ray, &point, &path.previous)))
+                let emitted = || luminance(tracer.emitter_hit(&path.ray, &point, &path.previous));
+                (point.light == light).then(|| (emitted(), path))
             };
-            let (Some(of_all), Some(alone)) = (hit_light(&mut all), hit_light(&mut by_scattering)) else { continue };
+            let (Some((of_all, branch)), Some((alone, _))) = (hit_light(&mut all), hit_light(&mut by_scattering))
+            else {
+                continue;
+            };
+            let waiting = light_of_waiting_branch(scene, branch);
+            assert!((waiting / of_all - 1.0).abs() < 1e-5, "{name}, vertex {number}: {waiting}, at once {of_all}");
             let sum = weight_of_light + of_all / alone;
             assert!((sum - 1.0).abs() < ROUNDING, "{name}, vertex {number}, lamp {light}, numbers {numbers:?}: {sum}");
             self.sums += 1;
@@ -232,6 +238,18 @@ impl Tally {
             self.balanced += u32::from((0.02..0.98).contains(&weight_of_light));
         }
     }
+}
+
+/// Returns the luminance of the lamp that a branch hits, if other vertices have weighed the lamps while it waited.
+fn light_of_waiting_branch(scene: &Prepared, mut branch: PathState) -> f32 {
+    let mut tracer = Tracer::new(scene, PathSettings { max_depth: branch.bounce + 1, ..settings(None) });
+    let elsewhere = scene.lights.point_context(Vec3A::new(-0.7, 0.1, 0.6), Vec3A::X, None);
+    scene.lights.weigh(&elsewhere, &mut tracer.surface_weights);
+    branch.throughput = Rgb::ONE;
+    tracer.pending.push(branch);
+    let nowhere = Ray { origin: Vec3A::Z * 100.0, dir: Vec3A::Z, t_max: f32::INFINITY, time: 0.5 };
+    let gone = path_along(scene, nowhere, 0);
+    luminance(tracer.trace::<false, false>(gone).color)
 }
 
 #[test]

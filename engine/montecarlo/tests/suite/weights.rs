@@ -81,20 +81,14 @@ fn room(media: &str, floor: &str) -> Prepared {
 /// Returns a field with equal guides for all surfaces. Half of the guides' directions go toward the ball, the others beside the
 /// lamps. The wall is forty times as bright as the rest, so that paths split there.
 fn field(scene: &Prepared) -> Field {
-    field_toward(scene, [(Vec3A::new(0.6, 0.3, 1.2), 0.06), (Vec3A::new(-1.5, 0.7, 0.9), 0.4)], [0.85; 2])
-}
-
-/// Returns a field like [`field`] whose guides sample these places: position, and mean squared distance from it, m2.
-/// - `shares`: shares of the guides' directions at the wall and elsewhere.
-fn field_toward(scene: &Prepared, places: [(Vec3A, f32); 2], [at_wall, elsewhere]: [f32; 2]) -> Field {
     let shift = scene.origin.as_vec3a();
     let lobe = |target: Vec3A, spread, share| Lobe::round(target - shift, target.normalize(), spread, share);
-    let lobes = vec![lobe(places[0].0, places[0].1, 0.5), lobe(places[1].0, places[1].1, 0.3)];
+    let lobes = vec![lobe(Vec3A::new(0.6, 0.3, 1.2), 0.06, 0.5), lobe(Vec3A::new(-1.5, 0.7, 0.9), 0.4, 0.3)];
     let form = Form::Parallelogram([Vec3A::ZERO, Vec3A::X, Vec3A::Y]);
     let surface = Surface { instance: 0, primitives: [0; 2], material: 0, side: Side::Front, form };
     let cells: Vec<Cell> = (0..2).map(|next| Cell { outline: Outline::WHOLE, split: Split::None, next }).collect();
     let leaves = [1.0, 40.0].map(|light| Leaf::Rectangle([Rgb::splat(light); 4])).to_vec();
-    let (roots, by_leaf) = (vec![0, 1], [elsewhere, at_wall].map(|share| Guide { first: 0, count: 2, share }).to_vec());
+    let (roots, by_leaf) = (vec![0, 1], vec![Guide { first: 0, count: 2, share: 0.85 }; 2]);
     let guides = Guides::new(by_leaf, lobes, &roots, &cells, &leaves);
     let mut sides = vec![vec![[0; 2]; 64]; 4];
     for x in [-1.8, 1.8] {
@@ -184,99 +178,33 @@ impl Run<'_> {
 fn guides_and_windows_change_no_mean_on_matte_floors() {
     let scene = &room("", " c\n rd .7\n");
     let field = &field(scene);
-    Run { scene, field, max_depth: 4, samples: 200_000 }.assert_equal_means("matte floors", 0.005);
+    Run { scene, field, max_depth: 4, samples: 100_000 }.assert_equal_means("matte floors", 0.008);
 }
 
 #[test]
 fn guides_and_windows_change_no_mean_on_rough_floors() {
     let scene = &room("", " c\n rd .3\n rs .5 .2\n");
     let field = &field(scene);
-    Run { scene, field, max_depth: 3, samples: 200_000 }.assert_equal_means("rough floors", 0.005);
+    Run { scene, field, max_depth: 3, samples: 100_000 }.assert_equal_means("rough floors", 0.008);
 }
 
 #[test]
 fn guides_and_windows_change_no_mean_on_coated_floors() {
     let scene = &room("", " c\n crgb .6 .3 .1\n rd .5\n c\n rs .3 .1\n");
     let field = &field(scene);
-    Run { scene, field, max_depth: 3, samples: 200_000 }.assert_equal_means("coated floors", 0.005);
+    Run { scene, field, max_depth: 3, samples: 100_000 }.assert_equal_means("coated floors", 0.008);
 }
 
 #[test]
 fn guides_and_windows_change_no_mean_on_polished_floors() {
     let scene = &room("", " c\n rd .4\n rs .4 0\n");
     let field = &field(scene);
-    Run { scene, field, max_depth: 3, samples: 200_000 }.assert_equal_means("polished floors", 0.005);
+    Run { scene, field, max_depth: 3, samples: 100_000 }.assert_equal_means("polished floors", 0.008);
 }
 
 #[test]
 fn guides_and_windows_change_no_mean_in_fog() {
     let scene = &room("medium haze =\n c\n cxy .4 .45\n sigma_s .15\n phase hg .4\nmglobal haze\n", " c\n rd .7\n");
     let field = &field(scene);
-    Run { scene, field, max_depth: 4, samples: 120_000 }.assert_equal_means("fog", 0.008);
-}
-
-/// A closed room. The camera sees a place under a table, which only the wall lights. One ball is close to the wall, the other far
-/// from it.
-const TABLE: &str = "\
-camera main =
- origin 0 -1.9 .5
- target 0 0 0
- fov 2
- film 1 1
-m lamp =
- sides 1
- c
- ed 300
-m lamp
-v near =
- p 0 .7 1.2
-sph near .1
-v far =
- p 0 -1.2 1.7
-sph far .1
-m matte =
- sides 2
- c
- rd .7
-m matte
-v t1 =
- p -.4 -.4 .35
-v t2 =
- p .4 -.4 .35
-v t3 =
- p .4 .4 .35
-v t4 =
- p -.4 .4 .35
-f t1 t2 t3 t4
-v b1 =
- p -2 -2 0
-v b2 =
- p 2 -2 0
-v b3 =
- p 2 1 0
-v b4 =
- p -2 1 0
-v c1 =
- p -2 -2 2
-v c2 =
- p 2 -2 2
-v c3 =
- p 2 1 2
-v c4 =
- p -2 1 2
-f b1 b2 b3 b4
-f c1 c2 c3 c4
-f b4 b3 c3 c4
-f b1 b2 c2 c1
-f b1 b4 c4 c1
-f b2 b3 c3 c2
-";
-
-/// Copies of a path leave the wall. All but the first wait until others have weighed the lamps at later vertices.
-#[test]
-fn waiting_branches_weigh_lamps_at_their_own_vertex() {
-    let scene = &prepare(TABLE, "main");
-    let field =
-        &field_toward(scene, [(Vec3A::new(0.0, 0.7, 1.2), 0.005), (Vec3A::new(0.0, 1.0, 0.7), 0.5)], [0.85, 0.0]);
-    Run { scene, field, max_depth: 4, samples: 100_000 }.assert_equal_means("table", 0.008);
+    Run { scene, field, max_depth: 4, samples: 80_000 }.assert_equal_means("fog", 0.01);
 }

@@ -313,3 +313,6 @@ pub fn rarest_paths(candidates: &[PathBins], max_paths: usize) -> Vec<u32> {
     all.sort_unstable();
     all.into_iter().take(max_paths).map(|(_, place)| place).collect()
 }
+
+#[cfg(test)]
+mod exchanges;

@@ -4,4 +4,6 @@ mod dark_layers;
 mod decisions;
 mod features;
 mod layers;
+mod scale;
 mod statistics;
+mod work;

@@ -1,0 +1,291 @@
+//! Light is proportional to the lamps: everything that a field answers scales with them or stays equal. Powers of two only change
+//! exponents, so they are exact.
+
+use crate::layers::scene;
+use femc_film::Rect;
+use femc_geometry::{Hit, Ray};
+use femc_math::Rgb;
+use femc_math::glam::{Vec2, Vec3A};
+use femc_montecarlo::Guidance;
+use femc_pipeline::radiosity::{SolveOptions, solve};
+use femc_pipeline::{
+    Field, Method, Outputs, Prepared, RenderTask, SceneSource, Settings, Side, StopCondition, plan_job, prepare_frame,
+    prepare_world, render_frame,
+};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64};
+
+/// Values of a world: factors of the lamps' emission by channel, and of lengths.
+#[derive(Clone, Copy)]
+struct Factors {
+    light: f64,
+    color: [f64; 3],
+    length: f64,
+}
+
+const ONE: Factors = Factors { light: 1.0, color: [1.0; 3], length: 1.0 };
+
+/// A closed room in which a board hides a panel from most of the room, with a second lamp, a glossy block and thin fog that glows.
+fn text(Factors { light, color: [r, g, b], length }: Factors) -> String {
+    let point = |[x, y, z]: [f64; 3]| format!("{} {} {}", x * length, y * length, z * length);
+    let vertex = |(name, at): (&str, [f64; 3])| format!("v {name} =\n\tp {}\n", point(at));
+    let faces = |corners: &[(&str, [f64; 3])], faces: &str| {
+        let vertices: String = corners.iter().copied().map(vertex).collect();
+        let faces: String = faces.split(',').map(|face| format!("f {face}\n")).collect();
+        vertices + &faces
+    };
+    let room = [
+        ("a", [0.0, 0.0, 0.0]),
+        ("b", [2.0, 0.0, 0.0]),
+        ("c", [2.0, 3.0, 0.0]),
+        ("d", [0.0, 3.0, 0.0]),
+        ("e", [0.0, 0.0, 2.0]),
+        ("f", [2.0, 0.0, 2.0]),
+        ("g", [2.0, 3.0, 2.0]),
+        ("h", [0.0, 3.0, 2.0]),
+    ];
+    let board = [("i", [0.2, 2.0, 0.1]), ("j", [1.5, 2.0, 0.1]), ("k", [1.5, 2.0, 1.9]), ("l", [0.2, 2.0, 1.9])];
+    let panel = [("m", [0.5, 2.4, 1.9]), ("n", [0.5, 2.8, 1.9]), ("o", [1.3, 2.8, 1.9]), ("p", [1.3, 2.4, 1.9])];
+    format!(
+        "camera main =\n\torigin {}\n\ttarget {}\n\tfov 70\n\tfilm 16 12\nmedium haze =\n\tsigma_s {}\n\tsigma_a {}\n\tphase hg .3\n\t\
+         glow {}\nmglobal haze\nm white =\n\tsides 2\n\tc\n\trd .7\nm gloss =\n\tsides 2\n\tc\n\trd .2\n\trs .4 .3\nm lamp =\n\tsides 1\n\t\
+         c\n\tcrgb {r} {g} {b}\n\ted {}\nm bulb =\n\tsides 1\n\tc\n\tcrgb {r} {g} {b}\n\ted {}\nm white\n{}m gloss\n{}m lamp\n{}m bulb\nv u =\n\tp {}\n\
+         sph u {}\nm gloss\nv w =\n\tp {}\nsph w {}\n",
+        point([1.0, 0.2, 1.0]),
+        point([1.0, 2.0, 0.8]),
+        0.05 / length,
+        0.02 / length,
+        0.5 * light / length,
+        400.0 * light,
+        150.0 * light,
+        faces(&room, "a b c d,e h g f,a e f b,d c g h,a d h e,b f g c"),
+        faces(&board, "i j k l"),
+        faces(&panel, "m n o p"),
+        point([1.6, 0.6, 1.5]),
+        0.05 * length,
+        point([0.6, 1.0, 0.4]),
+        0.3 * length,
+    )
+}
+
+fn settings(method: Method) -> Settings {
+    Settings { method, stop: StopCondition::Spp(16), ..Settings::default() }
+}
+
+fn source(factors: Factors) -> SceneSource {
+    SceneSource::new(Arc::new(scene(&text(factors))))
+}
+
+/// Returns the sums of all pixels of an image, by channel.
+fn colors(prepared: &Prepared, settings: &Settings) -> Vec<[f32; 3]> {
+    let [width, height] = prepared.camera.film;
+    let task = RenderTask::new(prepared, settings, Rect { x: 0, y: 0, width, height }, 0..16);
+    let tile = task.render(Outputs::default()).expect("a tile").tile;
+    let mut frame = femc_film::Frame::new(femc_film::Tiling::new(width, height, 64).expect("a tiling"));
+    frame.insert(tile).expect("a whole frame");
+    frame.resolve().color.pixels
+}
+
+/// Everything that a field answers at many places: values proportional to light, and values that the light's scale does not change.
+#[derive(Debug, PartialEq)]
+struct Answers {
+    light: Vec<[f32; 3]>,
+    shape: Vec<f32>,
+}
+
+impl Answers {
+    fn new(prepared: &Prepared, field: &Field, length: f64) -> Self {
+        let (mut light, mut shape) = (Vec::new(), Vec::new());
+        let mut add = |value: Rgb| light.push(value.to_array());
+        for (number, surface) in field.surfaces.iter().enumerate() {
+            for uv in [[0.2, 0.3], [0.6, 0.2], [0.3, 0.6]] {
+                let spot = surface.point_at(Vec2::from(uv));
+                let hit =
+                    Hit { t: 1.0, instance: surface.instance, primitive: surface.primitives[0], u: uv[0], v: uv[1] };
+                add(field.irradiance(&hit, surface.side, spot.position, spot.normal));
+                add(Rgb::splat(field.irradiance_error(&hit, surface.side, spot.position)));
+                let guided = field.guide_at(&hit, surface.side, spot.position);
+                add(guided.map_or(Rgb::ZERO, |guided| guided.light));
+                shape.push(guided.and_then(|guided| guided.lobes).map_or(0.0, |lobes| lobes.1));
+                shape.push(number as f32 + f32::from(u8::from(surface.side == Side::Back)));
+            }
+        }
+        for leaf in &field.leaves {
+            add(leaf.mean_irradiance());
+        }
+        field.errors.iter().for_each(|error| add(Rgb::splat(*error)));
+        for k in 0..40 {
+            let at = |n: i32| (k * n % 37) as f32 / 37.0;
+            let point =
+                Vec3A::new(2.0 * at(7), 3.0 * at(11), 2.0 * at(13)) * length as f32 - prepared.origin.as_vec3a();
+            add(field.fog.mean_radiance(point));
+            add(field.fog.scattered_radiance(point, Vec3A::new(0.6, 0.0, 0.8)));
+        }
+        add(Rgb::splat(Guidance::new(prepared, field).frame_light));
+        for guide in field.guides.by_leaf() {
+            shape.extend([guide.first as f32, guide.count as f32, guide.share]);
+        }
+        for lobe in field.guides.lobes() {
+            let points = [lobe.target, lobe.axes[0], lobe.axes[1]].map(|it| it * (1.0 / length as f32));
+            shape.extend(points.iter().flat_map(|point| point.to_array()));
+            shape.push(lobe.share);
+        }
+        Self { light, shape }
+    }
+
+    /// Checks that all light is another's, times a factor by channel.
+    fn assert_exact(&self, name: &str, one: &Self, factor: [f32; 3]) {
+        assert_eq!(self.shape, one.shape, "{name}: guides");
+        assert_light(name, &self.light, &one.light, factor);
+        assert!(one.light.iter().filter(|light| light[1] > 0.0).count() > 200, "{name}: too dark");
+        assert!(one.shape.iter().filter(|it| **it > 0.0).count() > 200, "{name}: no guides");
+    }
+}
+
+fn assert_light(name: &str, got: &[[f32; 3]], one: &[[f32; 3]], factor: [f32; 3]) {
+    assert_eq!(got.len(), one.len(), "{name}: number of values");
+    for (at, (got, one)) in got.iter().zip(one).enumerate() {
+        let expected = [0, 1, 2].map(|channel| one[channel] * factor[channel]);
+        assert_eq!(*got, expected, "{name}: value {at} is {:?} times", [0, 1, 2].map(|k| got[k] / one[k]));
+    }
+}
+
+fn assert_mean(name: &str, got: &[[f32; 3]], one: &[[f32; 3]], factor: [f32; 3], tolerance: f64) {
+    for channel in 0..3 {
+        let sum = |values: &[[f32; 3]]| values.iter().map(|value| f64::from(value[channel])).sum::<f64>();
+        let ratio = sum(got) / sum(one) / f64::from(factor[channel]);
+        assert!((ratio - 1.0).abs() < tolerance, "{name}, channel {channel}: {ratio}");
+    }
+}
+
+fn options() -> SolveOptions {
+    SolveOptions { error: 0.5, guides: true, ..SolveOptions::default() }
+}
+
+fn solved(prepared: &Prepared) -> (Field, Vec<[f32; 3]>) {
+    let solution = solve(prepared, &options(), &AtomicBool::new(false)).expect("a solution");
+    let direct = solution.direct.iter().map(|leaf| leaf.mean_irradiance().to_array()).collect();
+    (solution.field, direct)
+}
+
+/// The solver itself, with lamps of any brightness.
+#[test]
+fn a_solution_is_proportional_to_the_lamps() {
+    let solution = |factors: Factors| {
+        let prepared = prepare_world(&source(factors), &settings(Method::Femc), 1, None).expect("a frame");
+        let (field, direct) = solved(&prepared);
+        (Answers::new(&prepared, &field, factors.length), direct)
+    };
+    let (one, direct) = solution(ONE);
+    for exponent in [-20, 20] {
+        let factor = f64::from(exponent).exp2();
+        let (got, got_direct) = solution(Factors { light: factor, ..ONE });
+        got.assert_exact(&format!("2^{exponent}"), &one, [factor as f32; 3]);
+        assert_light("direct light", &got_direct, &direct, [factor as f32; 3]);
+    }
+    // Rounding differs, so some decisions do.
+    let (third, _) = solution(Factors { light: 1.0 / 3.0, ..ONE });
+    assert_mean("a third", &third.light, &one.light, [1.0 / 3.0; 3], 0.02);
+}
+
+/// Fields that are solved once and scaled, as frames use them, and the pixels that they guide and light.
+#[test]
+fn a_scaled_field_is_the_field_of_scaled_lamps() {
+    for method in [Method::Femc, Method::Fem, Method::Pt] {
+        let rendered = |factors: Factors| {
+            let prepared = prepare_frame(&source(factors), &settings(method), 1, None).expect("a frame");
+            let answers = prepared.field().map(|field| Answers::new(&prepared, field, factors.length));
+            (answers, colors(&prepared, &settings(method)))
+        };
+        let (one, image) = rendered(ONE);
+        for (light, exact) in [(0.125, true), (1048576.0, true), (1e-6, false), (1.0 / 3.0, false), (1e6, false)] {
+            let name = format!("{method:?}, {light}");
+            let (got, got_image) = rendered(Factors { light, ..ONE });
+            if exact {
+                assert_light(&name, &got_image, &image, [light as f32; 3]);
+            }
+            assert_mean(&name, &got_image, &image, [light as f32; 3], 0.01);
+            assert_eq!(got.is_some(), method != Method::Pt);
+            let Some((got, one)) = got.as_ref().zip(one.as_ref()) else { continue };
+            if exact && method == Method::Femc {
+                got.assert_exact(&name, one, [light as f32; 3]);
+            }
+            assert_mean(&name, &got.light, &one.light, [light as f32; 3], 1e-5);
+        }
+    }
+}
+
+/// The field of the scaled lamps, solved, is the unit field, scaled: [`Field::scaled`] against the solver.
+#[test]
+fn scaling_a_field_is_solving_again() {
+    let world =
+        |light| prepare_world(&source(Factors { light, ..ONE }), &settings(Method::Femc), 1, None).expect("a frame");
+    let (one, four) = (world(1.0), world(4.0));
+    let scaled = solved(&one).0.scaled(4.0);
+    let again = solved(&four).0;
+    let [scaled, again] = [(&one, &scaled), (&four, &again)].map(|(world, field)| Answers::new(world, field, 1.0));
+    assert!(scaled == again, "the scaled field differs from the solved one");
+}
+
+/// Light of one channel alone. Paths depend on the lamps' ratios only, and these are equal.
+#[test]
+fn each_channel_is_proportional_to_its_own_light() {
+    let rendered = |color| {
+        let prepared =
+            prepare_frame(&source(Factors { color, ..ONE }), &settings(Method::Pt), 1, None).expect("a frame");
+        colors(&prepared, &settings(Method::Pt))
+    };
+    let one = rendered([1.0; 3]);
+    for channel in 0..3 {
+        let mut color = [1.0; 3];
+        color[channel] = 4.0;
+        let got = rendered(color);
+        assert_mean(&format!("channel {channel}"), &got, &one, color.map(|it| it as f32), 0.03);
+    }
+}
+
+/// Kilometers for meters: radiance does not depend on the unit of length if the fog's coefficients do.
+#[test]
+fn light_does_not_depend_on_the_unit_of_length() {
+    let image = |length, method| {
+        let prepared = prepare_frame(&source(Factors { length, ..ONE }), &settings(method), 1, None).expect("a frame");
+        colors(&prepared, &settings(method))
+    };
+    for method in [Method::Pt, Method::Femc] {
+        let one = image(1.0, method);
+        for length in [1024.0, 1.0 / 64.0] {
+            assert_mean(&format!("{method:?}, {length}"), &image(length, method), &one, [1.0; 3], 0.01);
+        }
+    }
+}
+
+/// The number of samples of each tile, which an error decides.
+#[test]
+fn samples_do_not_depend_on_the_brightness() {
+    let samples = |light| {
+        let settings = Settings { stop: StopCondition::Error(0.2), ..settings(Method::Pt) };
+        let source = source(Factors { light, ..ONE });
+        let plan = plan_job(source.scene(), &settings, None).expect("a plan");
+        let prepared = prepare_frame(&source, &settings, 1, None).expect("a frame");
+        let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
+        let frame = render_frame(&prepared, &settings, plan.tiling, &plan.rounds, |_| 0.0, &cancel, &progress);
+        let frame = frame.expect("an image");
+        (frame.samples, frame.rays)
+    };
+    let one = samples(1.0);
+    assert!(one.0 > 16 * 12 * 16, "{one:?}");
+    for light in [1.0 / 1048576.0, 1048576.0] {
+        assert_eq!(samples(light), one, "{light}");
+    }
+}
+
+/// A ray of the camera, so that the scene is what the tests take it for.
+#[test]
+fn the_room_is_closed_and_has_light() {
+    let prepared = prepare_world(&source(ONE), &settings(Method::Pt), 1, None).expect("a frame");
+    let origin = Vec3A::new(1.0, 0.2, 1.0) - prepared.origin.as_vec3a();
+    for dir in [Vec3A::X, Vec3A::Y, Vec3A::Z, Vec3A::NEG_X, Vec3A::NEG_Y, Vec3A::NEG_Z] {
+        assert!(prepared.world.intersect(&Ray { origin, dir, t_max: f32::INFINITY, time: 0.0 }).is_some(), "{dir}");
+    }
+    assert!(colors(&prepared, &settings(Method::Pt)).iter().all(|color| color[0] > 0.0));
+}

@@ -228,7 +228,7 @@ pub fn choose_representative_within(
     let mut places: Vec<u32> = (0..candidates.len() as u32).collect();
     let (members, others) = places.split_at_mut(size);
     if !others.is_empty() {
-        exchange(&coarse, members, others, target, check)?;
+        exchange(&coarse, [members, others], target, check, |_, _| ())?;
     }
     members.sort_unstable();
     let chosen = members.to_vec();
@@ -240,12 +240,15 @@ pub fn choose_representative_within(
     Ok(Representative { chosen, distance, weights, effective_size: effective })
 }
 
+/// Exchanges members of a set for other candidates.
+/// - `exchanged`: called after each exchange with the members, and the change of the distance that the exchange is made for, in units
+///   of the residuals.
 fn exchange(
     coarse: &[CoarseBins],
-    members: &mut [u32],
-    others: &mut [u32],
+    [members, others]: [&mut [u32]; 2],
     target: &Target,
     check: &mut CancelCheck<'_>,
+    mut exchanged: impl FnMut(&[u32], i32),
 ) -> Result<(), Cancelled> {
     let mut residuals = Residuals::new(target, members.len());
     let coarse = |place: u32| &coarse[place as usize];
@@ -260,10 +263,12 @@ fn exchange(
         let (lost, removed) = best(members, &residuals.if_removed);
         let (won, added) = best(others, &residuals.if_added);
         let (out, new) = (coarse(members[removed]), coarse(others[added]));
-        if lost + won - residuals.shared_correction(out, new) < 0 {
+        let change = lost + won - residuals.shared_correction(out, new);
+        if change < 0 {
             residuals.add(out, -1);
             residuals.add(new, 1);
             std::mem::swap(&mut members[removed], &mut others[added]);
+            exchanged(members, change);
         }
     }
     Ok(())

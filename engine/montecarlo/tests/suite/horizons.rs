@@ -255,6 +255,25 @@ fn a_panel_that_turns_away_darkens_as_known() {
     }
 }
 
+/// Rows of upright panels, more than are weighed one by one. All face along -x, so that only those beyond the floor light it, and a
+/// group's middle may face away although some of its panels do not.
+#[test]
+fn panels_of_a_group_that_faces_away_light_a_floor_as_known() {
+    let (mut text, mut factor) = (String::new(), 0.0);
+    for k in 0..150 {
+        let (x, z) = (f64::from(k % 30) * 0.05 - 1.0, 0.2 + 0.15 * f64::from(k / 30));
+        let corners = [[0.45, z], [0.5, z], [0.5, z + 0.05], [0.45, z + 0.05]].map(|[y, z]| DVec3::new(x, y, z));
+        for (name, corner) in "abcd".chars().zip(corners) {
+            text += &format!("v {name} =\n p {} {} {}\n", corner.x, corner.y, corner.z);
+        }
+        text += "f d c b a\n";
+        factor += if x > 0.0 { polygon_form_factor(&corners).abs() } else { 0.0 };
+    }
+    let lit = scene(&text, Others::Nothing, MATTE, "");
+    assert_eq!(lit.lights.len(), 150);
+    assert_light("rows of panels", &lit, 0.5 * factor);
+}
+
 /// A point-like ball at small angles above and below the horizon.
 #[test]
 fn small_lamps_near_the_horizon_light_a_floor_as_known() {

@@ -3,6 +3,7 @@
 mod dark_layers;
 mod decisions;
 mod features;
+mod horizons;
 mod layers;
 mod scale;
 mod statistics;

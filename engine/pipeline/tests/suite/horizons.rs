@@ -64,7 +64,7 @@ fn solved(lamp: &str, [x0, x1, y0, y1]: Floor) -> f64 {
     );
     let source = SceneSource::new(Arc::new(scene(&text)));
     let world = prepare_world(&source, &Settings::default(), 1, None).expect("a frame");
-    let options = SolveOptions { error: 0.05, ..SolveOptions::default() };
+    let options = SolveOptions { error: 0.1, ..SolveOptions::default() };
     let solution = solve(&world, &options, &AtomicBool::new(false)).expect("a solution");
     let field = &solution.field;
     let is_floor = |number: &usize| {
@@ -94,23 +94,26 @@ fn mean(floor: Floor, form_factor: impl Fn(DVec3) -> f64) -> f64 {
     sum / f64::from(STEPS * STEPS)
 }
 
-/// Compares the light of a lamp at several heights. The tolerance is a share of the light and a small share of the light of a lamp
-/// that stands just above the horizon.
+/// Compares the light of a lamp at several heights, the greatest first. The tolerance is a share of the light, and a small share of
+/// the light at the first height. The light at the last height but one, below the horizon, is much more.
 fn assert_sweep(name: &str, heights: &[f64], lamp: impl Fn(f64) -> String, form_factor: impl Fn(f64, DVec3) -> f64) {
     for (size, floor) in [("small", SMALL), ("large", LARGE)] {
+        let known = |z: f64| EMITTANCE * mean(floor, |point| form_factor(z, point));
+        let most = known(heights[0]);
         for &z in heights {
-            let known = EMITTANCE * mean(floor, |point| form_factor(z, point));
-            let got = solved(&lamp(z), floor);
-            println!("{name}, {size} floor, height {z}: {got:.5} for {known:.5}: {:.4}", got / known);
-            let _ = known;
+            let (got, known) = (solved(&lamp(z), floor), known(z));
+            let what = format!("{name}, {size} floor, height {z}: {got} for {known}, {most} above");
+            assert!((got - known).abs() <= 0.05 * known + 0.01 * most, "{what}");
         }
+        let below = known(heights[heights.len() - 2]);
+        assert!(below > 4.0 * (0.05 * below + 0.01 * most), "{name}: the limit would not see that light is missing");
     }
 }
 
 #[test]
 fn first_pass_has_the_light_of_balls_across_the_horizon() {
     for radius in [0.4, 0.1] {
-        let heights = [1.5, 0.999, 0.7, 0.3, 0.02, 0.0, -0.02, -0.3, -0.6, -0.9].map(|height| height * radius);
+        let heights = [0.999, 0.3, 0.02, -0.02, -0.3, -0.7].map(|height| height * radius);
         let lamp = |z: f64| format!("v l =\n\tp 1 .2 {z}\nsph l {radius}\n");
         let known = |z: f64, point: DVec3| ball_form_factor((DVec3::new(1.0, 0.2, z) - point) / radius);
         assert_sweep(&format!("ball of {radius}"), &heights, lamp, known);
@@ -129,7 +132,7 @@ fn first_pass_has_the_light_of_panels_and_discs_across_the_horizon() {
             .collect();
         format!("{vertices}f d c b a\n")
     };
-    let heights = [0.6, 0.5, 0.2, 0.0, -0.1, -0.3, -0.45];
+    let heights = [0.5, 0.2, 0.0, -0.01, -0.1, -0.3];
     assert_sweep("panel", &heights, lamp, |z, point| {
         polygon_form_factor(&panel(z).map(|corner| DVec3::from(corner) - point))
     });

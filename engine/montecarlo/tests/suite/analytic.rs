@@ -35,6 +35,11 @@ impl PixelFilter for Square {
 pub(crate) const CENTER: Square = Square(1e-4);
 const PIXEL: Square = Square(1.0);
 
+/// Returns the length of a vector of two independent errors.
+pub(crate) fn root_of_squares([a, b]: [f64; 2]) -> f64 {
+    (a * a + b * b).sqrt()
+}
+
 pub(crate) fn prepare(text: &str, camera: &str) -> Prepared {
     let files = [("test.mgf".to_owned(), text.as_bytes().to_vec())];
     let scene = load_scene(&Bundle(files.into()), "test.mgf").unwrap_or_else(|error| panic!("{error}")).scene;

@@ -3,7 +3,7 @@
 //!
 //! Each lamp is swept through the horizon, alone, beside a few other lamps, and among more lamps than are weighed one by one.
 
-use crate::analytic::{CENTER, prepare};
+use crate::analytic::{CENTER, prepare, root_of_squares};
 use femc_math::color::luminance;
 use femc_math::elementary::double::{acos, atan, sin_cos};
 use femc_math::glam::DVec3;
@@ -146,7 +146,7 @@ fn assert_light(name: &str, scene: &Prepared, expected: f64) {
         }
         let moments = moments(scene, technique);
         let (mean, error) = (moments.mean / UNIT, moments.standard_error() / UNIT);
-        let p = z_test(mean, error.hypot(CUBATURE_ERROR * expected / 3.0), expected);
+        let p = z_test(mean, root_of_squares([error, CUBATURE_ERROR * expected / 3.0]), expected);
         let what = format!("{name}, {technique:?}: {mean} +- {error} for {expected}");
         assert!((mean - expected).abs() <= 1e-5 * expected + 1e-9 || p >= sidak(LEVEL, TESTS), "{what}");
         // Light that is missing altogether would be seen.
@@ -325,7 +325,7 @@ fn lamps_across_the_horizon_light_a_glossy_floor_by_each_technique() {
             let [lamps, scattered, all] =
                 [Some(MisTechnique::Light), Some(MisTechnique::Scatter), None].map(|only| moments(&lit, only));
             for other in [lamps, all] {
-                let error = other.standard_error().hypot(scattered.standard_error());
+                let error = root_of_squares([other, scattered].map(|it| it.standard_error()));
                 let p = z_test(other.mean, error, scattered.mean);
                 let what = format!("{z}, {others:?}: {other:?} for {scattered:?}: {p}");
                 let is_exact = 20.0 * other.standard_error() < other.mean;

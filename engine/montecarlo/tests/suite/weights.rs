@@ -4,7 +4,7 @@
 //! guides sample nearly all directions toward a lamp, or toward nothing, and their light splits paths at each wall. So a weight that
 //! ignores them is wrong by much more than the errors of the means.
 
-use crate::analytic::{CENTER, prepare};
+use crate::analytic::{CENTER, prepare, root_of_squares};
 use femc_field::{Cell, Field, Form, Guide, Guides, Leaf, Lobe, Outline, Side, Split, Surface};
 use femc_geometry::Ray;
 use femc_math::Rgb;
@@ -158,7 +158,7 @@ impl Run<'_> {
         for (at, (guided, technique)) in (0..).zip(runs) {
             let got = self.moments(guided, technique, at << 32);
             for (channel, (got, reference)) in got.iter().zip(&reference).enumerate() {
-                let error = got.standard_error().hypot(reference.standard_error());
+                let error = root_of_squares([got, reference].map(|it| it.standard_error()));
                 let ratio = got.mean / reference.mean;
                 let p = z_test(got.mean, error, reference.mean);
                 let relative = error / reference.mean;

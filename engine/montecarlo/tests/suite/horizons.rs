@@ -318,7 +318,7 @@ fn lamps_across_the_horizon_of_a_shading_normal_light_as_known() {
 
 /// Glossy floors: lamps chosen by the BSDF's lobes against scattering alone, which chooses no lamp.
 #[test]
-fn lamps_across_the_horizon_light_a_glossy_floor_by_each_technique() {
+fn lamps_across_the_horizon_light_a_glossy_floor() {
     for others in [Others::Two, Others::Many] {
         for z in [0.3, 0.0, -0.15, -0.3] {
             let lit = scene(&format!("v l =\n p .2 .9 {z}\nsph l .4\n"), others, " c\n rd .2\n rs .6 .4\n", "");

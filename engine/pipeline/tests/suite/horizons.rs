@@ -51,12 +51,12 @@ fn polygon_form_factor(corners: &[DVec3]) -> f64 {
 }
 
 /// A floor at height 0: its least and greatest x and y.
-type Floor = [f64; 4];
-const SMALL: Floor = [-0.05, 0.05, -0.05, 0.05];
-const LARGE: Floor = [-1.0, 0.45, -0.6, 0.8];
+type Rectangle = [f64; 4];
+const SMALL: Rectangle = [-0.05, 0.05, -0.05, 0.05];
+const LARGE: Rectangle = [-1.0, 0.45, -0.6, 0.8];
 
 /// Returns the mean irradiance of a floor by the first pass, lx.
-fn solved(lamp: &str, [x0, x1, y0, y1]: Floor) -> f64 {
+fn solved(lamp: &str, [x0, x1, y0, y1]: Rectangle) -> f64 {
     let text = format!(
         "camera main =\n\torigin 0 -3 1\n\ttarget 0 0 0\n\tfov 40\n\tfilm 8 8\nm lamp =\n\tsides 1\n\tc\n\ted {EMITTANCE}\nm floor =\n\
          \tsides 2\n\tc\n\trd .5\nm lamp\n{lamp}m floor\nv e =\n\tp {x0} {y0} 0\nv f =\n\tp {x1} {y0} 0\nv g =\n\tp {x1} {y1} 0\nv h =\n\
@@ -84,7 +84,7 @@ fn solved(lamp: &str, [x0, x1, y0, y1]: Floor) -> f64 {
 }
 
 /// Returns the mean of a form factor over a floor.
-fn mean(floor: Floor, form_factor: impl Fn(DVec3) -> f64) -> f64 {
+fn mean(floor: Rectangle, form_factor: impl Fn(DVec3) -> f64) -> f64 {
     const STEPS: u32 = 24;
     let [x0, x1, y0, y1] = floor;
     let at = |k: u32| (f64::from(k) + 0.5) / f64::from(STEPS);
@@ -119,7 +119,7 @@ fn first_pass_has_the_light_of_balls_across_the_horizon() {
 }
 
 #[test]
-fn first_pass_has_the_light_of_panels_and_discs_across_the_horizon() {
+fn first_pass_has_panels_and_discs_across_the_horizon() {
     let panel = |z: f64| [[0.6, -0.4, z - 0.5], [0.6, 0.4, z - 0.5], [0.8, 0.4, z + 0.5], [0.8, -0.4, z + 0.5]];
     let lamp = |z: f64| {
         let corners = panel(z);

@@ -1,4 +1,4 @@
-//! Law of the feed: every listener knows the farm, whoever else listens.
+//! Law of the feed: every listener knows the farm, with any other listeners.
 //!
 //! Each listener of a random schedule applies the events to its own small model, as `docs/http.md` says. The farm under the feed is
 //! the same kind of model, so both sides are compared without the code of the feed.

@@ -310,11 +310,12 @@ impl<'a> Trial<'a> {
             }
             Ok(None)
         };
-        let killer = if self.group.has_worlds() && self.baseline.get(SIMULATION_KEY) < self.baseline.get(&mutant.package) {
-            by_worlds()?.map_or_else(by_tests, |killer| Ok(Some(killer)))?
-        } else {
-            by_tests()?.map_or_else(by_worlds, |killer| Ok(Some(killer)))?
-        };
+        let killer =
+            if self.group.has_worlds() && self.baseline.get(SIMULATION_KEY) < self.baseline.get(&mutant.package) {
+                by_worlds()?.map_or_else(by_tests, |killer| Ok(Some(killer)))?
+            } else {
+                by_tests()?.map_or_else(by_worlds, |killer| Ok(Some(killer)))?
+            };
         Ok(killer.map_or_else(|| "survived".into(), |killer| format!("killed by {killer}")))
     }
 

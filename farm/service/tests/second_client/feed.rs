@@ -409,7 +409,7 @@ impl Schedule {
 }
 
 #[tokio::test(start_paused = true)]
-async fn every_listener_knows_the_farm_whoever_else_listens() {
+async fn every_listener_knows_the_farm_beside_any_others() {
     let mut counts = [0; 5];
     for seed in 0..400 {
         eprintln!("seed {seed}");

@@ -347,15 +347,12 @@ impl Parser<'_> {
             _ => None,
         };
         if !self.accept('>') {
-            let advice = match self.peek() {
-                Some(found) if found.is_alphanumeric() && type_of(found).is_none() => {
-                    let is_word =
-                        self.chars.get(self.at + 1).is_some_and(|next| next.is_alphanumeric() || *next == '.');
-                    if is_word { Some(BARE_LABEL) } else { dialect::advice(found) }
-                }
-                Some(found) => dialect::advice(found),
-                None => None,
-            };
+            let advice = self.peek().and_then(|found| {
+                let next = self.chars.get(self.at + 1);
+                let is_word =
+                    found.is_alphanumeric() && next.is_some_and(|next| next.is_alphanumeric() || *next == '.');
+                if is_word { Some(BARE_LABEL) } else { dialect::advice(found) }
+            });
             let plain = if labels.is_some() { "`>`" } else { "a label in quotes, or `>`" };
             return Err(self.expected(advice.unwrap_or(plain)));
         }

@@ -29,6 +29,9 @@ pub struct RunArgs {
     /// mutants/GROUP-SOURCES under the target directory]
     #[arg(long, value_name = "FILE")]
     verdicts: Option<PathBuf>,
+    /// Run only mutants whose line in the list contains this text, such as the name of a file
+    #[arg(long, value_name = "TEXT")]
+    only: Option<String>,
     /// Run surviving mutants again
     #[arg(long)]
     again: bool,
@@ -57,6 +60,8 @@ pub fn run(root: &Path, list: &Path, args: &RunArgs) -> anyhow::Result<()> {
         list::list_mutants(&tree, group)?.into_iter().map(|mutant| (mutant.key.clone(), mutant)).collect();
     let mutants: Vec<(usize, Mutant)> = (1..).zip(&keys).filter_map(|(n, key)| Some((n, all.remove(key)?))).collect();
     let gone = keys.len() - mutants.len();
+    let wanted = |mutant: &Mutant| args.only.as_ref().is_none_or(|text| mutant.key.contains(text));
+    let mutants: Vec<(usize, Mutant)> = mutants.into_iter().filter(|(_, mutant)| wanted(mutant)).collect();
     let path = args.verdicts.clone().unwrap_or_else(|| home.join(format!("{}-{}", group.name, &sources[..12])));
     let origin = format!("# sources {sources}, {} worlds", if group.has_worlds() { args.seeds } else { 0 });
     let mut verdicts = read(&path, &origin)?;

@@ -3,6 +3,7 @@
 
 mod dialect;
 mod generated;
+mod limits;
 mod meaning;
 mod tables;
 

@@ -52,7 +52,7 @@ fn an_automaton_of_thousands_of_states_is_accepted() {
 }
 
 #[test]
-fn a_backslash_is_a_character_unless_a_quote_or_a_backslash_follows() {
+fn a_backslash_before_a_letter_is_a_character() {
     for (text, label) in [(r"C'a\b'L", r"a\b"), (r"C'a\'b'L", "a'b"), (r"C'a\\b'L", r"a\b"), (r"C'\a\'L'L", r"\a'L")] {
         let expression = Expression::parse(text).unwrap_or_else(|error| panic!("{text}: {error}"));
         assert_eq!(expression.events()[1].labels().collect::<Vec<_>>(), [label], "{text}");

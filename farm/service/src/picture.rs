@@ -207,3 +207,23 @@ fn tag(outputs: &[Output], kind: PictureKind) -> String {
     bytes.extend(format!("{kind:?}").bytes());
     Digest::compute(&bytes).to_string()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn latest_thumbnails_are_kept_up_to_16_mebibytes() {
+        let pictures = Pictures::new(None, Store::in_memory());
+        let tags: Vec<String> = (0..6).map(|number| format!("tag {number}")).collect();
+        let keep = |tag: &String| {
+            pictures.cache_thumbnail(Picture { tag: tag.clone(), bytes: Bytes::from(vec![7; 4 << 20]) });
+        };
+        let kept = || tags.iter().filter(|tag| pictures.cached_thumbnail(tag).is_some()).collect::<Vec<_>>();
+        tags[..4].iter().for_each(keep);
+        assert_eq!(kept(), tags[..4].iter().collect::<Vec<_>>());
+        tags[4..].iter().for_each(keep);
+        assert_eq!(kept(), tags[2..].iter().collect::<Vec<_>>());
+        assert!(pictures.cached_thumbnail("tag").is_none());
+    }
+}

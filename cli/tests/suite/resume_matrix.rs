@@ -117,7 +117,7 @@ const SWEEP: Matrix = Matrix {
         "--root",
         "--time",
     ],
-    begun: "ed=100/room.0001.exr",
+    begun: "ed=100/room.0002.exr",
 };
 
 const STYLIZE: Matrix = Matrix {

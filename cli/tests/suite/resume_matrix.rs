@@ -117,7 +117,7 @@ const SWEEP: Matrix = Matrix {
         "--root",
         "--time",
     ],
-    begun: "ed=100/room.0002.exr",
+    begun: "ed=100/room.0001.exr",
 };
 
 const STYLIZE: Matrix = Matrix {
@@ -272,7 +272,7 @@ fn check(matrix: &Matrix) {
     let name = check_arguments(&dir, matrix);
     let cut = AtomicUsize::new(0);
     for_each_case(matrix, |number, case| {
-        let is_cut = check_case(&dir, matrix, number, case);
+        let is_cut = check_case(&dir, matrix, number, case, FirstRun::BrokenOff);
         cut.fetch_add(usize::from(is_cut), Ordering::Relaxed);
     });
     let cut = cut.into_inner();
@@ -280,9 +280,16 @@ fn check(matrix: &Matrix) {
     assert!(2 * cut > matrix.cases.len(), "most runs end before they are broken off");
 }
 
+/// End of the run before the one that continues.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum FirstRun {
+    BrokenOff,
+    Complete,
+}
+
 /// Checks a case in folders with its number. Returns whether the first run was broken off before its end.
-fn check_case(dir: &TestFolder, matrix: &Matrix, number: usize, case: &Case) -> bool {
-    let [broken, fresh] = ["broken", "fresh"].map(|run| format!("{run}-{number}"));
+fn check_case(dir: &TestFolder, matrix: &Matrix, number: usize, case: &Case, first_run: FirstRun) -> bool {
+    let [broken, fresh] = ["broken", "fresh"].map(|run| format!("{run}-{number}-{first_run:?}"));
     // A file of all frames goes into the folder of the run.
     let places = |words: &str, folder: &str| {
         words.replace("clip.png", &format!("{folder}/clip.png")).replace("sheet.png", &format!("{folder}/sheet.png"))
@@ -297,14 +304,17 @@ fn check_case(dir: &TestFolder, matrix: &Matrix, number: usize, case: &Case) -> 
     while run.is_running() && !dir.path(&begun).exists() {
         std::thread::sleep(Duration::from_millis(1));
     }
-    let is_cut = run.is_running() && run.kill();
+    let is_cut = match first_run {
+        FirstRun::BrokenOff => run.is_running() && run.kill(),
+        FirstRun::Complete => run.end().code().is_none(),
+    };
     dir.run(&line(matrix, case, &places(case.second, &broken), &out(&broken))).exits(0);
     dir.run(&line(matrix, case, &places(case.second, &fresh), &out(&fresh))).exits(0);
     let [found, expected] = [&broken, &fresh].map(|folder| results(&dir.path(folder)));
     assert!(!expected.is_empty(), "{}: no results", case.argument);
     for (file, hash) in expected {
         let Case { argument, first, second, .. } = case;
-        assert_eq!(found.get(&file), Some(&hash), "{argument}: {file} after `{first}`, broken off, and `{second}`");
+        assert_eq!(found.get(&file), Some(&hash), "{argument}: {file} after `{first}`, {first_run:?}, and `{second}`");
     }
     is_cut
 }
@@ -317,6 +327,12 @@ fn a_render_goes_on_only_with_the_same_arguments() {
 #[test]
 fn a_sweep_goes_on_only_with_the_same_arguments() {
     check(&SWEEP);
+    // A sweep notes its frames from time to time, and at its end.
+    let dir = test_folder();
+    for_each_case(&SWEEP, |number, case| {
+        let is_cut = check_case(&dir, &SWEEP, number, case, FirstRun::Complete);
+        assert!(!is_cut, "{}", case.argument);
+    });
 }
 
 #[test]

@@ -2,7 +2,8 @@
 //! run with these.
 //!
 //! For each argument that decides results, a run with its first value is broken off and continued with its second value. A fresh run
-//! with the second value must have the same files. The arguments come from `femc COMMAND --help`, so each new argument must be
+//! with the second value must have the same files. A sweep also continues after a complete first run, and a bench refuses to continue
+//! or has the measurements of a fresh one. The arguments come from `femc COMMAND --help`, so each new argument must be
 //! added to a table here. Likewise, a worker that renders jobs with both values in turn has the results of a worker for each.
 
 use crate::common::{FOG, TestFolder, file_names, start_coordinator};
@@ -306,7 +307,10 @@ fn check_case(dir: &TestFolder, matrix: &Matrix, number: usize, case: &Case, fir
     }
     let is_cut = match first_run {
         FirstRun::BrokenOff => run.is_running() && run.kill(),
-        FirstRun::Complete => run.end().code().is_none(),
+        FirstRun::Complete => {
+            run.end().exits(0);
+            false
+        }
     };
     dir.run(&line(matrix, case, &places(case.second, &broken), &out(&broken))).exits(0);
     dir.run(&line(matrix, case, &places(case.second, &fresh), &out(&fresh))).exits(0);
@@ -330,8 +334,7 @@ fn a_sweep_goes_on_only_with_the_same_arguments() {
     // A sweep notes its frames from time to time, and at its end.
     let dir = test_folder();
     for_each_case(&SWEEP, |number, case| {
-        let is_cut = check_case(&dir, &SWEEP, number, case, FirstRun::Complete);
-        assert!(!is_cut, "{}", case.argument);
+        check_case(&dir, &SWEEP, number, case, FirstRun::Complete);
     });
 }
 

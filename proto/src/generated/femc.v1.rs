@@ -303,8 +303,8 @@ pub struct SubmitRequest {
     /// Job to run.
     #[prost(message, optional, tag = "1")]
     pub job: ::core::option::Option<JobSpec>,
-    /// Any text. A second submission with the same key returns the same job, so that a call without an answer can be repeated. If the
-    /// results of its specification would differ from those of the job, it is refused.
+    /// Any text. A second submission with the same key returns the same job, so that a call without an answer can be repeated. The
+    /// coordinator refuses a submission with the key of a job whose specification gives other results.
     /// Absent: each submission is a separate job.
     #[prost(string, optional, tag = "2")]
     pub key: ::core::option::Option<::prost::alloc::string::String>,

@@ -375,7 +375,8 @@ fn passes(command: &mut Command, number: usize, most: Duration) -> anyhow::Resul
 type Verdicts = BTreeMap<String, String>;
 
 /// Reads verdicts.
-/// - `origin`: sources and tests of the verdicts; those of others are an error.
+/// - `origin`: first line of the file, with the identity of the sources and the number of worlds. A file with another first line is
+///   an error.
 fn read(path: &Path, origin: &str) -> anyhow::Result<Verdicts> {
     let text = if path.exists() { fs::read_to_string(path)? } else { origin.to_owned() };
     let first = text.lines().next().unwrap_or_default();

@@ -267,7 +267,7 @@ impl Machine {
         !self.after(&self.with_empty_steps([self.start]), (EventKind::Camera, &[])).is_empty()
     }
 
-    /// Returns the number of segments of the shortest path of possible events, of which the last and no other is a source.
+    /// Returns the number of segments of the shortest path of possible events. The last event is a source, and no other event is.
     pub(crate) fn shortest(&self, is_possible: impl Fn(&Tree, EventKind) -> bool) -> Option<usize> {
         let begin = self.after(&self.with_empty_steps([self.start]), (EventKind::Camera, &[]));
         let mut known: BTreeSet<usize> = begin.clone();

@@ -341,7 +341,7 @@ fn distances_and_weights_of_a_set_equal_their_formulas() {
         assert!((own.single - expected[0]).abs() < 1e-9 && (own.joint - expected[1]).abs() < 1e-9, "{own:?}");
     }
     assert!(expected[0] < distance(&all[..30])[0], "exchanges bring the set nearer");
-    // Raking: ten rounds over the attributes, each of which scales the weights of a bin to its share of all paths.
+    // Raking takes ten rounds over the attributes. Each round scales the weights in a bin until the bin has its share of all paths.
     let mut weights = vec![1.0; set.len()];
     for axis in (0..10).flat_map(|_| 0..table.len()) {
         let before = weights.clone();

@@ -389,7 +389,7 @@ impl LightViews {
                                 parts.push(bytes);
                                 digests.push(digest);
                             }
-                            // The data are not those of the whole tag.
+                            // A part is missing, so the data get a tag of their own.
                             None => tag = Digest::compute(format!("{tag} without {digest}").as_bytes()).to_string(),
                         }
                     }

@@ -63,7 +63,7 @@ fn names_in_queries(text: &str) -> impl Iterator<Item = String> {
         .into_iter()
 }
 
-/// Returns the parameters of each question about light, and those of all under `all`.
+/// Returns the parameters of each question about light. The entry `all` has the parameters that every question takes.
 fn light_parameters(page: &str) -> BTreeMap<String, BTreeSet<String>> {
     /// Words in the column of parameters that are values.
     const VALUES: [&str; 4] = ["all", "brightest", "samples", "image"];

@@ -56,7 +56,8 @@ impl Identities {
     fn new() -> Self {
         let folder = tempfile::tempdir().expect("a folder");
         let authority = Authority::init(folder.path(), "farm").expect("an authority");
-        let mut callers = vec![Caller { name: "nobody", role: "", authorization: "Bearer x".into() }];
+        let mut callers =
+            vec![Caller { name: "a caller without identity", role: "", authorization: "Bearer x".into() }];
         for (name, role) in [
             ("vera", "viewer"),
             ("ann", "submitter"),

@@ -22,7 +22,7 @@ pub(crate) fn object(text: &str) -> Name {
     Name::new(NameKind::Object, text)
 }
 
-/// Objects, of which nine lie in `room`. The others only look alike.
+/// Objects. The first nine are `room` and objects in it. The names of most others are similar.
 pub(crate) const OBJECTS: [&str; 14] = [
     "room",
     "room.floor",

@@ -119,3 +119,68 @@ impl<'a> DirectionSampler<'a> {
         Some(GuidedSample { sample, pdf_ratio, is_guide_sample: by_guide })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use femc_field::Lobe;
+    use femc_scattering::MaterialParameters;
+
+    /// Samples directions of a material with and without a guide, whose lobes are on both sides of the surface.
+    fn samples(
+        parameters: &MaterialParameters,
+        share: f32,
+        check: impl Fn(GuidedSample, Vec3A, &DirectionSampler<'_>),
+    ) {
+        let bsdf = Bsdf::from_parameters(parameters);
+        let frame = Frame::from_normal(Vec3A::new(0.48, 0.6, 0.64));
+        let wo = Vec3A::new(0.8, 0.0, 0.6);
+        let lobe = |dir: Vec3A| Lobe::round(dir * 3.0, dir, 0.5, 0.45);
+        let (above, below) = (frame.to_world(Vec3A::new(0.2, 0.9, 0.1).normalize()), frame.to_world(Vec3A::NEG_Z));
+        let block = Block::new(&[lobe(above), lobe(below)]);
+        let directions = Directions::new(&block, Vec3A::ZERO);
+        let mut sampler = DirectionSampler::new(&bsdf, &frame, wo);
+        sampler.add_guide(&directions, share);
+        let grid = 24;
+        let center = |at: u16| (f32::from(at) + 0.5) / f32::from(grid);
+        for x in 0..grid {
+            for y in 0..grid {
+                if let Some(sample) = sampler.sample([center(x), center(y)], center(x * 7 % grid)) {
+                    check(sample, wo, &sampler);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_guided_sample_says_on_which_side_it_is() {
+        let sheet = MaterialParameters { rd: Rgb::splat(0.3), td: Rgb::splat(0.4), ..Default::default() };
+        let counts = [(); 4].map(|()| std::cell::Cell::new(0));
+        samples(&sheet, 0.6, |GuidedSample { sample, is_guide_sample, .. }, wo, sampler| {
+            let is_behind = (sample.wi.z < 0.0) != (wo.z < 0.0);
+            assert_eq!(sample.transmitted == Transmitted::Yes, is_behind, "{sample:?}");
+            let density = sampler.pdf(sample.wi, sampler.frame.to_world(sample.wi));
+            assert!((sample.pdf / density - 1.0).abs() < 1e-4, "{sample:?} {density}");
+            let count = &counts[usize::from(is_behind) + 2 * usize::from(is_guide_sample)];
+            count.set(count.get() + 1);
+        });
+        assert!(counts.iter().all(|count| count.get() > 20), "{counts:?}");
+    }
+
+    #[test]
+    fn a_mirrored_sample_has_the_probability_of_its_choice() {
+        let polished = MaterialParameters { rd: Rgb::splat(0.3), rs: Rgb::splat(0.4), ..Default::default() };
+        let (mirrored, share) = (std::cell::Cell::new(0), 0.75);
+        samples(&polished, share, |GuidedSample { sample, pdf_ratio, is_guide_sample }, wo, _| {
+            if sample.lobe != LobeKind::Delta {
+                return;
+            }
+            mirrored.set(mirrored.get() + 1);
+            assert!(sample.wi.abs_diff_eq(Vec3A::new(-wo.x, -wo.y, wo.z), 1e-6) && !is_guide_sample, "{sample:?}");
+            // The reflectance is what the weight leaves of the light, times the probability.
+            assert!((sample.weight * sample.pdf).abs_diff_eq(Rgb::splat(0.4), 1e-5), "{sample:?}");
+            assert_eq!(pdf_ratio, 1.0 - share);
+        });
+        assert!(mirrored.get() > 20, "{mirrored:?}");
+    }
+}

@@ -2,10 +2,11 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, OpenOptions};
-use std::io::Write as _;
+use std::io::{BufRead as _, BufReader, Write as _};
+use std::os::unix::process::CommandExt as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
-use std::sync::Mutex;
+use std::sync::{Mutex, mpsc};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, bail, ensure};
@@ -334,13 +335,27 @@ impl<'a> Trial<'a> {
         let Some((_, folder)) = self.group.crates.iter().find(|(name, _)| *name == package) else { return Ok(None) };
         let begun = Instant::now();
         for test in self.built.tests.get(package).into_iter().flatten() {
-            let mut command = Command::new(test);
-            command.arg("--quiet").args(self.group.test_arguments()).current_dir(self.tree.join(folder));
+            let run = |arguments: &[&str]| {
+                let mut command = Command::new(test);
+                command.args(arguments).current_dir(self.tree.join(folder));
+                run_until_failure(&mut command, number, most.saturating_sub(begun.elapsed()))
+            };
+            let program = test.file_name().unwrap_or_default().to_string_lossy();
+            let program = program.rsplit_once('-').map_or(&*program, |(name, _)| name).to_owned();
             // On a busy machine, a test may fail for lack of time, so a test must fail twice. A test that hangs is not repeated.
-            let mut passes = || passes(&mut command, number, most.saturating_sub(begun.elapsed()));
-            if !passes()? && (begun.elapsed() >= most || !passes()?) {
-                let name = test.file_name().unwrap_or_default().to_string_lossy();
-                return Ok(Some(name.rsplit_once('-').map_or(&*name, |(name, _)| name).to_owned()));
+            match run(self.group.test_arguments())? {
+                Outcome::Passed => {}
+                Outcome::Failed(Some(test)) => {
+                    if run(&[&test, "--exact"])? != Outcome::Passed {
+                        return Ok(Some(format!("{program} {test}")));
+                    }
+                    // The failure ended the run, so the other tests have not run yet.
+                    if run(self.group.test_arguments())? != Outcome::Passed {
+                        return Ok(Some(program));
+                    }
+                }
+                Outcome::Failed(None) if run(self.group.test_arguments())? == Outcome::Passed => {}
+                Outcome::Failed(None) | Outcome::TimedOut => return Ok(Some(program)),
             }
         }
         Ok(None)
@@ -349,27 +364,62 @@ impl<'a> Trial<'a> {
     fn worlds_pass(&self, number: usize, most: Duration) -> anyhow::Result<bool> {
         let mut command = Command::new(&self.built.simulation);
         command.args(["--processes", "1", "--twice-each", "0", "--seeds", &self.seeds.to_string()]);
-        passes(&mut command, number, most)
+        Ok(run_until_failure(&mut command, number, most)? == Outcome::Passed)
     }
 }
 
-/// Runs a command. Returns whether it succeeded within the time limit.
-fn passes(command: &mut Command, number: usize, most: Duration) -> anyhow::Result<bool> {
+/// Result of a run of tests.
+#[derive(Debug, PartialEq)]
+enum Outcome {
+    Passed,
+    /// The first test that failed, if the output names one.
+    Failed(Option<String>),
+    TimedOut,
+}
+
+/// Runs a command until it ends, until its output names a failed test, or until the time limit.
+fn run_until_failure(command: &mut Command, number: usize, most: Duration) -> anyhow::Result<Outcome> {
     command.env("FEMC_MUTANT", number.to_string()).env("PROPTEST_MAX_SHRINK_ITERS", "0");
-    let mut child = command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn()?;
+    // Tests start processes. All are in one process group, so that none outlives the run.
+    command.process_group(0).stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::null());
+    let mut child = command.spawn()?;
+    let output = child.stdout.take().context("no output")?;
+    let (sender, failures) = mpsc::channel();
+    // This thread ends when the last process of the group has closed the output.
+    std::thread::spawn(move || {
+        let lines = BufReader::new(output).lines().map_while(Result::ok);
+        lines.filter_map(|line| failed_test(&line)).for_each(|test| _ = sender.send(test));
+    });
     let begun = Instant::now();
-    loop {
+    let outcome = loop {
+        if let Ok(test) = failures.try_recv() {
+            break Outcome::Failed(Some(test));
+        }
         if let Some(status) = child.try_wait()? {
-            return Ok(status.success());
+            break if status.success() {
+                Outcome::Passed
+            } else {
+                Outcome::Failed(failures.recv_timeout(Duration::from_secs(1)).ok())
+            };
         }
         if begun.elapsed() > most {
-            // The process may just have ended, which is fine.
-            let _ = child.kill();
-            child.wait()?;
-            return Ok(false);
+            break Outcome::TimedOut;
         }
         std::thread::sleep(Duration::from_millis(20));
+    };
+    if outcome != Outcome::Passed {
+        let group = format!("-{}", child.id());
+        // The processes may just have ended, which is fine.
+        let _ = Command::new("kill").args(["-KILL", "--", &group]).stderr(Stdio::null()).status()?;
+        child.wait()?;
     }
+    Ok(outcome)
+}
+
+/// Returns the name of the test that failed according to a line of output.
+fn failed_test(line: &str) -> Option<String> {
+    let name = line.strip_prefix("test ")?.strip_suffix(" ... FAILED")?;
+    Some(name.trim_end_matches(" - should panic").to_owned())
 }
 
 type Verdicts = BTreeMap<String, String>;

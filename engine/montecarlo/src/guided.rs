@@ -156,11 +156,13 @@ mod tests {
     fn a_guided_sample_says_on_which_side_it_is() {
         let sheet = MaterialParameters { rd: Rgb::splat(0.3), td: Rgb::splat(0.4), ..Default::default() };
         let counts = [(); 4].map(|()| std::cell::Cell::new(0));
-        samples(&sheet, 0.6, |GuidedSample { sample, is_guide_sample, .. }, wo, sampler| {
+        samples(&sheet, 0.6, |GuidedSample { sample, pdf_ratio, is_guide_sample }, wo, sampler| {
             let is_behind = (sample.wi.z < 0.0) != (wo.z < 0.0);
             assert_eq!(sample.transmitted == Transmitted::Yes, is_behind, "{sample:?}");
             let density = sampler.pdf(sample.wi, sampler.frame.to_world(sample.wi));
             assert!((sample.pdf / density - 1.0).abs() < 1e-4, "{sample:?} {density}");
+            let by_bsdf = sampler.bsdf.pdf(wo, sample.wi);
+            assert!((pdf_ratio * by_bsdf / density - 1.0).abs() < 1e-4, "{sample:?} {pdf_ratio}");
             let count = &counts[usize::from(is_behind) + 2 * usize::from(is_guide_sample)];
             count.set(count.get() + 1);
         });

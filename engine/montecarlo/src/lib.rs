@@ -17,6 +17,7 @@ mod guided;
 mod medium;
 mod next_event;
 mod path_state;
+mod receiver;
 mod roulette;
 mod scatter;
 mod shadow;
@@ -28,6 +29,7 @@ mod tracer;
 mod window;
 
 pub use first_hit::{FirstSurface, first_surface};
+pub use receiver::{Receiver, Sensitivity};
 pub use record::{Recorder, Recording};
 pub use technique::MisTechnique;
 pub use tracer::{Guidance, PathSample, PathSettings, PixelFilter, Tracer, TracerCounters};

@@ -314,7 +314,8 @@ impl Prepared {
 
     /// Returns the media of the closed objects that contain `point`. These are the objects whose surfaces a ray from the point
     /// leaves without having entered them.
-    fn media_at(&self, point: Vec3A) -> MediumStack {
+    /// - `point`: prepared frame, m.
+    pub fn media_at(&self, point: Vec3A) -> MediumStack {
         let mut ray = Ray { origin: point, dir: Vec3A::new(0.36, 0.48, 0.8), t_max: f32::INFINITY, time: 0.0 };
         let (mut entered, mut left) = (MediumStack::default(), Vec::new());
         for _ in 0..10_000 {

@@ -2,7 +2,7 @@
 
 use crate::compile::{Emitter, EmitterShape};
 use crate::frame::Prepared;
-use femc_math::glam::Vec3A;
+use femc_math::glam::{DVec3, Vec3A};
 use femc_scene::{LampKind, Location, ObjectId};
 
 /// A lamp in the terms of `femc check`.
@@ -61,5 +61,10 @@ impl Prepared {
     /// Converts a point of the prepared frame to the world, m.
     pub fn to_world(&self, point: Vec3A) -> [f64; 3] {
         (self.origin + point.as_dvec3()).to_array()
+    }
+
+    /// Converts a point of the world to the prepared frame, m.
+    pub fn from_world(&self, point: [f64; 3]) -> Vec3A {
+        (DVec3::from(point) - self.origin).as_vec3a()
     }
 }

@@ -2,4 +2,5 @@
 
 mod analytic;
 mod horizons;
+mod receivers;
 mod weights;

@@ -336,9 +336,8 @@ impl ResolvedCondition {
             Self::Intersections(quantity, fact, condition) => context.facts.get(*fact, || {
                 quantity.holds(contexts(path).map(|index| condition.holds(&Context { index, light: None, ..*context })))
             }),
-            Self::Lights(_, _, condition) if context.is_alone && context.light.is_some() => condition.holds(context),
             Self::Lights(quantity, _, condition) if context.is_alone => {
-                // An intersection alone has the lights sampled there.
+                // An intersection alone has the lights sampled there; a light alone has itself.
                 let own = context.lights();
                 quantity.holds(own.map(|light| condition.holds(&Context { light: Some(light), ..*context })))
             }

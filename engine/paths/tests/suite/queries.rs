@@ -1,7 +1,7 @@
 //! Tests of queries for paths.
 
 use crate::synthetic::{leads_through, merge_parts, scope, tasks};
-use femc_paths::query::{Condition, Query, QueryError, Selection};
+use femc_paths::query::{Condition, Query, QueryError, Selection, is_known_name, is_within};
 use femc_paths::{
     InteractionKind, Intersection, LightPath, LightRecord, LightStatistics, Name, NameKind, PathEnd, PathKey,
 };
@@ -108,6 +108,13 @@ fn what_is_no_condition_says_where_and_what_is_expected() {
     };
     assert!(Condition::parse(&terms(64)).is_ok());
     assert_eq!(error(&terms(65)), "more than 64 conditions any(..), all(..), light(..), lights(..)");
+    let nested = |count| format!("{}depth == 1", "not ".repeat(count));
+    assert!(Condition::parse(&nested(63)).is_ok());
+    assert_eq!(Condition::parse(&nested(64)), Err(QueryError::TooDeep));
+    for sign in ["(", ")", "=", "!=", "<", ">", ","] {
+        let found = format!("column 11: found \"{sign}\", expected a word");
+        assert_eq!(error(&format!("object == {sign}")), found, "a sign is no name");
+    }
     for text in ["", "and", "\"", "é == 2", "object == é", "not", "object ==", "object == )", "depth == 1e999"] {
         let _ = Condition::parse(text).map_err(|error| error.to_string());
     }
@@ -231,6 +238,13 @@ fn a_condition_is_read_from_its_own_text() {
         let written = condition.to_string();
         assert_eq!(Condition::parse(&written).as_ref(), Ok(&condition), "{text}: {written}");
     }
+    let written = |text: &str| Condition::parse(text).unwrap().to_string();
+    assert_eq!(written("not (bounce == 1)"), "not bounce == 1");
+    assert_eq!(
+        written("((bounce == 1) and ((depth == 2) and sample == 3))"),
+        "bounce == 1 and (depth == 2 and sample == 3)"
+    );
+    assert_eq!(written("not (bounce == 1 or (not (depth == 2)))"), "not (bounce == 1 or not depth == 2)");
     let error = |text: &str| Condition::parse(text).unwrap_err().to_string();
     assert_eq!(error("in sphere(1)"), "column 4: found \"sphere\", expected `box` or `lasso`");
     assert!(error("in box(1,2,3,0,5,6)").contains("six numbers"));
@@ -257,4 +271,39 @@ fn nested_terms_are_evaluated_once_for_each_path() {
     let units = 1 + path.intersections.len() + path.lights.len();
     assert!((211 * units..500 * units).contains(&matcher.work(&path)));
     assert_eq!(matcher_of("bounce == 1").work(&path), units);
+}
+
+#[test]
+fn work_of_a_selection_counts_each_term() {
+    let all = merge_parts(&scope(900), tasks(&scope(900)));
+    let path = all.paths.values().next().unwrap();
+    let units = 1 + path.intersections.len() + path.lights.len();
+    let terms = |text: &str| {
+        let work = parse_query(text).compile(&all.scope, &all.names).work(path);
+        assert_eq!(work % units, 0, "{text}");
+        work / units
+    };
+    assert_eq!(terms("bounce == 1"), 1);
+    assert_eq!(terms("not bounce == 1"), 2);
+    assert_eq!(terms("not not bounce == 1"), 3);
+    assert_eq!(terms("bounce == 1 and position.x < 2"), 3);
+    assert_eq!(terms("bounce == 1 or (position.x < 2 and position.y < 3)"), 5);
+    assert_eq!(terms("any(bounce == 1)"), 2);
+    assert_eq!(terms("lights(not light.radiance.r > 1)"), 3);
+    let triangle = terms("in lasso(0,0,10,0,0,10)");
+    assert_eq!(terms("in lasso(0,0,10,0,10,10,0,10,-5,5)"), triangle + 2, "points of a line");
+    assert_eq!(terms("a then b then c then d"), terms("a then b") + 2, "objects of a sequence");
+}
+
+#[test]
+fn names_are_within_their_parents_and_known_with_them() {
+    let all = merge_parts(&scope(900), tasks(&scope(900)));
+    let (&wall, _) = all.names.iter().find(|(_, (_, text))| text == "room.wall").expect("a wall");
+    for (value, is_parent) in
+        [("room", true), ("room.wall", true), ("roo", false), ("room.wal", false), ("wall", false)]
+    {
+        assert_eq!(is_within(&all.names, wall, value), is_parent, "{value}");
+        assert_eq!(is_known_name(&all.names, value), is_parent, "{value}");
+    }
+    assert!(!is_within(&all.names, Name::NONE, "room"));
 }

@@ -10,6 +10,7 @@ mod first_pass;
 mod first_pass_steps;
 mod in_process;
 mod layers;
+pub mod measure;
 pub mod method_choice;
 mod outputs;
 pub mod pilot;

@@ -52,6 +52,17 @@ impl Prepared {
         LampName { kind, object: self.object_name(object).to_owned(), location }
     }
 
+    /// Returns the label of a light: the object that holds it, and its material or photometric file.
+    pub fn lamp_label(&self, light: u32) -> String {
+        let lamp = self.lamp_name(light);
+        let kind = match lamp.kind {
+            LampKind::Surface { material } => material,
+            LampKind::Luminaire { path } => path,
+            LampKind::Medium { medium } => medium,
+        };
+        format!("{}/{kind}", lamp.object)
+    }
+
     fn emitter(&self, light: u32) -> &Emitter {
         let next = self.instances.partition_point(|instance| instance.first_light <= light);
         let instance = &self.instances[next.saturating_sub(1)];

@@ -137,6 +137,13 @@ struct Message {
     message: Option<Diagnostic>,
     executable: Option<PathBuf>,
     package_id: Option<String>,
+    profile: Option<Profile>,
+}
+
+#[derive(Debug, Deserialize)]
+struct Profile {
+    /// Whether the executable contains tests.
+    test: bool,
 }
 
 #[derive(Debug, Deserialize)]
@@ -236,7 +243,9 @@ fn collect_build(group: &Group, messages: Vec<Message>, mutants: BTreeSet<usize>
             continue;
         }
         let tested = group.crates.iter().find(|(_, folder)| package.contains(&format!("/{folder}#")));
-        match tested {
+        // The programs of a crate that its tests start are no tests.
+        let is_test = message.profile.is_some_and(|profile| profile.test);
+        match tested.filter(|_| is_test) {
             Some((name, _)) => built.tests.entry((*name).to_owned()).or_default().push(executable),
             None if executable.ends_with("femc-sim") => built.simulation = executable,
             None => {}

@@ -3,7 +3,7 @@
 use femc_paths::record::Names;
 use femc_paths::{Name, NameKind};
 use femc_prepared::Prepared;
-use femc_scene::{LampKind, ObjectId};
+use femc_scene::ObjectId;
 use std::sync::OnceLock;
 
 /// Keys of the names of a scene's parts, each created on first use.
@@ -45,18 +45,7 @@ impl<'a> SceneNames<'a> {
     }
 
     pub(super) fn lamp(&self, light: u32) -> Name {
-        get_or_make(&self.lamps, light as usize, || Name::new(NameKind::Lamp, &self.lamp_text(light)))
-    }
-
-    /// Returns the name of a lamp: the object that holds it, and its material or file.
-    fn lamp_text(&self, light: u32) -> String {
-        let lamp = self.prepared.lamp_name(light);
-        let kind = match lamp.kind {
-            LampKind::Surface { material } => material,
-            LampKind::Luminaire { path } => path,
-            LampKind::Medium { medium } => medium,
-        };
-        format!("{}/{kind}", lamp.object)
+        get_or_make(&self.lamps, light as usize, || Name::new(NameKind::Lamp, &self.prepared.lamp_label(light)))
     }
 
     /// Returns the texts of all used names.
@@ -69,7 +58,7 @@ impl<'a> SceneNames<'a> {
         collect_used(&mut texts, NameKind::Object, &self.objects, object);
         collect_used(&mut texts, NameKind::Material, &self.materials, material);
         collect_used(&mut texts, NameKind::Medium, &self.media, medium);
-        collect_used(&mut texts, NameKind::Lamp, &self.lamps, |index| self.lamp_text(index as u32));
+        collect_used(&mut texts, NameKind::Lamp, &self.lamps, |index| prepared.lamp_label(index as u32));
         texts
     }
 }

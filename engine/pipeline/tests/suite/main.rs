@@ -5,6 +5,7 @@ mod decisions;
 mod features;
 mod horizons;
 mod layers;
+mod measure;
 mod scale;
 mod statistics;
 mod work;

@@ -1,0 +1,205 @@
+//! Places of readings: the points and cells of a request in a prepared frame.
+
+use super::cells::{Cell, divide};
+use super::request::{Area, Grid, MAX_PLACES, MeasureRequest, Points, Quantity, RequestError, SurfaceSide};
+use femc_math::glam::Vec3A;
+use femc_montecarlo::{Receiver, Sensitivity};
+use femc_prepared::Prepared;
+use femc_prepared::media::MediumStack;
+
+/// Relative bound of the error of a given position: it is rounded to 24 bits, and so are the surfaces on which it may lie.
+const POSITION_ERROR: f32 = 5e-7;
+
+/// Receivers of a place.
+#[derive(Clone)]
+pub enum Reader {
+    /// The same receiver for all samples.
+    Point(Receiver),
+    /// A point of a cell for each sample.
+    Cell {
+        /// The cell.
+        cell: Cell,
+        /// Side of the surface that receives the light.
+        is_back: bool,
+        /// Media of the closed objects that contain the cell.
+        medium_stack: MediumStack,
+    },
+}
+
+/// Place of a reading.
+#[derive(Clone)]
+pub struct Place {
+    /// Name of the part of the request.
+    pub part: String,
+    /// Number within the part, from 0. Points of a grid are numbered along the rows.
+    pub number: u32,
+    /// Quantity.
+    pub quantity: Quantity,
+    /// Position in the world, m; for cells a point of the cell.
+    pub position: [f64; 3],
+    /// Column and row in a grid.
+    pub cell: Option<[u32; 2]>,
+    /// Weight in means: the area of a cell, m2, or 1.
+    pub weight: f64,
+    /// Receivers.
+    pub reader: Reader,
+}
+
+impl Reader {
+    /// Returns the receiver of a sample from two numbers in [0, 1) and the time of the shutter.
+    pub(super) fn receiver(&self, scene: &Prepared, u: [f32; 2], time: f32) -> Receiver {
+        match self {
+            Self::Point(receiver) => *receiver,
+            Self::Cell { cell, is_back, medium_stack } => {
+                let Some(point) = cell.point(scene, u, time) else { unreachable!("cells have pieces") };
+                let normal = if *is_back { -point.normal } else { point.normal };
+                let sensitivity = Sensitivity::Plane { normal };
+                Receiver {
+                    position: point.position,
+                    error: point.error,
+                    normal,
+                    sensitivity,
+                    medium_stack: *medium_stack,
+                }
+            }
+        }
+    }
+}
+
+/// Returns the places of a request: points, grids, then areas.
+/// - errors: an unknown object, a point of view in its target, or too many cells.
+pub fn resolve_places(scene: &Prepared, request: &MeasureRequest) -> Result<Vec<Place>, RequestError> {
+    request.check()?;
+    let mut places = Vec::new();
+    for part in &request.points {
+        let fault = |reason| RequestError::Part { name: part.name.clone(), reason };
+        places.extend(points(scene, part).map_err(fault)?);
+    }
+    for part in &request.grid {
+        let fault = |reason| RequestError::Part { name: part.name.clone(), reason };
+        places.extend(grid(scene, part).map_err(fault)?);
+    }
+    for part in &request.area {
+        let fault = |reason| RequestError::Part { name: part.name.clone(), reason };
+        places.extend(area(scene, part).map_err(fault)?);
+    }
+    let count = places.len() as u64;
+    if count > MAX_PLACES { Err(RequestError::TooMany(count)) } else { Ok(places) }
+}
+
+fn points(scene: &Prepared, part: &Points) -> Result<Vec<Place>, String> {
+    let place = |(number, &position): (u32, &[f64; 3])| {
+        let receiver = receiver(scene, position, part.quantity, part.direction, part.observer)?;
+        Ok(Place {
+            part: part.name.clone(),
+            number,
+            quantity: part.quantity,
+            position,
+            cell: None,
+            weight: 1.0,
+            reader: Reader::Point(receiver),
+        })
+    };
+    (0..).zip(&part.at).map(place).collect()
+}
+
+fn grid(scene: &Prepared, part: &Grid) -> Result<Vec<Place>, String> {
+    let [columns, rows] = part.count;
+    let direction = match part.quantity {
+        Quantity::Illuminance => part.direction.or_else(|| part.normal()),
+        _ => part.direction,
+    };
+    let place = |number: u32| {
+        let cell = [number % columns, number / columns];
+        let [s, t] = [0, 1].map(|axis| (f64::from(cell[axis]) + 0.5) / f64::from(part.count[axis]));
+        let position = [0, 1, 2].map(|axis| part.corner[axis] + s * part.along[axis] + t * part.across[axis]);
+        let receiver = receiver(scene, position, part.quantity, direction, part.observer)?;
+        Ok(Place {
+            part: part.name.clone(),
+            number,
+            quantity: part.quantity,
+            position,
+            cell: Some(cell),
+            weight: 1.0,
+            reader: Reader::Point(receiver),
+        })
+    };
+    (0..columns * rows).map(place).collect()
+}
+
+fn area(scene: &Prepared, part: &Area) -> Result<Vec<Place>, String> {
+    let cells = divide(scene, &part.object, part.cells);
+    if cells.is_empty() {
+        return Err(unknown_object(scene, &part.object));
+    }
+    let sides: &[bool] = match part.side {
+        SurfaceSide::Front => &[false],
+        SurfaceSide::Back => &[true],
+        SurfaceSide::Both => &[false, true],
+    };
+    let mut places = Vec::new();
+    for &is_back in sides {
+        for cell in &cells {
+            let Some(middle) = cell.point(scene, [0.5; 2], 0.5) else { continue };
+            let out = if is_back { -middle.normal } else { middle.normal };
+            let outside = middle.position + out * (4.0 * middle.error.max_element());
+            places.push(Place {
+                part: part.name.clone(),
+                number: places.len() as u32,
+                quantity: Quantity::Illuminance,
+                position: scene.to_world(middle.position),
+                cell: None,
+                weight: cell.area(),
+                reader: Reader::Cell { cell: cell.clone(), is_back, medium_stack: scene.media_at(outside) },
+            });
+        }
+    }
+    Ok(places)
+}
+
+/// Returns the error message for an object without surfaces, with the names that the scene has.
+fn unknown_object(scene: &Prepared, name: &str) -> String {
+    const SHOWN: usize = 12;
+    let mut known: Vec<&str> = scene.scene.objects.iter().map(|object| object.name.as_str()).collect();
+    known.retain(|name| !name.is_empty());
+    known.sort_unstable();
+    known.dedup();
+    let more = known.len().saturating_sub(SHOWN);
+    let list = known[..known.len() - more].join(", ");
+    match (known.is_empty(), more) {
+        (true, _) => format!("no object `{name}`: the scene names no objects (`o NAME` .. `o`)"),
+        (_, 0) => format!("no visible object `{name}`; the objects are {list}"),
+        _ => format!("no visible object `{name}`; the objects are {list}, and {more} more"),
+    }
+}
+
+/// Creates the receiver of a point.
+fn receiver(
+    scene: &Prepared,
+    position: [f64; 3],
+    quantity: Quantity,
+    direction: Option<[f64; 3]>,
+    observer: Option<[f64; 3]>,
+) -> Result<Receiver, String> {
+    let unit = |v: [f64; 3]| super::request::unit(v).map(|v| Vec3A::from(v.map(|x| x as f32)).normalize());
+    let direction = direction.and_then(unit).unwrap_or(Vec3A::Z);
+    let mut origin = scene.from_world(position);
+    let (mut normal, sensitivity) = match quantity {
+        Quantity::Illuminance => (direction, Sensitivity::Plane { normal: direction }),
+        Quantity::Cylindrical => (Vec3A::ZERO, Sensitivity::Cylinder { axis: direction }),
+        Quantity::Spherical => (Vec3A::ZERO, Sensitivity::Sphere),
+        Quantity::Luminance => (Vec3A::ZERO, Sensitivity::Ray { toward: direction }),
+    };
+    let mut sensitivity = sensitivity;
+    if let Some(observer) = observer {
+        let toward = unit([0, 1, 2].map(|axis| position[axis] - observer[axis]));
+        let Some(toward) = toward else { return Err("`observer` is at the point at which one looks".into()) };
+        (origin, sensitivity) = (scene.from_world(observer), Sensitivity::Ray { toward });
+        normal = Vec3A::ZERO;
+    }
+    let size = position.iter().fold(0.0f64, |most, x| most.max(x.abs())) as f32;
+    let error = if normal == Vec3A::ZERO { 0.0 } else { POSITION_ERROR * size.max(origin.abs().max_element()) };
+    // A point on the surface of a closed object receives light outside, on the side of the normal.
+    let medium_stack = scene.media_at(origin + normal * (4.0 * error));
+    Ok(Receiver { position: origin, error: Vec3A::splat(error), normal, sensitivity, medium_stack })
+}

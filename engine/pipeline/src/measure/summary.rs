@@ -1,0 +1,105 @@
+//! Means, extremes and uniformity of the readings of a part of a request.
+
+use super::places::Place;
+use super::reading::{REPLICATES, Reading};
+use super::request::Quantity;
+use femc_film::convergence::student_95;
+use std::collections::BTreeMap;
+
+/// A value and its 95 % confidence interval.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Interval {
+    /// Value.
+    pub value: f64,
+    /// Half width of the interval.
+    pub half_width: f64,
+}
+
+/// Summary of the readings of a grid, of an area, or of a list of points.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Summary {
+    /// Name of the part.
+    pub part: String,
+    /// Quantity.
+    pub quantity: Quantity,
+    /// Number of readings.
+    pub readings: u64,
+    /// Sum of the areas of cells, m2; `None` for points.
+    pub area: Option<f64>,
+    /// Mean, weighted by area. For an area it is the mean over all of its points.
+    pub mean: Interval,
+    /// Smallest reading, with its own interval.
+    pub least: Interval,
+    /// Largest reading, with its own interval.
+    pub greatest: Interval,
+    /// Smallest reading over the mean (U0). Noise makes it too small by up to the intervals.
+    pub uniformity: f64,
+    /// Mean light of each lamp, brightest first; empty unless requested.
+    pub lamps: Vec<(String, Interval)>,
+}
+
+/// Sum of independent estimates.
+#[derive(Clone, Copy, Debug, Default)]
+struct EstimateSum {
+    value: f64,
+    variance: f64,
+    /// Sum of the squared variances.
+    squares: f64,
+}
+
+impl EstimateSum {
+    fn add(&mut self, value: f64, variance: f64) {
+        self.value += value;
+        self.variance += variance;
+        self.squares += variance * variance;
+    }
+
+    /// Returns the interval of the sum over `weight`. The degrees of freedom are those of \[satterthwaite1946\].
+    fn interval(&self, weight: f64) -> Interval {
+        let each = (REPLICATES - 1) as f64;
+        let freedom =
+            if self.squares > 0.0 { each * self.variance * self.variance / self.squares } else { f64::INFINITY };
+        Interval { value: self.value / weight, half_width: student_95(freedom) * self.variance.sqrt() / weight }
+    }
+}
+
+/// Summarizes each part of a request that has several readings, in order.
+/// - `readings`: readings of `places`.
+pub fn summarize(places: &[Place], readings: &[Reading]) -> Vec<Summary> {
+    let pairs: Vec<(&Place, &Reading)> = places.iter().zip(readings).collect();
+    pairs.chunk_by(|a, b| a.0.part == b.0.part).filter(|part| part.len() > 1).map(summarize_part).collect()
+}
+
+fn summarize_part(part: &[(&Place, &Reading)]) -> Summary {
+    let first = part[0].0;
+    let weight: f64 = part.iter().map(|(place, _)| place.weight).sum();
+    let mut sum = EstimateSum::default();
+    let mut lamps: BTreeMap<&str, EstimateSum> = BTreeMap::new();
+    for (place, reading) in part {
+        sum.add(place.weight * reading.value, place.weight * place.weight * reading.variance());
+        for lamp in &reading.lamps {
+            let error = place.weight * lamp.half_width / student_95((REPLICATES - 1) as f64);
+            lamps.entry(&lamp.lamp).or_default().add(place.weight * lamp.value, error * error);
+        }
+    }
+    let mean = sum.interval(weight);
+    let of = |reading: &Reading| Interval { value: reading.value, half_width: reading.half_width };
+    let readings = || part.iter().map(|(_, reading)| of(reading));
+    let least = readings().reduce(|a, b| if b.value < a.value { b } else { a }).unwrap_or(mean);
+    let greatest = readings().reduce(|a, b| if b.value > a.value { b } else { a }).unwrap_or(mean);
+    let mut lamps: Vec<(String, Interval)> =
+        lamps.into_iter().map(|(lamp, sum)| (lamp.to_owned(), sum.interval(weight))).collect();
+    lamps.sort_by(|a, b| b.1.value.total_cmp(&a.1.value));
+    let is_area = matches!(first.reader, super::places::Reader::Cell { .. });
+    Summary {
+        part: first.part.clone(),
+        quantity: first.quantity,
+        readings: part.len() as u64,
+        area: is_area.then_some(weight),
+        mean,
+        least,
+        greatest,
+        uniformity: if mean.value > 0.0 { least.value / mean.value } else { 0.0 },
+        lamps,
+    }
+}

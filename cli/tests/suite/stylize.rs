@@ -178,6 +178,49 @@ fn a_clip_that_was_cut_off_goes_on_to_the_same_bytes() {
     }
 }
 
+/// Each checkpoint that a run wrote leads to the same bytes: at the beginning of a frame, and between its levels.
+#[test]
+fn a_clip_goes_on_from_each_checkpoint_to_the_same_bytes() {
+    let dir = test_folder();
+    for frame in 0..3u32 {
+        write_layers(&dir, &format!("k-{frame}.exr"), [160, 120], glow([40 + 30 * frame, 50]), &[("full", 1.0)]);
+    }
+    let line = "stylize --style oil --target k-*.exr";
+    let mut running = dir.start_as("paint", &format!("{line} -o whole/"));
+    let mut states: Vec<(Vec<u8>, usize)> = Vec::new();
+    running.wait_until("the last frame is painted", || {
+        let done = (0..3).take_while(|frame| dir.path(&format!("whole/k-{frame}.png")).exists()).count();
+        if let Ok(state) = std::fs::read(dir.path("whole.part"))
+            && states.last().is_none_or(|(last, _)| *last != state)
+        {
+            states.push((state, done));
+        }
+        done == 3
+    });
+    running.end();
+    let chosen: Vec<usize> = (0..5).map(|part| part * (states.len() - 1) / 4).collect();
+    let mut first_left = std::collections::BTreeSet::new();
+    for (run, &at) in chosen.iter().enumerate() {
+        let (state, done) = &states[at];
+        std::fs::create_dir(dir.path(&format!("run{run}"))).expect("a folder");
+        for frame in 0..*done {
+            let name = format!("k-{frame}.png");
+            std::fs::copy(dir.path(&format!("whole/{name}")), dir.path(&format!("run{run}/{name}"))).expect("a copy");
+        }
+        std::fs::write(dir.path(&format!("run{run}.part")), state).expect("written");
+        let ran = dir.run(&format!("{line} -o run{run}/")).exits(0);
+        let said = ran.stderr();
+        let (_, rest) = said.split_once("resuming, ").unwrap_or_else(|| panic!("{said}"));
+        first_left.insert(rest[..1].to_owned());
+        for frame in 0..3 {
+            let [whole, again] =
+                ["whole".to_owned(), format!("run{run}")].map(|run| picture(&dir, &format!("{run}/k-{frame}.png")));
+            assert!(whole == again, "frame {frame} differs after checkpoint {at} of {}", states.len());
+        }
+    }
+    assert!(first_left.len() > 1, "checkpoints of several frames: {first_left:?} of {}", states.len());
+}
+
 #[test]
 fn frames_are_painted_when_they_are_rendered() {
     let dir = test_folder();

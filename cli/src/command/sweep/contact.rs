@@ -58,16 +58,21 @@ fn rows(sweep: &ResolvedSweep, folder: &SweepFolder) -> Vec<(String, Vec<SheetPi
         let row = |variant: &PlannedVariant| (sweep.title(variant), spread(there(variant)));
         return sweep.variants.iter().map(row).filter(|(_, row)| !row.is_empty()).collect();
     }
+    let titled =
+        |variant: &PlannedVariant| there(variant).into_iter().map(|(_, file)| (sweep.title(variant), file)).collect();
+    group_rows(sweep.variants.iter().flat_map(|variant| -> Vec<(String, PathBuf)> { titled(variant) }))
+}
+
+/// Groups consecutive pictures whose titles are equal but for the last axis. A full row is followed by another of its title.
+/// - `pictures`: title, with all axes, and file of each picture.
+fn group_rows(pictures: impl Iterator<Item = (String, PathBuf)>) -> Vec<(String, Vec<SheetPicture>)> {
     let mut rows: Vec<(String, Vec<SheetPicture>)> = Vec::new();
-    for variant in &sweep.variants {
-        let title = sweep.title(variant);
+    for (title, file) in pictures {
         let (title, caption) = title.rsplit_once(", ").unwrap_or(("", &title));
-        for (_, file) in there(variant) {
-            let shown = SheetPicture { file, caption: caption.to_owned() };
-            match rows.last_mut().filter(|(last, row)| last == title && row.len() < MAX_COLUMNS) {
-                Some((_, row)) => row.push(shown),
-                None => rows.push((title.to_owned(), vec![shown])),
-            }
+        let shown = SheetPicture { file, caption: caption.to_owned() };
+        match rows.last_mut().filter(|(last, row)| last == title && row.len() < MAX_COLUMNS) {
+            Some((_, row)) => row.push(shown),
+            None => rows.push((title.to_owned(), vec![shown])),
         }
     }
     rows
@@ -81,4 +86,48 @@ fn spread(frames: Vec<(u32, PathBuf)>) -> Vec<SheetPicture> {
         places.next_if_eq(&at).map(|_| SheetPicture { file, caption: format!("frame {frame}") })
     };
     frames.into_iter().enumerate().filter_map(chosen).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Returns title and captions of each row.
+    fn captions(rows: &[(String, Vec<SheetPicture>)]) -> Vec<(&str, Vec<&str>)> {
+        let mut all = Vec::new();
+        for (title, row) in rows {
+            all.push((title.as_str(), row.iter().map(|shown| shown.caption.as_str()).collect()));
+        }
+        all
+    }
+
+    #[test]
+    fn a_row_has_the_values_of_the_last_axis() {
+        let titles =
+            ["fog = 1, spp = 4", "fog = 1, spp = 8", "fog = 2, spp = 4", "fog = 2, spp = 8", "fog = 1, spp = 4"];
+        let rows = group_rows(titles.iter().map(|title| ((*title).to_owned(), PathBuf::from(title))));
+        let expected = vec![
+            ("fog = 1", vec!["spp = 4", "spp = 8"]),
+            ("fog = 2", vec!["spp = 4", "spp = 8"]),
+            ("fog = 1", vec!["spp = 4"]),
+        ];
+        assert_eq!(captions(&rows), expected);
+        assert!(
+            rows.iter().flat_map(|(_, row)| row).zip(titles).all(|(shown, title)| shown.file == PathBuf::from(title))
+        );
+    }
+
+    #[test]
+    fn rows_have_at_most_ten_pictures() {
+        let rows = |count: usize| group_rows((0..count).map(|at| (format!("spp = {at}"), PathBuf::new())));
+        let lengths = |count| rows(count).iter().map(|(_, row)| row.len()).collect::<Vec<_>>();
+        assert_eq!([lengths(0), lengths(9), lengths(10), lengths(11)], [vec![], vec![9], vec![10], vec![10, 1]]);
+        assert_eq!(lengths(25), [10, 10, 5]);
+        let frames = |count: u32| spread((1..=count).map(|frame| (frame, PathBuf::new())).collect());
+        let captions = |count| frames(count).into_iter().map(|shown| shown.caption).collect::<Vec<_>>();
+        assert_eq!(captions(1), ["frame 1"]);
+        assert_eq!(captions(3), ["frame 1", "frame 2", "frame 3"]);
+        let long = captions(100);
+        assert_eq!((long.len(), &*long[0], &*long[1], &*long[9]), (10, "frame 1", "frame 12", "frame 100"));
+    }
 }

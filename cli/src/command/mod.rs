@@ -20,6 +20,7 @@ mod interrupt;
 pub mod jobs;
 mod live_preview;
 pub mod logs;
+pub mod measure;
 mod metrics;
 mod open_files;
 #[cfg(feature = "openjd")]
@@ -84,6 +85,7 @@ pub enum Command {
     Compare(compare::CompareArgs),
     Fireflies(fireflies::FirefliesArgs),
     Field(field::FieldArgs),
+    Measure(measure::MeasureArgs),
     Paths(paths::PathsArgs),
     Bottlenecks(bottlenecks::BottlenecksArgs),
     View(view::ViewArgs),
@@ -164,6 +166,7 @@ pub fn run(cli: Cli, printer: Printer) -> Result<Exit, Failure> {
         Command::Compare(args) => compare::run(&args, printer),
         Command::Fireflies(args) => fireflies::run(&args, printer),
         Command::Field(args) => field::run(args, printer),
+        Command::Measure(args) => measure::run(&args, printer),
         Command::Paths(args) => paths::run(&args, printer),
         Command::Bottlenecks(args) => bottlenecks::run(&args, printer),
         Command::Stylize(args) => stylize::run(&args, printer),

@@ -13,7 +13,7 @@ const POSITION_ERROR: f32 = 5e-7;
 /// Receivers of a place.
 #[derive(Clone)]
 pub enum Reader {
-    /// The same receiver for all samples.
+    /// One receiver for all samples.
     Point(Receiver),
     /// A point of a cell for each sample.
     Cell {
@@ -43,6 +43,13 @@ pub struct Place {
     pub weight: f64,
     /// Receivers.
     pub reader: Reader,
+}
+
+impl Place {
+    /// Returns the area of a cell, m2; `None` for a point.
+    pub fn area(&self) -> Option<f64> {
+        matches!(self.reader, Reader::Cell { .. }).then_some(self.weight)
+    }
 }
 
 impl Reader {

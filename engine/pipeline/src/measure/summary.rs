@@ -90,12 +90,11 @@ fn summarize_part(part: &[(&Place, &Reading)]) -> Summary {
     let mut lamps: Vec<(String, Interval)> =
         lamps.into_iter().map(|(lamp, sum)| (lamp.to_owned(), sum.interval(weight))).collect();
     lamps.sort_by(|a, b| b.1.value.total_cmp(&a.1.value));
-    let is_area = matches!(first.reader, super::places::Reader::Cell { .. });
     Summary {
         part: first.part.clone(),
         quantity: first.quantity,
         readings: part.len() as u64,
-        area: is_area.then_some(weight),
+        area: first.area().map(|_| weight),
         mean,
         least,
         greatest,

@@ -23,6 +23,7 @@ mod interrupt;
 mod layers;
 mod logs;
 mod manual;
+mod measure;
 mod messages;
 mod metrics;
 mod openjd;

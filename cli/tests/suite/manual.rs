@@ -171,6 +171,7 @@ pages! {
     two_passes: "two-passes.md",
     layers: "layers.md",
     light: "light.md",
+    measure: "measure.md",
     paths: "paths.md",
     formats: "formats.md",
     scenes: "scenes.md",

@@ -151,6 +151,12 @@ fn tables_have_the_same_rows_in_all_formats_and_on_any_threads() {
     let document: Value = serde_json::from_slice(&std::fs::read(dir.path("out.json")).expect("a file")).expect("JSON");
     assert_eq!(document["readings"], report["readings"]);
     assert_eq!(&std::fs::read(dir.path("out.parquet")).expect("a file")[..4], b"PAR1");
+    dir.run(&format!("{line} -o out.html")).exits(0);
+    let page = std::fs::read_to_string(dir.path("out.html")).expect("a file");
+    assert_eq!(page.matches("<svg").count(), 1, "a map of the grid");
+    assert!(
+        page.contains("Map of plane") && page.contains("bulb/lamp") && !page.contains("http://www.w3.org/1999/xlink")
+    );
     let summaries = report["summaries"].as_array().expect("summaries");
     let parts: Vec<&str> =
         summaries.iter().filter(|row| row["lamp"].is_null()).filter_map(|row| row["part"].as_str()).collect();
@@ -209,7 +215,7 @@ fn bad_input_says_what_is_wrong_and_where() {
         ("measure room.mgf none.toml", "none.toml"),
         ("measure room.mgf points.toml --where height=1", "cannot be used with"),
         ("measure room.mgf points.toml --error 0", "--error"),
-        ("measure room.mgf points.toml -o readings.xlsx", ".csv, .parquet or .json"),
+        ("measure room.mgf points.toml -o readings.xlsx", ".csv, .parquet, .json or .html"),
         ("measure room.mgf --where border=9", "leaves nothing of 4.00 m x 4.00 m"),
         ("measure room.mgf --where spacing=0.0001", "at most 1048576"),
         ("measure room.mgf points.toml --frame 7", "--frame"),

@@ -45,6 +45,14 @@ fn grid_sweep_writes_folders_tables_sheet_and_equals_renders() {
             "variants.parquet"
         ]
     );
+    // Clips have a row for each variant; single frames have a row for each value of the first axis.
+    sweep(&dir, "-o single --local --frames 1");
+    let size = |name: &str| {
+        let png = std::fs::read(dir.path(name)).expect("a sheet");
+        [16, 20].map(|at| u32::from_be_bytes(png[at..at + 4].try_into().expect("four bytes")))
+    };
+    let (clips, single) = (size("out/contact.png"), size("single/contact.png"));
+    assert!(clips[0] == single[0] && 4 * single[1] < 3 * clips[1], "{clips:?} {single:?}");
     dir.run("render fog.mgf -o alone --frames 1..2 --spp 2 --size 16x16 --set medium.fog.sigma_s=0.2 --set material.lamp.ed=300").exits(0);
     for name in ["fog.0001.exr", "fog.0002.exr"] {
         assert_eq!(pixels(&dir.path("out/sigma_s=0.2,ed=300").join(name)), pixels(&dir.path("alone").join(name)));

@@ -28,6 +28,7 @@ use std::sync::{Mutex, PoisonError};
     femc measure scenes/gallery.mgf --where height=0.75,spacing=1    # work plane: illuminance, uniformity\n  \
     femc measure scenes/gallery.mgf points.toml --by-lamp\n  \
     femc measure scenes/gallery.mgf points.toml --error 0.005 -o readings.parquet\n  \
+    femc measure scenes/gallery.mgf --where spacing=0.25 -o plane.html    # a map with isolines\n  \
     femc measure scenes/gallery.mgf points.toml --json | jq '.summaries[] | {part, mean, uniformity}'\n\n\
     POINTS.toml:\n  \
     [[points]]                       # quantity: illuminance, cylindrical, spherical (lx), or luminance (cd/m2)\n  \
@@ -85,7 +86,8 @@ pub struct MeasureArgs {
     /// Folder that contains the includes, textures and lamps of the scene, at any depth [default: the scene's folder]
     #[arg(long, value_name = "DIR")]
     root: Option<PathBuf>,
-    /// File to write the readings to, in addition to the summary on stdout: .csv, .parquet or .json
+    /// File to write the readings to, in addition to the summary on stdout: .csv, .parquet, .json, or a page with maps and isolines of
+    /// the grids (.html)
     #[arg(long, short, value_name = "FILE")]
     out: Option<PathBuf>,
     /// Number of readings in the table
@@ -112,6 +114,7 @@ enum FileFormat {
     Csv,
     Parquet,
     Json,
+    Page,
 }
 
 /// Runs `femc measure`.
@@ -214,7 +217,8 @@ fn file_format(path: &Path) -> Result<FileFormat, Failure> {
         "csv" => Ok(FileFormat::Csv),
         "parquet" => Ok(FileFormat::Parquet),
         "json" => Ok(FileFormat::Json),
-        _ => Err(usage(format!("-o {}: give a file that ends in .csv, .parquet or .json", path.display()))),
+        "html" => Ok(FileFormat::Page),
+        _ => Err(usage(format!("-o {}: give a file that ends in .csv, .parquet, .json or .html", path.display()))),
     }
 }
 
@@ -224,6 +228,7 @@ fn write(path: &Path, format: FileFormat, report: &MeasureReport) -> Result<(), 
             return write_parquet(path, &reading_columns(), &report.readings).map_err(failed);
         }
         FileFormat::Csv => csv(&reading_columns(), &report.readings),
+        FileFormat::Page => femc_reports::pages::measure::html(report)?,
         FileFormat::Json => serde_json::to_string_pretty(report).map_err(failed)?,
     };
     femc_film::file::write_atomic(path, format!("{text}\n").as_bytes()).map_err(failed)

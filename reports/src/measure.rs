@@ -77,6 +77,11 @@ pub struct SummaryRow {
     /// Smallest reading over the mean.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub uniformity: Option<f64>,
+    /// Number of readings without light. Their points may lie within objects.
+    pub dark: u64,
+    /// Smallest reading with light over the mean of these readings.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lit_uniformity: Option<f64>,
 }
 
 /// Result of `femc measure`.
@@ -151,11 +156,14 @@ pub fn summary_rows(summaries: &[Summary]) -> Vec<SummaryRow> {
             least: None,
             greatest: None,
             uniformity: None,
+            dark: summary.dark,
+            lit_uniformity: None,
         };
         let whole = SummaryRow {
             least: Some(summary.least.value),
             greatest: Some(summary.greatest.value),
             uniformity: Some(summary.uniformity),
+            lit_uniformity: Some(summary.lit_uniformity),
             ..row(None, summary.mean)
         };
         let lamps: Vec<SummaryRow> = summary.lamps.iter().map(|(lamp, mean)| row(Some(lamp.clone()), *mean)).collect();
@@ -216,5 +224,7 @@ pub fn summary_columns() -> Vec<Column<SummaryRow>> {
         column("least", "least", Number, Everyone, |row| real(row.least)),
         column("greatest", "greatest", Number, Everyone, |row| real(row.greatest)),
         column("uniformity", "uniformity", Number, Everyone, |row| real(row.uniformity)),
+        column("dark", "dark", Count, Everyone, |row| Cell::Count(row.dark)),
+        column("lit_uniformity", "of the lit", Number, Programs, |row| real(row.lit_uniformity)),
     ]
 }

@@ -89,7 +89,7 @@ impl Map {
         let width = f64::from(WIDTH).min(MAX_HEIGHT / self.aspect);
         let cell = [width / self.columns as f64, width * self.aspect / self.rows as f64];
         let height = (cell[1] * self.rows as f64) as u32;
-        let title = format!("{} to {} {}", human::number(least), human::number(greatest), self.unit);
+        let title = format!("{} to {} {}", shortest(least), shortest(greatest), self.unit);
         figure(height + TITLE as u32, |area| {
             area.draw(&Text::new(title, (4, 4), FONT.into_font()))?;
             // Rows go up, as in a plan.
@@ -106,7 +106,7 @@ impl Map {
             if self.values.len() <= MAX_WRITTEN {
                 let style = ("sans-serif", 12).into_font().color(&BLACK).pos(Pos::new(HPos::Center, VPos::Center));
                 for (at, value) in self.values.iter().enumerate() {
-                    area.draw(&Text::new(human::number(*value), place(center(at)), style.clone()))?;
+                    area.draw(&Text::new(shortest(*value), place(center(at)), style.clone()))?;
                 }
             }
             Ok(())
@@ -128,11 +128,19 @@ impl Map {
                 area.draw(&PathElement::new(segment.map(&place).to_vec(), RGBColor(120, 0, 60).stroke_width(2)))?;
             }
             if let Some([point, _]) = segments.get(segments.len() / 2) {
-                area.draw(&Text::new(human::number(level), place(*point), style.clone()))?;
+                area.draw(&Text::new(shortest(level), place(*point), style.clone()))?;
             }
         }
         Ok(())
     }
+}
+
+/// Formats a number with three digits, without zeros at the end.
+fn shortest(value: f64) -> String {
+    let magnitude = if value > 0.0 { value.log10().floor() as i32 } else { 0 };
+    let decimals = usize::try_from(2 - magnitude).unwrap_or(0);
+    let text = format!("{value:.decimals$}");
+    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
 }
 
 /// Maps a share of the greatest value to a color from blue over white to yellow, light enough for black text.
@@ -148,5 +156,16 @@ fn color(share: f64) -> RGBColor {
             mix(245.0, 200.0, share * 2.0 - 1.0),
             mix(245.0, 60.0, share * 2.0 - 1.0),
         ),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::shortest;
+
+    #[test]
+    fn numbers_of_a_map_have_three_digits() {
+        let shown = [112.43, 98.973, 9.8801, 0.5, 0.01234, 12_345.6, 20.0, 0.0].map(shortest);
+        assert_eq!(shown, ["112", "99", "9.88", "0.5", "0.0123", "12346", "20", "0"]);
     }
 }

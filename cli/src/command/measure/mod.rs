@@ -15,7 +15,9 @@ use femc_pipeline::measure::{
 };
 use femc_pipeline::{Prepared, StopCondition};
 use femc_reports::attempts::{csv, text_table, write_parquet};
-use femc_reports::measure::{MeasureReport, ReadingRow, reading_columns, reading_rows, summary_columns, summary_rows};
+use femc_reports::measure::{
+    MeasureReport, ReadingRow, SummaryRow, reading_columns, reading_rows, summary_columns, summary_rows,
+};
 use points_file::WorkPlaneArg;
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
@@ -204,6 +206,14 @@ fn warn(report: &MeasureReport, args: &MeasureArgs, printer: Printer) {
         let count = human::counted_noun(report.not_converged, "reading");
         let error = human::percent(args.error);
         printer.warning(format!("{count} did not reach an error of {error} within {MAX_SAMPLES} samples"));
+    }
+    for row in report.summaries.iter().filter(|row| row.dark > 0 && row.lamp.is_none()) {
+        let SummaryRow { part, dark, readings, lit_uniformity, .. } = row;
+        let others = lit_uniformity
+            .map_or_else(String::new, |it| format!("; the others have a uniformity of {}", human::number(it)));
+        printer.note(format!(
+            "`{part}`: {dark} of {readings} readings are dark: their points may lie within objects{others}"
+        ));
     }
     if report.bad_samples > 0 {
         let count = human::counted_noun(report.bad_samples, "sample");

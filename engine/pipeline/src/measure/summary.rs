@@ -34,6 +34,10 @@ pub struct Summary {
     pub greatest: Interval,
     /// Smallest reading over the mean (U0). Noise makes it too small by up to the intervals.
     pub uniformity: f64,
+    /// Number of dark readings. Their points may lie within objects.
+    pub dark: u64,
+    /// Smallest reading that is not dark over the mean of these readings.
+    pub lit_uniformity: f64,
     /// Mean light of each lamp, brightest first; empty unless requested.
     pub lamps: Vec<(String, Interval)>,
 }
@@ -87,6 +91,9 @@ fn summarize_part(part: &[(&Place, &Reading)]) -> Summary {
     let readings = || part.iter().map(|(_, reading)| of(reading));
     let least = readings().reduce(|a, b| if b.value < a.value { b } else { a }).unwrap_or(mean);
     let greatest = readings().reduce(|a, b| if b.value > a.value { b } else { a }).unwrap_or(mean);
+    let lit = || part.iter().filter(|(_, reading)| reading.value > 0.0);
+    let lit_weight: f64 = lit().map(|(place, _)| place.weight).sum();
+    let lit_least = lit().map(|(_, reading)| reading.value).fold(f64::INFINITY, f64::min);
     let mut lamps: Vec<(String, Interval)> =
         lamps.into_iter().map(|(lamp, sum)| (lamp.to_owned(), sum.interval(weight))).collect();
     lamps.sort_by(|a, b| b.1.value.total_cmp(&a.1.value));
@@ -99,6 +106,8 @@ fn summarize_part(part: &[(&Place, &Reading)]) -> Summary {
         least,
         greatest,
         uniformity: if mean.value > 0.0 { least.value / mean.value } else { 0.0 },
+        dark: (part.len() - lit().count()) as u64,
+        lit_uniformity: if sum.value > 0.0 { lit_least / (sum.value / lit_weight) } else { 0.0 },
         lamps,
     }
 }

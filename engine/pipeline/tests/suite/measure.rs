@@ -91,6 +91,12 @@ fn means_over_surfaces_have_the_flux_of_a_ball() {
     assert!((sum / (2.0 * flux) - 1.0).abs() < 0.01, "the parts make the whole: {sum}");
     let (_, dark) = read(&scene, &area("s", "room", SurfaceSide::Back, 8), &SETTINGS);
     assert!(dark.iter().all(|reading| reading.value == 0.0 && reading.is_converged), "no light outside");
+    let (places, readings) = read(&scene, &area("s", "room.floor", SurfaceSide::Both, 8), &SETTINGS);
+    let summary = &summarize(&places, &readings)[0];
+    let lit: Vec<f64> = readings.iter().map(|reading| reading.value).filter(|value| *value > 0.0).collect();
+    let least = lit.iter().copied().fold(f64::INFINITY, f64::min);
+    assert_eq!((summary.dark, summary.uniformity), (lit.len() as u64, 0.0));
+    assert!((summary.lit_uniformity - least / (2.0 * summary.mean.value)).abs() < 1e-6, "{summary:?}");
 }
 
 /// Cells of all shapes: rays from outside the surface hit it at the cell's points, with the same normal.

@@ -101,7 +101,7 @@ fn value(row: &Value, key: &str) -> f64 {
 
 /// A matte floor: luminance = reflectance x illuminance / pi. The picture of the same floor agrees.
 #[test]
-fn a_floor_has_the_luminance_of_its_illuminance_and_of_its_picture() {
+fn a_floor_its_illuminance_and_its_picture_agree() {
     let dir = folder();
     let report = dir.run("measure room.mgf points.toml --error 0.005 --json").exits(0).json();
     let (below, seen) = (reading(&report, "below", 0), reading(&report, "seen", 0));

@@ -9,6 +9,8 @@ export default defineConfig({
     assetsInlineLimit: 0,
     modulePreload: { polyfill: false },
     reportCompressedSize: true,
+    // The scene view has a chunk of its own, which is loaded when the view is opened.
+    chunkSizeWarningLimit: 700,
   },
   // For work on the pages: `npx vite` beside a coordinator on its usual port.
   server: {

@@ -127,8 +127,12 @@ describe('names as categories', () => {
         ['paths.sample', 'u32', [0, 1, 2, 3]],
         ...['position.y', 'object'].map((name): [string, 'f32', number[]] => [`intersections.${name}`, 'f32', [1]]),
         ['intersections.number', 'u32', [0]],
+        ['intersections.path', 'u32', [0]],
+        ['intersections.parent', 'u32', [0xffffffff]],
         ['lights.radiance.r', 'f32', []],
         ['lights.number', 'u32', []],
+        ['lights.path', 'u32', []],
+        ['lights.intersection', 'u32', []],
       ]),
     ) as unknown as Parameters<typeof rowsOf>[1];
     const rows = rowsOf(other.schema, answer);

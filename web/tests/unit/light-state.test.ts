@@ -93,7 +93,7 @@ class Server {
       paths: [
         one('paths.depth', 'f32', [1, 2]),
         ...['paths.number', 'paths.frame', 'paths.sample'].map((name) => one(name, 'u32', [0, 1])),
-        ...['intersections.number', 'lights.number'].map((name) => one(name, 'u32', [])),
+        ...['intersections.number', 'lights.number', 'intersections.path', 'intersections.parent', 'lights.path', 'lights.intersection'].map((name) => one(name, 'u32', [])),
         ...(this.marks && url.searchParams.get('among') === 'brightest' && url.searchParams.get('where')
           ? [one('paths.selected', 'u8', [1, 1]), one('intersections.selected', 'u8', []), one('lights.selected', 'u8', [])]
           : []),

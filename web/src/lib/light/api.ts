@@ -80,6 +80,11 @@ export interface SelectionHeader {
   density_fault?: string | null;
 }
 
+export interface VoxelsHeader {
+  cube: Corners;
+  level: number;
+}
+
 export interface ServedFile {
   file: number;
   name: string;
@@ -201,6 +206,22 @@ export const light = {
     { where, box, pairs }: { where: string; box: Corners | null; pairs: readonly string[] },
     signal?: AbortSignal,
   ) => columns<HistogramsHeader>(source, 'histograms', { where, box: formatBox(box), pairs: pairs.join(',') }, signal),
+
+  /** Returns the mean energy of voxels that have selected intersections; of one bounce, or of all (null). */
+  voxels: (
+    source: Source,
+    { where, box, level, bounce }: { where: string; box: Corners | null; level: number; bounce: number | null },
+    signal?: AbortSignal,
+  ) => columns<VoxelsHeader>(source, 'voxels', { where, box: formatBox(box), level, bounce }, signal),
+
+  /** Returns the geometry of the scene as binary glTF; `null`: not made yet, `undefined`: there is none. */
+  async geometry(source: Source, signal?: AbortSignal): Promise<ArrayBuffer | null | undefined> {
+    const path = 'file' in source ? `files/${source.file}/geometry` : `jobs/${source.job}/geometry?frame=${source.frames[0]}`;
+    const answer = await fetch(`/api/v1/${path}`, { credentials: 'same-origin', signal: signal ?? null, cache: 'no-cache' });
+    if (answer.status === 404) return undefined;
+    if (!answer.ok) throw await failure(answer);
+    return answer.status === 204 ? null : answer.arrayBuffer();
+  },
 
   /** Evaluates a condition over all recorded paths. */
   selection: (source: Source, where: string, density: boolean, signal?: AbortSignal) =>

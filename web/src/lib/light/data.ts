@@ -121,6 +121,7 @@ export interface Rows {
   values: PerTable<Float32Array[]>;
   /** Numbers of the records: bits in masks. */
   numbers: PerTable<Uint32Array>;
+  links: Links;
   frame: Uint32Array;
   sample: Uint32Array;
   set: number;
@@ -128,6 +129,16 @@ export interface Rows {
   d: number | null;
   dj: number | null;
   effectiveSize: number | null;
+}
+
+/** Row numbers by which records refer to each other. */
+export interface Links {
+  intersectionPath: Uint32Array;
+  /** Intersection before; `NONE`: the camera. */
+  intersectionParent: Uint32Array;
+  lightPath: Uint32Array;
+  /** Intersection of the light. */
+  lightIntersection: Uint32Array;
 }
 
 /** Selected records among the brightest paths. */
@@ -154,6 +165,12 @@ export function rowsOf(schema: Schema, answer: PathsAnswer): Rows {
     tag,
     values: perTable((table) => schema.tables[table].map((axis) => answer.f32(`${table}.${axis.name}`))),
     numbers: perTable((table) => answer.u32(`${table}.number`)),
+    links: {
+      intersectionPath: answer.u32('intersections.path'),
+      intersectionParent: answer.u32('intersections.parent'),
+      lightPath: answer.u32('lights.path'),
+      lightIntersection: answer.u32('lights.intersection'),
+    },
     frame: answer.u32('paths.frame'),
     sample: answer.u32('paths.sample'),
     set,

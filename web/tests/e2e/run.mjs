@@ -15,6 +15,7 @@ import { files } from './files.mjs';
 import { hands } from './hands.mjs';
 import { light } from './light.mjs';
 import { numbers } from './numbers.mjs';
+import { scene } from './scene.mjs';
 import { slow } from './slow.mjs';
 import { tabs } from './tabs.mjs';
 
@@ -80,8 +81,8 @@ async function open(farm, { dark = false, by = browser, ...more } = {}) {
 }
 
 async function step(name, run) {
-  // The steps of light have a farm of their own: `run light:` makes only these.
-  if (!name.includes(only) && (!name.startsWith('begin') || only.startsWith('light:'))) return;
+  // The steps of light and of the scene have a farm of their own: `run light:` makes only these.
+  if (!name.includes(only) && (!name.startsWith('begin') || /^(light|scene):/.test(only))) return;
   const began = Date.now();
   steps++;
   try {
@@ -730,6 +731,7 @@ await step('roles: a token lets in, and each role is refused what is not its own
 await secured.end();
 
 await light({ step, open, claim, equal, accessible, browser, shotsAt, current: (page) => (current = page) });
+await scene({ step, open, claim, equal, accessible, shotsAt, current: (page) => (current = page) });
 await browser.close();
 console.log(`${steps} steps, ${failures} failed`);
 process.exit(failures ? 1 : 0);

@@ -133,6 +133,13 @@ describe('eye', () => {
     expect(Math.tan(narrow.fov / 2) * 0.75).toBeCloseTo(Math.tan(0.5) * 1.5, 6);
   });
 
+  test('a narrow view sees the whole scene from farther away', () => {
+    const [wide, narrow] = [around([0, 0, 0], [2, 2, 2], 1.5), around([0, 0, 0], [2, 2, 2], 0.5)];
+    near(wide.target, [1, 1, 1]);
+    expect(wide.distance * Math.sin(wide.fov / 2)).toBeCloseTo(Math.sqrt(3), 5);
+    expect(narrow.distance).toBeGreaterThan(1.8 * wide.distance);
+  });
+
   test('addresses', () => {
     const text = formatEye({ ...eye, yaw: 1.23456, target: [0.12345, -7, 1e-9] });
     expect(text).toBe('0.123,-7,0,10,1.2346,0,0.7');
@@ -140,7 +147,7 @@ describe('eye', () => {
     for (const bad of ['', undefined, '1,2,3', '1,2,3,0,0,0,0.7', '1,2,3,4,5,6,x', '1,2,3,4,5,6,9', '1,2,3,4,5,1,0.7,8']) {
       expect(parseEye(bad)).toBeNull();
     }
-    expect(parseEyes(formatEyes([eye, around([0, 0, 0], [1, 1, 1])]))).toHaveLength(2);
+    expect(parseEyes(formatEyes([eye, around([0, 0, 0], [1, 1, 1], 1.5)]))).toHaveLength(2);
     expect(parseEyes('x;1,2')).toEqual([]);
     expect(parseCut('y<-0.25')).toEqual({ axis: 1, at: -0.25, hidesAbove: true });
     expect(formatCut({ axis: 2, at: 1.5, hidesAbove: false })).toBe('z>1.5');
@@ -239,7 +246,7 @@ describe('records', () => {
   test('the hidden part of a ray is black, from the object that hides it', () => {
     // The wall crosses the plane x = 3 and is the lamp, too: its center is at (3, 1, 0).
     const it = raysOf(records, wall([3, -8, -8, 3, 10, -8, 3, 1, 8]), [0, 0, 0], () => true);
-    expect(it).toMatchObject({ hidden: 1, lost: 1 });
+    expect(it).toMatchObject({ total: 2, hidden: 1, lost: 1 });
     expect(it.count).toBe(3);
     expect([...it.colors.subarray(8, 11)]).toEqual([0, 0, 0]);
     expect(it.colors[0]).toBeGreaterThan(200);

@@ -1,6 +1,6 @@
 /** The eye of the scene view: a place that turns about a target. Kept in the address. */
 
-import type { Matrix, SceneCamera, Vec3 } from './glb';
+import type { SceneCamera, Vec3 } from './glb';
 
 export interface Eye {
   /** Point in the middle of the view, in coordinates of the scene, m. */
@@ -59,11 +59,15 @@ export const nearer = (eye: Eye, factor: number): Eye => ({
   distance: clamp(eye.distance * factor, 1e-4, 1e7),
 });
 
-/** Returns an eye that sees a whole box. */
-export function around(low: Vec3, high: Vec3): Eye {
+/**
+ * Returns an eye that sees a whole box.
+ * - `aspect`: width by height of the view.
+ */
+export function around(low: Vec3, high: Vec3, aspect: number): Eye {
   const target = [0, 1, 2].map((i) => (low[i]! + high[i]!) / 2) as unknown as Vec3;
   const radius = Math.hypot(...[0, 1, 2].map((i) => high[i]! - low[i]!)) / 2 || 1;
-  return { target, yaw: -1.1, pitch: 0.45, distance: radius / Math.sin(DEFAULT_FOV / 2), fov: DEFAULT_FOV };
+  const narrower = Math.atan(Math.tan(DEFAULT_FOV / 2) * Math.min(aspect, 1));
+  return { target, yaw: -1.1, pitch: 0.45, distance: radius / Math.sin(narrower), fov: DEFAULT_FOV };
 }
 
 /**
@@ -143,5 +147,3 @@ export function parseCut(text: string | undefined): Cut | null {
 /** Checks whether a point is visible with a cut. */
 export const isKept = (cut: Cut | null, point: Vec3): boolean =>
   cut === null || (cut.hidesAbove ? point[cut.axis] <= cut.at : point[cut.axis] >= cut.at);
-
-export type { Matrix };

@@ -245,8 +245,10 @@ export function segmentsOf(
 const LIT: Rgb = [255, 226, 138];
 const HIDDEN: Rgb = [0, 0, 0];
 
-/** Rays of light records. */
+/** Rays of light records. A hidden ray has two segments. */
 export interface Rays extends Segments {
+  /** Number of rays. */
+  total: number;
   /** Number of rays that an object hides. */
   hidden: number;
   /** Number of records of lamps without a known position. */
@@ -349,7 +351,8 @@ export function raysOf(records: Records, geometry: Geometry | null, origin: Vec3
     if (split > 0) list.colors.set([...LIT, 255], 4 * list.add(from, middle, 0, 1));
     list.colors.set([...HIDDEN, 255], 4 * list.add(middle, to, 0, 1));
   }
-  return { from: list.from, to: list.to, span: list.span, colors: list.colors, count: list.count, hidden, lost };
+  const { from, to, span, colors, count } = list;
+  return { from, to, span, colors, count, total: shown.length - lost, hidden, lost };
 }
 
 /** Triangles of an object that hides rays. */

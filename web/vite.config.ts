@@ -9,6 +9,8 @@ export default defineConfig({
     assetsInlineLimit: 0,
     modulePreload: { polyfill: false },
     reportCompressedSize: true,
+    // The licenses of the packages that are part of the pages.
+    license: { fileName: 'licenses.txt' },
     // The scene view has a chunk of its own, which is loaded when the view is opened.
     chunkSizeWarningLimit: 700,
   },

@@ -259,7 +259,7 @@ export async function scene({ step, open, claim, equal, accessible, current, sho
       await it.layer('light records').check();
       await page.locator('[data-rays]').waitFor();
       const rays = await page.locator('[data-rays]').innerText();
-      claim(/^[\d,]+ rays to the centers of the lamps, [\d,]+ hidden/.test(rays) && !/^0 rays/.test(rays), rays);
+      claim(/^[\d,]+ rays of [\d,]+ light records, [\d,]+ hidden/.test(rays) && !/^0 rays/.test(rays), rays);
     });
 
     await on('paths move, stop, and follow the scrubber', async (it, page) => {
@@ -283,7 +283,7 @@ export async function scene({ step, open, claim, equal, accessible, current, sho
       await it.section.getByLabel('Speed').selectOption('4');
       await it.section.getByLabel('Direction').selectOption('camera');
       await until(() => it.query('from') === 'camera', 'the direction is in the address', 5);
-      await it.section.getByLabel('Largest number of moving paths').selectOption('500');
+      await it.section.getByLabel('Largest number of moving paths and light records').selectOption('500');
       await page.getByText(/^500 of [\d,]+ paths move$/).waitFor();
       const [n, began] = [Number(await it.canvas.getAttribute('data-frames')), Date.now()];
       await pause(4000);

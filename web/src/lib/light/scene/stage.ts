@@ -37,7 +37,7 @@ import {
 } from 'three';
 import { placeOf, type Cut, type Eye } from './eye';
 import type { Geometry, Vec3 } from './glb';
-import { boxOf, type Points, type Segments, type Voxels } from './records';
+import type { Points, Segments, Voxels } from './records';
 import { POINTS, SEGMENTS, VOXELS } from './shaders';
 
 /** Object under the pointer. */
@@ -529,10 +529,3 @@ function voxelGeometry(): InstancedBufferGeometry {
   geometry.instanceCount = 0;
   return geometry;
 }
-
-/** Returns the corners of the geometry in coordinates of the scene. */
-export function extentOf(geometry: Geometry): [Vec3, Vec3] | null {
-  const box = boxOf(geometry.objects);
-  return box && (box.map((corner) => corner.map((v, k) => v + geometry.origin[k]!)) as unknown as [Vec3, Vec3]);
-}
-

@@ -355,11 +355,34 @@ export async function scene({ step, open, claim, equal, accessible, current, sho
       console.log(`        ${right} of ${all} first hits are named rightly (${where === 'view' ? 'intersections alone' : hasGeometry ? 'geometry' : 'boxes'})`);
       claim(all >= 40, `${all} first hits are on the canvas`);
       claim(right >= (where === 'farm' && hasGeometry ? 0.96 : 0.7) * all, `${right} of ${all} first hits are named rightly`);
-      const row = of['paths.first.object'].findIndex((value) => names[value - 1] === 'sphere');
-      const [x, y] = await it.seen(['x', 'y', 'z'].map((axis) => of[`paths.first.${axis}`][row]));
-      await page.mouse.click(box.x + x, box.y + y);
-      await until(() => it.where === 'object == sphere', `a click selects the sphere, not ${it.where}`, 5);
-      await it.clear();
+      // A point in the middle of an object, not at its silhouette.
+      const hits = (name) => [...of['paths.first.object'].keys()].filter((row) => names[of['paths.first.object'][row] - 1] === name);
+      const click = async (name) => {
+        const all = await Promise.all(hits(name).map((row) => it.seen(['x', 'y', 'z'].map((axis) => of[`paths.first.${axis}`][row]))));
+        const mean = [0, 1].map((k) => all.reduce((sum, at) => sum + at[k], 0) / all.length);
+        const [x, y] = all.sort((p, q) => Math.hypot(p[0] - mean[0], p[1] - mean[1]) - Math.hypot(q[0] - mean[0], q[1] - mean[1]))[0];
+        await page.mouse.click(box.x + x, box.y + y);
+      };
+      const list = it.section.getByRole('region', { name: 'Objects of the scene' });
+      const selects = async (text) => {
+        await until(() => it.where === text, `a click selects ${text}, not ${it.where}`, 5);
+        await it.clear();
+        await it.canvas.scrollIntoViewIfNeeded();
+        Object.assign(box, await it.canvas.boundingBox());
+      };
+      await click('sphere');
+      await selects('object == sphere');
+      for (const [mode, name, text] of [['interaction', 'sphere', 'any(object == sphere)'], ['shadow', 'vase', 'light(occluder == vase)']]) {
+        await list.getByLabel(mode).check();
+        Object.assign(box, await it.canvas.boundingBox());
+        await click(name);
+        await selects(text);
+      }
+      await list.getByLabel('A, then B').check();
+      await click('sphere');
+      await list.getByText(/From sphere: pick the next object/).waitFor();
+      await click('vase');
+      await selects('sphere then vase');
     });
 
     await on('voxels with a threshold, by bounce', async (it, page) => {
@@ -447,6 +470,9 @@ export async function scene({ step, open, claim, equal, accessible, current, sho
       await send('touchEnd', []);
       const near = await it.moved(turned, 'two fingers');
       claim(Number(near.split(',')[3]) < Number(turned.split(',')[3]), 'fingers that part bring the eye nearer');
+      await it.canvas.scrollIntoViewIfNeeded();
+      await page.touchscreen.tap(...(await it.middle()));
+      await until(() => /^object == \w+$/.test(it.where), 'a tap in the scene picks', 5);
       const button = it.section.getByRole('button', { name: 'sphere', exact: true });
       await button.scrollIntoViewIfNeeded();
       await button.tap();
@@ -469,6 +495,29 @@ export async function scene({ step, open, claim, equal, accessible, current, sho
     equal(await it.canvas.getAttribute('data-frames'), frames, 'frames while nothing moves');
     await it.section.getByRole('button', { name: 'Play', exact: true }).click();
     await until(async () => (await it.canvas.getAttribute('data-frames')) !== frames, 'it plays on demand', 5);
+    await page.context().close();
+  });
+
+  await step('scene: a browser without WebGL2 says so, and its list of objects works', async () => {
+    await begin();
+    const page = current(await open({ url: server.url }, { by: browser }));
+    await page.addInitScript(() => {
+      delete globalThis.Worker;
+      for (const canvas of [HTMLCanvasElement, OffscreenCanvas]) {
+        const { getContext } = canvas.prototype;
+        canvas.prototype.getContext = function (name, ...more) {
+          return name === 'webgl2' ? null : getContext.call(this, name, ...more);
+        };
+      }
+    });
+    await page.goto(server.address);
+    await page.locator('[data-totals]').waitFor({ timeout: 60_000 });
+    await page.getByRole('button', { name: 'Scene', exact: true }).click();
+    const it = new Scene(page, '/api/v1/files/0/light', '');
+    await page.getByText('This browser has no WebGL2, which the scene view needs').waitFor();
+    await it.section.getByRole('button', { name: 'sphere', exact: true }).click();
+    await until(() => it.where === 'object == sphere', 'a pick of the list', 5);
+    await accessible('the scene without WebGL2', page);
     await page.context().close();
   });
 

@@ -187,6 +187,7 @@ describe('records', () => {
     // More energy is lighter.
     const lightness = (i: number) => points.colors[4 * i]! + points.colors[4 * i + 1]! + points.colors[4 * i + 2]!;
     expect(lightness(1)).toBeGreaterThan(lightness(0));
+    expect(energyScale([1e-30, 1e-3, 1, 2])).toEqual({ low: 2e-5, high: 2, logarithmic: true });
     expect(bounceScale(records.bounce)).toMatchObject({ low: 0, high: 2 });
     expect([objectAt(records, 0), objectAt(records, 2)]).toEqual(['ball', null]);
   });

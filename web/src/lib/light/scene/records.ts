@@ -85,10 +85,13 @@ export function recordsOf(schema: Schema, rows: Rows): Records {
 export const objectAt = (records: Records, row: number): string | null =>
   records.names[records.object[row]! - 1] ?? null;
 
-/** Returns the scale of energies: logarithmic, without half a percent at each end. */
+/** Smallest energy of a scale, as a share of the largest one: fog and Russian roulette leave paths with far less. */
+const LEAST_SHARE = 1e-5;
+
+/** Returns the scale of energies: logarithmic, at most five powers of ten, without half a percent at each end. */
 export function energyScale(values: Iterable<number>): Scale {
   const [low, high] = spread(values, 0.005, true) ?? [1, 1];
-  return { low, high, logarithmic: true };
+  return { low: Math.max(low, LEAST_SHARE * high), high, logarithmic: true };
 }
 
 /** Colors begin above black, which marks hidden rays. */
@@ -171,8 +174,12 @@ class SegmentList implements Segments {
   }
 }
 
-/** Paths as segments, and the length of the longest one, m. */
+/** Share of the paths that end within the length of the animation. A few paths may be far longer than all others. */
+const ENDED_SHARE = 0.95;
+
+/** Paths as segments. */
 export interface PathSegments extends Segments {
+  /** Length within which 95 % of the paths end, m. */
   length: number;
 }
 
@@ -224,8 +231,8 @@ export function segmentsOf(
     owners.push(owner);
     paint(coloring === 'energy' ? records.pathEnergy[owner]! : records.bounce[row]!, list.colors, 4 * i);
   }
-  let length = 0;
-  for (const it of whole.values()) length = Math.max(length, it);
+  const lengths = Float64Array.from(whole.values()).sort();
+  const length = lengths[Math.ceil(ENDED_SHARE * lengths.length) - 1] ?? 0;
   if (withLight) {
     for (let i = 0; i < list.count; i++) {
       const all = whole.get(owners[i]!)!;

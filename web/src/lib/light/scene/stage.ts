@@ -35,6 +35,7 @@ import {
   type Material,
   type Object3D,
 } from 'three';
+import { isWithin } from '../text';
 import { placeOf, type Cut, type Eye } from './eye';
 import type { Geometry, Vec3 } from './glb';
 import type { Points, Segments, Voxels } from './records';
@@ -54,6 +55,8 @@ export type Handle = number;
 const BACKGROUNDS = { light: 0xaab1ba, dark: 0x4d545d };
 const BOX_COLOR = 0x00c2a8;
 const HANDLE_PIXELS = 9;
+/** Light that a highlighted object adds. */
+const HIGHLIGHT = new Color(0, 0.13, 0.2);
 
 /** No cut: everything is on the upper side of the plane. */
 const NO_CUT = new Vector4(0, 0, 0, -1);
@@ -256,7 +259,7 @@ export class Stage {
           flatShading: surface.normals === null,
           side: isDoubleSided ? DoubleSide : FrontSide,
         });
-        material.userData = { opacity: color[3], side: material.side };
+        material.userData = { name: object.name, opacity: color[3], side: material.side, emissive: material.emissive.clone() };
         const mesh = new Mesh(buffer, material);
         mesh.matrixAutoUpdate = false;
         mesh.matrix.copy(matrix);
@@ -289,6 +292,16 @@ export class Stage {
       material.transparent = isTransparent;
       material.depthWrite = !isTransparent;
       material.side = hidesBacks ? FrontSide : material.userData.side;
+    }
+    this.invalidate();
+  }
+
+  /** Makes an object brighter, with all that it contains; null: none. */
+  highlight(name: string | null) {
+    for (const { material } of this.surfaces.children as Mesh<BufferGeometry, MeshLambertMaterial>[]) {
+      const { userData } = material;
+      material.emissive.copy(userData.emissive as Color);
+      if (name !== null && isWithin(userData.name as string, name)) material.emissive.add(HIGHLIGHT);
     }
     this.invalidate();
   }

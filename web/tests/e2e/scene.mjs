@@ -2,7 +2,7 @@
 import { copyFileSync, mkdirSync, readdirSync } from 'node:fs';
 import { join } from 'node:path';
 import { chromium } from 'playwright-core';
-import { Farm, pause, until } from './farm.mjs';
+import { Farm, pause, root, until } from './farm.mjs';
 import { boxesAsGlb } from './glb.mjs';
 import { view } from './light.mjs';
 
@@ -498,6 +498,37 @@ export async function scene({ step, open, claim, equal, accessible, current, sho
     await page.context().close();
   });
 
+  await step('scene: two data sets, one by one and together, and the difference of their voxels', async () => {
+    await begin();
+    farm.femc('render', join(root, 'scenes', 'gallery.mgf'), '-o', 'dim.exr', '--size', '64x48', '--spp', '64', '--stats', '--set', 'material.lamp.ed=2000');
+    const both = await view(farm, 'gallery.paths', 'dim.paths');
+    try {
+      const page = current(await open({ url: both.url }, { by: browser }));
+      await page.goto(both.address);
+      await page.locator('[data-totals]').waitFor({ timeout: 60_000 });
+      await page.getByRole('button', { name: 'Scene', exact: true }).click();
+      const it = new Scene(page, '/api/v1/files/0/light', '');
+      await it.ready();
+      const sets = it.section.getByRole('group', { name: 'Data set of the scene' });
+      const shown = async () => Number((await page.locator('[data-points]').innerText()).replace(/\D/g, ''));
+      const a = await shown();
+      await sets.getByRole('button', { name: 'B', exact: true }).click();
+      await until(async () => (await shown()) !== a, 'the intersections of B', 10);
+      const b = await shown();
+      await sets.getByRole('button', { name: 'both', exact: true }).click();
+      await until(async () => (await shown()) === a + b, `${a} and ${b} intersections`, 10);
+      await it.section.getByText('A red, B blue').waitFor();
+      await it.layer('voxels').check();
+      await page.getByLabel('Voxels of').selectOption('difference');
+      await it.section.getByText('voxels, A minus B').waitFor();
+      await until(async () => /^[1-9][\d,]* of/.test(await page.locator('[data-voxels]').innerText()), 'voxels of the difference', 10);
+      await accessible('two data sets in the scene', page);
+      if (shotsAt) await it.section.screenshot({ path: join(shotsAt, 'scene-both.png') });
+      await page.context().close();
+    } finally {
+      await farm.kill(both.child);
+    }
+  });
   await step('scene: a browser without WebGL2 says so, and its list of objects works', async () => {
     await begin();
     const page = current(await open({ url: server.url }, { by: browser }));

@@ -23,10 +23,14 @@ import { findBox, roundBox, termOf, withBox, withPick } from '../../src/lib/ligh
 import {
   bounceScale,
   energyScale,
+  joinPaths,
+  joinPoints,
   lampCenters,
   objectAt,
+  plainPaint,
   pointsOf,
   raysOf,
+  scalePaint,
   segmentsOf,
   sparse,
   triangleHit,
@@ -181,7 +185,7 @@ const records: Records = {
 
 describe('records', () => {
   test('points are the shown rows, relative to the origin', () => {
-    const points = pointsOf(records, 'energy', energyScale(records.energy), [1, 0, 0], (row) => row !== 1);
+    const points = pointsOf(records, scalePaint(energyScale(records.energy), 'energy'), [1, 0, 0], (row) => row !== 1);
     expect([...points.rows]).toEqual([0, 2, 3, 4, 5]);
     expect([...points.positions.subarray(0, 6)]).toEqual([0, 0, 0, 2, 0, 0]);
     // More energy is lighter.
@@ -192,7 +196,7 @@ describe('records', () => {
     expect([objectAt(records, 0), objectAt(records, 2)]).toEqual(['ball', null]);
   });
 
-  const style = { coloring: 'bounce' as const, scale: bounceScale(records.bounce), origin: [0, 0, 0] as const };
+  const style = { paint: scalePaint(bounceScale(records.bounce), 'bounce'), origin: [0, 0, 0] as const };
   test('segments have the length along the path, from the camera', () => {
     const it = segmentsOf(records, [0, 1], { ...style, camera: [0, 0, 0], withLight: false });
     expect(it.count).toBe(6);
@@ -214,6 +218,22 @@ describe('records', () => {
     const it = segmentsOf(records, [0], { ...style, camera: null, withLight: false });
     expect(it.count).toBe(2);
     expect([...it.span.subarray(0, 4)]).toEqual([0, 1, 1, 2]);
+  });
+
+  test('two data sets have their own colors', () => {
+    const [red, blue] = [plainPaint([255, 0, 0]), plainPaint([0, 0, 255], 100)];
+    const points = joinPoints(
+      pointsOf(records, red, [0, 0, 0], (row) => row < 2),
+      pointsOf(records, blue, [0, 0, 0], (row) => row === 2),
+    );
+    expect([...points.rows]).toEqual([0, 1, 2]);
+    expect([...points.colors]).toEqual([255, 0, 0, 255, 255, 0, 0, 255, 0, 0, 255, 100]);
+    expect([...points.positions.subarray(6)]).toEqual([3, 0, 0]);
+    const way = { origin: [0, 0, 0] as const, camera: null, withLight: false };
+    const paths = joinPaths(segmentsOf(records, [0], { paint: red, ...way }), segmentsOf(records, [1], { paint: blue, ...way }));
+    expect(paths.count).toBe(4);
+    expect([...paths.from.subarray(6, 9)]).toEqual([0, 1, 0]);
+    expect([...paths.colors.subarray(8, 12)]).toEqual([0, 0, 255, 100]);
   });
 
   test('a sparse set is spread over all', () => {

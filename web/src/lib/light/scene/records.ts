@@ -12,6 +12,7 @@ export const COLORINGS: readonly Coloring[] = ['energy', 'bounce'];
 /** Points and their colors; positions relative to the origin. */
 export interface Points {
   positions: Float32Array;
+  /** Red, green, blue, and the size. */
   colors: Uint8Array;
   /** Row of each point in the table of intersections. */
   rows: Uint32Array;
@@ -107,17 +108,36 @@ export function bounceScale(bounces: Float32Array): Scale {
 export const colorOf = (coloring: Coloring): ((t: number) => Rgb) => (coloring === 'energy' ? energyColor : viridis);
 
 const STEPS = 255;
-/** Returns a function that writes the color of a value. */
-function painter(scale: Scale, coloring: Coloring): (value: number, into: Uint8Array, at: number) => void {
+/** Colors of records. */
+export interface Paint {
+  coloring: Coloring;
+  /** Returns the color of a value. */
+  color: (value: number) => Rgb;
+  /** Size of points and width of lines, of 255. */
+  size: number;
+}
+
+/** Returns the colors of a scale. */
+export function scalePaint(scale: Scale, coloring: Coloring): Paint {
   const table = Array.from({ length: STEPS + 1 }, (_, i) => colorOf(coloring)(i / STEPS));
-  return (value, into, at) => {
-    const t = place(scale, value);
-    const [r, g, b] = table[t > 0 ? Math.round(Math.min(t, 1) * STEPS) : 0]!;
-    into[at] = r;
-    into[at + 1] = g;
-    into[at + 2] = b;
-    into[at + 3] = 255;
+  return {
+    coloring,
+    size: 255,
+    color: (value) => {
+      const t = place(scale, value);
+      return table[t > 0 ? Math.round(Math.min(t, 1) * STEPS) : 0]!;
+    },
   };
+}
+
+/** Returns one color for all records, such as those of a data set. Smaller ones are visible over equal ones. */
+export const plainPaint = (color: Rgb, size = 255): Paint => ({ coloring: 'energy', color: () => color, size });
+
+function write([r, g, b]: Rgb, size: number, into: Uint8Array, at: number) {
+  into[at] = r;
+  into[at + 1] = g;
+  into[at + 2] = b;
+  into[at + 3] = size;
 }
 
 /**
@@ -126,8 +146,7 @@ function painter(scale: Scale, coloring: Coloring): (value: number, into: Uint8A
  */
 export function pointsOf(
   records: Records,
-  coloring: Coloring,
-  scale: Scale,
+  { coloring, color, size }: Paint,
   origin: Vec3,
   isShown: (row: number) => boolean,
 ): Points {
@@ -137,12 +156,11 @@ export function pointsOf(
   for (let row = 0; row < total; row++) if (isShown(row)) rows[count++] = row;
   const positions = new Float32Array(3 * count);
   const colors = new Uint8Array(4 * count);
-  const paint = painter(scale, coloring);
   const values = coloring === 'energy' ? records.energy : records.bounce;
   for (let i = 0; i < count; i++) {
     const row = rows[i]!;
     for (let k = 0; k < 3; k++) positions[3 * i + k] = records.position[k]![row]! - origin[k]!;
-    paint(values[row]!, colors, 4 * i);
+    write(color(values[row]!), size, colors, 4 * i);
   }
   return { positions, colors, rows: rows.slice(0, count) };
 }
@@ -192,9 +210,8 @@ export interface PathSegments extends Segments {
 export function segmentsOf(
   records: Records,
   paths: readonly number[],
-  { coloring, scale, origin, camera, withLight }: {
-    coloring: Coloring;
-    scale: Scale;
+  { paint: { coloring, color, size }, origin, camera, withLight }: {
+    paint: Paint;
     origin: Vec3;
     camera: Vec3 | null;
     withLight: boolean;
@@ -215,7 +232,6 @@ export function segmentsOf(
   ];
   const start: Vec3 | null = camera && [camera[0] - origin[0], camera[1] - origin[1], camera[2] - origin[2]];
   const owners: number[] = [];
-  const paint = painter(scale, coloring);
   for (let row = 0; row < total; row++) {
     const owner = path[row]!;
     if (!shown.has(owner)) continue;
@@ -229,7 +245,7 @@ export function segmentsOf(
     if (end > (whole.get(owner) ?? 0)) whole.set(owner, end);
     const i = list.add(from, to, begin, end);
     owners.push(owner);
-    paint(coloring === 'energy' ? records.pathEnergy[owner]! : records.bounce[row]!, list.colors, 4 * i);
+    write(color(coloring === 'energy' ? records.pathEnergy[owner]! : records.bounce[row]!), size, list.colors, 4 * i);
   }
   const lengths = Float64Array.from(whole.values()).sort();
   const length = lengths[Math.ceil(ENDED_SHARE * lengths.length) - 1] ?? 0;
@@ -246,6 +262,30 @@ export function segmentsOf(
   }
   return { from: list.from, to: list.to, span: list.span, colors: list.colors, count: list.count, length };
 }
+
+function joined<T extends Float32Array | Uint8Array | Uint32Array>(a: T, b: T): T {
+  const out = new (a.constructor as new (length: number) => T)(a.length + b.length);
+  out.set(a);
+  out.set(b, a.length);
+  return out;
+}
+
+/** Returns the points of two data sets. The rows are those of their own sets. */
+export const joinPoints = (a: Points, b: Points): Points => ({
+  positions: joined(a.positions, b.positions),
+  colors: joined(a.colors, b.colors),
+  rows: joined(a.rows, b.rows),
+});
+
+/** Returns the paths of two data sets. */
+export const joinPaths = (a: PathSegments, b: PathSegments): PathSegments => ({
+  from: joined(a.from.subarray(0, 3 * a.count), b.from),
+  to: joined(a.to.subarray(0, 3 * a.count), b.to),
+  span: joined(a.span.subarray(0, 2 * a.count), b.span),
+  colors: joined(a.colors.subarray(0, 4 * a.count), b.colors),
+  count: a.count + b.count,
+  length: Math.max(a.length, b.length),
+});
 
 // ---- Light records
 

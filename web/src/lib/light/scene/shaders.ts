@@ -1,4 +1,7 @@
-/** Shaders of the scene view. Colors are bytes of the screen; `cut` hides the points on the lower side of a plane. */
+/**
+ * Shaders of the scene view. Colors are bytes of the screen, with the size in place of the opacity. `cut` hides the points on the lower
+ * side of a plane.
+ */
 
 const CUT = `
 uniform vec4 cut;
@@ -15,7 +18,7 @@ void main() {
   at = position;
   gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0);
   gl_Position.z -= 2e-4 * gl_Position.w;
-  gl_PointSize = size;
+  gl_PointSize = size * color.a;
 }`,
   fragment: `
 varying vec3 shade;
@@ -64,7 +67,7 @@ void main() {
   bool isEnd = position.y > 0.5;
   vec4 c = isEnd ? cq : cp;
   at = isEnd ? end : begin;
-  c.xy += n * (position.x * width) / resolution * c.w;
+  c.xy += n * (position.x * width * color.a) / resolution * c.w;
   c.z -= 3e-4 * c.w;
   gl_Position = b > a ? c : vec4(2.0, 2.0, 2.0, 1.0);
 }`,

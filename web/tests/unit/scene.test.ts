@@ -25,7 +25,8 @@ import {
   energyScale,
   joinPaths,
   joinPoints,
-  lampCenters,
+  connectedBoxes,
+  lampPlaces,
   objectAt,
   plainPaint,
   pointsOf,
@@ -169,6 +170,7 @@ const records: Records = {
   energy: Float32Array.of(1, 10, 100, 0, 5, 7),
   bounce: Float32Array.of(0, 1, 2, 0, 1, 1),
   object: Float32Array.of(1, 2, 0, 1, 1, 1),
+  material: Float32Array.of(5, 6, 0, 5, 5, 5),
   path: Uint32Array.of(0, 0, 0, 1, 1, 1),
   parent: Uint32Array.of(NONE, 0, 1, NONE, 3, 3),
   pathEnergy: Float32Array.of(4, 8),
@@ -179,7 +181,8 @@ const records: Records = {
     occluder: Float32Array.of(0, 2, 0, 0),
     found: Float32Array.of(3, 3, 1, 3),
   },
-  names: ['ball', 'room.wall', 'room.wall/lamp', 'gone/lamp'],
+  names: ['ball', 'room.wall', 'room.wall/lamp', 'gone/lamp', 'chrome', 'lamp'],
+  kinds: ['object', 'object', 'light', 'light', 'material', 'material'],
   sampled: new Set([3]),
 };
 
@@ -252,16 +255,23 @@ describe('records', () => {
         surfaces: [{ positions: Float32Array.from(positions), normals: null, indices: Uint32Array.of(0, 1, 2), material: 0 }],
       },
     ],
-    materials: [],
+    materials: [{ name: 'lamp', color: [0, 0, 0, 1], emissive: [1, 1, 1], isDoubleSided: true }],
     cameras: [],
     deviation: 0,
     boxed: 0,
   });
 
-  test('a lamp is at the center of its geometry, or of the intersections with its object', () => {
-    near(lampCenters(records, null).get('room.wall/lamp')!, [2, 0, 0]);
-    near(lampCenters(records, wall([0, 0, 8, 2, 0, 8, 0, 2, 8])).get('room.wall/lamp')!, [1, 1, 8]);
-    expect(lampCenters(records, null).has('gone/lamp')).toBe(false);
+  test('a lamp is at the parts of its geometry, or at the intersections with it', () => {
+    expect(lampPlaces(records, null).get('room.wall/lamp')).toEqual([[2, 0, 0]]);
+    expect(lampPlaces(records, wall([0, 0, 8, 2, 0, 8, 0, 2, 8])).get('room.wall/lamp')).toEqual([[1, 1, 8]]);
+    expect(lampPlaces(records, null).has('gone/lamp')).toBe(false);
+    // Triangles with a common corner are one part, others are not.
+    const corners = Float32Array.of(0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 1, 0, 1, 0, 0, 1, 1, 0, 9, 9, 9, 8, 9, 9, 9, 8, 9);
+    const boxes = connectedBoxes(corners, Uint32Array.of(0, 1, 2, 3, 4, 5, 6, 7, 8));
+    expect(boxes).toEqual([
+      { low: [0, 0, 0], high: [1, 1, 0] },
+      { low: [8, 8, 9], high: [9, 9, 9] },
+    ]);
   });
 
   test('the hidden part of a ray is black, from the object that hides it', () => {

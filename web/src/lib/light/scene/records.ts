@@ -36,12 +36,15 @@ export interface Records {
   bounce: Float32Array;
   /** Value of the name axis: 0, or 1 + the number of the name. */
   object: Float32Array;
+  material: Float32Array;
   path: Uint32Array;
   parent: Uint32Array;
   /** Energy of the samples. */
   pathEnergy: Float32Array;
   light: { path: Uint32Array; intersection: Uint32Array; lamp: Float32Array; occluder: Float32Array; found: Float32Array };
   names: readonly string[];
+  /** Kind of each name: object, material or light. */
+  kinds: readonly string[];
   /** Numbers of the words of `found` for which a point on a lamp was sampled. */
   sampled: ReadonlySet<number>;
 }
@@ -67,6 +70,7 @@ export function recordsOf(schema: Schema, rows: Rows): Records {
     energy: energyOf(schema, rows, 'intersections'),
     bounce: of('bounce'),
     object: of('object'),
+    material: of('material'),
     path: rows.links.intersectionPath,
     parent: rows.links.intersectionParent,
     pathEnergy: energyOf(schema, rows, 'paths'),
@@ -78,6 +82,7 @@ export function recordsOf(schema: Schema, rows: Rows): Records {
       found: light('found'),
     },
     names: schema.names,
+    kinds: schema.kinds,
     sampled: new Set(words.flatMap((word, i) => (word === 'surface' || word === 'airlight' ? [i + 1] : []))),
   };
 }
@@ -302,71 +307,135 @@ export interface Rays extends Segments {
   lost: number;
 }
 
-/** Returns the center of each lamp by name: of its geometry, or of the recorded intersections with it. */
-export function lampCenters(records: Records, geometry: Geometry | null): Map<string, Vec3> {
-  const out = new Map<string, Vec3>();
+/** Largest number of places of a lamp. */
+const MOST_PLACES = 64;
+/** Extent of a lamp, as a share of that of the scene, from which on its recorded intersections are places of their own. */
+const WIDE_SHARE = 0.25;
+
+/**
+ * Returns the places of each lamp by name: the middles of the connected parts of its geometry, or recorded intersections with it. An
+ * object may contain many lamps, which the records do not distinguish.
+ */
+export function lampPlaces(records: Records, geometry: Geometry | null): Map<string, Vec3[]> {
+  const out = new Map<string, Vec3[]>();
   const wanted = new Set(records.light.lamp);
   records.names.forEach((name, i) => {
     if (!wanted.has(i + 1)) return;
     // The name of a lamp is that of its object and of its material.
-    const object = name.slice(0, name.lastIndexOf('/') < 0 ? name.length : name.lastIndexOf('/'));
-    const center = geometryCenter(geometry, object) ?? recordedCenter(records, object);
-    if (center) out.set(name, center);
+    const slash = name.lastIndexOf('/');
+    const [object, material] = [slash < 0 ? name : name.slice(0, slash), slash < 0 ? null : name.slice(slash + 1)];
+    const made = geometry ? partsOf(geometry, object, material) : [];
+    const places = made.length ? made : recordedPlaces(records, object, material);
+    if (places.length) out.set(name, places);
   });
   return out;
 }
 
-function geometryCenter(geometry: Geometry | null, name: string): Vec3 | null {
-  const nodes = geometry?.objects.filter((it) => it.name === name) ?? [];
-  if (!geometry || nodes.length !== 1) return null;
-  const box = boxOf(nodes, (material) => (geometry.materials[material]?.emissive ?? []).some((v) => v > 0)) ?? boxOf(nodes);
-  return box && ([0, 1, 2].map((k) => (box[0][k]! + box[1][k]!) / 2 + geometry.origin[k]!) as unknown as Vec3);
-}
-
-function recordedCenter(records: Records, name: string): Vec3 | null {
-  const number = records.names.indexOf(name) + 1;
-  const [low, high] = [[Infinity, Infinity, Infinity], [-Infinity, -Infinity, -Infinity]];
-  records.object.forEach((object, row) => {
-    if (object !== number || number === 0) return;
-    for (let k = 0; k < 3; k++) {
-      low[k] = Math.min(low[k]!, records.position[k]![row]!);
-      high[k] = Math.max(high[k]!, records.position[k]![row]!);
-    }
-  });
-  return low[0]! <= high[0]! ? ([0, 1, 2].map((k) => (low[k]! + high[k]!) / 2) as unknown as Vec3) : null;
-}
-
-/** Returns the corners of a box around objects, relative to the origin. */
-export function boxOf(
-  objects: readonly SceneObject[],
-  isCounted: (material: number) => boolean = () => true,
-): [Vec3, Vec3] | null {
-  const [low, high] = [[Infinity, Infinity, Infinity], [-Infinity, -Infinity, -Infinity]];
-  for (const { surfaces, matrix } of objects) {
-    for (const { positions, material } of surfaces) {
-      if (!isCounted(material)) continue;
-      for (let i = 0; i < positions.length; i += 3) {
-        const at = transform(matrix, [positions[i]!, positions[i + 1]!, positions[i + 2]!]);
-        for (let k = 0; k < 3; k++) {
-          low[k] = Math.min(low[k]!, at[k]!);
-          high[k] = Math.max(high[k]!, at[k]!);
-        }
+/** Returns the middles of the connected parts of an object with a material. */
+function partsOf(geometry: Geometry, object: string, material: string | null): Vec3[] {
+  const places: Vec3[] = [];
+  for (const { name, surfaces, matrix } of geometry.objects) {
+    if (name !== object) continue;
+    for (const surface of surfaces) {
+      if (material !== null && geometry.materials[surface.material]?.name !== material) continue;
+      for (const { low, high } of connectedBoxes(surface.positions, surface.indices)) {
+        const middle = transform(matrix, [0, 1, 2].map((k) => (low[k]! + high[k]!) / 2) as unknown as Vec3);
+        places.push([0, 1, 2].map((k) => middle[k]! + geometry.origin[k]!) as unknown as Vec3);
       }
     }
   }
+  return places.filter((_, i) => places.length <= MOST_PLACES || i % Math.ceil(places.length / MOST_PLACES) === 0);
+}
+
+interface Bounds {
+  low: number[];
+  high: number[];
+}
+
+function extend({ low, high }: Bounds, x: number, y: number, z: number) {
+  [x, y, z].forEach((v, k) => {
+    low[k] = Math.min(low[k]!, v);
+    high[k] = Math.max(high[k]!, v);
+  });
+}
+
+const emptyBounds = (): Bounds => ({ low: [Infinity, Infinity, Infinity], high: [-Infinity, -Infinity, -Infinity] });
+
+/** Returns the boxes of triangles that are connected by vertices at equal positions. */
+export function connectedBoxes(positions: Float32Array, indices: Uint32Array): Bounds[] {
+  const first = new Map<string, number>();
+  const root = Uint32Array.from({ length: positions.length / 3 }, (_, i) => {
+    const key = `${positions[3 * i]} ${positions[3 * i + 1]} ${positions[3 * i + 2]}`;
+    const known = first.get(key);
+    if (known === undefined) first.set(key, i);
+    return known ?? i;
+  });
+  const find = (i: number) => {
+    while (root[i] !== i) i = root[i] = root[root[i]!]!;
+    return i;
+  };
+  for (let i = 0; i < indices.length; i += 3) {
+    const a = find(indices[i]!);
+    root[find(indices[i + 1]!)] = a;
+    root[find(indices[i + 2]!)] = a;
+  }
+  const boxes = new Map<number, Bounds>();
+  for (const i of indices) {
+    const part = find(i);
+    let box = boxes.get(part);
+    if (!box) boxes.set(part, (box = emptyBounds()));
+    extend(box, positions[3 * i]!, positions[3 * i + 1]!, positions[3 * i + 2]!);
+  }
+  return [...boxes.values()];
+}
+
+function recordedPlaces(records: Records, object: string, material: string | null): Vec3[] {
+  const { names, kinds, position } = records;
+  const number = (name: string, kind: string) => names.findIndex((it, i) => it === name && (kinds[i] ?? kind) === kind) + 1;
+  const [objectNumber, materialNumber] = [number(object, 'object'), material === null ? 0 : number(material, 'material')];
+  const [whole, lamp] = [emptyBounds(), emptyBounds()];
+  const rows: number[] = [];
+  records.object.forEach((value, row) => {
+    const at: Vec3 = [position[0][row]!, position[1][row]!, position[2][row]!];
+    extend(whole, ...at);
+    if (objectNumber === 0 || value !== objectNumber) return;
+    if (materialNumber && records.material[row] !== materialNumber) return;
+    extend(lamp, ...at);
+    rows.push(row);
+  });
+  const size = ({ low, high }: Bounds) => Math.hypot(...[0, 1, 2].map((k) => high[k]! - low[k]!));
+  if (!rows.length) return [];
+  if (size(lamp) <= WIDE_SHARE * size(whole)) return [[0, 1, 2].map((k) => (lamp.low[k]! + lamp.high[k]!) / 2) as unknown as Vec3];
+  return sparse(rows, MOST_PLACES).map((row): Vec3 => [position[0][row]!, position[1][row]!, position[2][row]!]);
+}
+
+/** Returns the corners of a box around objects, relative to the origin. */
+export function boxOf(objects: readonly SceneObject[]): [Vec3, Vec3] | null {
+  const bounds = emptyBounds();
+  for (const { surfaces, matrix } of objects) {
+    for (const { positions } of surfaces) {
+      for (let i = 0; i < positions.length; i += 3) {
+        extend(bounds, ...transform(matrix, [positions[i]!, positions[i + 1]!, positions[i + 2]!]));
+      }
+    }
+  }
+  const { low, high } = bounds;
   return low[0]! <= high[0]! ? [low as unknown as Vec3, high as unknown as Vec3] : null;
 }
 
 /** Largest number of triangles that are tested for all rays. */
 const MOST_TESTS = 3e7;
+/** Number of parts of a lamp that are tried for a hidden ray. */
+const MOST_ENDS = 8;
 
 /**
- * Returns the rays from intersections to the centers of the lamps. A hidden ray is black behind the object that hides it, and black as a
+ * Returns the rays from intersections to the lamps: to the nearest part of a lamp, and if an object hides it, to the nearest part that it
+ * hides. A hidden ray is black behind the object that hides it, and black as a
  * whole where the object has no geometry.
  */
 export function raysOf(records: Records, geometry: Geometry | null, origin: Vec3, isShown: (row: number) => boolean): Rays {
   const { light, names, position } = records;
-  const lamps = lampCenters(records, geometry);
+  const lamps = lampPlaces(records, geometry);
   const shown: number[] = [];
   for (let row = 0; row < light.lamp.length; row++) {
     if (records.sampled.has(light.found[row]!) && isShown(row)) shown.push(row);
@@ -375,31 +444,43 @@ export function raysOf(records: Records, geometry: Geometry | null, origin: Vec3
   const occluders = new Map<string, Occluder | null>();
   let [hidden, lost, tests] = [0, 0, 0];
   for (const row of shown) {
-    const center = lamps.get(names[light.lamp[row]! - 1] ?? '');
+    const places = lamps.get(names[light.lamp[row]! - 1] ?? '');
     const vertex = light.intersection[row]!;
-    if (!center || vertex === NONE) {
+    if (!places || vertex === NONE) {
       lost++;
       continue;
     }
     const from = [0, 1, 2].map((k) => position[k]![vertex]! - origin[k]!) as unknown as Vec3;
-    const to = [0, 1, 2].map((k) => center[k]! - origin[k]!) as unknown as Vec3;
+    const ends = nearestFirst(places, from, origin);
     const name = names[light.occluder[row]! - 1];
     if (name === undefined) {
-      list.colors.set([...LIT, 255], 4 * list.add(from, to, 0, 1));
+      list.colors.set([...LIT, 255], 4 * list.add(from, ends[0]!, 0, 1));
       continue;
     }
     hidden++;
     if (!occluders.has(name)) occluders.set(name, geometry && occluderOf(geometry, name, origin));
     const occluder = occluders.get(name)!;
-    tests += occluder?.triangles.length ? occluder.triangles.length / 9 : 0;
-    const t = occluder && (tests < MOST_TESTS ? occluder.hit(from, to) : null);
-    const split = t ?? (occluder ? occluder.nearest(from, to) : 0);
+    let [to, split] = [ends[0]!, occluder ? occluder.nearest(from, ends[0]!) : 0];
+    for (const end of ends.slice(0, MOST_ENDS)) {
+      tests += (occluder?.triangles.length ?? 0) / 9;
+      const t = occluder && tests < MOST_TESTS ? occluder.hit(from, end) : null;
+      if (t === null) continue;
+      [to, split] = [end, t];
+      break;
+    }
     const middle = [0, 1, 2].map((k) => from[k]! + split * (to[k]! - from[k]!)) as unknown as Vec3;
     if (split > 0) list.colors.set([...LIT, 255], 4 * list.add(from, middle, 0, 1));
     list.colors.set([...HIDDEN, 255], 4 * list.add(middle, to, 0, 1));
   }
   const { from, to, span, colors, count } = list;
   return { from, to, span, colors, count, total: shown.length - lost, hidden, lost };
+}
+
+/** Returns places relative to the origin, the nearest one first. */
+function nearestFirst(places: readonly Vec3[], from: Vec3, origin: Vec3): Vec3[] {
+  const all = places.map((at): Vec3 => [at[0] - origin[0], at[1] - origin[1], at[2] - origin[2]]);
+  const away = (at: Vec3) => Math.hypot(at[0] - from[0], at[1] - from[1], at[2] - from[2]);
+  return all.length > 1 ? all.sort((a, b) => away(a) - away(b)) : all;
 }
 
 /** Triangles of an object that hides rays. */

@@ -13,7 +13,7 @@ use crate::tracer::{PathSample, Tracer};
 use femc_emission::{DeltaKind, PointContext};
 use femc_geometry::{Ray, offset_origin};
 use femc_math::glam::Vec3A;
-use femc_math::{Frame, Rgb, SampleStream, warp};
+use femc_math::{Frame, Rgb, SampleStream, cross, warp};
 use femc_prepared::media::MediumStack;
 use std::f32::consts::{FRAC_1_PI, PI};
 
@@ -45,7 +45,7 @@ impl Sensitivity {
     pub fn pdf(&self, dir: Vec3A) -> f32 {
         match *self {
             Self::Plane { normal } => warp::cosine_hemisphere_pdf(normal.dot(dir)),
-            Self::Cylinder { axis } => axis.cross(dir).length() * (FRAC_1_PI * FRAC_1_PI),
+            Self::Cylinder { axis } => cross(axis, dir).length() * (FRAC_1_PI * FRAC_1_PI),
             Self::Sphere => 0.25 * FRAC_1_PI,
             Self::Ray { .. } => 0.0,
         }

@@ -2,7 +2,7 @@
 
 use femc_geometry::Quadric;
 use femc_math::glam::{Affine3A, DVec3, Vec3A};
-use femc_math::warp;
+use femc_math::{cross, warp};
 use femc_prepared::Prepared;
 
 /// A part of a surface.
@@ -91,7 +91,7 @@ impl Piece {
             PieceShape::Triangle([a, b, c]) => {
                 let [to_b, to_c] = warp::triangle(u);
                 let (ab, ac) = (*b - *a, *c - *a);
-                (*a + ab * to_b + ac * to_c, ab.cross(ac))
+                (*a + ab * to_b + ac * to_c, cross(ab, ac))
             }
             PieceShape::Curved { shape, low, high } => {
                 let at = [0, 1].map(|axis| low[axis] + (high[axis] - low[axis]) * f64::from(u[axis]));

@@ -15,11 +15,15 @@ use std::ops::Range;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 /// Number of independent parts of the samples of a reading.
-pub const REPLICATES: usize = 16;
+pub const REPLICATES: usize = 32;
 /// Maximum number of samples of a reading whose error is given.
 pub const MAX_SAMPLES: u32 = 1 << 20;
 /// Number of samples of the first round of a reading whose error is given.
 const FIRST_SAMPLES: u32 = 32 * REPLICATES as u32;
+/// Error for which the number of samples is planned, relative to the requested one.
+const PLANNED_ERROR: f64 = 0.8;
+/// Maximum growth of the number of samples from round to round.
+const MAX_GROWTH: f64 = 4.0;
 /// Number of samples without any light after which a reading is dark.
 const DARK_SAMPLES: u32 = 1 << 14;
 /// Difference of the random numbers from those of frames with the same seed.
@@ -134,11 +138,19 @@ fn next_round(done: u32, sums: &[ReplicateSum], stop: StopCondition) -> u32 {
     }
     let so_far = reading(sums);
     let is_dark = so_far.value == 0.0 && done >= DARK_SAMPLES;
-    if done >= MAX_SAMPLES || is_dark || (so_far.value > 0.0 && so_far.relative_error() <= error) {
+    let is_reached = so_far.value > 0.0
+        && so_far.relative_error() <= error * if done == FIRST_SAMPLES { PLANNED_ERROR } else { 1.0 };
+    if done >= MAX_SAMPLES || is_dark || is_reached {
         return done;
     }
-    // At least as many samples again: a round that only tops up would end too often with an error that is small by chance.
-    (done * 2).min(MAX_SAMPLES)
+    // The number is planned for a smaller error, so that few readings need another round. A reading that ended whenever its error is
+    // small by chance would state too narrow an interval.
+    let growth = if so_far.value > 0.0 { so_far.relative_error() / (PLANNED_ERROR * error) } else { 2.0 };
+    let planned = f64::from(done) * (growth * growth).clamp(1.5, MAX_GROWTH);
+    let per_replicate = (planned / REPLICATES as f64).ceil() as u32;
+    let power = per_replicate.next_power_of_two();
+    let even = if per_replicate <= power / 4 * 3 { power / 4 * 3 } else { power };
+    (even * REPLICATES as u32).min(MAX_SAMPLES)
 }
 
 /// Sums of a replicate.

@@ -28,6 +28,7 @@ pub mod variance_by_decision;
 
 pub use allocation::{AllocationError, SampleAllocation};
 pub use femc_field::{Field, FieldError, Form, Side, SolveStatistics as FirstPassStatistics};
+pub use femc_gltf as gltf;
 pub use femc_layers::{Feature, Layer, LayerError, Preset, cryptomatte};
 pub use femc_prepared::{PrepareError, Prepared, SceneSource};
 pub use femc_radiosity::{self as radiosity, Solution, SolveReport as FirstPassReport, StepDecodeError};

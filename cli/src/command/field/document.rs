@@ -1,7 +1,7 @@
 //! The solution as a glTF document. Each material and side has one node. All nodes are below a root node that turns the scene's z
 //! up into glTF's y up.
 
-use super::glb::{Glb, TooLarge};
+use femc_pipeline::gltf::{Glb, TooLarge};
 use femc_pipeline::radiosity::{Mesh, MeshContent};
 use femc_pipeline::{Prepared, Side};
 use serde_json::{Value, json};

@@ -1,7 +1,6 @@
 //! `femc field SCENE -o solution.glb`: solves the finite-element first pass and writes it for glTF viewers.
 
 mod document;
-mod glb;
 mod report;
 
 use crate::args::{FormatArgs, SettingsArgs};

@@ -131,7 +131,7 @@ impl Quadric {
     }
 
     /// Returns whether the shape is finite and has an area.
-    pub(crate) fn is_valid(&self) -> bool {
+    pub fn is_valid(&self) -> bool {
         let good = match *self {
             Self::Sphere { radius, .. } => radius > 0.0,
             Self::Cone { start, end, start_radius, end_radius, .. } => {

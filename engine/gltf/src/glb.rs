@@ -11,7 +11,7 @@ const ELEMENT_ARRAY_BUFFER: u32 = 34963;
 
 /// The file is larger than its format allows.
 #[derive(Debug, thiserror::Error)]
-#[error("the file would be larger than 4 GiB, the limit of binary glTF; use a larger --error")]
+#[error("the file would be larger than 4 GiB, the limit of binary glTF")]
 pub struct TooLarge;
 
 /// A file under construction.

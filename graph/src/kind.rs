@@ -50,6 +50,8 @@ pub enum StageKind {
     EncodeSheet,
     /// Encodes all frames as a clip.
     EncodeClip,
+    /// Writes the surfaces of a frame as triangles, for viewers.
+    Geometry,
 }
 
 /// Lane of a task. A worker runs tasks of one lane one after another, and tasks of different lanes in parallel.
@@ -113,7 +115,7 @@ pub struct StageKindProperties {
 
 impl StageKind {
     /// All variants, in the order of the table.
-    pub const ALL: [Self; 21] = [
+    pub const ALL: [Self; 22] = [
         Self::Render,
         Self::Reduce,
         Self::Image,
@@ -135,6 +137,7 @@ impl StageKind {
         Self::EncodePicture,
         Self::EncodeSheet,
         Self::EncodeClip,
+        Self::Geometry,
     ];
 
     /// Returns the kind's row of the table.
@@ -182,6 +185,7 @@ impl StageKind {
             Self::EncodeSheet => split("encode-sheet", Compute),
             // A video encoder uses all threads, too.
             Self::EncodeClip => split("encode-clip", Compute),
+            Self::Geometry => row("geometry", "frames", Compute, false, Affinity::Frame, Report, &[tag::GEOMETRY]),
         }
     }
 

@@ -63,6 +63,8 @@ pub enum Role {
     Brushwork,
     /// State of an unfinished first pass: what one of its steps has made, for the later steps. Only the solver reads it.
     SolverState,
+    /// The surfaces of a frame as binary glTF.
+    Geometry,
 }
 
 /// Row of the table of roles.
@@ -80,7 +82,7 @@ pub struct RoleProperties {
 
 impl Role {
     /// All variants, in the order of the table.
-    pub const ALL: [Self; 28] = [
+    pub const ALL: [Self; 29] = [
         Self::Tile,
         Self::Sums,
         Self::Pixels,
@@ -109,6 +111,7 @@ impl Role {
         Self::Painted,
         Self::Brushwork,
         Self::SolverState,
+        Self::Geometry,
     ];
 
     /// Returns the role's row of the table.
@@ -146,6 +149,7 @@ impl Role {
             // Kept, so that a painting that is lost while the job runs can be repainted alone.
             Self::Brushwork => row("brushwork", true, false),
             Self::SolverState => row("solver-state", false, false),
+            Self::Geometry => row("geometry", true, false),
         }
     }
 

@@ -23,5 +23,9 @@ pub const PAINTING: &str = "painting";
 /// Tag of workers that know one kind for each thing that a task does, where earlier versions chose by the role of the outputs.
 pub const TASK_KINDS: &str = "task-kinds";
 
+/// Tag of workers that support scene geometry for viewers.
+pub const GEOMETRY: &str = "geometry";
+
 /// All these tags. A worker of this version offers them.
-pub const ALL: [&str; 7] = [FIRST_PASS, FIRST_PASS_BLOCKS, STATISTICS, LAYERS, FEATURES, PAINTING, TASK_KINDS];
+pub const ALL: [&str; 8] =
+    [FIRST_PASS, FIRST_PASS_BLOCKS, STATISTICS, LAYERS, FEATURES, PAINTING, TASK_KINDS, GEOMETRY];

@@ -186,6 +186,22 @@ impl Cache {
         self.prepared(loaded, frame, light, client, fetch)
     }
 
+    /// Returns the frame, ready for all that does not depend on the light of a first pass.
+    pub(crate) fn unlit_frame(
+        &self,
+        spec: &JobSpec,
+        frame: u32,
+        client: &Client,
+        fetch: &Fetcher,
+    ) -> Result<(Arc<LoadedScene>, Arc<Prepared>), Failure> {
+        let loaded = self.scene(spec, client, fetch)?;
+        let frame_key = loaded.frame_key(frame)?;
+        match self.0.frames.latest(|(other, _)| *other == frame_key) {
+            Some(prepared) => Ok((loaded, prepared)),
+            None => self.prepared(loaded, frame, None, client, fetch),
+        }
+    }
+
     /// Returns the compiled layers of a prepared frame; `None` if the job asks for no layers.
     pub(crate) fn layers(
         &self,

@@ -18,6 +18,7 @@ mod field;
 mod fireflies;
 mod first_pass;
 mod gc;
+mod geometry;
 mod inspect;
 mod interrupt;
 mod layers;

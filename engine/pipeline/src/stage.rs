@@ -110,6 +110,13 @@ pub fn with_statistics(mut graph: Graph) -> Graph {
     graph_of(graph.stages)
 }
 
+/// Adds the geometry of each frame to the graph of a job: its surfaces as triangles, for viewers. Its images do not change. The
+/// stage reads nothing, so it runs before the first samples of its frame.
+pub fn with_geometry(mut graph: Graph) -> Graph {
+    graph.stages.push(per_frame(StageKind::Geometry, 1, &[Role::Geometry]));
+    graph_of(graph.stages)
+}
+
 /// Maximum number of layer sums of a group: 104 bytes each, united in about a second.
 const GROUP_SUMS: u64 = 1 << 20;
 
@@ -222,6 +229,21 @@ mod tests {
                     assert!(with[usize::from(paths.stage)].outputs.contains(&Role::Paths));
                 }
             }
+        }
+    }
+
+    #[test]
+    fn geometry_is_a_stage_of_frames_beside_the_others() {
+        let tiling = tiling([272, 256], 16);
+        for (method, rounds) in [(Method::Pt, &[4][..]), (Method::Fem, &[4, 8])] {
+            let without = with_statistics(job_graph(&tiling, rounds, tiles_per_group(&tiling), method));
+            let with = with_geometry(without.clone()).stages;
+            let (geometry, others) = with.split_last().unwrap();
+            assert_eq!((geometry.kind, geometry.scope, geometry.tasks()), (StageKind::Geometry, Scope::Frame, 1));
+            assert!(geometry.needs.is_empty() && geometry.outputs == [Role::Geometry]);
+            assert!(with.iter().all(|stage| stage.tags.iter().any(|own| own == tag::GEOMETRY)));
+            let untagged = |stage: &StageTemplate| StageTemplate { tags: Vec::new(), ..stage.clone() };
+            assert!(others.iter().map(untagged).eq(without.stages.iter().map(untagged)));
         }
     }
 

@@ -29,12 +29,14 @@ pub(crate) enum FrameFile {
     Layers,
     /// Light statistics.
     Statistics,
+    /// Binary glTF with the surfaces.
+    Geometry,
 }
 
 impl FrameFile {
     /// Every kind.
-    pub(crate) const ALL: [Self; 6] =
-        [Self::Image, Self::Preview, Self::Still, Self::Painted, Self::Layers, Self::Statistics];
+    pub(crate) const ALL: [Self; 7] =
+        [Self::Image, Self::Preview, Self::Still, Self::Painted, Self::Layers, Self::Statistics, Self::Geometry];
 
     /// Returns the last segment of the result's HTTP path.
     pub(crate) const fn segment(self) -> &'static str {
@@ -45,6 +47,7 @@ impl FrameFile {
             Self::Painted => "painted.png",
             Self::Layers => "layers.exr",
             Self::Statistics => "statistics.paths",
+            Self::Geometry => "geometry.glb",
         }
     }
 
@@ -57,6 +60,7 @@ impl FrameFile {
             Self::Painted => "painted.png",
             Self::Layers => "layers.exr",
             Self::Statistics => "paths",
+            Self::Geometry => "glb",
         }
     }
 
@@ -68,6 +72,7 @@ impl FrameFile {
             Self::Painted => Role::Painted,
             Self::Layers => Role::LayerImage,
             Self::Statistics => Role::Statistics,
+            Self::Geometry => Role::Geometry,
         }
     }
 }

@@ -47,11 +47,15 @@ impl TestResponse {
     }
 }
 
+/// Name of a job that has made nothing yet.
+const UNFINISHED: &str = "unfinished";
+
 fn spec(name: &str) -> JobSpec {
     let options =
         r#"{"stills":true,"sheet":"all frames.png","video":{"name":"drive.webm","rate":24.0},"painting":null}"#;
     let encode = StageTemplate::new(StageKind::EncodeClip, Scope::Job, TaskSizes::even(1, 1), &[Role::Clip])
         .with_options(options);
+    let geometry = StageTemplate::new(StageKind::Geometry, Scope::Frame, TaskSizes::even(1, 1), &[Role::Geometry]);
     JobSpec {
         name: name.into(),
         bundle: Digest::compute(b"bundle"),
@@ -59,7 +63,7 @@ fn spec(name: &str) -> JobSpec {
         settings: "{}".into(),
         frames: vec![3, 4],
         grid: Grid { film: [8, 8], tile: 8 },
-        graph: Graph { stages: vec![encode] },
+        graph: Graph { stages: vec![encode, geometry] },
         contents: Vec::new(),
         priority: 50,
         owner: "me".into(),
@@ -97,6 +101,7 @@ async fn serve_calls(
             }
             Call::Shape { job, reply } => drop(reply.send(Err(Refusal::NoSuchJob { job }))),
             Call::Frames { reply, .. } => drop(reply.send(Ok(records.clone()))),
+            Call::Parts { reply, .. } => drop(reply.send(Ok(Vec::new()))),
             Call::ArtifactLost { digest, reply } => {
                 lost.lock().expect("a list").push(digest);
                 drop(reply.send(Ok(())));
@@ -117,6 +122,7 @@ impl TestServer {
             ("image", Bytes::from(large)),
             ("preview", Bytes::from_static(b"a preview")),
             ("layers", Bytes::from_static(b"layers")),
+            ("geometry", Bytes::from_static(b"geometry")),
             ("still 3", Bytes::from_static(b"still of 3")),
             ("still 4", Bytes::from_static(b"still of 4")),
             ("clip", Bytes::from_static(b"\x1a\x45\xdf\xa3\x9fB\x86\x81\x01B\x82\x84webm and so on")),
@@ -128,8 +134,16 @@ impl TestServer {
             outputs.iter().map(|&(role, title)| Output { role, artifact: artifacts[title].0 }).collect()
         };
         let whole = [(Role::Still, "still 3"), (Role::Still, "still 4"), (Role::Sheet, "sheet"), (Role::Clip, "clip")];
-        let frame = [(Role::Image, "image"), (Role::Preview, "preview"), (Role::LayerImage, "layers")];
-        let records = vec![record(0, all(&whole)), record(3, all(&frame))];
+        let frame = [
+            (Role::Image, "image"),
+            (Role::Preview, "preview"),
+            (Role::LayerImage, "layers"),
+            (Role::Geometry, "geometry"),
+        ];
+        let mut records = vec![record(0, all(&whole)), record(3, all(&frame))];
+        if name == UNFINISHED {
+            records.clear();
+        }
         let (calls, inbox) = mpsc::channel::<Call<()>>(8);
         let lost = Arc::new(Mutex::new(Vec::new()));
         tokio::spawn(serve_calls(inbox, spec(name), records, lost.clone()));
@@ -198,6 +212,10 @@ async fn every_result_has_path_media_type_and_name_used_by_fetch() {
         ("7/frames/3/image.exr", "image", "image/x-exr", "drive.0003.exr"),
         ("7/frames/3/preview.png", "preview", "image/png", "drive.0003.preview.png"),
         ("7/frames/3/layers.exr", "layers", "image/x-exr", "drive.0003.layers.exr"),
+        ("7/frames/3/geometry.glb", "geometry", "model/gltf-binary", "drive.0003.glb"),
+        ("7/geometry?frame=3", "geometry", "model/gltf-binary", "drive.0003.glb"),
+        ("7/geometry?frame=4", "geometry", "model/gltf-binary", "drive.0003.glb"),
+        ("7/geometry", "geometry", "model/gltf-binary", "drive.0003.glb"),
         ("7/frames/3/still.png", "still 3", "image/png", "drive.0003.png"),
         ("7/frames/4/still.png", "still 4", "image/png", "drive.0004.png"),
         ("7/clip", "clip", "video/webm", "drive.webm"),
@@ -220,6 +238,17 @@ async fn every_result_has_path_media_type_and_name_used_by_fetch() {
         assert_eq!((again.status, again.body.len(), again.header("etag")), (304, 0, answer.header("etag")), "{path}");
     }
     assert_eq!(server.lost(), []);
+}
+
+#[tokio::test]
+async fn geometry_that_is_not_made_yet_is_an_empty_answer() {
+    let server = TestServer::start(UNFINISHED, None).await;
+    for path in ["7/geometry", "7/geometry?frame=3"] {
+        let answer = server.get(path, &[]).await;
+        assert_eq!((answer.status, answer.body.len()), (204, 0), "{path}");
+    }
+    assert_eq!(server.get("7/geometry?frame=three", &[]).await.status, 400);
+    assert_eq!(server.request("POST /api/v1/jobs/7/geometry", &[]).await.status, 405);
 }
 
 #[tokio::test]

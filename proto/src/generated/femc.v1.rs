@@ -2055,6 +2055,8 @@ pub enum Role {
     Brushwork = 27,
     /// State of an unfinished first pass, which only the solver reads. A worker that knows this role offers the tag `task-kinds`.
     SolverState = 28,
+    /// The surfaces of a frame as binary glTF. A worker that knows this role offers the tag `geometry`.
+    Geometry = 29,
 }
 impl Role {
     /// String value of the enum field names used in the ProtoBuf definition.
@@ -2092,6 +2094,7 @@ impl Role {
             Self::Painted => "ROLE_PAINTED",
             Self::Brushwork => "ROLE_BRUSHWORK",
             Self::SolverState => "ROLE_SOLVER_STATE",
+            Self::Geometry => "ROLE_GEOMETRY",
         }
     }
     /// Creates an enum from field names used in the ProtoBuf definition.
@@ -2126,6 +2129,7 @@ impl Role {
             "ROLE_PAINTED" => Some(Self::Painted),
             "ROLE_BRUSHWORK" => Some(Self::Brushwork),
             "ROLE_SOLVER_STATE" => Some(Self::SolverState),
+            "ROLE_GEOMETRY" => Some(Self::Geometry),
             _ => None,
         }
     }
@@ -2303,6 +2307,8 @@ pub enum StageKind {
     EncodeSheet = 20,
     /// Encodes all frames as a clip.
     EncodeClip = 21,
+    /// Writes the surfaces of a frame as triangles, for viewers. A worker that knows this kind offers the tag `geometry`.
+    Geometry = 22,
 }
 impl StageKind {
     /// String value of the enum field names used in the ProtoBuf definition.
@@ -2333,6 +2339,7 @@ impl StageKind {
             Self::EncodePicture => "STAGE_KIND_ENCODE_PICTURE",
             Self::EncodeSheet => "STAGE_KIND_ENCODE_SHEET",
             Self::EncodeClip => "STAGE_KIND_ENCODE_CLIP",
+            Self::Geometry => "STAGE_KIND_GEOMETRY",
         }
     }
     /// Creates an enum from field names used in the ProtoBuf definition.
@@ -2360,6 +2367,7 @@ impl StageKind {
             "STAGE_KIND_ENCODE_PICTURE" => Some(Self::EncodePicture),
             "STAGE_KIND_ENCODE_SHEET" => Some(Self::EncodeSheet),
             "STAGE_KIND_ENCODE_CLIP" => Some(Self::EncodeClip),
+            "STAGE_KIND_GEOMETRY" => Some(Self::Geometry),
             _ => None,
         }
     }

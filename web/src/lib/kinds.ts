@@ -21,6 +21,7 @@ export const KINDS = [
   'encode-sheet',
   'encode-clip',
   'paint',
+  'geometry',
   'drill',
   // Kinds of earlier versions, in old records.
   'encode',
@@ -47,6 +48,7 @@ const COLORS: Readonly<Record<string, string>> = {
   'encode-sheet': '#A85A84',
   'encode-clip': '#E3B3CD',
   paint: '#8064A2',
+  geometry: '#5B4A80',
   drill: OKABE_ITO[7],
   encode: OKABE_ITO[3],
   'first-pass-block': OKABE_ITO[5],

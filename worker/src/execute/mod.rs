@@ -12,6 +12,7 @@ mod first_pass_guides;
 mod first_pass_rays;
 mod first_pass_solve;
 mod first_pass_start;
+mod geometry;
 mod image;
 mod inputs;
 mod layers;
@@ -144,6 +145,7 @@ fn attempt(task: &Task, tools: &Tools) -> Result<Product, Failure> {
             StageKind::EncodePicture => encode_picture::encode_picture(task, stage, tools),
             StageKind::EncodeSheet => encode_sheet::encode_sheet(task, stage, tools),
             StageKind::EncodeClip => encode_clip::encode_clip(task, stage, tools),
+            StageKind::Geometry => geometry::geometry(task, stage, tools),
             kind @ (StageKind::FirstPassBlock | StageKind::Encode) => {
                 let name = kind.name();
                 Err(settings_failure(format!("invalid job graph: a stage of kind {name} has outputs of no known task")))

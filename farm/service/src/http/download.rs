@@ -12,7 +12,7 @@ use ::http::header::{
 };
 use ::http::{Method, Response, StatusCode};
 use bytes::Bytes;
-use femc_model::{Artifact, JobId};
+use femc_model::{Artifact, JobId, JobSpec, Role, StageKind};
 use femc_store::{Integrity, Store, StoreError};
 use futures_util::Stream;
 use futures_util::stream::unfold;
@@ -30,6 +30,14 @@ use crate::job_control::store_refusal;
 /// Number of first bytes that determine the media type.
 const HEAD: u64 = 64;
 
+/// A result of a job, with its bytes.
+#[derive(Clone, Copy)]
+struct ResultOf {
+    job: JobId,
+    file: ResultFile,
+    artifact: Artifact,
+}
+
 impl<S: Send + 'static> Http<S> {
     /// Answers with a result of a job, or with a part of it.
     pub(super) async fn download(
@@ -43,6 +51,49 @@ impl<S: Send + 'static> Http<S> {
         let records = self.0.farm.call(|reply| Call::Frames { job, reply }).await?;
         let artifact =
             file.artifact(&spec, &records).ok_or_else(|| HttpError::NoResult { job, file: file.describe() })?;
+        self.send_result(request_head, &spec, ResultOf { job, file, artifact }, caller_key).await
+    }
+
+    /// Answers with the geometry of the frame that is nearest to `frame` among those that have one; 204: there is none yet.
+    pub(super) async fn geometry(
+        &self,
+        request_head: &RequestHead<'_>,
+        job: JobId,
+        frame: Option<u32>,
+        caller_key: CallerKey,
+    ) -> Result<Response<Body>, HttpError> {
+        let JobShape { spec, .. } = self.0.farm.call(|reply| Call::Shape { job, reply }).await?;
+        if spec.graph.stage_of_kind(StageKind::Geometry).is_none() {
+            return Err(HttpError::NoGeometry { job });
+        }
+        let finished = self.0.farm.call(|reply| Call::Frames { job, reply }).await?;
+        let mut made: Vec<(u32, Artifact)> =
+            finished.iter().filter_map(|record| Some((record.frame, record.output(Role::Geometry)?))).collect();
+        let wanted = frame.unwrap_or(0);
+        if made.iter().all(|(finished, _)| *finished != wanted) {
+            let unfinished = self.0.farm.call(|reply| Call::Parts { job, reply }).await?;
+            made.extend(unfinished.iter().filter_map(|parts| {
+                let output = parts.outputs.iter().find(|output| output.role == Role::Geometry)?;
+                Some((parts.frame, output.artifact))
+            }));
+        }
+        // Of two frames at equal distance, the earlier one is chosen.
+        let Some((nearest, artifact)) = made.into_iter().min_by_key(|&(frame, _)| (frame.abs_diff(wanted), frame))
+        else {
+            return Ok(response::empty(StatusCode::NO_CONTENT));
+        };
+        let file = ResultFile::Frame(nearest, FrameFile::Geometry);
+        self.send_result(request_head, &spec, ResultOf { job, file, artifact }, caller_key).await
+    }
+
+    /// Answers with an artifact, or with a part of it.
+    async fn send_result(
+        &self,
+        request_head: &RequestHead<'_>,
+        spec: &JobSpec,
+        ResultOf { job, file, artifact }: ResultOf,
+        caller_key: CallerKey,
+    ) -> Result<Response<Body>, HttpError> {
         let tag = format!("\"{}\"", artifact.digest);
         if range::is_cached_by_client(request_head.headers, &tag) {
             return Ok(with_cache_headers(response::empty(StatusCode::NOT_MODIFIED), &tag));
@@ -101,7 +152,7 @@ impl<S: Send + 'static> Http<S> {
             let range = format!("bytes {}-{}/{}", part.start, part.end - 1, artifact.bytes);
             headers.extend(HeaderValue::try_from(range).ok().map(|range| (CONTENT_RANGE, range)));
         }
-        let disposition = HeaderValue::try_from(disposition(&file.name(&spec, extension)));
+        let disposition = HeaderValue::try_from(disposition(&file.name(spec, extension)));
         headers.extend(disposition.ok().map(|disposition| (CONTENT_DISPOSITION, disposition)));
         Ok(with_cache_headers(response, &tag))
     }
@@ -115,6 +166,7 @@ impl<S: Send + 'static> Http<S> {
         match file {
             ResultFile::Frame(_, FrameFile::Image | FrameFile::Layers) => Ok(("image/x-exr", "exr")),
             ResultFile::Frame(_, FrameFile::Statistics) => Ok(("application/octet-stream", "paths")),
+            ResultFile::Frame(_, FrameFile::Geometry) => Ok(("model/gltf-binary", "glb")),
             ResultFile::Sheet | ResultFile::Frame(..) => Ok(("image/png", "png")),
             ResultFile::Clip => {
                 let head = self.0.store.read_range(&artifact.digest, 0..artifact.bytes.min(HEAD)).await;

@@ -65,6 +65,18 @@ pub(super) enum HttpError {
         /// Description of the result.
         file: String,
     },
+    /// The job has no stage that makes geometry.
+    #[error("job {job} was submitted without geometry: without `--stats`, or with an earlier version of femc")]
+    NoGeometry {
+        /// The job.
+        job: JobId,
+    },
+    /// A file with light statistics contains no scene.
+    #[error("file {file} contains recorded paths but no scene, so it has no geometry")]
+    NoFileGeometry {
+        /// Number of the file.
+        file: usize,
+    },
     /// A result is damaged or missing in the store.
     #[error("{file} of job {job} is damaged or missing in the farm's store")]
     ResultLost {
@@ -139,6 +151,8 @@ impl HttpError {
             Self::UnknownPath { .. }
             | Self::NoWebPage
             | Self::NoResult { .. }
+            | Self::NoGeometry { .. }
+            | Self::NoFileGeometry { .. }
             | Self::ResultLost { .. }
             | Self::LightLost { .. } => StatusCode::NOT_FOUND,
             Self::UnreadableLight { .. } => StatusCode::UNPROCESSABLE_ENTITY,
@@ -157,7 +171,11 @@ impl HttpError {
     pub(super) fn code(&self) -> &'static str {
         match self {
             Self::Refused(refusal) => code(refusal),
-            Self::UnknownPath { .. } | Self::NoWebPage | Self::NoResult { .. } => "not_found",
+            Self::UnknownPath { .. }
+            | Self::NoWebPage
+            | Self::NoResult { .. }
+            | Self::NoGeometry { .. }
+            | Self::NoFileGeometry { .. } => "not_found",
             Self::ResultLost { .. } | Self::LightLost { .. } => "lost",
             Self::UnreadableLight { .. } => "unreadable",
             Self::Range { .. } => "range",
@@ -207,6 +225,8 @@ impl HttpError {
             Self::NoResult { .. } => {
                 "GET /api/v1/jobs/JOB/frames lists the `outputs` of finished frames; frame 0 has the outputs of the whole job"
             }
+            Self::NoGeometry { .. } => "submit the job again with `--stats`; the recorded light has voxels",
+            Self::NoFileGeometry { .. } => "open the job of the scene in a farm; the recorded light has voxels",
             Self::ResultLost { .. } | Self::LightLost { .. } => {
                 "the farm makes the result again (if the job failed or was cancelled: after a retry); \
                  request it when it is finished"
@@ -236,6 +256,8 @@ impl HttpError {
             | Self::Method { .. }
             | Self::Invalid { .. }
             | Self::NoResult { .. }
+            | Self::NoGeometry { .. }
+            | Self::NoFileGeometry { .. }
             | Self::ResultLost { .. }
             | Self::LightLost { .. }
             | Self::UnreadableLight { .. }

@@ -127,6 +127,8 @@ impl<S: Send + 'static> Http<S> {
             Route::Light(question) => self.light(request_head, question, caller_key).await,
             Route::LightFiles => Ok(self.light_files()),
             Route::FileMaps(file) => self.file_maps(request_head, file, caller_key).await,
+            Route::FileGeometry(file) => Err(self.file_geometry(file)),
+            Route::Geometry(job, frame) => self.geometry(request_head, job, frame, caller_key).await,
             Route::Download(job, file) => self.download(request_head, job, file, caller_key).await,
             Route::Workers => self.workers().await,
             Route::Usage => self.usage().await,

@@ -165,6 +165,15 @@ impl<S: Send + 'static> Http<S> {
         Ok(response)
     }
 
+    /// Returns the reason why a statistics file has no geometry.
+    pub(super) fn file_geometry(&self, file: usize) -> HttpError {
+        if file < self.0.light.files().len() {
+            HttpError::NoFileGeometry { file }
+        } else {
+            LightViewError::NoFile { number: file }.into()
+        }
+    }
+
     /// Lists the files with light statistics beside the farm.
     pub(super) fn light_files(&self) -> Response<Body> {
         let files = self.0.light.files().iter().enumerate().map(|(file, it)| {

@@ -41,6 +41,10 @@ pub(super) enum Route {
     FileMaps(usize),
     /// A result of a job as a file.
     Download(JobId, ResultFile),
+    /// The geometry of the frame nearest to this one; `None`: of the first frame.
+    Geometry(JobId, Option<u32>),
+    /// The geometry of a file with light statistics, which has none.
+    FileGeometry(usize),
     Control,
     Workers,
     /// Usage by owner and month.
@@ -120,12 +124,17 @@ impl Route {
             ["jobs", job, "sheet.png"] => {
                 return Self::Download(number("job", job)?, ResultFile::Sheet).require_get_or_head(request_head, path);
             }
+            ["jobs", job, "geometry"] => {
+                let route = Self::Geometry(number("job", job)?, query.number("frame")?);
+                return route.require_get_or_head(request_head, path);
+            }
             ["jobs", job, "light", call] => {
                 let target = LightTarget::Frames(number("job", job)?, light::frames(query)?);
                 (Self::Light(light::parse_question(target, call, query, path)?), Method::GET)
             }
             ["files"] => (Self::LightFiles, Method::GET),
             ["files", file, "maps"] => (Self::FileMaps(number("file", file)?), Method::GET),
+            ["files", file, "geometry"] => (Self::FileGeometry(number("file", file)?), Method::GET),
             ["files", file, "light", call] => {
                 let target = LightTarget::File(number("file", file)?);
                 (Self::Light(light::parse_question(target, call, query, path)?), Method::GET)
@@ -185,8 +194,8 @@ impl Route {
             Self::Attempts(..) => Operation::Attempts,
             Self::Logs(..) => Operation::Logs,
             Self::Picture(..) => Operation::Picture,
-            Self::Light(_) | Self::LightFiles | Self::FileMaps(_) => Operation::Light,
-            Self::Download(..) => Operation::Download,
+            Self::Light(_) | Self::LightFiles | Self::FileMaps(_) | Self::FileGeometry(_) => Operation::Light,
+            Self::Download(..) | Self::Geometry(..) => Operation::Download,
             Self::Control => Operation::Control,
             Self::Workers => Operation::ListWorkers,
             Self::Usage => Operation::Usage,
@@ -290,7 +299,7 @@ mod tests {
                 *seen.entry(route.operation()).or_default() += 1;
             }
         }
-        assert_eq!(seen.values().sum::<usize>(), 34);
+        assert_eq!(seen.values().sum::<usize>(), 36);
         // The page itself has no row in the table, and neither have requests without an operation.
         let documented = seen.into_keys().chain([Operation::Page, Operation::Other]);
         assert_eq!(documented.collect::<BTreeSet<_>>(), BTreeSet::from(Operation::HTTP));

@@ -136,8 +136,11 @@ impl World {
             let outputs = outputs.iter().map(|&(role, text)| output(role, text)).collect();
             vec![FrameParts { frame: 4, grid, outputs }]
         };
+        let mut day_spec = spec("day", "ann");
+        let geometry = StageTemplate::new(StageKind::Geometry, Scope::Frame, TaskSizes::even(1, 1), &[Role::Geometry]);
+        day_spec.graph.stages.push(geometry);
         let day = TestJob {
-            spec: spec("day", "ann"),
+            spec: day_spec,
             records: vec![
                 record(0, &[(Role::Still, "still"), (Role::Clip, "\x1aclip 7"), (Role::Sheet, "sheet 7")]),
                 record(
@@ -147,10 +150,16 @@ impl World {
                         (Role::Preview, "preview 7.3"),
                         (Role::LayerImage, "layers 7.3"),
                         (Role::Statistics, "light 7.3"),
+                        (Role::Geometry, "geometry 7.3"),
                     ],
                 ),
             ],
-            parts: parts(&[(Role::Tile, "tile a"), (Role::Tile, "tile b"), (Role::Paths, "paths a")]),
+            parts: parts(&[
+                (Role::Tile, "tile a"),
+                (Role::Tile, "tile b"),
+                (Role::Paths, "paths a"),
+                (Role::Geometry, "geometry 7.4"),
+            ]),
             tasks: vec![
                 task(7, (3, 0, 0), TaskState::Done, 1),
                 task(7, (3, 0, 1), TaskState::Done, 1),
@@ -255,6 +264,8 @@ impl World {
             "image 7.3",
             "preview 7.3",
             "layers 7.3",
+            "geometry 7.3",
+            "geometry 7.4",
             "light 7.3",
             "tile a",
             "tile b",

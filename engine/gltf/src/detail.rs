@@ -1,4 +1,4 @@
-//! Detail of the objects within a limit on the number of triangles.
+//! Detail of the objects within limits on the numbers of triangles and objects.
 
 use crate::objects::ObjectSurfaces;
 
@@ -18,8 +18,17 @@ pub(crate) enum Detail {
     PlacedBoxes,
     /// One box around all places.
     OneBox,
-    /// Nothing: there are too many objects.
+    /// Nothing.
     LeftOut,
+}
+
+/// Limits of a file.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct DetailLimits {
+    /// Triangles, counting those of shared meshes at each place.
+    pub triangles: u64,
+    /// Objects.
+    pub objects: usize,
 }
 
 /// Details of all objects.
@@ -32,27 +41,45 @@ pub(crate) struct DetailPlan {
 
 impl DetailPlan {
     /// Chooses the smallest deviation at which all objects are within the limit. If there is none, the objects with the most
-    /// triangles become boxes, one after another. Objects with equally many become boxes in their order.
-    pub(crate) fn new(objects: &[ObjectSurfaces<'_>], share: f64, limit: u64) -> Self {
+    /// triangles become boxes, one after another. Objects with equally many become boxes in their order. Before that, of too many
+    /// objects, those with the fewest triangles are left out.
+    pub(crate) fn new(objects: &[ObjectSurfaces<'_>], share: f64, limits: DetailLimits) -> Self {
         let mut plan = Self { share, objects: Vec::new() };
         for factor in COARSER {
             plan.share = share * factor;
             plan.objects = objects.iter().map(|object| (Detail::Full, count(object, plan.share))).collect();
-            if plan.sum() <= limit {
+            plan.leave_out(limits.objects);
+            if plan.sum() <= limits.triangles {
                 return plan;
             }
         }
-        plan.reduce(objects, limit);
+        plan.reduce(objects, limits.triangles);
         plan
     }
 
+    /// Returns the number of triangles if no object becomes a box.
     fn sum(&self) -> u64 {
-        self.objects.iter().fold(0, |sum, (_, triangles)| sum.saturating_add(*triangles))
+        let shown = self.objects.iter().filter(|(detail, _)| *detail == Detail::Full);
+        shown.fold(0, |sum, (_, triangles)| sum.saturating_add(*triangles))
+    }
+
+    /// Returns the objects by falling number of triangles.
+    fn order(&self) -> Vec<usize> {
+        let mut order: Vec<usize> = (0..self.objects.len()).collect();
+        order.sort_by_key(|&index| (std::cmp::Reverse(self.objects[index].1), index));
+        order
+    }
+
+    fn leave_out(&mut self, max_objects: usize) {
+        if self.objects.len() > max_objects {
+            for index in self.order().into_iter().skip(max_objects) {
+                self.objects[index].0 = Detail::LeftOut;
+            }
+        }
     }
 
     fn reduce(&mut self, objects: &[ObjectSurfaces<'_>], limit: u64) {
-        let mut order: Vec<usize> = (0..objects.len()).collect();
-        order.sort_by_key(|&index| (std::cmp::Reverse(self.objects[index].1), index));
+        let order = self.order();
         let mut sum = self.sum();
         // Each pass may free more than the pass before.
         for detail in [Detail::PlacedBoxes, Detail::OneBox, Detail::LeftOut] {

@@ -4,7 +4,7 @@
 //! and each camera has a node. Copies of small meshes are united in one mesh; copies of large meshes share it.
 
 use crate::cameras::cameras;
-use crate::detail::{Detail, DetailPlan};
+use crate::detail::{Detail, DetailLimits, DetailPlan};
 use crate::glb::{Glb, TooLarge};
 use crate::material::material;
 use crate::mesh::PieceMesh;
@@ -28,20 +28,26 @@ pub struct GeometryOptions {
     pub deviation: f64,
     /// Largest number of triangles, counting those of shared meshes at each place.
     pub max_triangles: u64,
+    /// Largest number of objects.
+    pub max_objects: usize,
     /// Name of the frame's camera; `None`: the first.
     pub camera: Option<String>,
 }
 
 impl Default for GeometryOptions {
     fn default() -> Self {
-        Self { deviation: 0.002, max_triangles: 2_000_000, camera: None }
+        Self { deviation: 0.002, max_triangles: 2_000_000, max_objects: 100_000, camera: None }
     }
 }
 
 /// Returns the surfaces of a frame as binary glTF. The bytes depend only on the frame and the options.
 pub fn scene_geometry(prepared: &Prepared, options: &GeometryOptions) -> Result<Vec<u8>, TooLarge> {
     let objects = surfaces_by_object(prepared);
-    let plan = DetailPlan::new(&objects, options.deviation, options.max_triangles);
+    let plan = DetailPlan::new(
+        &objects,
+        options.deviation,
+        DetailLimits { triangles: options.max_triangles, objects: options.max_objects },
+    );
     let mut document = Document::new(prepared);
     let mut boxed = Vec::new();
     for (object, &(detail, full)) in objects.iter().zip(&plan.objects) {

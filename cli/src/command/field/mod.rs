@@ -112,7 +112,8 @@ pub fn run(args: FieldArgs, printer: Printer) -> Result<Exit, Failure> {
     let wireframe = if args.wire { Wireframe::Shown } else { Wireframe::Hidden };
     let (scale, scene) = (curve.exposure, args.scene.display().to_string());
     let metadata = GltfMetadata { prepared: &prepared, scale, ev: ev(curve), scene: resolved.name() };
-    let file = document::glb(&meshes, wireframe, &metadata).map_err(failed)?;
+    let file = document::glb(&meshes, wireframe, &metadata);
+    let file = file.map_err(|error| failed(format!("{error}; use a larger --error")))?;
     femc_film::file::write_atomic(&out, &file).map_err(failed)?;
 
     let (solve_report, light, statistics) = (&solution.report, look.totals(), out.with_extension("json"));

@@ -1,10 +1,9 @@
 //! The limit on triangles: coarser shapes, then boxes.
 
 use super::parse::Parsed;
-use super::{prepare_file, prepare_text};
+use super::prepare_file;
 use femc_gltf::{GeometryOptions, scene_geometry};
 use femc_prepared::Prepared;
-use std::fmt::Write as _;
 
 fn limited(prepared: &Prepared, max_triangles: u64) -> Parsed {
     let options = GeometryOptions { max_triangles, ..GeometryOptions::default() };
@@ -47,16 +46,14 @@ fn largest_objects_become_boxes_and_the_document_names_them() {
 }
 
 #[test]
-fn copies_count_at_each_place_and_large_ones_share_a_mesh() {
-    let ball = "v center =\n  p 0 0 0\nsph center 1\n";
-    let places = |count: u32, shape: &str| {
-        let mut text = String::from("o copies\n");
-        write!(text, "xf -a {count} -t 3 0 0\n{shape}xf\no\n").unwrap();
-        prepare_text(&text)
-    };
-    let parsed = limited(&places(40, ball), 2_000_000);
-    let (triangles, ..) = counts(&parsed);
-    assert_eq!(triangles % 40, 0);
-    let (fewer, boxed, _) = counts(&limited(&places(40, ball), 2_000));
-    assert!(fewer <= 2_000 && boxed == 1, "{fewer} triangles, {boxed} boxes");
+fn smallest_of_too_many_objects_are_left_out() {
+    let prepared = prepare_file("greenhouse.mgf", 1);
+    let options = GeometryOptions { max_objects: 4, ..GeometryOptions::default() };
+    let parsed = Parsed::new(&scene_geometry(&prepared, &options).unwrap());
+    let nodes = parsed.list("nodes").iter().filter(|node| node.get("mesh").is_some());
+    let shown: Vec<u64> = nodes.map(|node| node["extras"]["triangles"].as_u64().unwrap()).collect();
+    let left_out = parsed.extras()["boxed"].as_array().unwrap();
+    assert_eq!((shown.len(), shown.len() + left_out.len()), (4, prepared.scene.objects.len()));
+    let smallest = shown.iter().min().unwrap();
+    assert!(left_out.iter().all(|it| it["left_out"] == true && it["triangles"].as_u64().unwrap() <= *smallest));
 }

@@ -1,6 +1,7 @@
 //! Tests of the surfaces of frames as glTF, one module per topic.
 #![allow(clippy::disallowed_methods, reason = "tests compute expected values independently of the engine")]
 
+mod copies;
 mod document;
 mod limits;
 mod parse;

@@ -34,14 +34,22 @@ fn first_hit<'a>(parsed: &Parsed, triangles: &'a [Triangle], origin: DVec3, dir:
 
 /// Rays of a scene, and what became of them.
 #[derive(Debug, Default)]
-struct Tally {
-    hits: u32,
+pub(crate) struct Tally {
+    pub(crate) hits: u32,
     /// Rays on which one of both misses, or which hit different objects.
     other_object: u32,
     other_distance: u32,
 }
 
-fn compare(prepared: &Prepared, rays: u32) -> Tally {
+impl Tally {
+    /// Returns the number of rays that hit another place or object.
+    pub(crate) fn differences(&self) -> u32 {
+        self.other_object + self.other_distance
+    }
+}
+
+/// Compares the first hits of rays from the camera and from points in the scene, in all directions.
+pub(crate) fn compare(prepared: &Prepared, rays: u32) -> Tally {
     let parsed = Parsed::new(&scene_geometry(prepared, &GeometryOptions::default()).unwrap());
     let triangles = parsed.triangles();
     let bounds = prepared.world.bounds();

@@ -66,7 +66,8 @@ fn geometry_has_equal_bytes_for_any_workers_despite_a_kill() {
 fn job_without_statistics_has_no_geometry_and_says_so() {
     let dir = TestFolder::new();
     let (_coordinator, url) = start_coordinator(&dir, 0);
-    let (plain, recorded) = (submit(&dir, &url, "--frames 1 --spp 1"), submit(&dir, &url, "--frames 1 --spp 1 --stats"));
+    let (plain, recorded) =
+        (submit(&dir, &url, "--frames 1 --spp 1"), submit(&dir, &url, "--frames 1 --spp 1 --stats"));
     let kinds = |job: &str| -> Vec<String> {
         let stages = get(&url, &format!("jobs/{job}"), &[]).json()["spec"]["stages"].clone();
         let stages = stages.as_array().expect("stages").iter();

@@ -19,7 +19,7 @@ use femc_reports::measure::{
     MeasureReport, ReadingRow, SummaryRow, reading_columns, reading_rows, summary_columns, summary_rows,
 };
 use points_file::WorkPlaneArg;
-use rayon::prelude::*;
+use rayon::iter::{IndexedParallelIterator as _, IntoParallelRefIterator as _, ParallelIterator as _};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};

@@ -190,23 +190,32 @@ fn receiver(
 ) -> Result<Receiver, String> {
     let unit = |v: [f64; 3]| super::request::unit(v).map(|v| Vec3A::from(v.map(|x| x as f32)).normalize());
     let direction = direction.and_then(unit).unwrap_or(Vec3A::Z);
-    let mut origin = scene.from_world(position);
-    let (mut normal, sensitivity) = match quantity {
-        Quantity::Illuminance => (direction, Sensitivity::Plane { normal: direction }),
-        Quantity::Cylindrical => (Vec3A::ZERO, Sensitivity::Cylinder { axis: direction }),
-        Quantity::Spherical => (Vec3A::ZERO, Sensitivity::Sphere),
-        Quantity::Luminance => (Vec3A::ZERO, Sensitivity::Ray { toward: direction }),
-    };
-    let mut sensitivity = sensitivity;
     if let Some(observer) = observer {
         let toward = unit([0, 1, 2].map(|axis| position[axis] - observer[axis]));
         let Some(toward) = toward else { return Err("`observer` is at the point at which one looks".into()) };
-        (origin, sensitivity) = (scene.from_world(observer), Sensitivity::Ray { toward });
-        normal = Vec3A::ZERO;
+        return Ok(point_in_space(scene, scene.from_world(observer), Sensitivity::Ray { toward }));
     }
-    let size = position.iter().fold(0.0f64, |most, x| most.max(x.abs())) as f32;
-    let error = if normal == Vec3A::ZERO { 0.0 } else { POSITION_ERROR * size.max(origin.abs().max_element()) };
-    // A point on the surface of a closed object receives light outside, on the side of the normal.
-    let medium_stack = scene.media_at(origin + normal * (4.0 * error));
-    Ok(Receiver { position: origin, error: Vec3A::splat(error), normal, sensitivity, medium_stack })
+    let origin = scene.from_world(position);
+    Ok(match quantity {
+        Quantity::Illuminance => {
+            let size = position.iter().fold(0.0f64, |most, x| most.max(x.abs())) as f32;
+            let error = POSITION_ERROR * size.max(origin.abs().max_element());
+            let sensitivity = Sensitivity::Plane { normal: direction };
+            Receiver {
+                error: Vec3A::splat(error),
+                normal: direction,
+                // A point on the surface of a closed object receives light outside, on the side of the normal.
+                medium_stack: scene.media_at(origin + direction * (4.0 * error)),
+                ..point_in_space(scene, origin, sensitivity)
+            }
+        }
+        Quantity::Cylindrical => point_in_space(scene, origin, Sensitivity::Cylinder { axis: direction }),
+        Quantity::Spherical => point_in_space(scene, origin, Sensitivity::Sphere),
+        Quantity::Luminance => point_in_space(scene, origin, Sensitivity::Ray { toward: direction }),
+    })
+}
+
+fn point_in_space(scene: &Prepared, position: Vec3A, sensitivity: Sensitivity) -> Receiver {
+    let medium_stack = scene.media_at(position);
+    Receiver { position, error: Vec3A::ZERO, normal: Vec3A::ZERO, sensitivity, medium_stack }
 }

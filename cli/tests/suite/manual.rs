@@ -172,6 +172,7 @@ pages! {
     layers: "layers.md",
     light: "light.md",
     measure: "measure.md",
+    studies: "studies.md",
     paths: "paths.md",
     formats: "formats.md",
     scenes: "scenes.md",

@@ -225,17 +225,21 @@ fn a_clip_goes_on_from_each_checkpoint_to_the_same_bytes() {
 fn frames_are_painted_when_they_are_rendered() {
     let dir = test_folder();
     let line = "render fog.mgf -o clip --frames 1..2 --size 24x16 --spp 4";
-    let report = dir.run(&format!("{line} --style hatching --json")).exits(0).json();
+    let report = dir.run(&format!("{line} --style hatching --boil 0.9 --json")).exits(0).json();
     let painted = report["painted"].as_array().expect("a list").clone();
     assert_eq!(painted.len(), 2, "{report}");
     let files: Vec<&str> = painted.iter().map(|file| file.as_str().expect("a name")).collect();
     assert!(files.iter().all(|file| file.ends_with(".painted.png") && picture(&dir, file).width == 24), "{files:?}");
     // The same result with `femc stylize`: each frame follows the previous one, with one exposure.
     let targets: Vec<String> = files.iter().map(|file| file.replace(".painted.png", ".layers.exr")).collect();
-    dir.run(&format!("stylize --style hatching --target {} -o again/", targets.join(" "))).exits(0);
+    let targets = targets.join(" ");
+    dir.run(&format!("stylize --style hatching --boil 0.9 --target {targets} -o again/")).exits(0);
     for (file, name) in files.iter().zip(file_names(&dir.path("again"))) {
         assert!(picture(&dir, file) == picture(&dir, &format!("again/{name}")), "{file} and {name} differ");
     }
+    dir.run(&format!("stylize --style hatching --boil 0 --target {targets} -o calm/")).exits(0);
+    let name = &file_names(&dir.path("calm"))[1];
+    assert!(picture(&dir, files[1]) != picture(&dir, &format!("calm/{name}")), "boil changes the second frame");
     let ran = dir.run(&format!("{line} --style aquatint")).exits(2);
     assert!(ran.stderr().contains("--style aquatint"), "{}", ran.stderr());
     dir.run(&format!("{line} --boil 0.5")).exits(2);

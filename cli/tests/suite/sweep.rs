@@ -27,6 +27,8 @@ fn grid_sweep_writes_folders_tables_sheet_and_equals_renders() {
     let dir = test_folder(&format!(
         "{JOB}[regions]\nlamp = [4, 0, 12, 4]\nfloor = [4, 12, 12, 16]\n[contrasts]\nseen = [\"lamp\", \"floor\"]\n"
     ));
+    let planned = dir.run("plan j.toml").exits(0).stdout();
+    assert!(planned.contains("4 variants, 8 frames: 8 to render"), "{planned}");
     let report = sweep(&dir, "-o out --local");
     assert_eq!(counts(&report), [8, 0, 0]);
     assert_eq!(

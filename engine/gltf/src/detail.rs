@@ -25,9 +25,9 @@ pub(crate) enum Detail {
 /// Limits of a file.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct DetailLimits {
-    /// Triangles, counting those of shared meshes at each place.
+    /// Maximum number of triangles. The triangles of a mesh count once for each copy of it.
     pub triangles: u64,
-    /// Objects.
+    /// Maximum number of objects.
     pub objects: usize,
 }
 

@@ -26,7 +26,7 @@ const MAX_LISTED: usize = 1000;
 pub struct GeometryOptions {
     /// Largest distance of triangles from a curved surface, as a share of the diagonal of its bounding box.
     pub deviation: f64,
-    /// Largest number of triangles, counting those of shared meshes at each place.
+    /// Maximum number of triangles. The triangles of a mesh count once for each copy of it.
     pub max_triangles: u64,
     /// Largest number of objects.
     pub max_objects: usize,

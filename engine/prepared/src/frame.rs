@@ -218,9 +218,7 @@ fn prepare_with(
         },
         previous => build_world(scene, scalars, &view, frame_key, camera, spec.frame, previous)?,
     };
-    if prepared.materials.iter().any(|m| m.interior_medium.is_some()) {
-        prepared.camera_medium_stack = prepared.media_at(prepared.camera.eye());
-    }
+    prepared.camera_medium_stack = prepared.media_at(prepared.camera.eye());
     prepared.camera_emitters = CameraEmitters::new(&prepared.camera, &prepared.lights, spec.filter_radius);
     Ok(prepared)
 }
@@ -316,6 +314,9 @@ impl Prepared {
     /// leaves without having entered them.
     /// - `point`: prepared frame, m.
     pub fn media_at(&self, point: Vec3A) -> MediumStack {
+        if self.materials.iter().all(|material| material.interior_medium.is_none()) {
+            return MediumStack::default();
+        }
         let mut ray = Ray { origin: point, dir: Vec3A::new(0.36, 0.48, 0.8), t_max: f32::INFINITY, time: 0.0 };
         let (mut entered, mut left) = (MediumStack::default(), Vec::new());
         for _ in 0..10_000 {

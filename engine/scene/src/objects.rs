@@ -2,6 +2,11 @@
 
 use crate::description::{Object, ObjectId};
 
+/// Checks whether an object's dotted name is `value` or lies in it.
+pub fn is_name_within(name: &str, value: &str) -> bool {
+    name.strip_prefix(value).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
+}
+
 /// Returns for every object whether it is hidden, either itself or through an enclosing object.
 /// - `objects`: the scene's objects, as described or at some time ([`crate::Scalars::objects`]).
 pub fn hidden_objects(objects: &[Object]) -> Vec<bool> {

@@ -2,7 +2,7 @@
 //!
 //! Each test samples a lamp from a vertex. Then it searches for the random numbers with which the path leaves the vertex in the
 //! direction of that sample, and lets the path hit the lamp. A weight is the ratio of the light with all techniques to the light
-//! with one of them alone. So the weights are those of real samples. The test computes no density itself.
+//! with one of them alone. So the tests check the weights that real samples have. They use no density of their own.
 
 use super::*;
 use crate::dimensions as dim;

@@ -113,7 +113,7 @@ fn what_is_no_condition_says_where_and_what_is_expected() {
     assert_eq!(Condition::parse(&nested(64)), Err(QueryError::TooDeep));
     for sign in ["(", ")", "=", "!=", "<", ">", ","] {
         let found = format!("column 11: found \"{sign}\", expected a word");
-        assert_eq!(error(&format!("object == {sign}")), found, "a sign is no name");
+        assert_eq!(error(&format!("object == {sign}")), found, "a sign cannot be a name");
     }
     for text in ["", "and", "\"", "é == 2", "object == é", "not", "object ==", "object == )", "depth == 1e999"] {
         let _ = Condition::parse(text).map_err(|error| error.to_string());

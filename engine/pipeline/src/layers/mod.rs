@@ -174,9 +174,8 @@ pub(crate) fn check_labels(scene: &Scene, layers: &[Layer]) -> Result<(), LayerE
     let emitting: BTreeSet<&str> = emitting.map(String::as_str).collect();
     let media: BTreeSet<&str> = scene.media.iter().map(|medium| medium.name.as_str()).collect();
     let is_object = |label: &str| {
-        let within =
-            |name: &&str| name.strip_prefix(label).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'));
-        objects.range(label..).take_while(|name| name.starts_with(label)).any(within)
+        let within = |name: &str| femc_scene::objects::is_name_within(name, label);
+        objects.range(label..).take_while(|name| name.starts_with(label)).any(|name| within(name))
     };
     let is_lamp = |label: &str| {
         let cuts = label.match_indices('/').map(|(at, _)| (&label[..at], &label[at + 1..]));

@@ -4,6 +4,7 @@ use femc_geometry::Quadric;
 use femc_math::glam::{Affine3A, DVec3, Vec3A};
 use femc_math::{cross, warp};
 use femc_prepared::Prepared;
+use femc_scene::objects::is_name_within;
 
 /// A part of a surface.
 #[derive(Clone, Debug)]
@@ -180,13 +181,12 @@ fn halve(piece: Piece, target: f64, halvings: u32, out: &mut Vec<Piece>) {
 
 /// Returns the primitives of the objects of a name, in order.
 fn primitives(scene: &Prepared, object: &str) -> Vec<Piece> {
-    let is_wanted = |name: &str| name.strip_prefix(object).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'));
     let mut pieces = Vec::new();
     for (instance, group) in (0..).zip(scene.instances.iter()) {
         let scale = f64::from(scale_of(&scene.world.pose_at(instance, 0.0)));
         let blas = &group.compiled.blas;
         for primitive in 0..group.compiled.primitives.len() as u32 {
-            if !is_wanted(scene.object_name(scene.object_of(instance, primitive))) {
+            if !is_name_within(scene.object_name(scene.object_of(instance, primitive)), object) {
                 continue;
             }
             let (shape, area) = match (blas.triangle(primitive), blas.quadric(primitive)) {

@@ -26,7 +26,7 @@ const PLANNED_ERROR: f64 = 0.8;
 const MAX_GROWTH: f64 = 4.0;
 /// Number of samples without any light after which a reading is dark.
 const DARK_SAMPLES: u32 = 1 << 14;
-/// Difference of the random numbers from those of frames with the same seed.
+/// Bits that the seed is combined with, so that a reading and a frame with equal seeds use different random numbers.
 const STREAM: u64 = 0x6d65_6173_7572_6573;
 
 /// Settings of measurements.

@@ -58,7 +58,8 @@ impl EstimateSum {
         self.squares += variance * variance;
     }
 
-    /// Returns the interval of the sum over `weight`. The degrees of freedom are those of \[satterthwaite1946\].
+    /// Divides the sum by `weight`, and returns the interval of the result. Its degrees of freedom follow from the variances
+    /// (\[satterthwaite1946\]).
     fn interval(&self, weight: f64) -> Interval {
         let each = (REPLICATES - 1) as f64;
         let freedom =

@@ -52,6 +52,8 @@ pub enum StageKind {
     EncodeClip,
     /// Writes the surfaces of a frame as triangles, for viewers.
     Geometry,
+    /// Writes the finite-element solution of a frame as triangles, for viewers.
+    Solution,
 }
 
 /// Lane of a task. A worker runs tasks of one lane one after another, and tasks of different lanes in parallel.
@@ -115,7 +117,7 @@ pub struct StageKindProperties {
 
 impl StageKind {
     /// All variants, in the order of the table.
-    pub const ALL: [Self; 22] = [
+    pub const ALL: [Self; 23] = [
         Self::Render,
         Self::Reduce,
         Self::Image,
@@ -138,6 +140,7 @@ impl StageKind {
         Self::EncodeSheet,
         Self::EncodeClip,
         Self::Geometry,
+        Self::Solution,
     ];
 
     /// Returns the kind's row of the table.
@@ -186,6 +189,7 @@ impl StageKind {
             // A video encoder uses all threads, too.
             Self::EncodeClip => split("encode-clip", Compute),
             Self::Geometry => row("geometry", "frames", Compute, false, Affinity::Frame, Report, &[tag::GEOMETRY]),
+            Self::Solution => row("solution", "frames", Compute, false, Affinity::Frame, Report, &[tag::SOLUTION]),
         }
     }
 

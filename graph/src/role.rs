@@ -65,6 +65,8 @@ pub enum Role {
     SolverState,
     /// The surfaces of a frame as binary glTF.
     Geometry,
+    /// The finite-element solution of a frame as binary glTF.
+    Solution,
 }
 
 /// Row of the table of roles.
@@ -82,7 +84,7 @@ pub struct RoleProperties {
 
 impl Role {
     /// All variants, in the order of the table.
-    pub const ALL: [Self; 29] = [
+    pub const ALL: [Self; 30] = [
         Self::Tile,
         Self::Sums,
         Self::Pixels,
@@ -112,6 +114,7 @@ impl Role {
         Self::Brushwork,
         Self::SolverState,
         Self::Geometry,
+        Self::Solution,
     ];
 
     /// Returns the role's row of the table.
@@ -150,6 +153,7 @@ impl Role {
             Self::Brushwork => row("brushwork", true, false),
             Self::SolverState => row("solver-state", false, false),
             Self::Geometry => row("geometry", true, false),
+            Self::Solution => row("solution", true, false),
         }
     }
 

@@ -26,6 +26,9 @@ pub const TASK_KINDS: &str = "task-kinds";
 /// Tag of workers that support scene geometry for viewers.
 pub const GEOMETRY: &str = "geometry";
 
+/// Tag of workers that support finite-element solutions for viewers.
+pub const SOLUTION: &str = "solution";
+
 /// All these tags. A worker of this version offers them.
-pub const ALL: [&str; 8] =
-    [FIRST_PASS, FIRST_PASS_BLOCKS, STATISTICS, LAYERS, FEATURES, PAINTING, TASK_KINDS, GEOMETRY];
+pub const ALL: [&str; 9] =
+    [FIRST_PASS, FIRST_PASS_BLOCKS, STATISTICS, LAYERS, FEATURES, PAINTING, TASK_KINDS, GEOMETRY, SOLUTION];

@@ -39,8 +39,8 @@ impl SolvedScene {
         let source = SceneSource::new(crate::parse_scene(text));
         let prepared = prepare_frame(&source, &Settings::default(), 1, None).unwrap_or_else(|e| panic!("{e}"));
         let solution = solve(&prepared, options, &AtomicBool::new(false)).unwrap_or_else(|e| panic!("{e:?}"));
-        let Solution { field, direct, report } = solution;
-        let direct = Field { leaves: direct, ..field.clone() };
+        let Solution { field, report } = solution;
+        let direct = Field { leaves: field.direct.clone(), ..field.clone() };
         Self { prepared, field, direct, report }
     }
 

@@ -51,7 +51,7 @@ impl SolutionFlux {
     /// Computes the flux of a solution.
     /// - `prepared`: the frame that was solved.
     pub fn new(prepared: &Prepared, solution: &Solution) -> Self {
-        let view = SolutionView::new(prepared, solution);
+        let view = SolutionView::new(prepared, &solution.field);
         let totals = view.totals();
         let mut tracer =
             FluxTracer { prepared, field: &solution.field, rng: Rng::new(1), found: TracedFlux::default() };

@@ -326,7 +326,7 @@ fn colors_over_the_scale_are_the_solution_s_light() {
     let prepared = femc_pipeline::prepare_frame(&SceneSource::new(Arc::new(scene)), &Settings::default(), 1, None)
         .expect("a frame");
     let solution = solve(&prepared, &SolveOptions::default(), &AtomicBool::new(false)).expect("a solution");
-    let look = SolutionView::new(&prepared, &solution);
+    let look = SolutionView::new(&prepared, &solution.field);
     let [numbers, surfaces] = ["_ELEMENT", "_SURFACE"].map(|name| gltf.attribute(floor, name));
     let [colors, radiance, irradiance, direct] =
         ["COLOR_0", "_RADIANCE", "_IRRADIANCE", "_DIRECT"].map(|name| gltf.vectors(floor, name));

@@ -62,6 +62,42 @@ fn geometry_has_equal_bytes_for_any_workers_despite_a_kill() {
     assert_eq!((again.status, again.body.len()), (304, 0));
 }
 
+/// Returns the finite-element solutions of the first two frames of a finished job.
+fn solutions(url: &str, job: &str) -> [Vec<u8>; 2] {
+    [1, 2].map(|frame| {
+        let answer = get(url, &format!("jobs/{job}/solution?frame={frame}"), &[]);
+        assert_eq!((answer.status, answer.header("content-type")), (200, "model/gltf-binary"));
+        answer.body
+    })
+}
+
+#[test]
+fn solution_has_equal_bytes_for_any_workers_and_methods() {
+    let settings = |method: &str| format!("--frames 1..2 --size 48x32 --spp 4 --stats --method {method}");
+    let alone = TestFolder::new();
+    let (_coordinator, url) = start_coordinator(&alone, 0);
+    let _worker = start_worker(&alone, &url);
+    let [job, other] = ["fem", "pt"].map(|method| submit(&alone, &url, &settings(method)));
+    for job in [&job, &other] {
+        alone.run(&format!("watch {job} --server {url}")).exits(0);
+    }
+    let first = solutions(&url, &job);
+    let document = document(&first[0]);
+    let extras = &document["scenes"][0]["extras"];
+    assert!(extras["triangles"].as_u64().is_some_and(|triangles| triangles > 0), "{extras}");
+    assert_eq!(extras["triangles"], extras["full_triangles"]);
+    let refused = get(&url, &format!("jobs/{other}/solution"), &[]);
+    let message = refused.json()["error"]["message"].to_string();
+    assert!(refused.status == 404 && message.contains("its method has no first pass"), "{message}");
+
+    let farm = TestFolder::new();
+    let (_other_coordinator, url) = start_coordinator(&farm, 0);
+    let _workers: Vec<TestProcess> = (0..3).map(|_| start_worker(&farm, &url)).collect();
+    let job = submit(&farm, &url, &settings("fem"));
+    farm.run(&format!("watch {job} --server {url}")).exits(0);
+    assert!(solutions(&url, &job) == first, "equal bytes");
+}
+
 #[test]
 fn job_without_statistics_has_no_geometry_and_says_so() {
     let dir = TestFolder::new();

@@ -4,7 +4,7 @@ use femc_math::Rgb;
 use femc_math::color::luminance;
 use femc_math::glam::{Vec2, Vec3A};
 
-/// Data of a leaf: irradiance, lx by channel, without direct light from light sources.
+/// Data of a leaf: irradiance, lx by channel.
 #[derive(Clone, Copy, Debug)]
 pub enum Leaf {
     /// Values of a triangle, at the three points with barycentric weights of two thirds for one corner and a sixth for each of the
@@ -94,8 +94,11 @@ pub struct Field {
     pub roots: Vec<u32>,
     /// Parts of surfaces.
     pub cells: Vec<Cell>,
-    /// Data of the leaves.
+    /// Light of the leaves, without direct light from light sources.
     pub leaves: Vec<Leaf>,
+    /// Direct light from light sources by leaf, of the same kinds as `leaves`. Viewers show it; rendering computes direct light with
+    /// shadow rays. Empty if it is not known.
+    pub direct: Vec<Leaf>,
     /// Estimated root mean square error of the irradiance by leaf, lx by luminance. Empty if it was not estimated.
     pub errors: Vec<f32>,
     /// Guides by leaf: the directions from which light comes. Empty if they were not computed.
@@ -109,7 +112,7 @@ pub struct Field {
 impl Field {
     /// Multiplies all light by a factor, as for a scene with lamps that are brighter by the factor.
     pub fn scaled(mut self, factor: f32) -> Self {
-        self.leaves.iter_mut().for_each(|leaf| *leaf = leaf.scaled(factor));
+        self.leaves.iter_mut().chain(&mut self.direct).for_each(|leaf| *leaf = leaf.scaled(factor));
         self.errors.iter_mut().for_each(|error| *error *= factor);
         self.guides.scale(factor);
         self.fog.scale(factor);
@@ -160,6 +163,7 @@ impl Field {
         size_of_val(&*self.surfaces)
             + size_of_val(&*self.cells)
             + size_of_val(&*self.leaves)
+            + size_of_val(&*self.direct)
             + size_of_val(&*self.errors)
             + self.guides.memory()
             + self.sides.iter().map(|sides| size_of_val(&**sides)).sum::<usize>()

@@ -9,12 +9,12 @@ use crate::glb::{Glb, TooLarge};
 use crate::material::material;
 use crate::mesh::PieceMesh;
 use crate::objects::{ObjectSurfaces, Piece, Place, surfaces_by_object};
+use crate::root::scene_root;
 use femc_geometry::Aabb;
 use femc_math::glam::Affine3A;
 use femc_prepared::Prepared;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
-use std::f64::consts::FRAC_1_SQRT_2;
 
 /// Meshes with at least this many triangles are shared by their copies.
 const SHARED_TRIANGLES: u64 = 1024;
@@ -223,13 +223,7 @@ impl<'a> Document<'a> {
     }
 
     fn finish(mut self, extras: Value) -> Result<Vec<u8>, TooLarge> {
-        let [x, y, z] = self.prepared.origin.to_array();
-        let mut root = json!({
-            "name": "scene", "translation": [x, z, -y], "rotation": [-FRAC_1_SQRT_2, 0.0, 0.0, FRAC_1_SQRT_2],
-        });
-        if !self.nodes.is_empty() {
-            root["children"] = (0..self.nodes.len()).collect();
-        }
+        let root = scene_root(self.prepared.origin, self.nodes.len());
         self.nodes.push(root);
         let mut document = json!({
             "asset": { "version": "2.0", "generator": format!("femc {}", env!("CARGO_PKG_VERSION")) },

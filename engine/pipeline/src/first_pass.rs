@@ -55,7 +55,7 @@ impl FrameLight {
 ///   the solution also share the tasks that compute it.
 pub fn first_pass_key(frame_key: &FrameKey, method: Method, blocks: u32) -> [u8; 32] {
     let mut hasher = blake3::Hasher::new();
-    hasher.update(b"femc first pass 11");
+    hasher.update(b"femc first pass 12");
     hasher.update(&frame_key.light.0);
     hasher.update(&solver(method).key());
     if blocks > 1 {

@@ -3,7 +3,7 @@
 use crate::first_pass_steps::{first_pass_blocks, split_first_pass};
 use crate::layers::{check_labels, feature_layout};
 use crate::settings::{Method, Settings, SettingsError, StopCondition};
-use crate::stage::{job_graph, tiles_per_group, with_geometry, with_layers, with_statistics};
+use crate::stage::{job_graph, tiles_per_group, with_geometry, with_layers, with_solution, with_statistics};
 use femc_film::{FilmError, Tiling};
 use femc_graph::Graph;
 use femc_scene::Scene;
@@ -109,8 +109,8 @@ pub fn plan_job(scene: &Scene, settings: &Settings, frames: Option<&[u32]>) -> R
     );
     let graph = if settings.statistics { with_statistics(graph) } else { graph };
     let graph = if settings.has_layers() { with_layers(graph, &tiling, weight_of_layers(settings)) } else { graph };
-    // Viewers show recorded light among the surfaces of its frame.
-    let graph = if settings.statistics { with_geometry(graph) } else { graph };
+    // Viewers show recorded light among the surfaces of its frame, and the light of the first pass on them.
+    let graph = if settings.statistics { with_solution(with_geometry(graph)) } else { graph };
     let left_out = |what: &str, reason: &str| OmittedFeature { what: what.into(), reason: reason.into() };
     let mut left_out = match method {
         Method::Fem => {

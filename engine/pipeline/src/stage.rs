@@ -117,6 +117,15 @@ pub fn with_geometry(mut graph: Graph) -> Graph {
     graph_of(graph.stages)
 }
 
+/// Adds the finite-element solution of each frame to the graph of a job with a first pass, for viewers. Its images do not change.
+pub fn with_solution(mut graph: Graph) -> Graph {
+    let makes_light = |stage: &StageTemplate| stage.outputs.contains(&Role::Field);
+    let Some(made) = graph.stages.iter().position(makes_light) else { return graph };
+    let stage = per_frame(StageKind::Solution, 1, &[Role::Solution]);
+    graph.stages.push(stage.with_input(made as u16, Role::Field, Reach::All));
+    graph_of(graph.stages)
+}
+
 /// Maximum number of layer sums of a group: 104 bytes each, united in about a second.
 const GROUP_SUMS: u64 = 1 << 20;
 
@@ -242,6 +251,26 @@ mod tests {
             assert_eq!((geometry.kind, geometry.scope, geometry.tasks()), (StageKind::Geometry, Scope::Frame, 1));
             assert!(geometry.needs.is_empty() && geometry.outputs == [Role::Geometry]);
             assert!(with.iter().all(|stage| stage.tags.iter().any(|own| own == tag::GEOMETRY)));
+            let untagged = |stage: &StageTemplate| StageTemplate { tags: Vec::new(), ..stage.clone() };
+            assert!(others.iter().map(untagged).eq(without.stages.iter().map(untagged)));
+        }
+    }
+
+    #[test]
+    fn solution_of_a_frame_reads_the_light_of_its_first_pass() {
+        let tiling = tiling([272, 256], 16);
+        let graph = |method| with_geometry(with_statistics(job_graph(&tiling, &[4], tiles_per_group(&tiling), method)));
+        assert_eq!(with_solution(graph(Method::Pt)), graph(Method::Pt));
+        for blocks in [1, 7] {
+            let without = split_first_pass(graph(Method::Femc), Method::Femc, blocks);
+            let with = with_solution(without.clone()).stages;
+            let (solution, others) = with.split_last().unwrap();
+            assert_eq!((solution.kind, solution.scope, solution.tasks()), (StageKind::Solution, Scope::Frame, 1));
+            assert_eq!(solution.outputs, [Role::Solution]);
+            let [need] = solution.needs[..] else { panic!("{:?}", solution.needs) };
+            assert_eq!(need.role, Role::Field);
+            assert!(others[usize::from(need.stage)].outputs.contains(&Role::Field));
+            assert!(with.iter().all(|stage| stage.tags.iter().any(|own| own == tag::SOLUTION)));
             let untagged = |stage: &StageTemplate| StageTemplate { tags: Vec::new(), ..stage.clone() };
             assert!(others.iter().map(untagged).eq(without.stages.iter().map(untagged)));
         }

@@ -117,7 +117,7 @@ const MAX_SAGITTA: f32 = 2e-5;
 pub fn solution_meshes(view: &SolutionView<'_>) -> Vec<Mesh> {
     let mut meshes = BTreeMap::new();
     let extent = view.prepared.world.bounds().size().length();
-    let field = &view.solution.field;
+    let field = view.field;
     for (index, surface) in (0u32..).zip(&field.surfaces) {
         let key = (MeshContent::Elements, surface.material, surface.side == Side::Back);
         for (leaf, outline) in field.leaves_of(index) {
@@ -151,8 +151,7 @@ fn emitting_surfaces(view: &SolutionView<'_>) -> Vec<Surface> {
         let pose = world.pose_at(instance, SHUTTER_TIME);
         let blas = &group.compiled.blas;
         for (primitive, about) in (0u32..).zip(&group.compiled.primitives) {
-            let sides =
-                view.solution.field.sides.get(instance as usize).and_then(|sides| sides.get(primitive as usize));
+            let sides = view.field.sides.get(instance as usize).and_then(|sides| sides.get(primitive as usize));
             if about.emitter == NONE || sides != Some(&[NONE; 2]) {
                 continue;
             }

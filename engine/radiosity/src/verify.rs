@@ -33,7 +33,7 @@ impl Solution {
     /// - `prepared`: the frame that was solved.
     /// - errors: [`VerifyError`]; a picture of the solution would be wrong.
     pub fn verify(&self, prepared: &Prepared) -> Result<(), VerifyError> {
-        self.report.verify(&SolutionView::new(prepared, self).totals())
+        self.report.verify(&SolutionView::new(prepared, &self.field).totals())
     }
 }
 

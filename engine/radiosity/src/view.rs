@@ -1,8 +1,7 @@
 //! Evaluation of a solution for viewing: the light that arrives at a point of an element, and the light that it sends.
 
 use crate::scene::SHUTTER_TIME;
-use crate::solve::Solution;
-use femc_field::{Cell, Form, Leaf, NONE, Side, Surface, SurfaceSpot};
+use femc_field::{Cell, Field, Form, Leaf, NONE, Side, Surface, SurfaceSpot};
 use femc_math::Rgb;
 use femc_math::color::luminance;
 use femc_math::glam::{Vec2, Vec3A};
@@ -56,7 +55,7 @@ pub struct LightTotals {
 /// A solution with its frame.
 pub struct SolutionView<'a> {
     pub(crate) prepared: &'a Prepared,
-    pub(crate) solution: &'a Solution,
+    pub(crate) field: &'a Field,
     /// Reflected and transmitted share by material.
     diffuse_albedos: Vec<(Rgb, Rgb)>,
     /// Absorbed share by material. Light that mirrors and clear panes pass on is not absorbed.
@@ -65,20 +64,22 @@ pub struct SolutionView<'a> {
 
 impl<'a> SolutionView<'a> {
     /// Combines a solution with its frame.
-    /// - `prepared`: the frame for which `solution` was computed.
-    pub fn new(prepared: &'a Prepared, solution: &'a Solution) -> Self {
+    /// - `prepared`: the frame for which `field` was computed.
+    pub fn new(prepared: &'a Prepared, field: &'a Field) -> Self {
         let diffuse = |material: &KernelMaterial| material.bsdf.diffuse_albedos();
         let absorbed = |material: &KernelMaterial| (Rgb::ONE - material.bsdf.hemispherical_albedo()).max(Rgb::ZERO);
         let diffuse_albedos = prepared.materials.iter().map(diffuse).collect();
-        Self { prepared, solution, diffuse_albedos, absorbed: prepared.materials.iter().map(absorbed).collect() }
+        Self { prepared, field, diffuse_albedos, absorbed: prepared.materials.iter().map(absorbed).collect() }
     }
 
     /// Returns the irradiance at a point of a leaf.
     /// - `local`: the point's coordinates in the leaf;
     /// - `normal`: unit normal of the surface's side there.
     pub fn irradiance(&self, leaf: u32, local: Vec2, normal: Vec3A) -> Irradiance {
-        let at = |leaves: &[Leaf]| finite_or_zero(leaves[leaf as usize].irradiance(local, normal));
-        Irradiance { indirect: at(&self.solution.field.leaves), direct: at(&self.solution.direct) }
+        let at = |leaves: &[Leaf]| {
+            leaves.get(leaf as usize).map_or(Rgb::ZERO, |leaf| finite_or_zero(leaf.irradiance(local, normal)))
+        };
+        Irradiance { indirect: at(&self.field.leaves), direct: at(&self.field.direct) }
     }
 
     /// Returns the luminance by channel, cd/m2, of a point of a surface, seen along its normal. Gloss counts as diffuse, and
@@ -88,7 +89,7 @@ impl<'a> SolutionView<'a> {
     /// - `inside`: parameters of a point near it in the interior of the same leaf. The other side is looked up there, because a
     ///   point on an edge belongs to two leaves.
     pub(crate) fn radiance(&self, surface: u32, arriving: Irradiance, place: Vec2, inside: Vec2) -> Rgb {
-        let source = &self.solution.field.surfaces[surface as usize];
+        let source = &self.field.surfaces[surface as usize];
         self.scattered_radiance(surface, arriving, inside) + self.emitted(source, place, &source.point_at(place))
     }
 
@@ -97,7 +98,7 @@ impl<'a> SolutionView<'a> {
     /// - `arriving`: irradiance there;
     /// - `place`: the point's parameters on the surface.
     pub fn scattered_radiance(&self, surface: u32, arriving: Irradiance, place: Vec2) -> Rgb {
-        let source = &self.solution.field.surfaces[surface as usize];
+        let source = &self.field.surfaces[surface as usize];
         let (reflected, transmitted) = self.diffuse_albedos[source.material as usize];
         let mut sent = reflected * arriving.total();
         if transmitted != Rgb::ZERO {
@@ -108,7 +109,7 @@ impl<'a> SolutionView<'a> {
 
     /// Returns the irradiance of the other side of a surface.
     fn back_irradiance(&self, surface: &Surface, place: Vec2) -> Rgb {
-        let field = &self.solution.field;
+        let field = self.field;
         let sides = field.sides[surface.instance as usize][surface.primitives[0] as usize];
         let other = sides[usize::from(surface.side == Side::Front)];
         let root = if other == NONE { NONE } else { field.roots[other as usize] };
@@ -142,7 +143,7 @@ impl<'a> SolutionView<'a> {
     /// Returns the totals over all leaves.
     pub fn totals(&self) -> LightTotals {
         let Prepared { lights, textures, .. } = self.prepared;
-        let field = &self.solution.field;
+        let field = self.field;
         let all =
             |power: &dyn Fn(u32) -> f32| (0..lights.len() as u32).fold(0.0, |sum, light| sum + f64::from(power(light)));
         let emitted = all(&|light| lights.power(light));

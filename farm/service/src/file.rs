@@ -31,12 +31,22 @@ pub(crate) enum FrameFile {
     Statistics,
     /// Binary glTF with the surfaces.
     Geometry,
+    /// Binary glTF with the finite-element solution.
+    Solution,
 }
 
 impl FrameFile {
     /// Every kind.
-    pub(crate) const ALL: [Self; 7] =
-        [Self::Image, Self::Preview, Self::Still, Self::Painted, Self::Layers, Self::Statistics, Self::Geometry];
+    pub(crate) const ALL: [Self; 8] = [
+        Self::Image,
+        Self::Preview,
+        Self::Still,
+        Self::Painted,
+        Self::Layers,
+        Self::Statistics,
+        Self::Geometry,
+        Self::Solution,
+    ];
 
     /// Returns the last segment of the result's HTTP path.
     pub(crate) const fn segment(self) -> &'static str {
@@ -48,6 +58,7 @@ impl FrameFile {
             Self::Layers => "layers.exr",
             Self::Statistics => "statistics.paths",
             Self::Geometry => "geometry.glb",
+            Self::Solution => "solution.glb",
         }
     }
 
@@ -61,10 +72,11 @@ impl FrameFile {
             Self::Layers => "layers.exr",
             Self::Statistics => "paths",
             Self::Geometry => "glb",
+            Self::Solution => "solution.glb",
         }
     }
 
-    const fn role(self) -> Role {
+    pub(crate) const fn role(self) -> Role {
         match self {
             Self::Image => Role::Image,
             Self::Preview => Role::Preview,
@@ -73,6 +85,26 @@ impl FrameFile {
             Self::Layers => Role::LayerImage,
             Self::Statistics => Role::Statistics,
             Self::Geometry => Role::Geometry,
+            Self::Solution => Role::Solution,
+        }
+    }
+}
+
+/// A frame as triangles, for viewers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum FrameModel {
+    /// The surfaces.
+    Geometry,
+    /// The finite-element solution.
+    Solution,
+}
+
+impl FrameModel {
+    /// Returns the result of a frame that contains the model.
+    pub(crate) const fn file(self) -> FrameFile {
+        match self {
+            Self::Geometry => FrameFile::Geometry,
+            Self::Solution => FrameFile::Solution,
         }
     }
 }

@@ -2057,6 +2057,8 @@ pub enum Role {
     SolverState = 28,
     /// The surfaces of a frame as binary glTF. A worker that knows this role offers the tag `geometry`.
     Geometry = 29,
+    /// The finite-element solution of a frame as binary glTF. A worker that knows this role offers the tag `solution`.
+    Solution = 30,
 }
 impl Role {
     /// String value of the enum field names used in the ProtoBuf definition.
@@ -2095,6 +2097,7 @@ impl Role {
             Self::Brushwork => "ROLE_BRUSHWORK",
             Self::SolverState => "ROLE_SOLVER_STATE",
             Self::Geometry => "ROLE_GEOMETRY",
+            Self::Solution => "ROLE_SOLUTION",
         }
     }
     /// Creates an enum from field names used in the ProtoBuf definition.
@@ -2130,6 +2133,7 @@ impl Role {
             "ROLE_BRUSHWORK" => Some(Self::Brushwork),
             "ROLE_SOLVER_STATE" => Some(Self::SolverState),
             "ROLE_GEOMETRY" => Some(Self::Geometry),
+            "ROLE_SOLUTION" => Some(Self::Solution),
             _ => None,
         }
     }
@@ -2309,6 +2313,8 @@ pub enum StageKind {
     EncodeClip = 21,
     /// Writes the surfaces of a frame as triangles, for viewers. A worker that knows this kind offers the tag `geometry`.
     Geometry = 22,
+    /// Writes the finite-element solution of a frame as triangles, for viewers. A worker that knows this kind offers the tag `solution`.
+    Solution = 23,
 }
 impl StageKind {
     /// String value of the enum field names used in the ProtoBuf definition.
@@ -2340,6 +2346,7 @@ impl StageKind {
             Self::EncodeSheet => "STAGE_KIND_ENCODE_SHEET",
             Self::EncodeClip => "STAGE_KIND_ENCODE_CLIP",
             Self::Geometry => "STAGE_KIND_GEOMETRY",
+            Self::Solution => "STAGE_KIND_SOLUTION",
         }
     }
     /// Creates an enum from field names used in the ProtoBuf definition.
@@ -2368,6 +2375,7 @@ impl StageKind {
             "STAGE_KIND_ENCODE_SHEET" => Some(Self::EncodeSheet),
             "STAGE_KIND_ENCODE_CLIP" => Some(Self::EncodeClip),
             "STAGE_KIND_GEOMETRY" => Some(Self::Geometry),
+            "STAGE_KIND_SOLUTION" => Some(Self::Solution),
             _ => None,
         }
     }

@@ -15,6 +15,7 @@ mod pairs;
 mod parts;
 mod proofs;
 mod references;
+mod solution_model;
 mod stress;
 mod techniques;
 mod tinted_absorption;

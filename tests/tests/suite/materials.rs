@@ -197,7 +197,7 @@ fn lamp_texture_above_1_raises_light_and_solution_is_trusted() {
         let prepared = prepare_frame(&SceneSource::new(Arc::new(textured)), &Settings::default(), 1, None);
         let prepared = prepared.unwrap_or_else(|error| panic!("{error}"));
         let solved = solve(&prepared, &SolveOptions::default(), &AtomicBool::new(false)).expect("nobody cancels");
-        let light = femc_pipeline::radiosity::SolutionView::new(&prepared, &solved).totals();
+        let light = femc_pipeline::radiosity::SolutionView::new(&prepared, &solved.field).totals();
         let ratio = light.absorbed / light.emitted;
         assert!((ratio / kept - 1.0).abs() < 0.1, "texture {value}: {ratio} times the emittance is kept");
         assert_eq!(solved.verify(&prepared), Ok(()));

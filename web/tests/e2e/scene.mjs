@@ -3,6 +3,7 @@ import { copyFileSync, mkdirSync, readdirSync } from 'node:fs';
 import { join } from 'node:path';
 import { chromium } from 'playwright-core';
 import { Farm, pause, root, until } from './farm.mjs';
+import { triangles, valueAlong } from './elements.mjs';
 import { boxesAsGlb } from './glb.mjs';
 import { view } from './light.mjs';
 
@@ -529,6 +530,60 @@ export async function scene({ step, open, claim, equal, accessible, current, sho
       await farm.kill(both.child);
     }
   });
+
+  await step('scene: the finite-element solution, and its value under the pointer', async () => {
+    await begin();
+    const solved = farm.submit('cornell.mgf', '--size', '64x64', '--spp', '4', '--stats', '--method', 'fem');
+    await until(() => farm.job(solved).state === 'done', 'the job of finite elements is done', 240);
+    const page = current(await open(farm, { by: browser }));
+    await page.goto(`/jobs/${solved}/light?eye=0,-7.6,1.95,0,0,1.95,32&layers=surfaces`);
+    await page.locator('[data-totals]').waitFor({ timeout: 60_000 });
+    await page.getByRole('button', { name: 'Scene', exact: true }).click();
+    const it = new Scene(page, `/api/v1/jobs/${solved}/light`, '1');
+    await it.ready();
+    const shaded = await it.picture();
+    const menu = it.section.getByLabel('Light on surfaces', { exact: true });
+    for (const kind of ['colors', 'luminance', 'indirect', 'illuminance']) {
+      await menu.selectOption(kind);
+      await page.locator('[data-solution=shown]').waitFor({ timeout: 30_000 });
+      claim((await it.picture()) !== shaded, `${kind}: the picture differs from the shading`);
+      if (shotsAt) await it.section.screenshot({ path: join(shotsAt, `scene-elements-${kind}.png`) });
+    }
+    equal(it.query('elements'), 'illuminance', 'the address');
+    const answer = await page.request.get(`/api/v1/jobs/${solved}/solution`);
+    const all = triangles(await answer.body(), '_ILLUMINANCE');
+    const box = await it.canvas.boundingBox();
+    await it.canvas.scrollIntoViewIfNeeded();
+    let read = 0;
+    for (const [dx, dy] of [[0, 0.3], [0.1, 0.28], [-0.15, -0.05], [0.05, -0.1], [-0.08, 0.12]]) {
+      const [left, top] = await it.middle(dx * box.height, dy * box.height);
+      await page.mouse.move(left, top);
+      // A ray of the camera, which looks along y with an angle of 32 degrees over the height.
+      const tangent = 2 * Math.tan((16 * Math.PI) / 180);
+      const value = valueAlong(all, [0, -7.6, 1.95], [dx * tangent, 1, -dy * tangent]);
+      claim(value !== null && value > 0, `the ray at ${dx}, ${dy} meets an element`);
+      const tip = page.locator('[data-tip]');
+      await until(async () => {
+        const text = (await tip.count()) ? await tip.innerText() : '';
+        const shown = Number(/([\d.,]+) lx$/.exec(text)?.[1]?.replace(/,/g, ''));
+        return Math.abs(shown / value - 1) < 0.05;
+      }, `${value} lx under the pointer at ${dx}, ${dy}`, 10);
+      read++;
+    }
+    equal(read, 5, 'values');
+    await it.drag(40, 10);
+    await menu.focus();
+    await page.keyboard.press('Home');
+    await until(() => it.query('elements') === null, 'the keyboard chooses the shading', 5);
+    await menu.selectOption('colors');
+    await accessible('the finite-element solution', page);
+    await page.goto(`/jobs/${job}/light?elements=colors`);
+    await page.locator('[data-totals]').waitFor({ timeout: 60_000 });
+    await page.getByRole('button', { name: 'Scene', exact: true }).click();
+    await page.getByText('The job has no finite-element solution').waitFor({ timeout: 30_000 });
+    await page.context().close();
+  });
+
   await step('scene: a browser without WebGL2 says so, and its list of objects works', async () => {
     await begin();
     const page = current(await open({ url: server.url }, { by: browser }));

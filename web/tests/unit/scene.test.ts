@@ -20,6 +20,8 @@ import {
 import { IDENTITY, parseGlb, type Geometry } from '../../src/lib/light/scene/glb';
 import { differenceOf, parseLayers } from '../../src/lib/light/scene/loads.svelte';
 import { findBox, roundBox, termOf, withBox, withPick } from '../../src/lib/light/scene/pick';
+import { colorsOf, parseSolution, solutionScale, valuesOf } from '../../src/lib/light/scene/solution';
+import { viridis } from '../../src/lib/color';
 import {
   bounceScale,
   energyScale,
@@ -78,17 +80,26 @@ function glb(change: (document: Record<string, unknown>) => void = () => {}): Ar
     buffers: [{ byteLength: 48 }],
   };
   change(document);
+  return glbFile(document, [positions, indices]);
+}
+
+/** Binary glTF of a document and its numbers. */
+function glbFile(document: object, numbers: readonly (Float32Array | Uint32Array)[]): ArrayBuffer {
   const text = new TextEncoder().encode(JSON.stringify(document));
   const padded = Math.ceil(text.length / 4) * 4;
-  const buffer = new ArrayBuffer(12 + 8 + padded + 8 + 48);
+  const length = numbers.reduce((sum, it) => sum + it.byteLength, 0);
+  const buffer = new ArrayBuffer(12 + 8 + padded + 8 + length);
   const [view, bytes] = [new DataView(buffer), new Uint8Array(buffer)];
   [0x46546c67, 2, buffer.byteLength, padded, 0x4e4f534a].forEach((word, i) => view.setUint32(4 * i, word, true));
   bytes.fill(32, 20, 20 + padded);
   bytes.set(text, 20);
-  view.setUint32(20 + padded, 48, true);
+  view.setUint32(20 + padded, length, true);
   view.setUint32(24 + padded, 0x004e4942, true);
-  bytes.set(new Uint8Array(positions.buffer), 28 + padded);
-  bytes.set(new Uint8Array(indices.buffer), 28 + padded + 36);
+  let at = 28 + padded;
+  for (const it of numbers) {
+    bytes.set(new Uint8Array(it.buffer), at);
+    at += it.byteLength;
+  }
   return buffer;
 }
 
@@ -342,5 +353,69 @@ describe('picks', () => {
     expect(findBox(withBox(next, null))).toBeNull();
     expect(findBox(withBox(chipsOrNull('depth >= 3')!, [1, 1, 1, 2, 2, 2]))!.at).toBe(1);
     expect(roundBox([0.12345, 0, 0, 1, 1, 1], 5)).toEqual([0.123, 0, 0, 1, 1, 1]);
+  });
+});
+
+describe('finite-element solution', () => {
+  /** A triangle of an element and one of a lamp. */
+  function solutionFile(change: (document: Record<string, unknown>) => void = () => {}): ArrayBuffer {
+    const numbers = Float32Array.of(0, 0, 0, 1, 0, 0, 0, 1, 0, /* radiance */ 1, 1, 1, 2, 0, 0, 0, 3, 0, /* lx */ 10, 20, 0, /* direct */ 4, 25, 0);
+    const indices = Uint32Array.of(0, 1, 2);
+    const attributes = { POSITION: 0, _RADIANCE: 1, _ILLUMINANCE: 2, _DIRECT: 3 };
+    const lengths = [36, 36, 12, 12, 12];
+    const document = {
+      asset: { version: '2.0' },
+      scenes: [{ nodes: [2], extras: { origin: [10, 0, 0], full_triangles: 2, max_triangles: 5 } }],
+      nodes: [
+        { mesh: 0, name: 'gray', extras: { lamp: false } },
+        { mesh: 0, name: 'glow', extras: { lamp: true } },
+        { name: 'scene', children: [0, 1] },
+      ],
+      meshes: [{ primitives: [{ attributes, indices: 4, mode: 4 }] }],
+      accessors: ['VEC3', 'VEC3', 'SCALAR', 'SCALAR', 'SCALAR'].map((type, i) => ({
+        bufferView: i,
+        componentType: i === 4 ? 5125 : 5126,
+        count: 3,
+        type,
+      })),
+      bufferViews: lengths.map((byteLength, i) => ({ buffer: 0, byteLength, byteOffset: lengths.slice(0, i).reduce((a, b) => a + b, 0) })),
+      buffers: [{ byteLength: 108 }],
+    };
+    change(document);
+    return glbFile(document, [numbers, indices]);
+  }
+
+  test('is read with its light, and lamps are marked', () => {
+    const { origin, parts, triangles, limit } = parseSolution(solutionFile());
+    expect([origin, triangles, limit]).toEqual([[10, 0, 0], 2, 5]);
+    expect(parts.map((it) => it.isLamp)).toEqual([false, true]);
+    near(parts[0]!.radiance, [1, 1, 1, 2, 0, 0, 0, 3, 0]);
+    near(valuesOf(parts[0]!, 'illuminance'), [10, 20, 0]);
+    // Direct light that exceeds all light by rounding leaves none.
+    near(valuesOf(parts[0]!, 'indirect'), [6, 0, 0]);
+    near(valuesOf(parts[0]!, 'luminance'), [1, 0.4252, 2.1456]);
+    const noDirect = (it: Record<string, unknown>) =>
+      delete (it.meshes as { primitives: { attributes: Record<string, number> }[] }[])[0]!.primitives[0]!.attributes._DIRECT;
+    expect(() => parseSolution(solutionFile(noDirect))).toThrow('no numbers for _DIRECT');
+  });
+
+  test('has a scale of its elements without lamps, of at most five decades', () => {
+    const solution = parseSolution(solutionFile());
+    const [element, lamp] = solution.parts;
+    const bright = { ...lamp!, illuminance: Float32Array.of(1e6, 1e6, 1e6) };
+    expect(solutionScale({ ...solution, parts: [element!, bright] }, 'illuminance')).toEqual({ low: 10, high: 20, logarithmic: true });
+    const wide = { ...element!, illuminance: Float32Array.of(1e-9, 1, 100) };
+    expect(solutionScale({ ...solution, parts: [wide] }, 'illuminance').low).toBeCloseTo(1e-3, 9);
+    expect(solutionScale({ ...solution, parts: [] }, 'colors')).toEqual({ low: 1, high: 1, logarithmic: true });
+  });
+
+  test('has the colors of the scale, or its own', () => {
+    const [element] = parseSolution(solutionFile()).parts;
+    const scale = { low: 1, high: 10, logarithmic: true };
+    const colors = colorsOf(element!, 'illuminance', scale);
+    expect([...colors.slice(0, 6)]).toEqual([...viridis(1), ...viridis(1)].map((c) => Math.trunc(c)));
+    expect([...colors.slice(6)]).toEqual(viridis(0).map((c) => Math.trunc(c)));
+    // 0.1 and 0.2 of white by the transfer function of sRGB.
+    expect([...colorsOf(element!, 'colors', scale).slice(0, 6)]).toEqual([89, 89, 89, 124, 0, 0]);
   });
 });

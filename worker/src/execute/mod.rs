@@ -23,6 +23,7 @@ mod reduce_layers;
 mod reduce_levels;
 mod reduce_paths;
 mod render;
+mod solution;
 mod solver_state;
 mod statistics;
 
@@ -146,6 +147,7 @@ fn attempt(task: &Task, tools: &Tools) -> Result<Product, Failure> {
             StageKind::EncodeSheet => encode_sheet::encode_sheet(task, stage, tools),
             StageKind::EncodeClip => encode_clip::encode_clip(task, stage, tools),
             StageKind::Geometry => geometry::geometry(task, stage, tools),
+            StageKind::Solution => solution::solution(task, stage, tools),
             kind @ (StageKind::FirstPassBlock | StageKind::Encode) => {
                 let name = kind.name();
                 Err(settings_failure(format!("invalid job graph: a stage of kind {name} has outputs of no known task")))

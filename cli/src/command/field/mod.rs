@@ -100,7 +100,7 @@ pub fn run(args: FieldArgs, printer: Printer) -> Result<Exit, Failure> {
     let solution = solution.map_err(|_| failed("cancelled"))?;
     let seconds = Clock.since(begun).as_secs_f64();
 
-    let look = SolutionView::new(&prepared, &solution);
+    let look = SolutionView::new(&prepared, &solution.field);
     let meshes = solution_meshes(&look);
     if meshes.is_empty() {
         printer.warning(format!(

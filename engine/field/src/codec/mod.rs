@@ -4,11 +4,11 @@
 //! | bytes | what |
 //! | --- | --- |
 //! | 8 | `FEMCFELD` |
-//! | 4 | format version, 5 |
+//! | 4 | format version, 6 |
 //! | 16 | BLAKE3 of everything after this field, first half |
 //! | 8 x 8 | [`SolveStatistics`]: elements, leaves, links, links with light sources, refused links, rays, iterations, bytes |
 //! | 4 | the residual |
-//! | 10 x 4 | numbers of instances, primitives of all of them, surfaces, cells, leaves, errors of leaves, boxes that contain all fog (1 or 0), boxes of fog, guides, lobes |
+//! | 11 x 4 | numbers of instances, primitives of all of them, surfaces, cells, leaves, leaves with direct light (all or 0), errors of leaves, boxes that contain all fog (1 or 0), boxes of fog, guides, lobes |
 //! | 8 | bytes of the tables below |
 //! | rest | zstd frame of the tables |
 //!
@@ -25,6 +25,7 @@
 //! | cells | split, next, corner and edges over the parameters: 6 |
 //! | leaves | 0: triangle, 1: rectangle, 2: curved |
 //! | triangles, rectangles, curved leaves, in order | 9, 12, 27 |
+//! | direct light of the leaves: the same tables, or none | 1, 9, 12, 27 |
 //! | errors of the leaves, or none | 1 |
 //! | the box that contains all fog | lower corner, upper corner: 6 |
 //! | boxes of fog, halves in the order of the split boxes | 0, 1, 2: split across this axis, 3: leaf |
@@ -45,9 +46,10 @@ use femc_geometry::{Facing, Quadric};
 use femc_math::Rgb;
 use femc_math::glam::{Affine3A, Mat3A, Vec2, Vec3A};
 use std::io::Read;
+use std::mem::discriminant;
 
 const MAGIC: &[u8; 8] = b"FEMCFELD";
-const VERSION: u32 = 5;
+const VERSION: u32 = 6;
 const CHECKSUM: usize = 16;
 const PREFIX: usize = MAGIC.len() + 4 + CHECKSUM;
 /// Maximum number of bytes of all tables: 4 GiB.
@@ -126,6 +128,7 @@ impl Field {
             self.surfaces.len(),
             self.cells.len(),
             self.leaves.len(),
+            self.direct.len(),
             self.errors.len(),
             usize::from(!self.fog.is_empty()),
             self.fog.cells().count(),
@@ -179,21 +182,8 @@ impl Field {
             [split, cell.next, x, y, ax, ay, bx, by]
         };
         write_table(&mut out, self.cells.iter().map(cell));
-        let kind = |leaf: &Leaf| match leaf {
-            Leaf::Triangle(_) => [0],
-            Leaf::Rectangle(_) => [1],
-            Leaf::Curved(_) => [2],
-        };
-        write_table(&mut out, self.leaves.iter().map(kind));
-        let triangle =
-            |leaf: &Leaf| if let Leaf::Triangle(values) = leaf { Some(color_words::<3, 9>(values)) } else { None };
-        write_table(&mut out, self.leaves.iter().filter_map(triangle));
-        let rectangle =
-            |leaf: &Leaf| if let Leaf::Rectangle(values) = leaf { Some(color_words::<4, 12>(values)) } else { None };
-        write_table(&mut out, self.leaves.iter().filter_map(rectangle));
-        let curved =
-            |leaf: &Leaf| if let Leaf::Curved(light) = leaf { Some(color_words::<9, 27>(&light.0)) } else { None };
-        write_table(&mut out, self.leaves.iter().filter_map(curved));
+        write_leaves(&mut out, &self.leaves);
+        write_leaves(&mut out, &self.direct);
         write_table(&mut out, self.errors.iter().map(|error| [error.to_bits()]));
         self.encode_fog_tables(&mut out);
         write_table(
@@ -250,7 +240,7 @@ impl Field {
             bytes: front.read_u64()?,
             residual: f32::from_bits(front.read_u32()?),
         };
-        let mut lengths = [0; 10];
+        let mut lengths = [0; 11];
         for length in &mut lengths {
             *length = front.read_u32()?;
         }
@@ -279,8 +269,8 @@ fn decompress(bytes: &[u8], plain: u64) -> Result<Vec<u8>, FieldError> {
     if tables.len() as u64 == plain { Ok(tables) } else { Err(LENGTH) }
 }
 
-fn read_tables(mut tables: TableReader<'_>, lengths: [u32; 10]) -> Result<Field, FieldError> {
-    let [instances, primitives, surfaces, cells, leaves, errors, roots_of_fog, boxes, guides, lobes] = lengths;
+fn read_tables(mut tables: TableReader<'_>, lengths: [u32; 11]) -> Result<Field, FieldError> {
+    let [instances, primitives, surfaces, cells, leaves, direct, errors, roots_of_fog, boxes, guides, lobes] = lengths;
     const INDEX: FieldError = FieldError::Corrupt("an index is out of its range");
     let instances: Vec<[u32; 1]> = tables.read_table(instances)?;
     if instances.iter().map(|[count]| u64::from(*count)).sum::<u64>() != u64::from(primitives) {
@@ -346,10 +336,18 @@ fn read_tables(mut tables: TableReader<'_>, lengths: [u32; 10]) -> Result<Field,
     if guides != 0 && guides != leaves {
         return Err(FieldError::Corrupt("wrong number of guides"));
     }
+    if direct != 0 && direct != leaves {
+        return Err(FieldError::Corrupt("wrong number of leaves with direct light"));
+    }
     if errors != 0 && errors != leaves {
         return Err(FieldError::Corrupt("wrong number of errors"));
     }
     let leaves = read_leaves(&mut tables, leaves)?;
+    let direct = read_leaves(&mut tables, direct)?;
+    let is_same = |(leaf, direct): (&Leaf, &Leaf)| discriminant(leaf) == discriminant(direct);
+    if !leaves.iter().zip(&direct).all(is_same) {
+        return Err(FieldError::Corrupt("direct light of another kind of leaf"));
+    }
     let errors: Vec<f32> = tables.read_table::<1>(errors)?.into_iter().map(|[error]| f32::from_bits(error)).collect();
     if !errors.iter().all(|error| error.is_finite() && *error >= 0.0) {
         return Err(FieldError::Corrupt("an error is not a number of at least 0"));
@@ -380,13 +378,31 @@ fn read_tables(mut tables: TableReader<'_>, lengths: [u32; 10]) -> Result<Field,
         return Err(FieldError::Corrupt("extra bytes follow the tables"));
     }
     let guides = Guides::new(guides, lobes, &roots, &all, &leaves);
-    Ok(Field { surfaces, roots, leaves, errors, guides, cells: all, sides, fog })
+    Ok(Field { surfaces, roots, leaves, direct, errors, guides, cells: all, sides, fog })
 }
 
 /// Decodes a share of directions, in [0, 1). The rest is for directions that no lobe covers.
 fn decode_share(bits: u32) -> f32 {
     let share = f32::from_bits(bits);
     if (0.0..MAX_GUIDED_SHARE).contains(&share) { share } else { 0.0 }
+}
+
+/// Writes the kinds of leaves, and the values of each kind.
+fn write_leaves(out: &mut Vec<u8>, leaves: &[Leaf]) {
+    let kind = |leaf: &Leaf| match leaf {
+        Leaf::Triangle(_) => [0],
+        Leaf::Rectangle(_) => [1],
+        Leaf::Curved(_) => [2],
+    };
+    write_table(out, leaves.iter().map(kind));
+    let triangle =
+        |leaf: &Leaf| if let Leaf::Triangle(values) = leaf { Some(color_words::<3, 9>(values)) } else { None };
+    write_table(out, leaves.iter().filter_map(triangle));
+    let rectangle =
+        |leaf: &Leaf| if let Leaf::Rectangle(values) = leaf { Some(color_words::<4, 12>(values)) } else { None };
+    write_table(out, leaves.iter().filter_map(rectangle));
+    let curved = |leaf: &Leaf| if let Leaf::Curved(light) = leaf { Some(color_words::<9, 27>(&light.0)) } else { None };
+    write_table(out, leaves.iter().filter_map(curved));
 }
 
 fn read_leaves(tables: &mut TableReader<'_>, leaves: u32) -> Result<Vec<Leaf>, FieldError> {

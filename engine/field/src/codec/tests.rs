@@ -46,6 +46,11 @@ fn one_of_everything() -> Field {
         Leaf::Triangle([v(1.0), v(f32::INFINITY), v(3.0)]),
         Leaf::Rectangle([v(1.0), v(2.0), v(3.0), v(4.0)]),
     ];
+    let direct = vec![
+        Leaf::Curved(Harmonics([v(0.25); 9])),
+        Leaf::Triangle([v(0.5); 3]),
+        Leaf::Rectangle([v(0.0), v(8.0), v(1.0), v(4.0)]),
+    ];
     let roots = vec![0, NONE, 3, 5, NONE, 0];
     let guides = Guides::new(
         vec![Guide::default(), Guide { first: 0, count: 2, share: 0.5 }, Guide { first: 1, count: 1, share: 0.25 }],
@@ -58,6 +63,7 @@ fn one_of_everything() -> Field {
         surfaces: (0..).zip(forms).map(surface).collect(),
         roots,
         cells,
+        direct,
         leaves,
         errors: vec![0.0, 1.5, 0.25],
         guides,
@@ -99,8 +105,8 @@ fn a_damaged_byte_is_found_and_another_version_is_named() {
         assert!(Field::decode(&bytes[..at]).is_err(), "the first {at} bytes");
     }
     let mut newer = bytes;
-    newer[8] = 6;
-    assert_eq!(Field::decode(&newer).err(), Some(FieldError::Version { found: 6, expected: 5 }));
+    newer[8] = 7;
+    assert_eq!(Field::decode(&newer).err(), Some(FieldError::Version { found: 7, expected: 6 }));
 }
 
 #[test]
@@ -144,4 +150,16 @@ fn errors_are_numbers_of_at_least_0_one_for_each_leaf() {
     }
     let bytes = Field { errors: Vec::new(), ..one_of_everything() }.encode(&STATISTICS);
     assert!(Field::decode(&bytes).is_ok_and(|(field, _)| field.errors.is_empty()));
+}
+
+#[test]
+fn direct_light_is_of_the_kinds_of_the_leaves_or_absent() {
+    let decode = |change: fn(&mut Vec<Leaf>)| {
+        let mut field = one_of_everything();
+        change(&mut field.direct);
+        Field::decode(&field.encode(&STATISTICS)).map(|(field, _)| field.direct.len())
+    };
+    assert!(matches!(decode(|direct| direct.swap(0, 1)), Err(FieldError::Corrupt(_))));
+    assert!(matches!(decode(|direct| direct.truncate(2)), Err(FieldError::Corrupt(_))));
+    assert_eq!(decode(Vec::clear), Ok(0));
 }

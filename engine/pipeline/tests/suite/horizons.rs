@@ -79,7 +79,7 @@ fn solved(lamp: &str, [x0, x1, y0, y1]: Rectangle) -> f64 {
     let share = |edges: [femc_math::glam::Vec2; 2]| f64::from(edges[0].perp_dot(edges[1]).abs());
     let total: f64 = leaves.iter().map(|(_, outline)| share(outline.edges)).sum();
     assert!((total - 1.0).abs() < 1e-5, "{total}");
-    let light = |leaf: u32| f64::from(luminance(solution.direct[leaf as usize].mean_irradiance()));
+    let light = |leaf: u32| f64::from(luminance(solution.field.direct[leaf as usize].mean_irradiance()));
     leaves.iter().map(|(leaf, outline)| light(*leaf) * share(outline.edges)).sum()
 }
 

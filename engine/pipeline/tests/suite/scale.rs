@@ -168,7 +168,7 @@ fn options() -> SolveOptions {
 
 fn solved(prepared: &Prepared) -> (Field, Vec<[f32; 3]>) {
     let solution = solve(prepared, &options(), &AtomicBool::new(false)).expect("a solution");
-    let direct = solution.direct.iter().map(|leaf| leaf.mean_irradiance().to_array()).collect();
+    let direct = solution.field.direct.iter().map(|leaf| leaf.mean_irradiance().to_array()).collect();
     (solution.field, direct)
 }
 

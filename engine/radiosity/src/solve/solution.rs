@@ -13,10 +13,8 @@ use femc_math::glam::Vec2;
 /// Light of a scene, with a report.
 #[derive(Clone, Debug)]
 pub struct Solution {
-    /// Light of the scene.
+    /// Light of the scene, with its direct light.
     pub field: Field,
-    /// Direct light from light sources, as in the elements, by leaf of the field.
-    pub direct: Vec<Leaf>,
     /// Report on the solution.
     pub report: SolveReport,
 }
@@ -38,12 +36,12 @@ impl SolverState {
                 ..self.report
             }
         };
-        let (field, direct, fog) = build_field(scene, &self.arena, &self.lights, &self.links);
+        let (field, fog) = build_field(scene, &self.arena, &self.lights, &self.links);
         // `Solution::verify` rejects NaN.
         let residual = if fog == FogLight::Valid { report.residual } else { f32::NAN };
         let report = SolveReport { residual, ..report };
         let field = Field { guides: Guides::new(guides, lobes, &field.roots, &field.cells, &field.leaves), ..field };
-        Solution { field, direct, report }
+        Solution { field, report }
     }
 }
 
@@ -75,15 +73,9 @@ enum FogLight {
     Invalid,
 }
 
-/// Creates the field of a solution, and the direct light from light sources.
-fn build_field(
-    scene: Scene<'_>,
-    arena: &Arena,
-    lights: &ElementLights,
-    links: &[Link],
-) -> (Field, Vec<Leaf>, FogLight) {
+/// Creates the field of a solution, without guides.
+fn build_field(scene: Scene<'_>, arena: &Arena, lights: &ElementLights, links: &[Link]) -> (Field, FogLight) {
     let mut field = Field { roots: vec![NONE; scene.surfaces.len()], ..Field::default() };
-    let mut direct = Vec::new();
     for (surface, &root) in arena.roots.iter().enumerate() {
         if root == NONE {
             continue;
@@ -105,7 +97,7 @@ fn build_field(
                 };
                 field.leaves.push(leaf(FROM_ELEMENTS));
                 field.errors.push(lights.errors[order[at] as usize]);
-                direct.push(leaf(FROM_LAMPS));
+                field.direct.push(leaf(FROM_LAMPS));
                 field.leaves.len() as u32 - 1
             } else {
                 order.extend(element.children);
@@ -130,7 +122,7 @@ fn build_field(
         }
     }
     (field.surfaces, field.sides) = (scene.surfaces, scene.sides);
-    (field, direct, fog)
+    (field, fog)
 }
 
 /// Returns the leaf of a whole surface.

@@ -25,7 +25,7 @@ struct Point {
 }
 
 fn points(prepared: &Prepared, solution: &Solution, surface: u32) -> Vec<Point> {
-    let view = SolutionView::new(prepared, solution);
+    let view = SolutionView::new(prepared, &solution.field);
     let source = &solution.field.surfaces[surface as usize];
     let mut out = Vec::new();
     for (leaf, outline) in solution.field.leaves_of(surface) {

@@ -52,7 +52,7 @@ fn small_surfaces_far_from_a_lamp_share_one_element() {
     for (surface, &root) in solution.field.roots.iter().enumerate() {
         let spot = solution.field.surfaces[surface].point_at([0.5; 2].into());
         let position = spot.position.as_dvec3() + prepared.origin;
-        let Leaf::Rectangle(light) = solution.direct[solution.field.cells[root as usize].next as usize] else {
+        let Leaf::Rectangle(light) = solution.field.direct[solution.field.cells[root as usize].next as usize] else {
             continue;
         };
         let light = f64::from(luminance(light[0]));

@@ -12,7 +12,7 @@ use ::http::header::{
 };
 use ::http::{Method, Response, StatusCode};
 use bytes::Bytes;
-use femc_model::{Artifact, JobId, JobSpec, Role, StageKind};
+use femc_model::{Artifact, JobId, JobSpec};
 use femc_store::{Integrity, Store, StoreError};
 use futures_util::Stream;
 use futures_util::stream::unfold;
@@ -24,7 +24,7 @@ use super::{Http, RequestHead};
 use crate::access::{CallerKey, TransferSlot};
 use crate::call::{Call, JobShape};
 use crate::farm::Farm;
-use crate::file::{FrameFile, ResultFile, media_type};
+use crate::file::{FrameFile, FrameModel, ResultFile, media_type};
 use crate::job_control::store_refusal;
 
 /// Number of first bytes that determine the media type.
@@ -54,26 +54,31 @@ impl<S: Send + 'static> Http<S> {
         self.send_result(request_head, &spec, ResultOf { job, file, artifact }, caller_key).await
     }
 
-    /// Answers with the geometry of the frame that is nearest to `frame` among those that have one; 204: there is none yet.
-    pub(super) async fn geometry(
+    /// Answers with the model of the frame that is nearest to `frame` among those that have one; 204: there is none yet.
+    pub(super) async fn model(
         &self,
         request_head: &RequestHead<'_>,
         job: JobId,
-        frame: Option<u32>,
+        (model, frame): (FrameModel, Option<u32>),
         caller_key: CallerKey,
     ) -> Result<Response<Body>, HttpError> {
         let JobShape { spec, .. } = self.0.farm.call(|reply| Call::Shape { job, reply }).await?;
-        if spec.graph.stage_of_kind(StageKind::Geometry).is_none() {
-            return Err(HttpError::NoGeometry { job });
+        let file = model.file();
+        let role = file.role();
+        if !spec.graph.stages.iter().any(|stage| stage.outputs.contains(&role)) {
+            return Err(match model {
+                FrameModel::Geometry => HttpError::NoGeometry { job },
+                FrameModel::Solution => HttpError::NoSolution { job },
+            });
         }
         let finished = self.0.farm.call(|reply| Call::Frames { job, reply }).await?;
         let mut made: Vec<(u32, Artifact)> =
-            finished.iter().filter_map(|record| Some((record.frame, record.output(Role::Geometry)?))).collect();
+            finished.iter().filter_map(|record| Some((record.frame, record.output(role)?))).collect();
         let wanted = frame.unwrap_or(0);
         if made.iter().all(|(finished, _)| *finished != wanted) {
             let unfinished = self.0.farm.call(|reply| Call::Parts { job, reply }).await?;
             made.extend(unfinished.iter().filter_map(|parts| {
-                let output = parts.outputs.iter().find(|output| output.role == Role::Geometry)?;
+                let output = parts.outputs.iter().find(|output| output.role == role)?;
                 Some((parts.frame, output.artifact))
             }));
         }
@@ -82,7 +87,7 @@ impl<S: Send + 'static> Http<S> {
         else {
             return Ok(response::empty(StatusCode::NO_CONTENT));
         };
-        let file = ResultFile::Frame(nearest, FrameFile::Geometry);
+        let file = ResultFile::Frame(nearest, file);
         self.send_result(request_head, &spec, ResultOf { job, file, artifact }, caller_key).await
     }
 
@@ -166,7 +171,7 @@ impl<S: Send + 'static> Http<S> {
         match file {
             ResultFile::Frame(_, FrameFile::Image | FrameFile::Layers) => Ok(("image/x-exr", "exr")),
             ResultFile::Frame(_, FrameFile::Statistics) => Ok(("application/octet-stream", "paths")),
-            ResultFile::Frame(_, FrameFile::Geometry) => Ok(("model/gltf-binary", "glb")),
+            ResultFile::Frame(_, FrameFile::Geometry | FrameFile::Solution) => Ok(("model/gltf-binary", "glb")),
             ResultFile::Sheet | ResultFile::Frame(..) => Ok(("image/png", "png")),
             ResultFile::Clip => {
                 let head = self.0.store.read_range(&artifact.digest, 0..artifact.bytes.min(HEAD)).await;

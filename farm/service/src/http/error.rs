@@ -71,9 +71,18 @@ pub(super) enum HttpError {
         /// The job.
         job: JobId,
     },
+    /// The job has no stage that makes a finite-element solution for viewers.
+    #[error(
+        "job {job} has no finite-element solution to look at: its method has no first pass, or it was submitted without \
+         `--stats` or with an earlier version of femc"
+    )]
+    NoSolution {
+        /// The job.
+        job: JobId,
+    },
     /// A file with light statistics contains no scene.
-    #[error("file {file} contains recorded paths but no scene, so it has no geometry")]
-    NoFileGeometry {
+    #[error("file {file} contains recorded paths but no scene, so it has no geometry and no finite-element solution")]
+    NoFileModel {
         /// Number of the file.
         file: usize,
     },
@@ -152,7 +161,8 @@ impl HttpError {
             | Self::NoWebPage
             | Self::NoResult { .. }
             | Self::NoGeometry { .. }
-            | Self::NoFileGeometry { .. }
+            | Self::NoSolution { .. }
+            | Self::NoFileModel { .. }
             | Self::ResultLost { .. }
             | Self::LightLost { .. } => StatusCode::NOT_FOUND,
             Self::UnreadableLight { .. } => StatusCode::UNPROCESSABLE_ENTITY,
@@ -175,7 +185,8 @@ impl HttpError {
             | Self::NoWebPage
             | Self::NoResult { .. }
             | Self::NoGeometry { .. }
-            | Self::NoFileGeometry { .. } => "not_found",
+            | Self::NoSolution { .. }
+            | Self::NoFileModel { .. } => "not_found",
             Self::ResultLost { .. } | Self::LightLost { .. } => "lost",
             Self::UnreadableLight { .. } => "unreadable",
             Self::Range { .. } => "range",
@@ -226,7 +237,8 @@ impl HttpError {
                 "GET /api/v1/jobs/JOB/frames lists the `outputs` of finished frames; frame 0 has the outputs of the whole job"
             }
             Self::NoGeometry { .. } => "submit the job again with `--stats`; the recorded light has voxels",
-            Self::NoFileGeometry { .. } => "open the job of the scene in a farm; the recorded light has voxels",
+            Self::NoSolution { .. } => "submit the job again with `--stats` and `--method femc`",
+            Self::NoFileModel { .. } => "open the job of the scene in a farm; the recorded light has voxels",
             Self::ResultLost { .. } | Self::LightLost { .. } => {
                 "the farm makes the result again (if the job failed or was cancelled: after a retry); \
                  request it when it is finished"
@@ -257,7 +269,8 @@ impl HttpError {
             | Self::Invalid { .. }
             | Self::NoResult { .. }
             | Self::NoGeometry { .. }
-            | Self::NoFileGeometry { .. }
+            | Self::NoSolution { .. }
+            | Self::NoFileModel { .. }
             | Self::ResultLost { .. }
             | Self::LightLost { .. }
             | Self::UnreadableLight { .. }

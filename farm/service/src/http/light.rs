@@ -165,10 +165,10 @@ impl<S: Send + 'static> Http<S> {
         Ok(response)
     }
 
-    /// Returns the reason why a statistics file has no geometry.
-    pub(super) fn file_geometry(&self, file: usize) -> HttpError {
+    /// Returns the reason why a statistics file has no geometry and no solution.
+    pub(super) fn file_model(&self, file: usize) -> HttpError {
         if file < self.0.light.files().len() {
-            HttpError::NoFileGeometry { file }
+            HttpError::NoFileModel { file }
         } else {
             LightViewError::NoFile { number: file }.into()
         }

@@ -8,7 +8,7 @@ use super::RequestHead;
 use super::error::HttpError;
 use super::light;
 use super::order::TaskOrder;
-use crate::file::{FrameFile, ResultFile};
+use crate::file::{FrameFile, FrameModel, ResultFile};
 use crate::light::{LightQuestion, LightTarget};
 use crate::operation::Operation;
 use crate::picture::PictureKind;
@@ -41,10 +41,10 @@ pub(super) enum Route {
     FileMaps(usize),
     /// A result of a job as a file.
     Download(JobId, ResultFile),
-    /// The geometry of the frame nearest to this one; `None`: of the first frame.
-    Geometry(JobId, Option<u32>),
-    /// The geometry of a file with light statistics, which has none.
-    FileGeometry(usize),
+    /// The model of the frame nearest to this one; `None`: of the first frame.
+    Model(JobId, FrameModel, Option<u32>),
+    /// A model of a file with light statistics, which has none.
+    FileModel(usize),
     Control,
     Workers,
     /// Usage by owner and month.
@@ -124,8 +124,9 @@ impl Route {
             ["jobs", job, "sheet.png"] => {
                 return Self::Download(number("job", job)?, ResultFile::Sheet).require_get_or_head(request_head, path);
             }
-            ["jobs", job, "geometry"] => {
-                let route = Self::Geometry(number("job", job)?, query.number("frame")?);
+            ["jobs", job, model @ ("geometry" | "solution")] => {
+                let model = if model == "geometry" { FrameModel::Geometry } else { FrameModel::Solution };
+                let route = Self::Model(number("job", job)?, model, query.number("frame")?);
                 return route.require_get_or_head(request_head, path);
             }
             ["jobs", job, "light", call] => {
@@ -134,7 +135,7 @@ impl Route {
             }
             ["files"] => (Self::LightFiles, Method::GET),
             ["files", file, "maps"] => (Self::FileMaps(number("file", file)?), Method::GET),
-            ["files", file, "geometry"] => (Self::FileGeometry(number("file", file)?), Method::GET),
+            ["files", file, "geometry" | "solution"] => (Self::FileModel(number("file", file)?), Method::GET),
             ["files", file, "light", call] => {
                 let target = LightTarget::File(number("file", file)?);
                 (Self::Light(light::parse_question(target, call, query, path)?), Method::GET)
@@ -194,8 +195,8 @@ impl Route {
             Self::Attempts(..) => Operation::Attempts,
             Self::Logs(..) => Operation::Logs,
             Self::Picture(..) => Operation::Picture,
-            Self::Light(_) | Self::LightFiles | Self::FileMaps(_) | Self::FileGeometry(_) => Operation::Light,
-            Self::Download(..) | Self::Geometry(..) => Operation::Download,
+            Self::Light(_) | Self::LightFiles | Self::FileMaps(_) | Self::FileModel(_) => Operation::Light,
+            Self::Download(..) | Self::Model(..) => Operation::Download,
             Self::Control => Operation::Control,
             Self::Workers => Operation::ListWorkers,
             Self::Usage => Operation::Usage,

@@ -138,7 +138,8 @@ impl World {
         };
         let mut day_spec = spec("day", "ann");
         let geometry = StageTemplate::new(StageKind::Geometry, Scope::Frame, TaskSizes::even(1, 1), &[Role::Geometry]);
-        day_spec.graph.stages.push(geometry);
+        let solution = StageTemplate::new(StageKind::Solution, Scope::Frame, TaskSizes::even(1, 1), &[Role::Solution]);
+        day_spec.graph.stages.extend([geometry, solution]);
         let day = TestJob {
             spec: day_spec,
             records: vec![
@@ -151,6 +152,7 @@ impl World {
                         (Role::LayerImage, "layers 7.3"),
                         (Role::Statistics, "light 7.3"),
                         (Role::Geometry, "geometry 7.3"),
+                        (Role::Solution, "solution 7.3"),
                     ],
                 ),
             ],

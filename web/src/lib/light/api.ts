@@ -147,6 +147,9 @@ export interface SchemaAnswer {
   etag: string | null;
 }
 
+/** Surfaces of a frame, or its finite-element solution. */
+export type Model = 'geometry' | 'solution';
+
 export const light = {
   async files(signal?: AbortSignal): Promise<ServedFile[]> {
     const answer = await ask('/api/v1/files', { signal: signal ?? null, cache: 'no-cache' });
@@ -214,9 +217,9 @@ export const light = {
     signal?: AbortSignal,
   ) => columns<VoxelsHeader>(source, 'voxels', { where, box: formatBox(box), level, bounce }, signal),
 
-  /** Returns the geometry of the scene as binary glTF; `null`: not made yet, `undefined`: there is none. */
-  async geometry(source: Source, signal?: AbortSignal): Promise<ArrayBuffer | null | undefined> {
-    const path = 'file' in source ? `files/${source.file}/geometry` : `jobs/${source.job}/geometry?frame=${source.frames[0]}`;
+  /** Returns a model of the scene as binary glTF; `null`: not made yet, `undefined`: there is none. */
+  async model(source: Source, model: Model, signal?: AbortSignal): Promise<ArrayBuffer | null | undefined> {
+    const path = 'file' in source ? `files/${source.file}/${model}` : `jobs/${source.job}/${model}?frame=${source.frames[0]}`;
     const answer = await fetch(`/api/v1/${path}`, { credentials: 'same-origin', signal: signal ?? null, cache: 'no-cache' });
     if (answer.status === 404) return undefined;
     if (!answer.ok) throw await failure(answer);

@@ -62,7 +62,7 @@ const JSON_CHUNK = 0x4e4f534a;
 const BINARY_CHUNK = 0x004e4942;
 export const IDENTITY: Matrix = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1];
 
-interface Document {
+export interface GltfDocument {
   scene?: number;
   scenes?: { nodes?: number[]; extras?: Record<string, unknown> }[];
   nodes?: GltfNode[];
@@ -78,7 +78,7 @@ interface GltfNode {
   camera?: number;
   children?: number[];
   matrix?: number[];
-  extras?: { object?: string; boxed?: boolean; moves?: boolean; rendered?: boolean };
+  extras?: { object?: string; boxed?: boolean; moves?: boolean; rendered?: boolean; lamp?: boolean };
 }
 interface Primitive {
   attributes: Record<string, number>;
@@ -144,17 +144,18 @@ export function parseGlb(buffer: ArrayBuffer): Geometry {
   };
 }
 
-function chunks(buffer: ArrayBuffer): { document: Document; binary: ArrayBuffer } {
+/** Returns the document and the buffer of binary glTF. */
+export function chunks(buffer: ArrayBuffer): { document: GltfDocument; binary: ArrayBuffer } {
   const view = new DataView(buffer);
   if (buffer.byteLength < 20 || view.getUint32(0, true) !== GLTF) throw new Error('the geometry is not binary glTF');
   if (view.getUint32(4, true) !== 2) throw new Error(`the geometry has version ${view.getUint32(4, true)} of glTF, not 2`);
-  let document: Document | null = null;
+  let document: GltfDocument | null = null;
   let binary = new ArrayBuffer(0);
   for (let at = 12; at + 8 <= buffer.byteLength; ) {
     const [length, kind] = [view.getUint32(at, true), view.getUint32(at + 4, true)];
     if (at + 8 + length > buffer.byteLength) throw new Error('the geometry ends early');
     if (kind === JSON_CHUNK) {
-      document = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, at + 8, length))) as Document;
+      document = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, at + 8, length))) as GltfDocument;
     } else if (kind === BINARY_CHUNK) binary = buffer.slice(at + 8, at + 8 + length);
     at += 8 + length;
   }
@@ -164,7 +165,8 @@ function chunks(buffer: ArrayBuffer): { document: Document; binary: ArrayBuffer 
 
 const TYPES = { 5121: Uint8Array, 5123: Uint16Array, 5125: Uint32Array, 5126: Float32Array } as const;
 
-function accessor(document: Document, binary: ArrayBuffer, number: number, width: number) {
+/** Returns the numbers of an accessor, `width` for each vertex. */
+export function accessor(document: GltfDocument, binary: ArrayBuffer, number: number, width: number) {
   const it = document.accessors?.[number];
   const part = it && document.bufferViews?.[it.bufferView];
   const Type = it && TYPES[it.componentType as keyof typeof TYPES];
@@ -177,7 +179,7 @@ function accessor(document: Document, binary: ArrayBuffer, number: number, width
   return new Type(binary, start, length);
 }
 
-function surfaceOf(document: Document, binary: ArrayBuffer, { attributes, indices, material }: Primitive): Surface {
+function surfaceOf(document: GltfDocument, binary: ArrayBuffer, { attributes, indices, material }: Primitive): Surface {
   const floats = (name: string) => {
     const number = attributes[name];
     if (number === undefined) return null;

@@ -1,13 +1,14 @@
-/** Data of the scene view that the plots do not need: geometry and voxels. */
+/** Data of the scene view that the plots do not need: geometry, the finite-element solution and voxels. */
 
 import { explain } from '../../api';
 import type { Rgb } from '../../color';
 import type { Scale } from '../../scale';
-import { light, type Source } from '../api';
+import { light, type Model, type Source } from '../api';
 import { unite } from '../data';
 import { Newest, type DataSet } from '../state.svelte';
-import { parseGlb, type Geometry, type Vec3 } from './glb';
+import { parseGlb, type Vec3 } from './glb';
 import { energyScale, voxelsOf, type VoxelAnswer, type Voxels } from './records';
+import { parseSolution } from './solution';
 
 export type Layer = 'surfaces' | 'points' | 'paths' | 'lights' | 'voxels';
 export const LAYERS: readonly Layer[] = ['surfaces', 'points', 'paths', 'lights', 'voxels'];
@@ -30,41 +31,59 @@ export interface LoadedVoxels extends VoxelAnswer {
 
 const RETRY_INTERVAL_MS = 2000;
 
-export class SceneData {
-  geometry = $state.raw<Geometry | null>(null);
-  /** `none`: the data have no geometry. `waiting`: it is not made yet. */
-  status = $state.raw<'loading' | 'waiting' | 'none' | 'shown' | 'fault'>('loading');
+/** A model of the scene, requested until it is made. */
+export class LoadedModel<T> {
+  value = $state.raw<T | null>(null);
+  /** `idle`: not requested. `none`: the data have no such model. `waiting`: it is not made yet. */
+  status = $state.raw<'idle' | 'loading' | 'waiting' | 'none' | 'shown' | 'fault'>('idle');
   fault = $state.raw<string | null>(null);
-  voxels = $state.raw<LoadedVoxels | null>(null);
-  isLoading = $derived(this.status === 'loading');
 
   private key = '';
   private timer: ReturnType<typeof setTimeout> | undefined;
-  private voxelKey = '';
-  private readonly geometries = new Newest(0, (error) => {
+  private readonly requests = new Newest(0, (error) => {
     this.fault = explain(error);
     this.status = 'fault';
   });
-  private readonly voxelRequests = new Newest(100, (error) => (this.fault = explain(error)));
 
-  loadGeometry(source: Source) {
+  constructor(
+    private readonly model: Model,
+    private readonly parse: (bytes: ArrayBuffer) => T,
+  ) {}
+
+  /** Requests the model, unless it is that of the last request. */
+  load(source: Source) {
     const key = JSON.stringify(source);
     if (key === this.key) return;
     this.key = key;
+    this.status = 'loading';
     this.ask(source);
   }
 
   private ask(source: Source) {
     clearTimeout(this.timer);
-    this.geometries.run(async (signal) => {
-      const bytes = await light.geometry(source, signal);
+    this.requests.run(async (signal) => {
+      const bytes = await light.model(source, this.model, signal);
       this.fault = null;
-      if (bytes) this.geometry = parseGlb(bytes);
-      else this.geometry = null;
+      this.value = bytes ? this.parse(bytes) : null;
       this.status = bytes ? 'shown' : bytes === null ? 'waiting' : 'none';
       if (bytes === null) this.timer = setTimeout(() => this.ask(source), RETRY_INTERVAL_MS);
     });
   }
+
+  stop() {
+    clearTimeout(this.timer);
+    this.requests.stop();
+  }
+}
+
+export class SceneData {
+  readonly geometry = new LoadedModel('geometry', parseGlb);
+  readonly solution = new LoadedModel('solution', parseSolution);
+  voxelFault = $state.raw<string | null>(null);
+  voxels = $state.raw<LoadedVoxels | null>(null);
+
+  private voxelKey = '';
+  private readonly voxelRequests = new Newest(100, (error) => (this.voxelFault = explain(error)));
 
   /**
    * Requests voxels of one data set, or of two for their difference.
@@ -108,8 +127,8 @@ export class SceneData {
   }
 
   stop() {
-    clearTimeout(this.timer);
-    this.geometries.stop();
+    this.geometry.stop();
+    this.solution.stop();
     this.voxelRequests.stop();
   }
 }

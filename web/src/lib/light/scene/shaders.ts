@@ -104,3 +104,48 @@ void main() {
   gl_FragColor = vec4(shade, 1.0);
 }`,
 };
+
+/** Elements of the finite-element solution, in the colors of their vertices. */
+export const ELEMENTS = {
+  vertexShader: `
+varying vec3 shade;
+#include <clipping_planes_pars_vertex>
+void main() {
+  shade = color;
+  vec4 mvPosition = modelViewMatrix * vec4(position, 1.0);
+  #include <clipping_planes_vertex>
+  gl_Position = projectionMatrix * mvPosition;
+}`,
+  fragmentShader: `
+varying vec3 shade;
+#include <clipping_planes_pars_fragment>
+void main() {
+  #include <clipping_planes_fragment>
+  gl_FragColor = vec4(shade, 1.0);
+}`,
+};
+
+/** Added to the values, so that a value of 0 differs from the background. */
+export const VALUE_OFFSET = 1e-6;
+
+/** Values of the elements as the four bytes of a float, lowest first. */
+export const ELEMENT_VALUES = {
+  vertexShader: `
+attribute float quantity;
+varying float value;
+#include <clipping_planes_pars_vertex>
+void main() {
+  value = quantity;
+  vec4 mvPosition = modelViewMatrix * vec4(position, 1.0);
+  #include <clipping_planes_vertex>
+  gl_Position = projectionMatrix * mvPosition;
+}`,
+  fragmentShader: `
+varying float value;
+#include <clipping_planes_pars_fragment>
+void main() {
+  #include <clipping_planes_fragment>
+  uint bits = floatBitsToUint(max(value, 0.0) + ${VALUE_OFFSET.toExponential()});
+  gl_FragColor = vec4(uvec4(bits, bits >> 8u, bits >> 16u, bits >> 24u) & 255u) / 255.0;
+}`,
+};

@@ -39,11 +39,18 @@ import { isWithin } from '../text';
 import { placeOf, type Cut, type Eye } from './eye';
 import type { Geometry, Vec3 } from './glb';
 import type { Points, Segments, Voxels } from './records';
-import { POINTS, SEGMENTS, VOXELS } from './shaders';
+import { ELEMENTS, ELEMENT_VALUES, POINTS, SEGMENTS, VALUE_OFFSET, VOXELS } from './shaders';
 
 /** Object under the pointer. */
 export interface Hit {
   name: string;
+}
+
+/** Elements with their colors and values by vertex. */
+export interface ShownSolution {
+  /** Subtracted from all positions, m. */
+  origin: Vec3;
+  parts: readonly { positions: Float32Array; indices: Uint32Array; colors: Uint8Array; values: Float32Array }[];
 }
 
 /** Box in the scene: lower and upper corner in coordinates of the scene, m. */
@@ -69,6 +76,7 @@ export class Stage {
   private readonly camera = new PerspectiveCamera();
   private readonly headlight = new DirectionalLight(0xffffff, 1.7);
   private readonly surfaces = new Group();
+  private readonly solution = new Group();
   private readonly plane = new Plane();
   private readonly cut = { value: NO_CUT.clone() };
   private readonly resolution = { value: new Vector2(1, 1) };
@@ -86,6 +94,8 @@ export class Stage {
   private eye: Eye | null = null;
   private corners: Box | null = null;
   private radius = 1;
+  /** Whether surfaces or elements are visible. */
+  private areVisible = false;
   private width = 1;
   private height = 1;
   private pixelRatio = 1;
@@ -119,7 +129,7 @@ export class Stage {
     this.box.visible = false;
     this.makeBox();
     this.scene.add(new AmbientLight(0xffffff, 1.3), this.headlight, this.headlight.target);
-    this.scene.add(this.surfaces, this.voxels, this.points, this.rays, this.paths, this.box);
+    this.scene.add(this.surfaces, this.solution, this.voxels, this.points, this.rays, this.paths, this.box);
     canvas.addEventListener('webglcontextrestored', this.invalidate);
   }
 
@@ -127,6 +137,7 @@ export class Stage {
     cancelAnimationFrame(this.request);
     this.canvas.removeEventListener('webglcontextrestored', this.invalidate);
     this.clearSurfaces();
+    this.setSolution(null);
     for (const it of [this.points, this.paths, this.rays, this.voxels]) {
       it.geometry.dispose();
       it.material.dispose();
@@ -270,6 +281,45 @@ export class Stage {
     });
   }
 
+  // ---- Finite-element solution
+
+  /** Shows elements instead of the surfaces; null: the surfaces. Picks find the surfaces in both cases. */
+  setSolution(shown: ShownSolution | null) {
+    for (const mesh of this.solution.children as Mesh<BufferGeometry, Material>[]) {
+      mesh.geometry.dispose();
+      mesh.material.dispose();
+    }
+    this.solution.clear();
+    this.solution.visible = shown !== null;
+    this.surfaces.visible = this.areVisible && !this.solution.visible;
+    if (shown) {
+      this.solution.position.set(...this.local(shown.origin));
+      for (const part of shown.parts) {
+        const buffer = new BufferGeometry();
+        buffer.setAttribute('position', new BufferAttribute(part.positions, 3));
+        buffer.setAttribute('color', new BufferAttribute(part.colors, 3, true));
+        buffer.setAttribute('quantity', new BufferAttribute(part.values, 1));
+        buffer.setIndex(new BufferAttribute(part.indices, 1));
+        this.solution.add(new Mesh(buffer, new ShaderMaterial({ ...ELEMENTS, vertexColors: true, clipping: true })));
+      }
+    }
+    this.invalidate();
+  }
+
+  /** Returns the value of the solution at a place of the canvas; null: no element is there. */
+  valueAt(x: number, y: number): number | null {
+    if (!this.solution.visible) return null;
+    const meshes = this.solution.children as Mesh<BufferGeometry, Material>[];
+    const before = meshes.map((mesh) => mesh.material);
+    const material = new ShaderMaterial({ ...ELEMENT_VALUES, clipping: true });
+    for (const mesh of meshes) mesh.material = material;
+    const bytes = this.drawPixel(x, y, [this.surfaces]);
+    meshes.forEach((mesh, i) => (mesh.material = before[i]!));
+    material.dispose();
+    const value = new DataView(bytes.buffer).getFloat32(0, true);
+    return value > 0 ? value - VALUE_OFFSET : null;
+  }
+
   private clearSurfaces() {
     for (const mesh of this.surfaces.children as Mesh<BufferGeometry, Material>[]) {
       mesh.geometry.dispose();
@@ -284,7 +334,8 @@ export class Stage {
    * - `hidesBacks`: whether surfaces that face away are invisible.
    */
   setSurfaces(isVisible: boolean, opacity: number, hidesBacks: boolean) {
-    this.surfaces.visible = isVisible && opacity > 0;
+    this.areVisible = isVisible && opacity > 0;
+    this.surfaces.visible = this.areVisible && !this.solution.visible;
     for (const { material } of this.surfaces.children as Mesh<BufferGeometry, MeshLambertMaterial>[]) {
       material.opacity = opacity * material.userData.opacity;
       const isTransparent = material.opacity < 1;
@@ -367,7 +418,7 @@ export class Stage {
 
   /** Returns the object at a place of the canvas, in pixels of the page; null: none. */
   pick(x: number, y: number): Hit | null {
-    if (!this.surfaces.visible || !this.surfaces.children.length) return null;
+    if (!this.areVisible || !this.surfaces.children.length) return null;
     const number = this.pickNumber(x, y);
     const name = this.names[number - 1];
     return name === undefined ? null : { name };
@@ -377,10 +428,7 @@ export class Stage {
   private pickNumber(x: number, y: number): number {
     const meshes = this.surfaces.children as Mesh<BufferGeometry, Material>[];
     const before = meshes.map((mesh) => mesh.material);
-    const others: Object3D[] = [this.points, this.paths, this.rays, this.voxels, this.box];
-    const shown = others.map((it) => it.visible);
     const made = new Map<string, MeshBasicMaterial>();
-    for (const it of others) it.visible = false;
     for (const mesh of meshes) {
       const { side } = mesh.material;
       const id = mesh.userData.id as number;
@@ -394,10 +442,26 @@ export class Stage {
       }
       mesh.material = material;
     }
+    this.surfaces.visible = true;
+    const bytes = this.drawPixel(x, y, [this.solution]);
+    this.surfaces.visible = this.areVisible && !this.solution.visible;
+    meshes.forEach((mesh, i) => (mesh.material = before[i]!));
+    for (const it of made.values()) it.dispose();
+    return bytes[0]! + 256 * bytes[1]! + 65536 * bytes[2]!;
+  }
+
+  /**
+   * Draws one pixel, without records and box, and returns its bytes.
+   * - `without`: what else is invisible.
+   */
+  private drawPixel(x: number, y: number, without: readonly Object3D[]): Uint8Array {
+    const others: Object3D[] = [this.points, this.paths, this.rays, this.voxels, this.box, ...without];
+    const shown = others.map((it) => it.visible);
+    for (const it of others) it.visible = false;
     const bytes = new Uint8Array(4);
     const clear = this.renderer.getClearColor(new Color());
     this.camera.setViewOffset(this.width, this.height, x - 0.5, y - 0.5, 1, 1);
-    this.renderer.setClearColor(0, 1);
+    this.renderer.setClearColor(0, 0);
     this.renderer.setRenderTarget(this.target);
     this.renderer.clear();
     this.renderer.render(this.scene, this.camera);
@@ -405,10 +469,8 @@ export class Stage {
     this.renderer.setRenderTarget(null);
     this.renderer.setClearColor(clear, 1);
     this.camera.clearViewOffset();
-    meshes.forEach((mesh, i) => (mesh.material = before[i]!));
     others.forEach((it, i) => (it.visible = shown[i]!));
-    for (const it of made.values()) it.dispose();
-    return bytes[0]! + 256 * bytes[1]! + 65536 * bytes[2]!;
+    return bytes;
   }
 
   /** Returns the place of a point on the canvas, and its depth; null: behind the eye. */

@@ -1,0 +1,125 @@
+/** The finite-element solution of a frame: elements as triangles, with the light at their corners. */
+
+import { viridis, type Rgb } from '../../color';
+import { place, type Scale } from '../../scale';
+import { accessor, chunks, type GltfDocument, type Vec3 } from './glb';
+
+/** Light that is shown on the elements. */
+export type SolutionKind = 'colors' | 'luminance' | 'illuminance' | 'indirect';
+export const SOLUTION_KINDS: readonly SolutionKind[] = ['colors', 'luminance', 'illuminance', 'indirect'];
+
+/** Parses the kind from the address; null: the surfaces have simple shading. */
+export function parseSolutionKind(text: string | undefined): SolutionKind | null {
+  return SOLUTION_KINDS.find((kind) => kind === text) ?? null;
+}
+
+/** Unit of the values of a kind. */
+export const unitOf = (kind: SolutionKind) => (kind === 'illuminance' || kind === 'indirect' ? 'lx' : 'cd/m²');
+
+/** Triangles of a material, one side. All arrays are by vertex, except the indices. */
+export interface SolutionPart {
+  positions: Float32Array;
+  indices: Uint32Array;
+  /** Luminance along the normal by channel, cd/m². */
+  radiance: Float32Array;
+  /** Illuminance, lx. */
+  illuminance: Float32Array;
+  /** Part of it that comes directly from lamps, lx. */
+  direct: Float32Array;
+  /** Whether these are lamps that are not elements. They receive no light in the solution. */
+  isLamp: boolean;
+}
+
+export interface Solution {
+  /** Subtracted from all positions, m. */
+  origin: Vec3;
+  parts: readonly SolutionPart[];
+  /** Number of triangles of the whole solution. The parts are empty if there are more than `limit`. */
+  triangles: number;
+  limit: number;
+}
+
+/** Parses binary glTF; throws an `Error` with a description if it is invalid. */
+export function parseSolution(buffer: ArrayBuffer): Solution {
+  const { document, binary } = chunks(buffer);
+  const scene = document.scenes?.[document.scene ?? 0];
+  const { origin, full_triangles, max_triangles } = scene?.extras ?? {};
+  return {
+    origin: Array.isArray(origin) && origin.length === 3 ? (origin as unknown as Vec3) : [0, 0, 0],
+    parts: (document.nodes ?? []).flatMap((node) => partsOf(document, binary, node)),
+    triangles: Number(full_triangles ?? 0),
+    limit: Number(max_triangles ?? 0),
+  };
+}
+
+function partsOf(document: GltfDocument, binary: ArrayBuffer, node: NonNullable<GltfDocument['nodes']>[number]): SolutionPart[] {
+  const primitives = node.mesh === undefined ? [] : (document.meshes?.[node.mesh]?.primitives ?? []);
+  return primitives.map(({ attributes, indices }) => {
+    const floats = (name: string, width: number) => {
+      const number = attributes[name];
+      const values = number === undefined ? null : accessor(document, binary, number, width);
+      if (!(values instanceof Float32Array)) throw new Error(`the solution has no numbers for ${name}`);
+      return values;
+    };
+    if (indices === undefined) throw new Error('the solution has no triangles');
+    return {
+      positions: floats('POSITION', 3),
+      indices: Uint32Array.from(accessor(document, binary, indices, 1)),
+      radiance: floats('_RADIANCE', 3),
+      illuminance: floats('_ILLUMINANCE', 1),
+      direct: floats('_DIRECT', 1),
+      isLamp: node.extras?.lamp ?? false,
+    };
+  });
+}
+
+/** Returns the values of a kind at the vertices. The value of `colors` is the luminance. */
+export function valuesOf(part: SolutionPart, kind: SolutionKind): Float32Array {
+  if (kind === 'illuminance') return part.illuminance;
+  if (kind === 'indirect') return part.illuminance.map((all, i) => Math.max(all - part.direct[i]!, 0));
+  return Float32Array.from(part.illuminance, (_, i) => {
+    const [r, g, b] = [part.radiance[3 * i]!, part.radiance[3 * i + 1]!, part.radiance[3 * i + 2]!];
+    return 0.2126 * r + 0.7152 * g + 0.0722 * b;
+  });
+}
+
+/** Returns a logarithmic scale over the values of the elements, without the lowest and highest percent. At most five decades. */
+export function solutionScale(solution: Solution, kind: SolutionKind): Scale {
+  const all: number[] = [];
+  for (const part of solution.parts) {
+    if (part.isLamp) continue;
+    for (const value of valuesOf(part, kind)) if (value > 0 && Number.isFinite(value)) all.push(value);
+  }
+  if (!all.length) return { low: 1, high: 1, logarithmic: true };
+  const sorted = Float64Array.from(all).sort();
+  const at = (share: number) => sorted[Math.round(share * (sorted.length - 1))]!;
+  const high = at(0.99);
+  return { low: Math.max(at(0.01), high * 1e-5), high, logarithmic: true };
+}
+
+/** Share of the highest value on the scale that a luminance of the screen shows as white. */
+const WHITE_SHARE = 1;
+
+/** Returns the colors of the vertices as bytes of the screen. */
+export function colorsOf(part: SolutionPart, kind: SolutionKind, scale: Scale): Uint8Array {
+  const count = part.illuminance.length;
+  const colors = new Uint8Array(3 * count);
+  if (kind === 'colors') {
+    const exposure = 1 / (WHITE_SHARE * scale.high);
+    for (let i = 0; i < 3 * count; i++) colors[i] = screenByte(part.radiance[i]! * exposure);
+    return colors;
+  }
+  const values = valuesOf(part, kind);
+  for (let i = 0; i < count; i++) {
+    const t = place(scale, values[i]!);
+    const [r, g, b]: Rgb = viridis(Math.min(Math.max(Number.isNaN(t) ? 0 : t, 0), 1));
+    colors.set([r, g, b], 3 * i);
+  }
+  return colors;
+}
+
+/** Returns the byte of a linear component, by the transfer function of sRGB. */
+function screenByte(linear: number): number {
+  const it = Math.min(Math.max(linear, 0), 1);
+  return Math.round(255 * (it <= 0.0031308 ? 12.92 * it : 1.055 * it ** (1 / 2.4) - 0.055));
+}

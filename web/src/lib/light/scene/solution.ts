@@ -83,29 +83,48 @@ export function valuesOf(part: SolutionPart, kind: SolutionKind): Float32Array {
   });
 }
 
-/** Returns a logarithmic scale over the values of the elements, without the lowest and highest percent. At most five decades. */
+/** Shares of the area whose values are below and above the scale. */
+const [BELOW, ABOVE] = [0.03, 0.01];
+
+/** Returns a logarithmic scale over the values of the elements, by area, without the lowest and highest shares. */
 export function solutionScale(solution: Solution, kind: SolutionKind): Scale {
-  const all: number[] = [];
+  const all: [value: number, area: number][] = [];
   for (const part of solution.parts) {
     if (part.isLamp) continue;
-    for (const value of valuesOf(part, kind)) if (value > 0 && Number.isFinite(value)) all.push(value);
+    const values = valuesOf(part, kind);
+    for (let i = 0; i + 2 < part.indices.length; i += 3) {
+      const corners = part.indices.subarray(i, i + 3);
+      const share = areaOf(part.positions, corners) / 3;
+      for (const corner of corners) {
+        const value = values[corner]!;
+        if (value > 0 && Number.isFinite(value)) all.push([value, share]);
+      }
+    }
   }
   if (!all.length) return { low: 1, high: 1, logarithmic: true };
-  const sorted = Float64Array.from(all).sort();
-  const at = (share: number) => sorted[Math.round(share * (sorted.length - 1))]!;
-  const high = at(0.99);
-  return { low: Math.max(at(0.01), high * 1e-5), high, logarithmic: true };
+  all.sort(([a], [b]) => a - b);
+  const total = all.reduce((sum, [, share]) => sum + share, 0);
+  const at = (wanted: number) => {
+    let sum = 0;
+    return (all.find(([, share]) => (sum += share) >= wanted * total) ?? all.at(-1)!)[0];
+  };
+  return { low: at(BELOW), high: at(1 - ABOVE), logarithmic: true };
 }
 
-/** Share of the highest value on the scale that a luminance of the screen shows as white. */
-const WHITE_SHARE = 1;
+/** Returns the area of a triangle, m². */
+function areaOf(positions: Float32Array, corners: ArrayLike<number>): number {
+  const [a, b, c] = [0, 1, 2].map((k) => positions.subarray(3 * corners[k]!, 3 * corners[k]! + 3));
+  const [u, v] = [b!, c!].map((it) => [it[0]! - a![0]!, it[1]! - a![1]!, it[2]! - a![2]!]);
+  const cross = [1, 2, 3].map((k) => u![k % 3]! * v![(k + 1) % 3]! - u![(k + 1) % 3]! * v![k % 3]!);
+  return Math.hypot(...cross) / 2;
+}
 
-/** Returns the colors of the vertices as bytes of the screen. */
+/** Returns the colors of the vertices as bytes of the screen. In their own colors, the highest value of the scale is white. */
 export function colorsOf(part: SolutionPart, kind: SolutionKind, scale: Scale): Uint8Array {
   const count = part.illuminance.length;
   const colors = new Uint8Array(3 * count);
   if (kind === 'colors') {
-    const exposure = 1 / (WHITE_SHARE * scale.high);
+    const exposure = 1 / scale.high;
     for (let i = 0; i < 3 * count; i++) colors[i] = screenByte(part.radiance[i]! * exposure);
     return colors;
   }

@@ -54,6 +54,10 @@ pub enum StageKind {
     Geometry,
     /// Writes the finite-element solution of a frame as triangles, for viewers.
     Solution,
+    /// Measures light at some of the places of a request.
+    Measure,
+    /// Joins the measurements of a frame.
+    JoinReadings,
 }
 
 /// Lane of a task. A worker runs tasks of one lane one after another, and tasks of different lanes in parallel.
@@ -117,7 +121,7 @@ pub struct StageKindProperties {
 
 impl StageKind {
     /// All variants, in the order of the table.
-    pub const ALL: [Self; 23] = [
+    pub const ALL: [Self; 25] = [
         Self::Render,
         Self::Reduce,
         Self::Image,
@@ -141,6 +145,8 @@ impl StageKind {
         Self::EncodeClip,
         Self::Geometry,
         Self::Solution,
+        Self::Measure,
+        Self::JoinReadings,
     ];
 
     /// Returns the kind's row of the table.
@@ -190,6 +196,10 @@ impl StageKind {
             Self::EncodeClip => split("encode-clip", Compute),
             Self::Geometry => row("geometry", "frames", Compute, false, Affinity::Frame, Report, &[tag::GEOMETRY]),
             Self::Solution => row("solution", "frames", Compute, false, Affinity::Frame, Report, &[tag::SOLUTION]),
+            Self::Measure => row("measure", "samples", Compute, false, Affinity::Frame, Report, &[tag::MEASUREMENTS]),
+            Self::JoinReadings => {
+                row("join-readings", "inputs", Join, false, Affinity::Inputs, Report, &[tag::MEASUREMENTS])
+            }
         }
     }
 

@@ -67,6 +67,10 @@ pub enum Role {
     Geometry,
     /// The finite-element solution of a frame as binary glTF.
     Solution,
+    /// Readings of some places of a frame.
+    ReadingBlock,
+    /// All readings of a frame, as JSON.
+    Readings,
 }
 
 /// Row of the table of roles.
@@ -84,7 +88,7 @@ pub struct RoleProperties {
 
 impl Role {
     /// All variants, in the order of the table.
-    pub const ALL: [Self; 30] = [
+    pub const ALL: [Self; 32] = [
         Self::Tile,
         Self::Sums,
         Self::Pixels,
@@ -115,6 +119,8 @@ impl Role {
         Self::SolverState,
         Self::Geometry,
         Self::Solution,
+        Self::ReadingBlock,
+        Self::Readings,
     ];
 
     /// Returns the role's row of the table.
@@ -154,6 +160,8 @@ impl Role {
             Self::SolverState => row("solver-state", false, false),
             Self::Geometry => row("geometry", true, false),
             Self::Solution => row("solution", true, false),
+            Self::ReadingBlock => row("reading-block", false, false),
+            Self::Readings => row("readings", true, false),
         }
     }
 

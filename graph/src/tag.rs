@@ -29,6 +29,19 @@ pub const GEOMETRY: &str = "geometry";
 /// Tag of workers that support finite-element solutions for viewers.
 pub const SOLUTION: &str = "solution";
 
+/// Tag of workers that support measurements of light.
+pub const MEASUREMENTS: &str = "measurements";
+
 /// All these tags. A worker of this version offers them.
-pub const ALL: [&str; 9] =
-    [FIRST_PASS, FIRST_PASS_BLOCKS, STATISTICS, LAYERS, FEATURES, PAINTING, TASK_KINDS, GEOMETRY, SOLUTION];
+pub const ALL: [&str; 10] = [
+    FIRST_PASS,
+    FIRST_PASS_BLOCKS,
+    STATISTICS,
+    LAYERS,
+    FEATURES,
+    PAINTING,
+    TASK_KINDS,
+    GEOMETRY,
+    SOLUTION,
+    MEASUREMENTS,
+];

@@ -1,88 +1,11 @@
 //! Tables and documents of measurements (`femc measure`).
 
 use crate::attempts::{Audience, Cell, Column, Kind, column};
-use femc_pipeline::measure::{Interval, Place, Quantity, Reading, Summary};
+use femc_pipeline::measure::{FrameReadings, ReadingRow, SummaryRow};
 use serde::Serialize;
 
 use Audience::{Everyone, Programs};
 use Kind::{Count, Number, Share, Text};
-
-/// A reading, or the part of it that comes from one lamp.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct ReadingRow {
-    /// Name of the part of the request.
-    pub part: String,
-    /// Number within the part, from 0.
-    pub number: u32,
-    /// Column in a grid, from 0.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub column: Option<u32>,
-    /// Row in a grid, from 0.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub row: Option<u32>,
-    /// Position in the world, m.
-    pub position: [f64; 3],
-    /// Quantity.
-    pub quantity: Quantity,
-    /// Unit of the values.
-    pub unit: &'static str,
-    /// Lamp; `None`: all light.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub lamp: Option<String>,
-    /// Value.
-    pub value: f64,
-    /// Half width of the 95 % confidence interval.
-    pub half_width: f64,
-    /// Light by channel; only of all light.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub color: Option<[f64; 3]>,
-    /// Area of a cell, m2.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub area: Option<f64>,
-    /// Number of samples.
-    pub samples: u64,
-    /// Number of samples that were not finite and are left out.
-    pub bad_samples: u64,
-    /// Whether the requested error was reached.
-    pub converged: bool,
-}
-
-/// A summary of the readings of a part.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct SummaryRow {
-    /// Name of the part of the request.
-    pub part: String,
-    /// Quantity.
-    pub quantity: Quantity,
-    /// Unit of the values.
-    pub unit: &'static str,
-    /// Lamp; `None`: all light.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub lamp: Option<String>,
-    /// Number of readings.
-    pub readings: u64,
-    /// Area, m2.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub area: Option<f64>,
-    /// Mean.
-    pub mean: f64,
-    /// Half width of the mean's 95 % confidence interval.
-    pub mean_half_width: f64,
-    /// Smallest reading; only of all light.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub least: Option<f64>,
-    /// Largest reading.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub greatest: Option<f64>,
-    /// Smallest reading over the mean.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub uniformity: Option<f64>,
-    /// Number of readings without light. Their points may lie within objects.
-    pub dark: u64,
-    /// Smallest reading with light over the mean of these readings.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub lit_uniformity: Option<f64>,
-}
 
 /// Result of `femc measure`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -107,69 +30,48 @@ pub struct MeasureReport {
     pub summaries: Vec<SummaryRow>,
 }
 
-/// Returns the rows of readings. Each reading is followed by its lamps.
-/// - `places`: places of `readings`.
-pub fn reading_rows(places: &[Place], readings: &[Reading]) -> Vec<ReadingRow> {
-    let rows = |(place, reading): (&Place, &Reading)| {
-        let whole = ReadingRow {
-            part: place.part.clone(),
-            number: place.number,
-            column: place.cell.map(|[column, _]| column),
-            row: place.cell.map(|[_, row]| row),
-            position: place.position,
-            quantity: place.quantity,
-            unit: place.quantity.unit(),
-            lamp: None,
-            value: reading.value,
-            half_width: reading.half_width,
-            color: Some(reading.color),
-            area: place.area(),
-            samples: reading.samples,
-            bad_samples: reading.bad_samples,
-            converged: reading.is_converged,
-        };
-        let lamp = |lamp: &femc_pipeline::measure::LampShare| ReadingRow {
-            lamp: Some(lamp.lamp.clone()),
-            value: lamp.value,
-            half_width: lamp.half_width,
-            color: None,
-            ..whole.clone()
-        };
-        let lamps: Vec<ReadingRow> = reading.lamps.iter().map(lamp).collect();
-        std::iter::once(whole).chain(lamps)
-    };
-    places.iter().zip(readings).flat_map(rows).collect()
+impl MeasureReport {
+    /// Creates the report of a frame.
+    /// - `scene`: scene file; `seconds`: elapsed seconds.
+    pub fn new(scene: String, seconds: f64, frame: FrameReadings) -> Self {
+        Self {
+            scene,
+            frame: frame.id.frame,
+            seed: frame.seed,
+            seconds,
+            rays: frame.rays,
+            bad_samples: frame.bad_samples,
+            not_converged: frame.not_converged,
+            readings: frame.readings,
+            summaries: frame.summaries,
+        }
+    }
 }
 
-/// Returns the rows of summaries. Each summary is followed by its lamps.
-pub fn summary_rows(summaries: &[Summary]) -> Vec<SummaryRow> {
-    let rows = |summary: &Summary| {
-        let row = |lamp: Option<String>, mean: Interval| SummaryRow {
-            part: summary.part.clone(),
-            quantity: summary.quantity,
-            unit: summary.quantity.unit(),
-            lamp,
-            readings: summary.readings,
-            area: summary.area,
-            mean: mean.value,
-            mean_half_width: mean.half_width,
-            least: None,
-            greatest: None,
-            uniformity: None,
-            dark: summary.dark,
-            lit_uniformity: None,
-        };
-        let whole = SummaryRow {
-            least: Some(summary.least.value),
-            greatest: Some(summary.greatest.value),
-            uniformity: Some(summary.uniformity),
-            lit_uniformity: Some(summary.lit_uniformity),
-            ..row(None, summary.mean)
-        };
-        let lamps: Vec<SummaryRow> = summary.lamps.iter().map(|(lamp, mean)| row(Some(lamp.clone()), *mean)).collect();
-        std::iter::once(whole).chain(lamps)
+/// Returns a summary of each part, in order, followed by its lamps. A single reading is its own mean.
+pub fn part_rows(frame: &FrameReadings) -> Vec<SummaryRow> {
+    let single = |row: &ReadingRow| SummaryRow {
+        part: row.part.clone(),
+        quantity: row.quantity,
+        unit: row.unit.clone(),
+        lamp: row.lamp.clone(),
+        readings: 1,
+        area: row.area,
+        mean: row.value,
+        mean_half_width: row.half_width,
+        least: None,
+        greatest: None,
+        uniformity: None,
+        dark: u64::from(row.value == 0.0),
+        lit_uniformity: None,
     };
-    summaries.iter().flat_map(rows).collect()
+    let parts = frame.readings.chunk_by(|a, b| a.part == b.part);
+    let rows = |part: &[ReadingRow]| -> Vec<SummaryRow> {
+        let summaries: Vec<SummaryRow> =
+            frame.summaries.iter().filter(|row| row.part == part[0].part).cloned().collect();
+        if summaries.is_empty() { part.iter().map(single).collect() } else { summaries }
+    };
+    parts.flat_map(rows).collect()
 }
 
 fn relative(value: f64, half_width: f64) -> Cell {
@@ -197,7 +99,7 @@ pub fn reading_columns() -> Vec<Column<ReadingRow>> {
         column("quantity", "quantity", Text, Everyone, |row| Cell::Text(row.quantity.word().into())),
         column("lamp", "lamp", Text, Audience::Comparing, |row| row.lamp.clone().into()),
         column("value", "value", Number, Everyone, |row| Cell::Real(row.value)),
-        column("unit", "", Text, Everyone, |row| Cell::Text(row.unit.into())),
+        column("unit", "", Text, Everyone, |row| Cell::Text(row.unit.clone())),
         column("half_width", "half width", Number, Programs, |row| Cell::Real(row.half_width)),
         column("relative_error", "error", Share, Everyone, |row| relative(row.value, row.half_width)),
         column("r", "r", Number, Programs, |row| real(row.color.map(|color| color[0]))),
@@ -219,7 +121,7 @@ pub fn summary_columns() -> Vec<Column<SummaryRow>> {
         column("readings", "readings", Count, Everyone, |row| Cell::Count(row.readings)),
         column("area_m2", "m2", Number, Everyone, |row| real(row.area)),
         column("mean", "mean", Number, Everyone, |row| Cell::Real(row.mean)),
-        column("unit", "", Text, Everyone, |row| Cell::Text(row.unit.into())),
+        column("unit", "", Text, Everyone, |row| Cell::Text(row.unit.clone())),
         column("mean_error", "error", Share, Everyone, |row| relative(row.mean, row.mean_half_width)),
         column("least", "least", Number, Everyone, |row| real(row.least)),
         column("greatest", "greatest", Number, Everyone, |row| real(row.greatest)),

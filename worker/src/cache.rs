@@ -202,6 +202,33 @@ impl Cache {
         }
     }
 
+    /// Returns the frame, ready for measurements, and its scene. It does not depend on the picture of the job.
+    pub(crate) fn measured_frame(
+        &self,
+        spec: &JobSpec,
+        frame: u32,
+        client: &Client,
+        fetch: &Fetcher,
+    ) -> Result<(Arc<LoadedScene>, Arc<Prepared>), Failure> {
+        let loaded = self.scene(spec, client, fetch)?;
+        let scene_fault = |error: &dyn std::fmt::Display| Failure::Scene { message: error.to_string() };
+        let settings = loaded.settings.of_measurement();
+        let frame_key =
+            femc_pipeline::frame_key(&loaded.source, &settings, frame).map_err(|error| scene_fault(&error))?;
+        let prepared = self.0.frames.get_or((frame_key, None), || {
+            let previous = self
+                .0
+                .frames
+                .latest(|(other, _)| other.world == frame_key.world || other.static_digest == frame_key.static_digest);
+            let made =
+                fetch.prepare(|| femc_pipeline::prepare_world(&loaded.source, &settings, frame, previous.as_deref()));
+            let mut prepared = made.map_err(|error| scene_fault(&error))?;
+            prepared.set_field(None);
+            Ok(Arc::new(prepared))
+        })?;
+        Ok((loaded, prepared))
+    }
+
     /// Returns the compiled layers of a prepared frame; `None` if the job asks for no layers.
     pub(crate) fn layers(
         &self,

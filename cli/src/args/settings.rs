@@ -84,6 +84,12 @@ pub struct SettingsArgs {
     /// normal, position, depth, albedo, motion, object, material, first_pass_error
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     pub layers: Vec<String>,
+    /// Also measure the light at the points, grids and areas of a file in each frame (`femc measure --help` shows one)
+    #[arg(long, value_name = "POINTS.toml")]
+    pub measure: Option<PathBuf>,
+    /// Only measure: frames have readings and no images
+    #[arg(long)]
+    pub measure_only: bool,
 }
 
 impl SettingsArgs {
@@ -111,6 +117,8 @@ impl SettingsArgs {
             stats: self.stats.or(job.stats),
             layer: job.layer.into_iter().chain(self.layer).collect(),
             layers: job.layers.into_iter().chain(self.layers).collect(),
+            measure: self.measure.or(job.measure),
+            measure_only: self.measure_only || job.measure_only,
         }
     }
 }

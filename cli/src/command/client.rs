@@ -388,11 +388,18 @@ pub fn map_call_error(error: CallError) -> Failure {
 
 /// Returns the farm's specification of a job of `frames`.
 pub fn job_spec(resolved: &ResolvedRequest, scene: &Parcel, frames: Vec<u32>) -> Result<JobSpec, Failure> {
+    let settings = serde_json::to_string(&resolved.settings).map_err(failed)?;
+    if settings.len() > JobSpec::MAX_SETTINGS && resolved.settings.measure.is_some() {
+        let (found, limit) = (settings.len() >> 10, JobSpec::MAX_SETTINGS >> 10);
+        return Err(usage(format!(
+            "--measure: the request has {found} KiB, at most {limit} are possible in a job; a [[grid]] takes less than its points"
+        )));
+    }
     Ok(JobSpec {
         name: resolved.name(),
         bundle: scene.digest(),
         entry: resolved.entry(),
-        settings: serde_json::to_string(&resolved.settings).map_err(failed)?,
+        settings,
         contents: first_pass_keys(resolved, &frames)?,
         frames,
         grid: Grid { film: resolved.film(), tile: resolved.plan.tiling.edge },

@@ -3,13 +3,14 @@
 use super::client::{self, FarmClient};
 use super::live_preview::PreviewTargets;
 use super::preview::PreviewFrame;
+use super::readings::{self, readings_path, table_path};
 use super::render::{frame_name, layers_path, painted_name, statistics_path, still_name};
 use super::watch::{FollowMessages, follow};
 use crate::args::{FormatArgs, ServerArgs};
 use crate::exit::{Exit, Failure, failed};
 use crate::output::{Printer, human, job as show, json};
 use clap::Args;
-use femc_model::{Artifact, Digest, JobId, JobSpec, JobState, JobStatus, Role};
+use femc_model::{Artifact, Digest, JobId, JobSpec, JobState, JobStatus, Role, StageKind};
 use femc_worker::ExtraOutputs;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -48,6 +49,8 @@ struct FetchReport {
     state: &'static str,
     frames: u32,
     files: Vec<String>,
+    /// Tables of readings beside the frames.
+    readings: Vec<String>,
     partial: Vec<String>,
     #[serde(flatten)]
     outputs: JobOutputs,
@@ -71,7 +74,7 @@ struct JobOutputs {
 
 /// Runs `femc fetch`.
 pub fn run(args: &FetchArgs, printer: Printer) -> Result<Exit, Failure> {
-    let (status, files, partial, outputs, lost) = client::block_on(&args.server, async |farm| {
+    let (status, files, readings, partial, outputs, lost) = client::block_on(&args.server, async |farm| {
         let status = farm.status(JobId(args.job)).await?;
         if !JobSpec::is_valid_name(&status.name) {
             return Err(failed(format!(
@@ -80,7 +83,9 @@ pub fn run(args: &FetchArgs, printer: Printer) -> Result<Exit, Failure> {
             )));
         }
         let status = if args.wait { wait_until_ended(args, farm, printer).await? } else { status };
-        let (mut files, mut lost) = (Vec::new(), Vec::new());
+        let spec = farm.spec(JobId(args.job)).await?;
+        let has_images = spec.graph.stage_of_kind(StageKind::Image).is_some();
+        let (mut files, mut readings, mut lost) = (Vec::new(), Vec::new(), Vec::new());
         for frame in farm.frames(JobId(args.job)).await? {
             let path = args.out.join(frame_name(&status.name, frame.frame));
             let mut has_sidecars = true;
@@ -90,7 +95,15 @@ pub fn run(args: &FetchArgs, printer: Printer) -> Result<Exit, Failure> {
                     has_sidecars &= fetch_file(farm, &artifact, &path).await?;
                 }
             }
+            if let Some(artifact) = frame.readings() {
+                if fetch_readings(farm, &artifact, &path).await? {
+                    readings.push(table_path(&path));
+                } else {
+                    has_sidecars = false;
+                }
+            }
             match frame.image() {
+                None if !has_images && has_sidecars => files.push(readings_path(&path)),
                 Some(image) if has_sidecars && fetch_file(farm, &image, &path).await? => files.push(path),
                 _ => lost.push(frame.frame),
             }
@@ -100,7 +113,7 @@ pub fn run(args: &FetchArgs, printer: Printer) -> Result<Exit, Failure> {
         for &frame in &lost {
             let name = frame_name(&status.name, frame);
             printer.warning(format!(
-                "frame {frame} of job {} ({name}): its image is damaged or missing in the farm's store; {}",
+                "frame {frame} of job {} ({name}): its image or a file beside it is damaged or missing in the farm's store; {}",
                 args.job,
                 describe_recovery(&status)
             ));
@@ -114,16 +127,16 @@ pub fn run(args: &FetchArgs, printer: Printer) -> Result<Exit, Failure> {
                 partial.push(path);
             }
         }
-        let outputs = fetch_job_outputs(farm, &status, &args.out, printer).await?;
-        Ok((status, files, partial, outputs, lost))
+        let outputs = fetch_job_outputs(farm, &status, &spec, (&args.out, printer)).await?;
+        Ok((status, files, readings, partial, outputs, lost))
     })?;
     if args.format.json {
         let names = |paths: &[PathBuf]| paths.iter().map(|path| path.display().to_string()).collect();
-        let (files, partial) = (names(&files), names(&partial));
+        let (files, readings, partial) = (names(&files), names(&readings), names(&partial));
         let (state, frames) = (status.state.name(), status.frames_total);
         json::print(
             printer,
-            &FetchReport { job: args.job, state, frames, files, partial, outputs: outputs.clone(), lost },
+            &FetchReport { job: args.job, state, frames, files, readings, partial, outputs: outputs.clone(), lost },
         )?;
     } else {
         let frames = human::counted_noun(files.len() as u64, "frame");
@@ -177,10 +190,9 @@ fn describe_recovery(status: &JobStatus) -> String {
 async fn fetch_job_outputs(
     farm: &FarmClient,
     job: &JobStatus,
-    folder: &Path,
-    printer: Printer,
+    spec: &JobSpec,
+    (folder, printer): (&Path, Printer),
 ) -> Result<JobOutputs, Failure> {
-    let spec = farm.spec(job.job).await?;
     let (requested, mut outputs) = (ExtraOutputs::from_graph(&spec.graph), JobOutputs::default());
     let stills = spec.frames.iter().filter(|_| requested.stills);
     let stills = stills.map(|&frame| (Role::Still, still_name(&job.name, frame)));
@@ -231,6 +243,16 @@ async fn fetch_file(farm: &FarmClient, artifact: &Artifact, path: &Path) -> Resu
     if !std::fs::read(path).is_ok_and(|bytes| Digest::compute(&bytes) == artifact.digest) {
         let Some(bytes) = farm.get_if_present(artifact).await? else { return Ok(false) };
         femc_film::file::write_atomic(path, &bytes).map_err(failed)?;
+    }
+    Ok(true)
+}
+
+/// Writes the document and the table of a frame's readings. Returns false if the artifact is damaged or gone.
+async fn fetch_readings(farm: &FarmClient, artifact: &Artifact, path: &Path) -> Result<bool, Failure> {
+    let is_there = std::fs::read(readings_path(path)).is_ok_and(|bytes| Digest::compute(&bytes) == artifact.digest);
+    if !is_there || !table_path(path).is_file() {
+        let Some(bytes) = farm.get_if_present(artifact).await? else { return Ok(false) };
+        readings::write(path, &bytes)?;
     }
     Ok(true)
 }

@@ -29,6 +29,7 @@ mod outbox;
 pub mod paths;
 pub mod plan;
 mod preview;
+mod readings;
 pub mod render;
 pub mod report;
 mod site;

@@ -2,6 +2,7 @@
 
 use crate::args::{ExtrasArgs, FormatArgs, SettingsArgs};
 use crate::clock::Clock;
+use crate::command::measure::{self, MeasurementCost};
 use crate::command::render::{PaintingArgs, request_painting_layers};
 use crate::command::{client, sweep};
 use crate::exit::{Exit, Failure, failed, usage};
@@ -87,6 +88,10 @@ struct PlanReport {
     samples_least: u64,
     samples_most: u64,
     cost: Option<PlanCost>,
+    /// Measurement of light; `None`: not requested, or no trial.
+    measurement: Option<MeasurementCost>,
+    /// Whether frames have images, besides their measurements.
+    has_images: bool,
     /// Reason for the method, if none was named and a pilot ran.
     choice: Option<MethodChoice>,
     left_out: Vec<OmittedFeature>,
@@ -138,9 +143,14 @@ pub fn run(mut args: PlanArgs, printer: Printer) -> Result<Exit, Failure> {
     let (samples_least, samples_most) =
         (plan.samples_per_frame(least) * frames, plan.samples_per_frame(rounds) * frames);
     let first_passes = first_passes(&resolved)?;
+    let measurement = match (&resolved.settings.measure, run) {
+        (Some(request), Trial::Run) => Some(measure::trial(&resolved, request)?),
+        _ => None,
+    };
+    let has_images = !resolved.settings.measure_only;
     let cost = match run {
-        Trial::Skip => None,
-        Trial::Run => Some(trial(&resolved, first_passes, samples_least, samples_most)?),
+        Trial::Run if has_images => Some(trial(&resolved, first_passes, samples_least, samples_most)?),
+        Trial::Run | Trial::Skip => None,
     };
     let report = PlanReport {
         scene: args.scene.display().to_string(),
@@ -163,6 +173,8 @@ pub fn run(mut args: PlanArgs, printer: Printer) -> Result<Exit, Failure> {
         samples_least,
         samples_most,
         cost,
+        measurement,
+        has_images,
         choice: resolved.choice.clone(),
         left_out: plan.left_out.clone(),
     };
@@ -287,8 +299,10 @@ fn print(printer: Printer, report: &PlanReport) {
         }
         (_, rounds) => format!("{rounds:?} samples a pixel"),
     };
-    printer.result(format!("\n{} of {tile} pixels; {spp}", human::counted_noun(*tiles as u64, "tile")));
-    let every = if report.rounds.len() > 1 { " if every round runs" } else { "" };
+    if report.has_images {
+        printer.result(format!("\n{} of {tile} pixels; {spp}", human::counted_noun(*tiles as u64, "tile")));
+    }
+    let every = if report.rounds.len() > 1 && report.has_images { " if every round runs" } else { "" };
     printer.result(format!("{}{every}", human::counted_noun(report.tasks, "task")));
     match report.worlds {
         _ if frames.len() < 2 => {}
@@ -329,6 +343,10 @@ fn print(printer: Printer, report: &PlanReport) {
         };
         let rate = human::quantity(cost.samples_per_second);
         printer.result(format!("estimated cost: {range} on this machine ({rate} samples/s in a short trial)"));
+    }
+    if let Some(measurement) = &report.measurement {
+        let seconds = human::seconds(measurement.seconds);
+        printer.result(format!("measurement: {}; estimated cost: {seconds} on this machine", measurement.text()));
     }
     if !report.left_out.is_empty() {
         printer.result(format!("\n{}", printer.style_heading("left out")));

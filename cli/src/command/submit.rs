@@ -23,6 +23,8 @@ use std::path::PathBuf;
     femc submit scene.mgf --frames 1,5,9 --name draft --comment 'before the change of lamps' --label shot=12\n  \
     femc submit scenes/roundabout.mgf --frames 1..48 --style oil    # `femc fetch` also gets FRAME.painted.png\n  \
     femc submit scenes/roundabout.mgf --frames 1..48 --video drive.mp4 --contact-sheet drive.png    # `femc fetch` also gets them\n  \
+    femc submit scenes/gallery.mgf --measure points.toml            # `femc fetch` also gets FRAME.readings.csv and .json\n  \
+    femc submit scenes/gallery.mgf --measure points.toml --measure-only\n  \
     job=$(femc submit scene.mgf | tail -1); femc watch $job && femc fetch $job -o out\n\n\
     Any worker makes clips in .png or .gif; other formats need a worker with ffmpeg (and so the tag ffmpeg). A failed frame is a \
     gray card in the clip.\n\n\

@@ -121,6 +121,9 @@ fn view_scene(scene: &Path, args: &ViewArgs, printer: Printer) -> Result<Exit, F
     let stats = args.settings.stats.or(Some(StatsMode::Some));
     let settings = SettingsArgs { stats, ..args.settings.clone() };
     let resolved = ResolvedRequest::open(scene, settings, printer)?.choose_method(printer)?;
+    if resolved.settings.measure_only {
+        return Err(usage("measure-only: `femc view` shows images; `femc measure` only measures"));
+    }
     resolved.explain_method(printer);
     resolved.warn_of_lost_light(printer);
     let parcel = resolved.parcel()?;

@@ -5,6 +5,7 @@ mod job_file;
 mod lamps;
 mod metadata;
 pub mod picture;
+pub mod points_file;
 mod resolved;
 
 #[cfg(feature = "openjd")]

@@ -1,7 +1,7 @@
 //! Resolved request: a scene or job file of the command line with the typed settings, checked and planned.
 
 use super::picture::attributes;
-use super::{FrameMetadata, JobFile};
+use super::{FrameMetadata, JobFile, points_file};
 use crate::args::{Filter, Method, SettingsArgs, StatsMode};
 use crate::exit::{Failure, failed, usage};
 use crate::output::faults::{self, FaultLine};
@@ -11,6 +11,7 @@ use crate::values::{Frames, Size};
 use femc_fault::{PretendedValue, pretended_value};
 use femc_import::{Bundle, ImportErrors, LoadedScene, ScenePath, Warning};
 use femc_model::JobNotes;
+use femc_pipeline::measure::MeasureRequest;
 use femc_pipeline::method_choice::{self, MethodChoice, SolvedFirstPass};
 use femc_pipeline::{
     DarkLayer, FIRST_PASS_FEATURE, Feature, Layer, Plan, PlanError, PrepareError, Preset, SceneSource, Settings,
@@ -100,7 +101,10 @@ impl ImportedScene {
 
     /// Checks settings against the scene, and plans.
     pub fn resolve(&self, typed: &SettingsArgs, at: LocateSetting<'_>) -> Result<ResolvedRequest, Failure> {
-        self.resolve_with(resolve_settings(typed), typed, at)
+        let settings = resolve_settings(typed);
+        let measure =
+            typed.measure.as_deref().map(|path| points_file::load_for(path, self.source.scene())).transpose()?;
+        self.resolve_with(Settings { measure, ..settings }, typed, at)
     }
 
     /// Checks settings against the scene, and plans. Only the frames, layers, workers and threads are taken from `typed`.
@@ -200,9 +204,16 @@ impl ResolvedRequest {
         Ok(resolved)
     }
 
+    /// Returns the request for a measurement of the same frames, without images.
+    pub fn only_measuring(mut self, request: MeasureRequest) -> Result<Self, Failure> {
+        self.settings = Settings { measure: Some(request), measure_only: true, ..self.settings };
+        self.plan = plan_request(self.source.scene(), &self.settings, Some(&self.plan.frames)).map_err(failed)?;
+        Ok(self)
+    }
+
     /// Chooses the method if the settings leave it open: a pilot finds out whether a first pass saves time.
     pub fn choose_method(mut self, printer: Printer) -> Result<Self, Failure> {
-        if self.settings.method != femc_pipeline::Method::Auto {
+        if self.settings.method != femc_pipeline::Method::Auto || self.settings.measure_only {
             return Ok(self);
         }
         let failed = |e: &dyn std::fmt::Display| failed(format!("{}: {e}", self.path.display()));
@@ -397,6 +408,8 @@ fn map_plan_error(path: &Path, e: &PlanError, named: &dyn Fn(&str) -> String) ->
         PlanError::Settings(SettingsError::Allocation(e)) => usage(format!("--replay: {e}")),
         PlanError::Settings(SettingsError::MaxDepthWithFem(_)) => usage(format!("{}: {e}", named("method"))),
         PlanError::Settings(SettingsError::LayersWithFem) => usage(format!("{}: {e}", named("method"))),
+        PlanError::Settings(SettingsError::Measure(_)) => usage(format!("{}: {e}", named("measure"))),
+        PlanError::Settings(SettingsError::NothingToMeasure) => usage(format!("{}: {e}", named("measure-only"))),
         PlanError::Settings(SettingsError::Layers(_)) => usage(format!("{}: {e}", named("layer"))),
         PlanError::Film(_) => usage(format!("{}: {message}", named("size"))),
         PlanError::Settings(SettingsError::Selector(_))
@@ -432,6 +445,8 @@ fn resolve_settings(typed: &SettingsArgs) -> Settings {
         full_statistics: typed.stats == Some(StatsMode::Full),
         layers: Vec::new(),
         features: BTreeSet::new(),
+        measure: None,
+        measure_only: typed.measure_only,
         allocation: None,
     }
 }

@@ -12,6 +12,7 @@ mod drill;
 mod encode;
 mod encrypted;
 mod farm;
+mod farm_measure;
 mod faults;
 mod features;
 mod field;

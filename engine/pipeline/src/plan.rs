@@ -3,7 +3,9 @@
 use crate::first_pass_steps::{first_pass_blocks, split_first_pass};
 use crate::layers::{check_labels, feature_layout};
 use crate::settings::{Method, Settings, SettingsError, StopCondition};
-use crate::stage::{job_graph, tiles_per_group, with_geometry, with_layers, with_solution, with_statistics};
+use crate::stage::{
+    job_graph, tiles_per_group, with_geometry, with_layers, with_measurement, with_solution, with_statistics,
+};
 use femc_film::{FilmError, Tiling};
 use femc_graph::Graph;
 use femc_scene::Scene;
@@ -101,7 +103,8 @@ pub fn plan_job(scene: &Scene, settings: &Settings, frames: Option<&[u32]>) -> R
         allocation.check_tiles(&tiling).map_err(SettingsError::Allocation)?;
     }
     // A pilot decides whether a first pass is worth it (`method_choice`). Settings that arrive here already contain its result.
-    let method = if settings.method == Method::Auto { Method::Pt } else { settings.method };
+    let is_plain = settings.method == Method::Auto || settings.measure_only;
+    let method = if is_plain { Method::Pt } else { settings.method };
     let graph = split_first_pass(
         job_graph(&tiling, &rounds, tiles_per_group(&tiling), method),
         method,
@@ -111,8 +114,14 @@ pub fn plan_job(scene: &Scene, settings: &Settings, frames: Option<&[u32]>) -> R
     let graph = if settings.has_layers() { with_layers(graph, &tiling, weight_of_layers(settings)) } else { graph };
     // Viewers show recorded light among the surfaces of its frame, and the light of the first pass on them.
     let graph = if settings.statistics { with_solution(with_geometry(graph)) } else { graph };
+    let graph = match &settings.measure {
+        Some(request) if settings.measure_only => with_measurement(Graph::default(), request),
+        Some(request) => with_measurement(graph, request),
+        None => graph,
+    };
     let left_out = |what: &str, reason: &str| OmittedFeature { what: what.into(), reason: reason.into() };
     let mut left_out = match method {
+        _ if settings.measure_only => vec![left_out("images", "`measure-only`: the frames are only measured")],
         Method::Fem => {
             vec![left_out("paths beyond the first diffuse surface", "the method `fem` takes that light from elements")]
         }

@@ -2,6 +2,7 @@
 
 use crate::allocation::{AllocationError, SampleAllocation};
 use crate::budget::PILOT_SPP;
+use crate::measure::{MeasureRequest, RequestError};
 use femc_film::Filter;
 use femc_layers::{Feature, Layer, LayerError};
 use femc_scene::{Scene, SelectorError};
@@ -38,6 +39,12 @@ pub struct Settings {
     /// Features (AOVs) of the first visible surface, in addition to the picture.
     #[serde(default, skip_serializing_if = "BTreeSet::is_empty")]
     pub features: BTreeSet<Feature>,
+    /// Measurement of light, in addition to the picture.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub measure: Option<MeasureRequest>,
+    /// Whether light is only measured: frames have no pictures.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub measure_only: bool,
     /// Division of the samples in the first render of a frame with a time limit. `None`: division by the clock.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub allocation: Option<SampleAllocation>,
@@ -58,6 +65,8 @@ impl Default for Settings {
             full_statistics: false,
             layers: Vec::new(),
             features: BTreeSet::new(),
+            measure: None,
+            measure_only: false,
             allocation: None,
         }
     }
@@ -127,6 +136,12 @@ pub enum SettingsError {
     /// The light of elements has no paths.
     #[error("the method `fem` does not support layers: the paths of its light are not known; use `pt` or `femc`")]
     LayersWithFem,
+    /// Invalid measurement.
+    #[error(transparent)]
+    Measure(#[from] RequestError),
+    /// There is nothing to make.
+    #[error("`measure-only` needs a measurement: give `measure`")]
+    NothingToMeasure,
     /// Invalid allocation of samples.
     #[error(transparent)]
     Allocation(#[from] AllocationError),
@@ -165,6 +180,11 @@ impl Settings {
         if self.method == Method::Fem && !self.layers.is_empty() {
             return Err(SettingsError::LayersWithFem);
         }
+        match &self.measure {
+            Some(request) => request.check()?,
+            None if self.measure_only => return Err(SettingsError::NothingToMeasure),
+            None => {}
+        }
         Ok(self.allocation.as_ref().map_or(Ok(()), SampleAllocation::check)?)
     }
 
@@ -174,9 +194,15 @@ impl Settings {
     }
 
     /// Returns the settings as stated in an image. They do not distinguish a render by the clock from a render with the stated
-    /// division.
-    pub fn without_allocation(&self) -> Self {
-        Self { allocation: None, ..self.clone() }
+    /// division, nor a render with measurements from one without.
+    pub fn of_image(&self) -> Self {
+        Self { allocation: None, measure: None, ..self.clone() }
+    }
+
+    /// Returns the settings with which a frame is prepared for its measurement. They do not depend on the picture, so a frame with
+    /// and without a picture has equal readings.
+    pub fn of_measurement(&self) -> Self {
+        Self { overrides: self.overrides.clone(), ..Self::default() }
     }
 
     /// Applies the overrides to a scene.

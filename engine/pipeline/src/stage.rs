@@ -13,6 +13,7 @@
 //! samples count, the image task unites those of all rounds, for many tiles by groups.
 
 use crate::Method;
+use crate::measure::MeasureRequest;
 use femc_film::Tiling;
 use femc_graph::{Graph, Need, Reach, Role, Round, Scope, StageKind, StageTemplate, TaskSizes};
 use std::num::NonZeroU32;
@@ -123,6 +124,17 @@ pub fn with_solution(mut graph: Graph) -> Graph {
     let Some(made) = graph.stages.iter().position(makes_light) else { return graph };
     let stage = per_frame(StageKind::Solution, 1, &[Role::Solution]);
     graph.stages.push(stage.with_input(made as u16, Role::Field, Reach::All));
+    graph_of(graph.stages)
+}
+
+/// Adds the measurement of each frame to the graph of a job. Its images do not change. A graph without stages becomes that of a job
+/// that only measures.
+pub fn with_measurement(mut graph: Graph, request: &MeasureRequest) -> Graph {
+    let tasks = TaskSizes::even(request.tasks(), request.samples_per_task());
+    let measure = StageTemplate::new(StageKind::Measure, Scope::Frame, tasks, &[Role::ReadingBlock]);
+    let number = graph.stages.len() as u16;
+    let join = per_frame(StageKind::JoinReadings, 1, &[Role::Readings]);
+    graph.stages.extend([measure, join.with_input(number, Role::ReadingBlock, Reach::All)]);
     graph_of(graph.stages)
 }
 
@@ -273,6 +285,28 @@ mod tests {
             assert!(with.iter().all(|stage| stage.tags.iter().any(|own| own == tag::SOLUTION)));
             let untagged = |stage: &StageTemplate| StageTemplate { tags: Vec::new(), ..stage.clone() };
             assert!(others.iter().map(untagged).eq(without.stages.iter().map(untagged)));
+        }
+    }
+
+    #[test]
+    fn a_measurement_is_two_stages_beside_the_others_or_alone() {
+        let request = MeasureRequest { spp: Some(1 << 18), ..crate::measure::test_request(100) };
+        let tiling = tiling([272, 256], 16);
+        let without = job_graph(&tiling, &[4, 8], tiles_per_group(&tiling), Method::Fem);
+        for others in [without.stages, Vec::new()] {
+            let with = with_measurement(Graph { stages: others.clone() }, &request).stages;
+            let [before @ .., measure, join] = &with[..] else { panic!("two stages") };
+            let untagged = |stage: &StageTemplate| StageTemplate { tags: Vec::new(), ..stage.clone() };
+            assert!(before.iter().map(untagged).eq(others.iter().map(untagged)));
+            assert_eq!((measure.kind, join.kind), (StageKind::Measure, StageKind::JoinReadings));
+            assert_eq!((measure.scope, join.scope), (Scope::Frame, Scope::Frame));
+            assert_eq!((measure.sizes.runs(), join.tasks()), (&[(100, 1 << 18)][..], 1));
+            assert!(measure.needs.is_empty() && measure.outputs == [Role::ReadingBlock]);
+            let number = others.len() as u16;
+            let need =
+                Need { stage: number, role: Role::ReadingBlock, reach: Reach::All, round: Round::Same, gaps: false };
+            assert_eq!((&join.needs[..], &join.outputs[..]), (&[need][..], &[Role::Readings][..]));
+            assert!(with.iter().all(|stage| stage.tags.iter().any(|own| own == tag::MEASUREMENTS)));
         }
     }
 

@@ -146,6 +146,11 @@ impl FrameRecord {
         self.output(Role::LayerImage)
     }
 
+    /// Returns the readings of light as JSON, if the job measures.
+    pub fn readings(&self) -> Option<Artifact> {
+        self.output(Role::Readings)
+    }
+
     /// Returns the tone-mapped image as PNG.
     pub fn preview(&self) -> Option<Artifact> {
         self.output(Role::Preview)

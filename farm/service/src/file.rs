@@ -33,11 +33,13 @@ pub(crate) enum FrameFile {
     Geometry,
     /// Binary glTF with the finite-element solution.
     Solution,
+    /// Readings of light as JSON.
+    Readings,
 }
 
 impl FrameFile {
     /// Every kind.
-    pub(crate) const ALL: [Self; 8] = [
+    pub(crate) const ALL: [Self; 9] = [
         Self::Image,
         Self::Preview,
         Self::Still,
@@ -46,6 +48,7 @@ impl FrameFile {
         Self::Statistics,
         Self::Geometry,
         Self::Solution,
+        Self::Readings,
     ];
 
     /// Returns the last segment of the result's HTTP path.
@@ -59,6 +62,7 @@ impl FrameFile {
             Self::Statistics => "statistics.paths",
             Self::Geometry => "geometry.glb",
             Self::Solution => "solution.glb",
+            Self::Readings => "readings.json",
         }
     }
 
@@ -73,6 +77,7 @@ impl FrameFile {
             Self::Statistics => "paths",
             Self::Geometry => "glb",
             Self::Solution => "solution.glb",
+            Self::Readings => "readings.json",
         }
     }
 
@@ -86,6 +91,7 @@ impl FrameFile {
             Self::Statistics => Role::Statistics,
             Self::Geometry => Role::Geometry,
             Self::Solution => Role::Solution,
+            Self::Readings => Role::Readings,
         }
     }
 }

@@ -125,6 +125,7 @@ impl TestServer {
             ("layers", Bytes::from_static(b"layers")),
             ("geometry", Bytes::from_static(b"geometry")),
             ("solution", Bytes::from_static(b"solution")),
+            ("readings", Bytes::from_static(b"{}")),
             ("still 3", Bytes::from_static(b"still of 3")),
             ("still 4", Bytes::from_static(b"still of 4")),
             ("clip", Bytes::from_static(b"\x1a\x45\xdf\xa3\x9fB\x86\x81\x01B\x82\x84webm and so on")),
@@ -142,6 +143,7 @@ impl TestServer {
             (Role::LayerImage, "layers"),
             (Role::Geometry, "geometry"),
             (Role::Solution, "solution"),
+            (Role::Readings, "readings"),
         ];
         let mut records = vec![record(0, all(&whole)), record(3, all(&frame))];
         if name == UNFINISHED {
@@ -216,6 +218,7 @@ async fn every_result_has_path_media_type_and_name_used_by_fetch() {
         ("7/frames/3/preview.png", "preview", "image/png", "drive.0003.preview.png"),
         ("7/frames/3/layers.exr", "layers", "image/x-exr", "drive.0003.layers.exr"),
         ("7/frames/3/geometry.glb", "geometry", "model/gltf-binary", "drive.0003.glb"),
+        ("7/frames/3/readings.json", "readings", "application/json", "drive.0003.readings.json"),
         ("7/geometry?frame=3", "geometry", "model/gltf-binary", "drive.0003.glb"),
         ("7/geometry?frame=4", "geometry", "model/gltf-binary", "drive.0003.glb"),
         ("7/geometry", "geometry", "model/gltf-binary", "drive.0003.glb"),

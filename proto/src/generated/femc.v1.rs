@@ -2059,6 +2059,11 @@ pub enum Role {
     Geometry = 29,
     /// The finite-element solution of a frame as binary glTF. A worker that knows this role offers the tag `solution`.
     Solution = 30,
+    /// Readings of some places of a frame, which only the join of the readings reads. A worker that knows this role and the one below
+    /// offers the tag `measurements`.
+    ReadingBlock = 31,
+    /// All readings of a frame, as JSON.
+    Readings = 32,
 }
 impl Role {
     /// String value of the enum field names used in the ProtoBuf definition.
@@ -2098,6 +2103,8 @@ impl Role {
             Self::SolverState => "ROLE_SOLVER_STATE",
             Self::Geometry => "ROLE_GEOMETRY",
             Self::Solution => "ROLE_SOLUTION",
+            Self::ReadingBlock => "ROLE_READING_BLOCK",
+            Self::Readings => "ROLE_READINGS",
         }
     }
     /// Creates an enum from field names used in the ProtoBuf definition.
@@ -2134,6 +2141,8 @@ impl Role {
             "ROLE_SOLVER_STATE" => Some(Self::SolverState),
             "ROLE_GEOMETRY" => Some(Self::Geometry),
             "ROLE_SOLUTION" => Some(Self::Solution),
+            "ROLE_READING_BLOCK" => Some(Self::ReadingBlock),
+            "ROLE_READINGS" => Some(Self::Readings),
             _ => None,
         }
     }
@@ -2315,6 +2324,10 @@ pub enum StageKind {
     Geometry = 22,
     /// Writes the finite-element solution of a frame as triangles, for viewers. A worker that knows this kind offers the tag `solution`.
     Solution = 23,
+    /// Measures light at some of the places of a request. A worker that knows this kind and the one below offers the tag `measurements`.
+    Measure = 24,
+    /// Joins the measurements of a frame.
+    JoinReadings = 25,
 }
 impl StageKind {
     /// String value of the enum field names used in the ProtoBuf definition.
@@ -2347,6 +2360,8 @@ impl StageKind {
             Self::EncodeClip => "STAGE_KIND_ENCODE_CLIP",
             Self::Geometry => "STAGE_KIND_GEOMETRY",
             Self::Solution => "STAGE_KIND_SOLUTION",
+            Self::Measure => "STAGE_KIND_MEASURE",
+            Self::JoinReadings => "STAGE_KIND_JOIN_READINGS",
         }
     }
     /// Creates an enum from field names used in the ProtoBuf definition.
@@ -2376,6 +2391,8 @@ impl StageKind {
             "STAGE_KIND_ENCODE_CLIP" => Some(Self::EncodeClip),
             "STAGE_KIND_GEOMETRY" => Some(Self::Geometry),
             "STAGE_KIND_SOLUTION" => Some(Self::Solution),
+            "STAGE_KIND_MEASURE" => Some(Self::Measure),
+            "STAGE_KIND_JOIN_READINGS" => Some(Self::JoinReadings),
             _ => None,
         }
     }

@@ -6,7 +6,8 @@ use super::page::Page;
 use crate::ReportError;
 use crate::attempts::visible_cells;
 use crate::human;
-use crate::measure::{MeasureReport, ReadingRow, reading_columns, summary_columns};
+use crate::measure::{MeasureReport, reading_columns, summary_columns};
+use femc_pipeline::measure::ReadingRow;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
@@ -79,7 +80,14 @@ impl Map {
         let aspect = (across * rows as f64) / (along * columns as f64);
         let values: Vec<f64> = part.iter().map(|row| row.value).collect();
         let is_whole = values.len() == columns * rows && aspect.is_finite();
-        is_whole.then_some(Self { columns, rows, values, aspect, quantity: first.quantity.word(), unit: first.unit })
+        is_whole.then_some(Self {
+            columns,
+            rows,
+            values,
+            aspect,
+            quantity: first.quantity.word(),
+            unit: first.quantity.unit(),
+        })
     }
 
     /// Draws the cells by value, the isolines, and the values where there is space.

@@ -18,6 +18,7 @@ const FRAME_FILES: readonly [role: string, label: string, path: string, title: s
   ['painted', 'Painted', 'painted.png', 'the painted picture, PNG'],
   ['layer-image', 'Layers', 'layers.exr', 'the layers of the image, EXR'],
   ['statistics', 'Statistics', 'statistics.paths', 'light statistics, for femc paths'],
+  ['readings', 'Readings', 'readings.json', 'the measured light, JSON'],
 ];
 
 /** Returns the URL of a file. With `digest` in the URL, a player reloads the file after it has changed. */

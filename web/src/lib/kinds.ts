@@ -22,6 +22,8 @@ export const KINDS = [
   'encode-clip',
   'paint',
   'geometry',
+  'measure',
+  'join-readings',
   'drill',
   // Kinds of earlier versions, in old records.
   'encode',
@@ -49,6 +51,8 @@ const COLORS: Readonly<Record<string, string>> = {
   'encode-clip': '#E3B3CD',
   paint: '#8064A2',
   geometry: '#5B4A80',
+  measure: '#3F7F5F',
+  'join-readings': '#9CCBB0',
   drill: OKABE_ITO[7],
   encode: OKABE_ITO[3],
   'first-pass-block': OKABE_ITO[5],

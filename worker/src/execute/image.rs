@@ -41,7 +41,7 @@ pub(crate) fn image(task: &Task, stage: &StageTemplate, tools: &Tools) -> Result
     let provenance = Provenance {
         version: env!("CARGO_PKG_VERSION").into(),
         engine: crate::engine().into(),
-        settings: serde_json::to_string(&settings.without_allocation()).map_err(settings_failure)?,
+        settings: serde_json::to_string(&settings.of_image()).map_err(settings_failure)?,
         bias: settings.method.bias().map(Into::into),
         allocation: text(allocation.as_ref())?,
         scene: loaded.digest.clone(),

@@ -15,7 +15,9 @@ mod first_pass_start;
 mod geometry;
 mod image;
 mod inputs;
+mod join_readings;
 mod layers;
+mod measure;
 mod paint;
 mod pictures;
 mod reduce;
@@ -148,6 +150,8 @@ fn attempt(task: &Task, tools: &Tools) -> Result<Product, Failure> {
             StageKind::EncodeClip => encode_clip::encode_clip(task, stage, tools),
             StageKind::Geometry => geometry::geometry(task, stage, tools),
             StageKind::Solution => solution::solution(task, stage, tools),
+            StageKind::Measure => measure::measure(task, stage, tools),
+            StageKind::JoinReadings => join_readings::join_readings(task, stage, tools),
             kind @ (StageKind::FirstPassBlock | StageKind::Encode) => {
                 let name = kind.name();
                 Err(settings_failure(format!("invalid job graph: a stage of kind {name} has outputs of no known task")))

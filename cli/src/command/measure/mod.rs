@@ -1,24 +1,30 @@
 //! `femc measure SCENE POINTS.toml`: measures illuminance and luminance at points, on grids and over surfaces.
 
-mod points_file;
+mod trial;
 
-use crate::args::{FormatArgs, SettingsArgs};
+pub use trial::{MeasurementCost, trial};
+
+use super::client::{self, FarmClient};
+use super::live_preview::PreviewTargets;
+use super::readings;
+use super::watch::{FollowMessages, follow};
+use crate::args::{FormatArgs, IdentityArgs, ServerArgs, SettingsArgs};
 use crate::clock::Clock;
 use crate::exit::{Exit, Failure, failed, usage};
-use crate::output::{Printer, Progress, human, json};
+use crate::output::{Printer, Progress, human, job as show, json};
+use crate::request::points_file::{self, WorkPlaneArg};
 use crate::request::{ImportedScene, ResolvedRequest};
 use crate::threads;
 use crate::values::{Frames, Override};
 use clap::Args;
+use femc_model::{Control, Digest, JobId, JobState};
+use femc_pipeline::Prepared;
 use femc_pipeline::measure::{
-    MAX_SAMPLES, MeasureRequest, MeasureSettings, Place, Reading, measure, resolve_places, summarize, work_plane,
+    DEFAULT_ERROR, FrameReadings, MAX_SAMPLES, MeasureRequest, MeasureSettings, Measured, MeasurementId, Place,
+    ReadingRow, SummaryRow, check_objects, measure, resolve_places, work_plane,
 };
-use femc_pipeline::{Prepared, StopCondition};
 use femc_reports::attempts::{csv, text_table, write_parquet};
-use femc_reports::measure::{
-    MeasureReport, ReadingRow, SummaryRow, reading_columns, reading_rows, summary_columns, summary_rows,
-};
-use points_file::WorkPlaneArg;
+use femc_reports::measure::{MeasureReport, reading_columns, summary_columns};
 use rayon::iter::{IndexedParallelIterator as _, IntoParallelRefIterator as _, ParallelIterator as _};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -31,8 +37,10 @@ use std::sync::{Mutex, PoisonError};
     femc measure scenes/gallery.mgf points.toml --by-lamp\n  \
     femc measure scenes/gallery.mgf points.toml --error 0.005 -o readings.parquet\n  \
     femc measure scenes/gallery.mgf --where spacing=0.25 -o plane.html    # a map with isolines\n  \
+    femc measure scenes/gallery.mgf points.toml --server http://farm:7878    # on a farm: the same readings\n  \
     femc measure scenes/gallery.mgf points.toml --json | jq '.summaries[] | {part, mean, uniformity}'\n\n\
     POINTS.toml:\n  \
+    error = 0.01                     # or spp = 4096; by-lamp = true; the flags --error, --spp and --by-lamp replace them\n\n  \
     [[points]]                       # quantity: illuminance, cylindrical, spherical (lx), or luminance (cd/m2)\n  \
     name = \"eyes\"\n  \
     quantity = \"cylindrical\"\n  \
@@ -61,9 +69,9 @@ pub struct MeasureArgs {
     /// distance of the points, m [default: height=0.75,border=0.5,spacing=0.5]
     #[arg(long = "where", value_name = "KEY=M,..", conflicts_with = "points", hide_default_value = true)]
     work_plane: Option<WorkPlaneArg>,
-    /// Maximum relative error of each reading (95 % confidence)
-    #[arg(long, value_name = "E", default_value_t = 0.02, value_parser = parse_error, conflicts_with = "spp")]
-    error: f64,
+    /// Maximum relative error of each reading (95 % confidence) [default: 0.02]
+    #[arg(long, value_name = "E", value_parser = parse_error, conflicts_with = "spp")]
+    error: Option<f64>,
     /// Number of samples of each reading, instead of an error
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(MAX_SAMPLES)))]
     spp: Option<u32>,
@@ -98,6 +106,11 @@ pub struct MeasureArgs {
     /// Print the readings as CSV on stdout, with a header line
     #[arg(long, conflicts_with = "json")]
     csv: bool,
+    /// Measure on the farm of this coordinator; a second run of the same command finds the job of the first [default: in this process]
+    #[arg(long, value_name = "URL,..")]
+    server: Option<String>,
+    #[command(flatten)]
+    identity: IdentityArgs,
     #[command(flatten)]
     format: FormatArgs,
 }
@@ -129,19 +142,14 @@ pub fn run(args: &MeasureArgs, printer: Printer) -> Result<Exit, Failure> {
         (None, plane) => work_plane(resolved.source.scene(), &plane.map(|it| it.0).unwrap_or_default())
             .map_err(|error| usage(format!("--where: {error}")))?,
     };
-    let pool = threads::pool(args.threads)?;
-    let prepared =
-        pool.install(|| femc_pipeline::prepare_world(&resolved.source, &resolved.settings, args.frame, None));
-    let prepared = prepared.map_err(failed)?;
-    let named = |error| match &args.points {
-        Some(path) => usage(format!("{}: {error}", path.display())),
-        None => usage(format!("--where: {error}")),
-    };
-    let places = resolve_places(&prepared, &request).map_err(named)?;
+    let request = args.apply_to(request);
     let begun = Clock.now();
-    let readings = pool.install(|| read(&prepared, &places, args, printer));
-    let report = report(args, &places, &readings, Clock.since(begun).as_secs_f64());
-    warn(&report, args, printer);
+    let readings = match &args.server {
+        Some(server) => measure_on_farm(resolved, request.clone(), (args, server), printer)?,
+        None => measure_here(&resolved, request.clone(), args, printer)?,
+    };
+    let report = MeasureReport::new(args.scene.display().to_string(), Clock.since(begun).as_secs_f64(), readings);
+    warn(&report, &request, printer);
     if let (Some(path), Some(format)) = (&args.out, format) {
         write(path, format, &report)?;
         printer.note(format!("wrote {}", path.display()));
@@ -158,53 +166,126 @@ pub fn run(args: &MeasureArgs, printer: Printer) -> Result<Exit, Failure> {
 
 fn resolve(args: &MeasureArgs, printer: Printer) -> Result<ResolvedRequest, Failure> {
     let frames = Some(Frames::single(args.frame));
-    let typed = SettingsArgs { frames, set: args.set.clone(), seed: Some(args.seed), ..SettingsArgs::default() };
+    let typed = SettingsArgs {
+        frames,
+        set: args.set.clone(),
+        seed: Some(args.seed),
+        max_depth: Some(args.max_depth),
+        ..SettingsArgs::default()
+    };
     let named = |key: &str| (key == "frames").then(|| "--frame".to_owned());
     ImportedScene::open(&args.scene, args.root.as_deref(), printer)?.resolve(&typed, &named)
 }
 
-/// Measures all places, and shows the progress.
-fn read(prepared: &Prepared, places: &[Place], args: &MeasureArgs, printer: Printer) -> Vec<Reading> {
-    let settings = MeasureSettings {
-        stop: args.spp.map_or(StopCondition::Error(args.error), StopCondition::Spp),
-        max_depth: args.max_depth,
-        seed: args.seed,
-        by_lamp: args.by_lamp,
-    };
-    let (cancel, samples, done) = (AtomicBool::new(false), AtomicU64::new(0), AtomicU64::new(0));
-    let progress = Mutex::new(Progress::new(printer, Clock));
-    let read = |(number, place): (usize, &Place)| {
-        let reading = measure(prepared, number as u32, place, &settings, &cancel, &samples);
-        let done = 1 + done.fetch_add(1, Ordering::Relaxed);
-        let text = || format!("{done} of {} readings, {} samples", places.len(), samples.load(Ordering::Relaxed));
-        progress.lock().unwrap_or_else(PoisonError::into_inner).update(done as f64 / places.len() as f64, text);
-        reading
-    };
-    // Nothing cancels the readings.
-    let readings = places.par_iter().enumerate().filter_map(read).collect();
-    let mut progress = progress.into_inner().unwrap_or_else(PoisonError::into_inner);
-    progress.finish();
-    readings
-}
+impl MeasureArgs {
+    /// Replaces the accuracy of a request by the typed one.
+    fn apply_to(&self, request: MeasureRequest) -> MeasureRequest {
+        let (error, spp) = match (self.error, self.spp) {
+            (None, None) => (request.error, request.spp),
+            typed => typed,
+        };
+        MeasureRequest { error, spp, by_lamp: request.by_lamp || self.by_lamp, ..request }
+    }
 
-fn report(args: &MeasureArgs, places: &[Place], readings: &[Reading], seconds: f64) -> MeasureReport {
-    MeasureReport {
-        scene: args.scene.display().to_string(),
-        frame: args.frame,
-        seed: args.seed,
-        seconds,
-        rays: readings.iter().map(|reading| reading.rays).sum(),
-        bad_samples: readings.iter().map(|reading| reading.bad_samples).sum(),
-        not_converged: readings.iter().filter(|reading| !reading.is_converged).count() as u64,
-        readings: reading_rows(places, readings),
-        summaries: summary_rows(&summarize(places, readings)),
+    /// Returns the failure of a part of the request.
+    fn fault(&self, error: impl std::fmt::Display) -> Failure {
+        match &self.points {
+            Some(path) => usage(format!("{}: {error}", path.display())),
+            None => usage(format!("--where: {error}")),
+        }
     }
 }
 
-fn warn(report: &MeasureReport, args: &MeasureArgs, printer: Printer) {
+/// Measures all places in this process, and shows the progress.
+fn measure_here(
+    resolved: &ResolvedRequest,
+    request: MeasureRequest,
+    args: &MeasureArgs,
+    printer: Printer,
+) -> Result<FrameReadings, Failure> {
+    let scene = resolved.scene().digest().to_string();
+    let settings = request.settings(args.max_depth, args.seed);
+    let id = MeasurementId::new(&request, &settings, (femc_worker::engine(), scene), args.frame);
+    let pool = threads::pool(args.threads)?;
+    let prepared = pool.install(|| {
+        femc_pipeline::prepare_world(&resolved.source, &resolved.settings.of_measurement(), args.frame, None)
+    });
+    let prepared = prepared.map_err(failed)?;
+    let places = resolve_places(&prepared, &request).map_err(|error| args.fault(error))?;
+    let measured = pool.install(|| read(&prepared, &places, &settings, printer));
+    Ok(FrameReadings::new(id, args.seed, &measured))
+}
+
+/// Measures all places, and shows the progress.
+fn read(prepared: &Prepared, places: &[Place], settings: &MeasureSettings, printer: Printer) -> Vec<Measured> {
+    let (cancel, samples, done) = (AtomicBool::new(false), AtomicU64::new(0), AtomicU64::new(0));
+    let progress = Mutex::new(Progress::new(printer, Clock));
+    let read = |(number, place): (usize, &Place)| {
+        let reading = measure(prepared, number as u32, place, settings, &cancel, &samples);
+        let done = 1 + done.fetch_add(1, Ordering::Relaxed);
+        let text = || format!("{done} of {} readings, {} samples", places.len(), samples.load(Ordering::Relaxed));
+        progress.lock().unwrap_or_else(PoisonError::into_inner).update(done as f64 / places.len() as f64, text);
+        Some(Measured { place: place.info.clone(), reading: reading? })
+    };
+    // Nothing cancels the readings.
+    let measured = places.par_iter().enumerate().filter_map(read).collect();
+    let mut progress = progress.into_inner().unwrap_or_else(PoisonError::into_inner);
+    progress.finish();
+    measured
+}
+
+/// Measures all places on a farm: submits a job that only measures, or finds it again, and waits for it.
+fn measure_on_farm(
+    resolved: ResolvedRequest,
+    request: MeasureRequest,
+    (args, server): (&MeasureArgs, &str),
+    printer: Printer,
+) -> Result<FrameReadings, Failure> {
+    check_objects(resolved.scene(), &request).map_err(|error| args.fault(error))?;
+    let resolved = resolved.only_measuring(request)?;
+    let scene = resolved.parcel()?;
+    let server = ServerArgs { server: server.to_owned(), identity: args.identity.clone() };
+    client::block_on(&server, async |farm| {
+        let spec = client::job_spec(&resolved, &scene, vec![args.frame])?;
+        // A job of another build of the engine is not the same measurement.
+        let key = [spec.key().as_bytes(), femc_worker::engine().as_bytes()].concat();
+        let (job, _) = farm.submit(&scene, Digest::compute(&key), spec).await?;
+        match farm.status(job).await?.state {
+            JobState::Failed | JobState::Cancelled => farm.control(job, Control::Retry).await?,
+            JobState::Paused => farm.control(job, Control::Resume).await?,
+            JobState::Queued | JobState::Running | JobState::Done => {}
+        }
+        printer.note(format!("job {job} measures; `femc watch {job}` shows its progress, too"));
+        wait_for_readings(farm, job, args.frame, printer).await
+    })
+}
+
+/// Waits until a job has ended, and returns its readings.
+async fn wait_for_readings(
+    farm: &FarmClient,
+    job: JobId,
+    frame: u32,
+    printer: Printer,
+) -> Result<FrameReadings, Failure> {
+    let no_pictures = |_| PreviewTargets { on_terminal: false, file: None };
+    let again = "the same command waits again".to_owned();
+    let messages = FollowMessages { activity: "the measurement", resume_hint: again };
+    let status = follow(farm, job, &messages, None, no_pictures, printer).await?;
+    let record = farm.frames(job).await?.into_iter().find(|record| record.frame == frame);
+    let Some(artifact) = record.and_then(|record| record.readings()) else {
+        let mut lines = vec![format!("job {job} is {}", status.state.name())];
+        lines.extend(show::failure_lines(&status));
+        return Err(failed(lines.join("\n")));
+    };
+    let lost = || failed(format!("the readings of job {job} are damaged or missing in the farm's store; retry"));
+    let bytes = farm.get_if_present(&artifact).await?.ok_or_else(lost)?;
+    readings::parse(&format!("readings of job {job}"), &bytes)
+}
+
+fn warn(report: &MeasureReport, request: &MeasureRequest, printer: Printer) {
     if report.not_converged > 0 {
         let count = human::counted_noun(report.not_converged, "reading");
-        let error = human::percent(args.error);
+        let error = human::percent(request.error.unwrap_or(DEFAULT_ERROR));
         printer.warning(format!("{count} did not reach an error of {error} within {MAX_SAMPLES} samples"));
     }
     for row in report.summaries.iter().filter(|row| row.dark > 0 && row.lamp.is_none()) {

@@ -102,6 +102,7 @@ impl TaskCommand {
             ("--root", settings.root.is_some()),
             ("--layer", !settings.layer.is_empty()),
             ("--layers", !settings.layers.is_empty()),
+            ("--measure", settings.measure.is_some()),
             ("--style", painting.style.is_some()),
         ];
         let SettingsArgs { frames, workers, threads, stats, .. } = settings;

@@ -2,11 +2,13 @@
 
 use super::report::{BadSamplesReport, FrameReport, SamplePosition};
 use super::sidecars::SidecarKinds;
+use crate::command::readings;
 use crate::exit::{Failure, failed};
 use crate::request::ResolvedRequest;
 use crate::request::picture;
 use crate::values::Exposure;
 use femc_film::convergence::BLOCK_EDGE;
+use femc_pipeline::measure::{MeasureRequest, MeasureSettings, MeasurementId};
 use std::path::Path;
 
 /// Metadata that the file of a finished frame must have.
@@ -18,6 +20,8 @@ pub struct ExpectedMetadata {
     scene: String,
     exposure: Exposure,
     sidecars: SidecarKinds,
+    /// Measurement of the frames, and the settings of its readings.
+    measurement: Option<(MeasureRequest, MeasureSettings)>,
     /// Number of blocks per frame.
     blocks: u32,
 }
@@ -25,12 +29,24 @@ pub struct ExpectedMetadata {
 impl ExpectedMetadata {
     /// Creates the expected metadata for a request; `exposure`: exposure of pictures.
     pub fn new(resolved: &ResolvedRequest, exposure: Exposure) -> Result<Self, Failure> {
-        let settings = serde_json::to_value(resolved.settings.without_allocation()).map_err(failed)?;
+        let settings = serde_json::to_value(resolved.settings.of_image()).map_err(failed)?;
         let allocation = resolved.settings.allocation.as_ref().map(serde_json::to_value).transpose().map_err(failed)?;
         let (scene, sidecars) =
             (resolved.scene().digest().to_string(), SidecarKinds::from_settings(&resolved.settings));
+        let of_request = |request: &MeasureRequest| {
+            (request.clone(), request.settings(resolved.settings.max_depth, resolved.settings.seed))
+        };
+        let measurement = resolved.settings.measure.as_ref().map(of_request);
         let blocks = resolved.film().map(|pixels| pixels.div_ceil(BLOCK_EDGE)).iter().product();
-        Ok(Self { settings, allocation, scene, exposure, sidecars, blocks })
+        Ok(Self { settings, allocation, scene, exposure, sidecars, measurement, blocks })
+    }
+
+    /// Returns whether the frame needs no readings, or has those of this measurement.
+    fn has_readings(&self, frame: u32, path: &Path) -> bool {
+        self.measurement.as_ref().is_none_or(|(request, settings)| {
+            let id = MeasurementId::new(request, settings, (femc_worker::engine(), self.scene.clone()), frame);
+            readings::read(path).is_ok_and(|document| document.id == id)
+        })
     }
 
     /// Returns the frame in `path`, if the file is whole and matches this build of the engine, the scene and the settings.
@@ -46,7 +62,7 @@ impl ExpectedMetadata {
             && settings == self.settings
             && (self.allocation.is_none() || self.allocation == allocation())
             && is_shown;
-        if !same || !self.sidecars.all_exist(path) {
+        if !same || !self.sidecars.all_exist(path) || !self.has_readings(frame, path) {
             return None;
         }
         let number = |name| says(name)?.parse::<f64>().ok();

@@ -16,6 +16,7 @@ pub use sidecars::{SidecarKinds, Sidecars, layers_path, statistics_path};
 pub use painting::{PaintingArgs, request_painting_layers};
 pub use target::{frame_name, painted_name, still_name};
 
+use super::readings::readings_path;
 use crate::args::{ExtrasArgs, FormatArgs, SettingsArgs};
 use crate::clock::Clock;
 use crate::exit::{Exit, Failure, failed, usage};
@@ -96,6 +97,11 @@ pub fn run(mut args: RenderArgs, printer: Printer) -> Result<Exit, Failure> {
         Some(frame) => ResolvedRequest::replay(&args.scene, frame, args.settings, printer)?,
         None => ResolvedRequest::open(&args.scene, args.settings, printer)?.choose_method(printer)?,
     };
+    if resolved.settings.measure_only {
+        return Err(usage(
+            "measure-only: `femc render` makes images; `femc measure` and `femc submit` can only measure",
+        ));
+    }
     let target = Target::parse(args.out.as_deref(), &resolved.name(), resolved.plan.frames.len())?;
     check_pictures(&target, &args.extras, args.exposure, style.is_some())?;
     let exposure = args.exposure.unwrap_or_default();
@@ -155,6 +161,10 @@ pub fn run(mut args: RenderArgs, printer: Printer) -> Result<Exit, Failure> {
     if resolved.settings.has_layers() {
         let files = report.files.iter().map(|file| layers_path(file.as_ref()).display().to_string());
         report.layers = files.collect();
+    }
+    if resolved.settings.measure.is_some() {
+        let files = report.files.iter().map(|file| readings_path(file.as_ref()).display().to_string());
+        report.readings = files.collect();
     }
     if let Some(style) = &style {
         report.painted = args.painting.paint(

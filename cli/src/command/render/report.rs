@@ -39,6 +39,8 @@ pub struct RenderReport {
     pub exposure_ev: Option<f64>,
     /// Files of the frames' layers, if they have some.
     pub layers: Vec<String>,
+    /// Documents with the frames' readings of light, if they were measured.
+    pub readings: Vec<String>,
     /// Painted pictures of the frames.
     pub painted: Vec<String>,
     /// PNG files beside the frames.

@@ -24,7 +24,7 @@ struct SheetPicture {
 
 /// Writes `contact.png`, if there is anything to show.
 pub fn write(sweep: &ResolvedSweep, folder: &SweepFolder, printer: Printer) -> Result<Option<String>, Failure> {
-    let rows = rows(sweep, folder);
+    let rows = if sweep.first.settings.measure_only { Vec::new() } else { rows(sweep, folder) };
     let all: Vec<&SheetPicture> = rows.iter().take(MAX_ROWS).flat_map(|(_, row)| row).collect();
     if all.is_empty() {
         return Ok(None);

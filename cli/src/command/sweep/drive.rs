@@ -190,7 +190,12 @@ impl QueuedJob<'_> {
         for record in farm.frames(self.job).await? {
             let planned = self.variant.frames.iter().find(|planning| planning.frame == record.frame);
             if let Some(planned) = planned.filter(|_| self.unfetched_frames.contains(&record.frame)) {
-                let Some(bytes) = farm.image(&record).await? else {
+                let file = if self.variant.is_only_measured { record.readings() } else { record.image() };
+                let bytes = match file {
+                    Some(artifact) => farm.get_if_present(&artifact).await?,
+                    None => None,
+                };
+                let Some(bytes) = bytes else {
                     outcome = FetchOutcome::Incomplete;
                     continue;
                 };

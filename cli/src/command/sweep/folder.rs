@@ -5,6 +5,7 @@
 
 use super::resolved::{PlannedVariant, ResolvedSweep};
 use crate::clock::{Clock, Timestamp};
+use crate::command::readings;
 use crate::command::render::{SidecarKinds, Sidecars};
 use crate::exit::{Failure, failed};
 use serde::{Deserialize, Serialize};
@@ -100,7 +101,7 @@ impl SweepFolder {
         let (path, sidecars) = (self.path.clone(), self.sidecars);
         self.manifest.files.retain(|name, _| {
             let path = path.join(name);
-            sidecars.all_exist(&path) && femc_film::exr::read_attributes(&path).is_ok()
+            sidecars.all_exist(&path) && is_sound(&path)
         });
         let mut files: Vec<_> = self.manifest.files.iter().collect();
         // The last of several equal files represents them: a rendered one rather than a linked one.
@@ -205,6 +206,15 @@ impl SweepFolder {
         self.last_save = Clock.now();
         let text = serde_json::to_vec_pretty(&self.manifest).map_err(failed)?;
         femc_film::file::write_atomic(&self.join(MANIFEST), &text).map_err(failed)
+    }
+}
+
+/// Returns whether a picture or a document of readings can be read.
+fn is_sound(path: &Path) -> bool {
+    if readings::is_document(path) {
+        readings::read(path).is_ok()
+    } else {
+        femc_film::exr::read_attributes(path).is_ok()
     }
 }
 

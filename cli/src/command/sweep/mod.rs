@@ -133,13 +133,17 @@ pub fn run(args: &SweepArgs, printer: Printer) -> Result<Exit, Failure> {
     let measured = measure::measure(&sweep, &folder)?;
     measure::frames(&sweep, &measured).write(out, "frames")?;
     measure::variants(&sweep, &measured).write(out, "variants")?;
+    report.readings = measure::measured_parts(&sweep, &folder)?;
+    if !report.readings.is_empty() {
+        measure::readings(&sweep, &report.readings).write(out, "readings")?;
+    }
     report.contact_sheet = contact::write(&sweep, &folder, printer)?;
     report.seconds = Clock.since(begun).as_secs_f64();
     if left.is_empty() {
         folder.clear_orders();
         folder.save()?;
         state.remove().map_err(|e| failed(format!("{}: {e}", out.display())))?;
-        report.print(args.format.json, printer)?;
+        report.print(&sweep, args.format.json, printer)?;
         return Ok(Exit::Done);
     }
     folder.save()?;

@@ -68,7 +68,7 @@ fn cost(sweep: &ResolvedSweep, sharing: &SharingCounts) -> Result<Option<SweepCo
         }
         StopCondition::Error(_) | StopCondition::Time(_) => None,
     });
-    let Some(samples) = samples else { return Ok(None) };
+    let Some(samples) = samples.filter(|_| !sweep.first.settings.measure_only) else { return Ok(None) };
     let trial_cost = trial(&sweep.first, 1, 0, 0)?;
     let seconds = |prepared: usize, solved: usize, samples: u64| {
         let before = trial_cost.prepare_seconds * prepared as f64 + trial_cost.first_pass_seconds * solved as f64;

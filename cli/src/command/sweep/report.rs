@@ -1,5 +1,6 @@
 //! Report of a sweep.
 
+use super::measure::{self, MeasuredPart};
 use super::resolved::ResolvedSweep;
 use super::sharing::SharingCounts;
 use crate::exit::{Exit, Failure};
@@ -7,6 +8,9 @@ use crate::output::{Printer, human, json};
 use serde::Serialize;
 use std::collections::BTreeSet;
 use std::path::Path;
+
+/// Largest number of summaries that are printed.
+const MAX_PARTS: usize = 200;
 
 /// Summary of a sweep, printed whole by `--json`.
 #[derive(Debug, Serialize)]
@@ -22,6 +26,8 @@ pub struct SweepReport {
     pub jobs: Vec<JobReport>,
     /// The sheet.
     pub contact_sheet: Option<String>,
+    /// Summaries of the measured light, by variant, frame and part; empty without `measure`.
+    pub readings: Vec<MeasuredPart>,
     /// Wall-clock time of this run, s.
     pub seconds: f64,
 }
@@ -60,6 +66,7 @@ impl SweepReport {
             shares: FrameCounts { frames, rendered, linked, kept, worlds },
             jobs: Vec::new(),
             contact_sheet: None,
+            readings: Vec::new(),
             seconds: 0.0,
         }
     }
@@ -81,7 +88,7 @@ impl SweepReport {
     }
 
     /// Prints the report of a complete sweep.
-    pub fn print(&self, as_json: bool, printer: Printer) -> Result<(), Failure> {
+    pub fn print(&self, sweep: &ResolvedSweep, as_json: bool, printer: Printer) -> Result<(), Failure> {
         if as_json {
             return json::print(printer, self);
         }
@@ -93,6 +100,13 @@ impl SweepReport {
             human::seconds(self.seconds)
         ));
         self.contact_sheet.iter().for_each(|sheet| printer.result(sheet));
+        if !self.readings.is_empty() {
+            let shown = &self.readings[..self.readings.len().min(MAX_PARTS)];
+            printer.result(measure::readings_text(sweep, shown));
+            if shown.len() < self.readings.len() {
+                printer.note(format!("the first {MAX_PARTS} rows; {}/readings.csv has all", self.out));
+            }
+        }
         Ok(())
     }
 }

@@ -2,6 +2,7 @@
 
 use crate::args::{Method, SettingsArgs};
 use crate::command::client;
+use crate::command::readings::readings_path;
 use crate::exit::{Failure, failed, usage};
 use crate::output::Printer;
 use crate::request::{ImportedScene, JobFile, Measures, ResolvedRequest, typed_keys};
@@ -9,7 +10,7 @@ use femc_model::{Digest, JobSpec};
 use femc_pipeline::{Settings, StopCondition};
 use femc_scene::SceneDigest;
 use femc_worker::Parcel;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Largest number of frames of all variants together.
 const MAX_FRAMES: usize = 1 << 20;
@@ -40,6 +41,8 @@ pub struct PlannedVariant {
     pub stem: String,
     /// Job of all frames of the variant. Its name consists of the file names' first part and the variant's name.
     pub spec: JobSpec,
+    /// Whether the frames are only measured and have no pictures.
+    pub is_only_measured: bool,
     /// Stopping rule of a frame.
     pub stop: StopCondition,
     /// Frames, ascending.
@@ -166,14 +169,17 @@ impl PlannedVariant {
             stem,
             name,
             values,
+            is_only_measured: resolved.settings.measure_only,
             stop: resolved.settings.stop,
             frames: resolved.plan.frames.iter().map(frame).collect::<Result<_, Failure>>()?,
         })
     }
 
-    /// Returns the path of a frame within the sweep's folder.
+    /// Returns the path of a frame within the sweep's folder: of its picture, or of its readings if it has no picture.
     pub fn file(&self, frame: u32) -> String {
-        format!("{}/{}", self.name, crate::command::render::frame_name(&self.stem, frame))
+        let path = PathBuf::from(format!("{}/{}", self.name, crate::command::render::frame_name(&self.stem, frame)));
+        let path = if self.is_only_measured { readings_path(&path) } else { path };
+        path.display().to_string()
     }
 }
 

@@ -36,9 +36,23 @@ pub struct AxisValue {
 }
 
 /// Keys of a job file that cannot be axes, because they are not settings of an image.
-const NOT_VARIED: [&str; 14] = [
-    "scene", "name", "comment", "labels", "notify", "workers", "threads", "priority", "tags", "stats", "layer",
-    "layers", "set", "sweep",
+const NOT_VARIED: [&str; 16] = [
+    "scene",
+    "name",
+    "comment",
+    "labels",
+    "notify",
+    "workers",
+    "threads",
+    "priority",
+    "tags",
+    "stats",
+    "layer",
+    "layers",
+    "measure",
+    "measure-only",
+    "set",
+    "sweep",
 ];
 /// Settings that can be axes, as listed in messages.
 const SETTINGS: &str = "camera, size, frames, spp, error, time, method, max-depth, filter, seed";

@@ -51,7 +51,7 @@ pub struct JobFile {
     positions: BTreeMap<String, TextPosition>,
 }
 
-/// The file as written. `_` and `-` are both accepted in `max-depth`.
+/// The file as written. `_` and `-` are both accepted in keys.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 struct RawJobFile {
@@ -75,6 +75,9 @@ struct RawJobFile {
     layers: Vec<String>,
     #[serde(default)]
     layer: BTreeMap<String, String>,
+    measure: Option<PathBuf>,
+    #[serde(default, alias = "measure_only")]
+    measure_only: bool,
     priority: Option<u8>,
     #[serde(default)]
     tags: Vec<String>,
@@ -164,6 +167,8 @@ impl JobFile {
                 stats: job.stats.and_then(StatsValue::mode),
                 layer: job.layer.into_iter().map(|(name, expression)| Layer { name, expression }).collect(),
                 layers: job.layers,
+                measure: job.measure.map(|points| folder.join(points)),
+                measure_only: job.measure_only,
             },
             priority: job.priority,
             tags: job.tags,

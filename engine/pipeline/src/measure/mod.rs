@@ -5,14 +5,21 @@
 //! not depend on threads, nor on the other readings.
 
 mod cells;
+mod message;
 mod places;
 mod reading;
 mod request;
+mod rows;
 mod summary;
 
-pub use places::{Place, Reader, resolve_places};
+pub use message::{FrameReadings, Measured, MeasurementId, MessageError, ReadingBlock, ReadingShare, join_blocks};
+pub use places::{Place, PlaceInfo, Reader, check_objects, resolve_places};
 pub use reading::{LampShare, MAX_SAMPLES, MeasureSettings, REPLICATES, Reading, measure};
+#[cfg(test)]
+pub(crate) use request::test_request;
 pub use request::{
-    Area, Grid, MAX_PLACES, MeasureRequest, Points, Quantity, RequestError, SurfaceSide, WorkPlane, work_plane,
+    Area, DEFAULT_ERROR, Grid, MAX_PLACES, MeasureRequest, Points, Quantity, RequestError, SurfaceSide, WorkPlane,
+    work_plane,
 };
+pub use rows::{ReadingRow, SummaryRow};
 pub use summary::{Interval, Summary, summarize};

@@ -6,6 +6,9 @@ use femc_math::glam::Vec3A;
 use femc_montecarlo::{Receiver, Sensitivity};
 use femc_prepared::Prepared;
 use femc_prepared::media::MediumStack;
+use femc_scene::Scene;
+use femc_scene::objects::is_name_within;
+use serde::{Deserialize, Serialize};
 
 /// Relative bound of the error of a given position: it is rounded to 24 bits, and so are the surfaces on which it may lie.
 const POSITION_ERROR: f32 = 5e-7;
@@ -26,9 +29,9 @@ pub enum Reader {
     },
 }
 
-/// Place of a reading.
-#[derive(Clone)]
-pub struct Place {
+/// Description of the place of a reading.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PlaceInfo {
     /// Name of the part of the request.
     pub part: String,
     /// Number within the part, from 0. Points of a grid are numbered along the rows.
@@ -39,17 +42,24 @@ pub struct Place {
     pub position: [f64; 3],
     /// Column and row in a grid.
     pub cell: Option<[u32; 2]>,
-    /// Weight in means: the area of a cell, m2, or 1.
-    pub weight: f64,
-    /// Receivers.
-    pub reader: Reader,
+    /// Area of a cell, m2; `None` for a point.
+    pub area: Option<f64>,
 }
 
-impl Place {
-    /// Returns the area of a cell, m2; `None` for a point.
-    pub fn area(&self) -> Option<f64> {
-        matches!(self.reader, Reader::Cell { .. }).then_some(self.weight)
+impl PlaceInfo {
+    /// Returns the weight in means: the area of a cell, m2, or 1.
+    pub fn weight(&self) -> f64 {
+        self.area.unwrap_or(1.0)
     }
+}
+
+/// Place of a reading.
+#[derive(Clone)]
+pub struct Place {
+    /// Description.
+    pub info: PlaceInfo,
+    /// Receivers.
+    pub reader: Reader,
 }
 
 impl Reader {
@@ -97,15 +107,9 @@ pub fn resolve_places(scene: &Prepared, request: &MeasureRequest) -> Result<Vec<
 fn points(scene: &Prepared, part: &Points) -> Result<Vec<Place>, String> {
     let place = |(number, &position): (u32, &[f64; 3])| {
         let receiver = receiver(scene, position, part.quantity, part.direction, part.observer)?;
-        Ok(Place {
-            part: part.name.clone(),
-            number,
-            quantity: part.quantity,
-            position,
-            cell: None,
-            weight: 1.0,
-            reader: Reader::Point(receiver),
-        })
+        let (name, quantity) = (part.name.clone(), part.quantity);
+        let info = PlaceInfo { part: name, number, quantity, position, cell: None, area: None };
+        Ok(Place { info, reader: Reader::Point(receiver) })
     };
     (0..).zip(&part.at).map(place).collect()
 }
@@ -121,15 +125,9 @@ fn grid(scene: &Prepared, part: &Grid) -> Result<Vec<Place>, String> {
         let [s, t] = [0, 1].map(|axis| (f64::from(cell[axis]) + 0.5) / f64::from(part.count[axis]));
         let position = [0, 1, 2].map(|axis| part.corner[axis] + s * part.along[axis] + t * part.across[axis]);
         let receiver = receiver(scene, position, part.quantity, direction, part.observer)?;
-        Ok(Place {
-            part: part.name.clone(),
-            number,
-            quantity: part.quantity,
-            position,
-            cell: Some(cell),
-            weight: 1.0,
-            reader: Reader::Point(receiver),
-        })
+        let (name, quantity) = (part.name.clone(), part.quantity);
+        let info = PlaceInfo { part: name, number, quantity, position, cell: Some(cell), area: None };
+        Ok(Place { info, reader: Reader::Point(receiver) })
     };
     (0..columns * rows).map(place).collect()
 }
@@ -137,7 +135,7 @@ fn grid(scene: &Prepared, part: &Grid) -> Result<Vec<Place>, String> {
 fn area(scene: &Prepared, part: &Area) -> Result<Vec<Place>, String> {
     let cells = divide(scene, &part.object, part.cells);
     if cells.is_empty() {
-        return Err(unknown_object(scene, &part.object));
+        return Err(unknown_object(&scene.scene, &part.object));
     }
     let sides: &[bool] = match part.side {
         SurfaceSide::Front => &[false],
@@ -150,24 +148,36 @@ fn area(scene: &Prepared, part: &Area) -> Result<Vec<Place>, String> {
             let Some(middle) = cell.point(scene, [0.5; 2], 0.5) else { continue };
             let out = if is_back { -middle.normal } else { middle.normal };
             let outside = middle.position + out * (4.0 * middle.error.max_element());
-            places.push(Place {
+            let info = PlaceInfo {
                 part: part.name.clone(),
                 number: places.len() as u32,
                 quantity: Quantity::Illuminance,
                 position: scene.to_world(middle.position),
                 cell: None,
-                weight: cell.area(),
-                reader: Reader::Cell { cell: cell.clone(), is_back, medium_stack: scene.media_at(outside) },
-            });
+                area: Some(cell.area()),
+            };
+            let medium_stack = scene.media_at(outside);
+            places.push(Place { info, reader: Reader::Cell { cell: cell.clone(), is_back, medium_stack } });
         }
     }
     Ok(places)
 }
 
+/// Checks that the scene has the objects of a request, without preparing it.
+/// - errors: an unknown object.
+pub fn check_objects(scene: &Scene, request: &MeasureRequest) -> Result<(), RequestError> {
+    let is_known = |part: &&Area| scene.objects.iter().any(|object| is_name_within(&object.name, &part.object));
+    let unknown = request.area.iter().find(|part| !is_known(part));
+    unknown.map_or(Ok(()), |part| {
+        let reason = unknown_object(scene, &part.object);
+        Err(RequestError::Part { name: part.name.clone(), reason })
+    })
+}
+
 /// Returns the error message for an object without surfaces, with the names that the scene has.
-fn unknown_object(scene: &Prepared, name: &str) -> String {
+fn unknown_object(scene: &Scene, name: &str) -> String {
     const SHOWN: usize = 12;
-    let mut known: Vec<&str> = scene.scene.objects.iter().map(|object| object.name.as_str()).collect();
+    let mut known: Vec<&str> = scene.objects.iter().map(|object| object.name.as_str()).collect();
     known.retain(|name| !name.is_empty());
     known.sort_unstable();
     known.dedup();

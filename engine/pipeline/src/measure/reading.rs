@@ -10,6 +10,7 @@ use femc_montecarlo::record::{BranchEvent, Continuation, Contribution, RecordLev
 use femc_montecarlo::{PathSettings, Tracer};
 use femc_prepared::Prepared;
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -19,7 +20,7 @@ pub const REPLICATES: usize = 32;
 /// Maximum number of samples of a reading whose error is given.
 pub const MAX_SAMPLES: u32 = 1 << 20;
 /// Number of samples of the first round of a reading whose error is given.
-const FIRST_SAMPLES: u32 = 32 * REPLICATES as u32;
+pub(super) const FIRST_SAMPLES: u32 = 32 * REPLICATES as u32;
 /// Error for which the number of samples is planned, relative to the requested one.
 const PLANNED_ERROR: f64 = 0.8;
 /// Maximum growth of the number of samples from round to round.
@@ -44,7 +45,7 @@ pub struct MeasureSettings {
 }
 
 /// Light of a lamp at a place.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LampShare {
     /// Name of the lamp, as in layers: object and material, or photometric file, or a medium that glows.
     pub lamp: String,
@@ -55,7 +56,7 @@ pub struct LampShare {
 }
 
 /// Result of a measurement.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Reading {
     /// Light by channel, as in images: a gray light of 1 lx or 1 cd/m2 is 1 in each channel.
     pub color: [f64; 3],
@@ -224,7 +225,7 @@ impl SampleTask<'_> {
                 sum.samples += 1;
                 let channels = color.to_array();
                 sum.color.iter_mut().zip(channels).for_each(|(sum, value)| *sum += f64::from(value));
-                tracer.recorder.add_to(&mut sum.lamps, self.place.quantity);
+                tracer.recorder.add_to(&mut sum.lamps, self.place.info.quantity);
             } else {
                 sum.bad_samples += 1;
             }

@@ -1,10 +1,14 @@
 //! Requests for measurements: what is measured, and where.
 
+use super::reading::{FIRST_SAMPLES, MAX_SAMPLES};
+use crate::settings::StopCondition;
 use femc_scene::Scene;
 use serde::{Deserialize, Serialize};
 
 /// Maximum number of readings of a request.
 pub const MAX_PLACES: u64 = 1 << 20;
+/// Typical number of samples of a reading with [`DEFAULT_ERROR`].
+const TYPICAL_SAMPLES: f64 = 8192.0;
 /// Number of cells of an area if the request gives none.
 const DEFAULT_CELLS: u32 = 64;
 
@@ -52,10 +56,10 @@ pub struct Points {
     /// Positions in the world, m.
     pub at: Vec<[f64; 3]>,
     /// Normal of the plane, or axis of the cylinder; upward if it is not given. For the luminance: direction in which one looks.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(default)]
     pub direction: Option<[f64; 3]>,
     /// For the luminance, instead of a direction: position from which one looks at the points, m.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(default)]
     pub observer: Option<[f64; 3]>,
 }
 
@@ -77,10 +81,10 @@ pub struct Grid {
     /// Number of points along and across.
     pub count: [u32; 2],
     /// As for [`Points::direction`]; without it, the normal `along` x `across` for the illuminance.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(default)]
     pub direction: Option<[f64; 3]>,
     /// As for [`Points::observer`].
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(default)]
     pub observer: Option<[f64; 3]>,
 }
 
@@ -117,18 +121,30 @@ fn default_cells() -> u32 {
     DEFAULT_CELLS
 }
 
+/// Maximum relative error of readings if the request gives neither an error nor a number of samples.
+pub const DEFAULT_ERROR: f64 = 0.02;
+
 /// Request for measurements: the contents of a file of points.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct MeasureRequest {
+    /// Maximum relative error of each reading (95 % confidence), above 0 and at most 1.
+    #[serde(default)]
+    pub error: Option<f64>,
+    /// Number of samples of each reading, 1 to [`MAX_SAMPLES`], instead of an error.
+    #[serde(default)]
+    pub spp: Option<u32>,
+    /// Whether the light of each lamp is measured, too.
+    #[serde(default)]
+    pub by_lamp: bool,
     /// Single points.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[serde(default)]
     pub points: Vec<Points>,
     /// Grids.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[serde(default)]
     pub grid: Vec<Grid>,
     /// Surfaces of objects.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[serde(default)]
     pub area: Vec<Area>,
 }
 
@@ -138,6 +154,9 @@ pub enum RequestError {
     /// There is nothing to measure.
     #[error("no [[points]], [[grid]] or [[area]]: there is nothing to measure")]
     Empty,
+    /// The accuracy is invalid.
+    #[error("{0}")]
+    Accuracy(String),
     /// Two parts have the same name.
     #[error("`{0}`: two parts have this name")]
     DuplicateName(String),
@@ -162,6 +181,7 @@ impl MeasureRequest {
         if names.is_empty() {
             return Err(RequestError::Empty);
         }
+        self.check_accuracy().map_err(RequestError::Accuracy)?;
         names.sort();
         if let Some(pair) = names.windows(2).find(|pair| pair[0] == pair[1]) {
             return Err(RequestError::DuplicateName(pair[0].clone()));
@@ -179,8 +199,39 @@ impl MeasureRequest {
         if count > MAX_PLACES { Err(RequestError::TooMany(count)) } else { Ok(()) }
     }
 
+    fn check_accuracy(&self) -> Result<(), String> {
+        match (self.error, self.spp) {
+            (Some(_), Some(_)) => Err("`error` and `spp` exclude each other: keep one of them".into()),
+            (Some(error), None) if !(error > 0.0 && error <= 1.0) => {
+                Err(format!("`error` is {error}; it must be above 0 and at most 1, like 0.02 for 2 %"))
+            }
+            (None, Some(spp)) if spp == 0 || spp > MAX_SAMPLES => {
+                Err(format!("`spp` is {spp}; it must be from 1 to {MAX_SAMPLES}"))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Returns the condition under which a reading is done.
+    pub fn stop(&self) -> StopCondition {
+        self.spp.map_or(StopCondition::Error(self.error.unwrap_or(DEFAULT_ERROR)), StopCondition::Spp)
+    }
+
+    /// Returns the number of samples that a reading is expected to need. It decides how many tasks there are, and no value.
+    pub(super) fn expected_samples(&self) -> u64 {
+        match self.stop() {
+            StopCondition::Spp(samples) => u64::from(samples.max(1)),
+            StopCondition::Error(error) => {
+                // Readings of the example scenes need about this number at the default error; it grows with its inverse square.
+                let samples = TYPICAL_SAMPLES * (DEFAULT_ERROR / error).powi(2);
+                (samples as u64).clamp(FIRST_SAMPLES.into(), MAX_SAMPLES.into())
+            }
+            StopCondition::Time(_) => FIRST_SAMPLES.into(),
+        }
+    }
+
     /// Returns the number of readings. A surface of many pieces may have fewer or more cells than requested.
-    fn count(&self) -> u64 {
+    pub fn count(&self) -> u64 {
         let points = self.points.iter().map(|part| part.at.len() as u64);
         let grids = self.grid.iter().map(|part| u64::from(part.count[0]) * u64::from(part.count[1]));
         points.chain(grids).chain(self.area.iter().map(|part| u64::from(part.cells))).sum()
@@ -303,4 +354,12 @@ pub fn work_plane(scene: &Scene, plane: &WorkPlane) -> Result<MeasureRequest, Re
     };
     let request = MeasureRequest { grid: vec![grid], ..MeasureRequest::default() };
     request.check().map(|()| request)
+}
+
+/// Returns a request for this number of readings, for tests.
+#[cfg(test)]
+pub(crate) fn test_request(readings: u32) -> MeasureRequest {
+    let at = (0..readings).map(|x| [f64::from(x), 0.0, 1.0]).collect();
+    let part = Points { name: "points".into(), quantity: Quantity::Illuminance, at, direction: None, observer: None };
+    MeasureRequest { points: vec![part], ..MeasureRequest::default() }
 }

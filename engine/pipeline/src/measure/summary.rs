@@ -1,6 +1,6 @@
 //! Means, extremes and uniformity of the readings of a part of a request.
 
-use super::places::Place;
+use super::message::Measured;
 use super::reading::{REPLICATES, Reading};
 use super::request::Quantity;
 use femc_film::convergence::student_95;
@@ -69,32 +69,33 @@ impl EstimateSum {
 }
 
 /// Summarizes each part of a request that has several readings, in order.
-/// - `readings`: readings of `places`.
-pub fn summarize(places: &[Place], readings: &[Reading]) -> Vec<Summary> {
-    let pairs: Vec<(&Place, &Reading)> = places.iter().zip(readings).collect();
-    pairs.chunk_by(|a, b| a.0.part == b.0.part).filter(|part| part.len() > 1).map(summarize_part).collect()
+/// - `measured`: all readings of the request, in order.
+pub fn summarize(measured: &[Measured]) -> Vec<Summary> {
+    let parts = measured.chunk_by(|a, b| a.place.part == b.place.part);
+    parts.filter(|part| part.len() > 1).map(summarize_part).collect()
 }
 
-fn summarize_part(part: &[(&Place, &Reading)]) -> Summary {
-    let first = part[0].0;
-    let weight: f64 = part.iter().map(|(place, _)| place.weight).sum();
+fn summarize_part(part: &[Measured]) -> Summary {
+    let first = &part[0].place;
+    let weight: f64 = part.iter().map(|it| it.place.weight()).sum();
     let mut sum = EstimateSum::default();
     let mut lamps: BTreeMap<&str, EstimateSum> = BTreeMap::new();
-    for (place, reading) in part {
-        sum.add(place.weight * reading.value, place.weight * place.weight * reading.variance());
+    for Measured { place, reading } in part {
+        let weight = place.weight();
+        sum.add(weight * reading.value, weight * weight * reading.variance());
         for lamp in &reading.lamps {
-            let error = place.weight * lamp.half_width / student_95((REPLICATES - 1) as f64);
-            lamps.entry(&lamp.lamp).or_default().add(place.weight * lamp.value, error * error);
+            let error = weight * lamp.half_width / student_95((REPLICATES - 1) as f64);
+            lamps.entry(&lamp.lamp).or_default().add(weight * lamp.value, error * error);
         }
     }
     let mean = sum.interval(weight);
     let of = |reading: &Reading| Interval { value: reading.value, half_width: reading.half_width };
-    let readings = || part.iter().map(|(_, reading)| of(reading));
+    let readings = || part.iter().map(|it| of(&it.reading));
     let least = readings().reduce(|a, b| if b.value < a.value { b } else { a }).unwrap_or(mean);
     let greatest = readings().reduce(|a, b| if b.value > a.value { b } else { a }).unwrap_or(mean);
-    let lit = || part.iter().filter(|(_, reading)| reading.value > 0.0);
-    let lit_weight: f64 = lit().map(|(place, _)| place.weight).sum();
-    let lit_least = lit().map(|(_, reading)| reading.value).fold(f64::INFINITY, f64::min);
+    let lit = || part.iter().filter(|it| it.reading.value > 0.0);
+    let lit_weight: f64 = lit().map(|it| it.place.weight()).sum();
+    let lit_least = lit().map(|it| it.reading.value).fold(f64::INFINITY, f64::min);
     let mut lamps: Vec<(String, Interval)> =
         lamps.into_iter().map(|(lamp, sum)| (lamp.to_owned(), sum.interval(weight))).collect();
     lamps.sort_by(|a, b| b.1.value.total_cmp(&a.1.value));
@@ -102,7 +103,7 @@ fn summarize_part(part: &[(&Place, &Reading)]) -> Summary {
         part: first.part.clone(),
         quantity: first.quantity,
         readings: part.len() as u64,
-        area: first.area().map(|_| weight),
+        area: first.area.map(|_| weight),
         mean,
         least,
         greatest,

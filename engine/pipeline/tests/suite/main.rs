@@ -6,6 +6,7 @@ mod features;
 mod horizons;
 mod layers;
 mod measure;
+mod readings;
 mod scale;
 mod statistics;
 mod work;

@@ -5,8 +5,8 @@ use femc_geometry::Ray;
 use femc_math::elementary::double::atan;
 use femc_math::glam::Vec3A;
 use femc_pipeline::measure::{
-    Area, Grid, MeasureRequest, MeasureSettings, Place, Points, Quantity, Reading, SurfaceSide, WorkPlane, measure,
-    resolve_places, summarize, work_plane,
+    Area, Grid, MeasureRequest, MeasureSettings, Measured, Place, Points, Quantity, Reading, SurfaceSide, WorkPlane,
+    measure, resolve_places, summarize, work_plane,
 };
 use femc_pipeline::{Prepared, SceneSource, Settings, StopCondition, prepare_world};
 use std::f64::consts::PI;
@@ -24,6 +24,11 @@ fn prepare(text: &str) -> Prepared {
 
 const SETTINGS: MeasureSettings =
     MeasureSettings { stop: StopCondition::Error(0.01), max_depth: 0, seed: 1, by_lamp: false };
+
+fn pairs(places: &[Place], readings: &[Reading]) -> Vec<Measured> {
+    let pair = |(place, reading): (&Place, &Reading)| Measured { place: place.info.clone(), reading: reading.clone() };
+    places.iter().zip(readings).map(pair).collect()
+}
 
 fn read(scene: &Prepared, request: &MeasureRequest, settings: &MeasureSettings) -> (Vec<Place>, Vec<Reading>) {
     let places = resolve_places(scene, request).unwrap_or_else(|error| panic!("{error}"));
@@ -81,7 +86,7 @@ fn means_over_surfaces_have_the_flux_of_a_ball() {
         ("room", flux, 22.0),
     ] {
         let (places, readings) = read(&scene, &area("s", object, SurfaceSide::Front, 40), &SETTINGS);
-        let [summary] = &summarize(&places, &readings)[..] else { panic!("one part") };
+        let [summary] = &summarize(&pairs(&places, &readings))[..] else { panic!("one part") };
         assert_near(object, summary.mean.value * surface, summary.mean.half_width * surface, expected, 0.01);
         assert!((summary.area.expect("an area") / surface - 1.0).abs() < 1e-6, "{object}: {summary:?}");
         assert!((40..=80).contains(&places.len()), "{object}: {} cells", places.len());
@@ -92,7 +97,7 @@ fn means_over_surfaces_have_the_flux_of_a_ball() {
     let (_, dark) = read(&scene, &area("s", "room", SurfaceSide::Back, 8), &SETTINGS);
     assert!(dark.iter().all(|reading| reading.value == 0.0 && reading.is_converged), "no light outside");
     let (places, readings) = read(&scene, &area("s", "room.floor", SurfaceSide::Both, 8), &SETTINGS);
-    let summary = &summarize(&places, &readings)[0];
+    let summary = &summarize(&pairs(&places, &readings))[0];
     let lit: Vec<f64> = readings.iter().map(|reading| reading.value).filter(|value| *value > 0.0).collect();
     let least = lit.iter().copied().fold(f64::INFINITY, f64::min);
     assert_eq!((summary.dark, summary.uniformity), (lit.len() as u64, 0.0));
@@ -115,12 +120,12 @@ fn cells_cover_surfaces_of_all_shapes_evenly() {
     let torus = 4.0 * PI * PI * 0.45 * 0.25;
     for (object, expected) in [("ball", sphere), ("cone", cone), ("ring", ring), ("donut", torus)] {
         let places = resolve_places(&scene, &area("s", object, SurfaceSide::Both, 50)).expect("cells");
-        let total: f64 = places.iter().map(|place| place.weight).sum();
+        let total: f64 = places.iter().map(|place| place.info.weight()).sum();
         assert!((total / (2.0 * expected) - 1.0).abs() < 1e-5, "{object}: {total} for {expected}");
         assert!((100..=200).contains(&places.len()), "{object}: {}", places.len());
         for place in &places {
-            assert!(place.weight > 0.3 * expected / 50.0 && place.weight < 1.01 * expected / 50.0);
-            let at = scene.from_world(place.position);
+            assert!(place.info.weight() > 0.3 * expected / 50.0 && place.info.weight() < 1.01 * expected / 50.0);
+            let at = scene.from_world(place.info.position);
             // A ray from far outside along the line through the point meets the surface there, at one of its hits.
             let dir = Vec3A::new(0.267, -0.535, 0.802).normalize();
             let mut ray = Ray { origin: at - dir * 20.0, dir, t_max: f32::INFINITY, time: 0.5 };
@@ -197,8 +202,8 @@ fn lamps_add_up_to_the_whole_and_are_named_as_in_layers() {
         assert!(
             (sum / reading.value - 1.0).abs() < 1e-5,
             "{} {}: {sum} of {}",
-            place.part,
-            place.number,
+            place.info.part,
+            place.info.number,
             reading.value
         );
         let names: Vec<&str> = reading.lamps.iter().map(|lamp| lamp.lamp.as_str()).collect();
@@ -208,7 +213,7 @@ fn lamps_add_up_to_the_whole_and_are_named_as_in_layers() {
         let luminance: f64 = reading.color.iter().zip(weights).map(|(color, weight)| color * weight).sum();
         assert!((luminance / reading.value - 1.0).abs() < 1e-3, "{:?} is {}", reading.color, reading.value);
     }
-    let summaries = summarize(&places, &readings);
+    let summaries = summarize(&pairs(&places, &readings));
     assert_eq!(summaries.len(), 5);
     for summary in summaries {
         let sum: f64 = summary.lamps.iter().map(|(_, light)| light.value).sum();
@@ -290,9 +295,9 @@ fn a_work_plane_covers_the_floor_without_its_border() {
     assert_eq!((*corner, *along, *across), ([-0.75, -1.25, 0.1], [1.5, 0.0, 0.0], [0.0, 2.5, 0.0]));
     assert_eq!(*count, [3, 5]);
     let (places, readings) = read(&scene, &request, &SETTINGS);
-    assert_eq!(places[4].cell, Some([1, 1]));
+    assert_eq!(places[4].info.cell, Some([1, 1]));
     for (place, reading) in places.iter().zip(&readings) {
-        let way = [0.3, -0.2, 0.4].iter().zip(place.position).map(|(a, b)| a - b).collect::<Vec<f64>>();
+        let way = [0.3, -0.2, 0.4].iter().zip(place.info.position).map(|(a, b)| a - b).collect::<Vec<f64>>();
         let distance = way.iter().map(|x| x * x).sum::<f64>().sqrt();
         let expected = EMITTANCE * 0.01 * (way[2] / distance) / (distance * distance);
         assert_near("work plane", reading.value, reading.half_width, expected, 0.011);

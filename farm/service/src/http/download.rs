@@ -172,6 +172,7 @@ impl<S: Send + 'static> Http<S> {
             ResultFile::Frame(_, FrameFile::Image | FrameFile::Layers) => Ok(("image/x-exr", "exr")),
             ResultFile::Frame(_, FrameFile::Statistics) => Ok(("application/octet-stream", "paths")),
             ResultFile::Frame(_, FrameFile::Geometry | FrameFile::Solution) => Ok(("model/gltf-binary", "glb")),
+            ResultFile::Frame(_, FrameFile::Readings) => Ok(("application/json", "json")),
             ResultFile::Sheet | ResultFile::Frame(..) => Ok(("image/png", "png")),
             ResultFile::Clip => {
                 let head = self.0.store.read_range(&artifact.digest, 0..artifact.bytes.min(HEAD)).await;

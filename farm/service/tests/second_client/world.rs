@@ -153,6 +153,7 @@ impl World {
                         (Role::Statistics, "light 7.3"),
                         (Role::Geometry, "geometry 7.3"),
                         (Role::Solution, "solution 7.3"),
+                        (Role::Readings, "readings 7.3"),
                     ],
                 ),
             ],

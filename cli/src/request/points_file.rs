@@ -2,7 +2,8 @@
 
 use crate::exit::{Failure, usage};
 use crate::values::TextPosition;
-use femc_pipeline::measure::{MeasureRequest, WorkPlane};
+use femc_pipeline::measure::{MeasureRequest, WorkPlane, check_objects};
+use femc_scene::Scene;
 use std::path::Path;
 use std::str::FromStr;
 
@@ -16,6 +17,14 @@ pub fn load(path: &Path) -> Result<MeasureRequest, Failure> {
         usage(format!("{shown}:{line}:{column}: {}", error.message().replace('\n', ", ")))
     })?;
     request.check().map_err(|error| usage(format!("{shown}: {error}")))?;
+    Ok(request)
+}
+
+/// Reads and checks a file of points for a scene.
+/// - errors: with file, line and column, or with the name of an object that the scene does not have.
+pub fn load_for(path: &Path, scene: &Scene) -> Result<MeasureRequest, Failure> {
+    let request = load(path)?;
+    check_objects(scene, &request).map_err(|error| usage(format!("{}: {error}", path.display())))?;
     Ok(request)
 }
 

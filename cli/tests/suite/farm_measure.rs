@@ -113,11 +113,11 @@ fn femc_measure_uses_a_farm_and_finds_its_job_again() {
     let dir = folder();
     let (_coordinator, url) = start_coordinator(&dir, 0);
     let mut workers: Vec<TestProcess> = (0..3).map(|_| start_worker(&dir, &url)).collect();
-    let line = "measure room.mgf points.toml --spp 32768 --seed 5 --max-depth 3 --set material.wall.rd=0.5 --csv";
+    let line = "measure room.mgf points.toml --spp 16384 --seed 5 --max-depth 3 --set material.wall.rd=0.5 --csv";
     let mut remote = dir.start(&format!("{line} --server {url}"));
     let begun = || {
         let jobs = dir.run(&format!("jobs --json --server {url}")).exits(0).json();
-        jobs["jobs"][0]["workers"].as_u64() == Some(3)
+        jobs[0]["workers"].as_u64() == Some(3)
     };
     remote.wait_until("three workers measure", begun);
     assert!(workers.pop().expect("three").kill(), "it was running");
@@ -127,9 +127,9 @@ fn femc_measure_uses_a_farm_and_finds_its_job_again() {
     let again = dir.run(&format!("{line} --server {url}")).exits(0);
     assert_eq!(again.stdout(), remote.stdout());
     let jobs = dir.run(&format!("jobs --json --server {url}")).exits(0).json();
-    assert_eq!(jobs["jobs"].as_array().map(Vec::len), Some(1), "{jobs}");
-    let tasks = stages(&url, &jobs["jobs"][0]["job"].to_string())[0].1;
-    assert_eq!(tasks, 13, "98 readings, 8 for each task");
+    assert_eq!(jobs.as_array().map(Vec::len), Some(1), "{jobs}");
+    let tasks = stages(&url, &jobs[0]["job"].to_string())[0].1;
+    assert_eq!(tasks, 7, "98 readings, 16 for each task");
 }
 
 #[test]
@@ -178,4 +178,96 @@ fn bad_points_are_refused_at_the_submission() {
     let (_coordinator, url) = start_coordinator(&dir, 0);
     let ran = dir.run(&format!("submit room.mgf --method pt --measure many.toml --server {url}")).exits(2);
     assert!(ran.stderr().contains("at most 1024 are possible in a job"), "{}", ran.stderr());
+}
+
+#[test]
+fn an_object_that_turns_out_invisible_fails_the_job() {
+    let dir = folder();
+    let (_coordinator, url) = start_coordinator(&dir, 0);
+    let _worker = start_worker(&dir, &url);
+    let hidden = "room.mgf --frames 1 --measure points.toml --measure-only --set object.room.hidden=1";
+    let job = submit(&dir, &url, hidden);
+    let ran = dir.run(&format!("watch {job} --server {url}")).exits(1);
+    let said = format!("{}{}", ran.stdout(), ran.stderr());
+    assert!(said.contains("`walls`: no visible object `room`; the objects are room"), "{said}");
+    let fetched = dir.run(&format!("fetch {job} -o out --server {url}")).exits(1);
+    assert!(fetched.stderr().contains("0 of 1 frames are finished"), "{}", fetched.stderr());
+}
+
+/// Returns the columns of a CSV table by name.
+fn column(csv: &str, name: &str) -> Vec<String> {
+    let place = csv.lines().next().expect("a header").split(',').position(|column| column == name);
+    let place = place.unwrap_or_else(|| panic!("{name}: {csv}"));
+    csv.lines().skip(1).map(|line| line.split(',').nth(place).expect("a cell").to_owned()).collect()
+}
+
+#[test]
+fn a_sweep_makes_one_table_over_its_variants() {
+    let dir = folder();
+    dir.write(
+        "lamps.toml",
+        "scene = \"room.mgf\"\nframes = \"2,3\"\nmeasure = \"sweep.toml\"\nmeasure-only = true\n\
+         [sweep]\n\"material.lamp.ed\" = [300, 600]\n",
+    );
+    let points = "[[points]]\nname = \"middle\"\nat = [[0, 0, 0.5]]\n";
+    let grid = "[[grid]]\nname = \"plane\"\ncorner = [-0.5, -0.5, 0.3]\nalong = [1, 0, 0]\nacross = [0, 1, 0]\ncount = [2, 2]\n";
+    dir.write("sweep.toml", &format!("spp = 512\n{points}{grid}"));
+    let report = dir.run("sweep lamps.toml -o lamps --local --json").exits(0).json();
+    let csv = dir.read("lamps/readings.csv");
+    assert_eq!(column(&csv, "frame"), ["2", "2", "3", "3"].repeat(2));
+    assert_eq!(column(&csv, "part"), ["middle", "plane"].repeat(4));
+    assert_eq!(column(&csv, "readings"), ["1", "4"].repeat(4));
+    let lamps = column(&csv, "material.lamp.ed");
+    assert_eq!(lamps, [["300"; 4], ["600"; 4]].concat());
+    let means: Vec<f64> = column(&csv, "mean").iter().map(|mean| mean.parse().expect("a number")).collect();
+    for (one, two) in means[..4].iter().zip(&means[4..8]) {
+        assert!((two / one - 2.0).abs() < 1e-5, "the lamp of the second variant is twice as bright: {means:?}");
+    }
+    assert!(dir.path("lamps/readings.parquet").is_file() && !dir.path("lamps/contact.png").exists());
+    let rows = report["readings"].as_array().expect("rows");
+    assert_eq!(rows.len(), 8);
+    assert_eq!((&rows[1]["part"], rows[1]["mean"].as_f64()), (&Value::from("plane"), Some(means[1])));
+    // The readings of a variant are those of `femc measure`.
+    let variant = report["variants"][1].as_str().expect("a name");
+    let alone = "measure room.mgf sweep.toml --frame 3 --set material.lamp.ed=600 --csv";
+    assert_eq!(dir.read(&format!("lamps/{variant}/room.0003.readings.csv")), dir.run(alone).exits(0).stdout());
+    let again = dir.run("sweep lamps.toml -o lamps --local").exits(0).stdout();
+    assert!(again.contains("4 already finished") && again.contains("uniformity"), "{again}");
+    // Another request is another measurement.
+    dir.write("sweep.toml", &format!("spp = 1024\n{points}{grid}"));
+    let other = dir.run("sweep lamps.toml -o lamps --local --json").exits(0).json();
+    assert_eq!(other["rendered"], 4, "{other}");
+    assert_ne!(dir.read("lamps/readings.csv"), csv);
+}
+
+#[test]
+fn render_writes_readings_beside_images_and_takes_missing_ones() {
+    let dir = folder();
+    dir.write("points.toml", &POINTS.replace("spp = 2048", "spp = 256"));
+    let line = "render room.mgf -o out.exr --frames 2 --size 8x8 --spp 1";
+    dir.run(line).exits(0);
+    let image = std::fs::read(dir.path("out.exr")).expect("an image");
+    let report = dir.run(&format!("{line} --measure points.toml --json")).exits(0).json();
+    assert_eq!((&report["readings"][0], &report["rendered"]), (&Value::from("out.readings.json"), &Value::from(1)));
+    let pixels = |bytes: &[u8]| {
+        femc_film::pixel_digest(&femc_film::exr::decode(std::io::Cursor::new(bytes)).expect("an image").image)
+            .to_string()
+    };
+    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).contains("plane");
+    let measured = std::fs::read(dir.path("out.exr")).expect("an image");
+    assert!(pixels(&image) == pixels(&measured) && !text(&measured), "the image does not name the points");
+    let csv = || dir.run("measure room.mgf points.toml --frame 2 --csv").exits(0).stdout();
+    assert_eq!(dir.read("out.readings.csv"), csv());
+    let again = |rendered: u64| {
+        let report = dir.run(&format!("{line} --measure points.toml --json")).exits(0).json();
+        assert_eq!(report["rendered"], rendered, "{report}");
+    };
+    again(0);
+    std::fs::remove_file(dir.path("out.readings.csv")).expect("removed");
+    again(1);
+    dir.write("out.readings.json", &dir.read("out.readings.json").replace("\"version\":1", "\"version\":7"));
+    again(1);
+    dir.write("points.toml", &POINTS.replace("spp = 2048", "spp = 288"));
+    again(1);
+    assert_eq!(dir.read("out.readings.csv"), csv());
 }

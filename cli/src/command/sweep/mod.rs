@@ -36,6 +36,7 @@ use std::path::{Path, PathBuf};
     femc sweep fog.toml                     # queue all variants on the farm; prints their jobs\n  \
     femc sweep fog.toml -o fog              # also wait, and collect the frames\n  \
     femc sweep fog.toml -o fog --local      # without a farm: render in this process\n  \
+    femc sweep lamps.toml -o lamps --measure points.toml --measure-only    # a table of measured light, no images\n  \
     femc plan fog.toml                      # what is shared, and what that saves\n\n\
     [sweep] in the job file lists the axes; mode = \"zip\" pairs their values:\n  \
     [sweep]\n  \
@@ -47,7 +48,8 @@ use std::path::{Path, PathBuf};
     road = [100, 60, 156, 70]\n  \
     [contrasts]                             # Weber contrast: (sign - road) / road\n  \
     seen = [\"sign\", \"road\"]\n\n\
-    DIR gets a folder for each variant, variants.csv and frames.csv (also as Parquet), contact.png, and sweep.json. Rerun the \
+    DIR gets a folder for each variant, variants.csv and frames.csv (also as Parquet), contact.png, and sweep.json. With \
+    measure = \"points.toml\" in the job file, or --measure, it also gets readings.csv: the measured light of all variants. Rerun the \
     command to resume after a stop: existing frames are kept, equal frames are rendered once and linked, and if a sweep gets \
     more values, only the new variants run. At most 4096 variants.")]
 pub struct SweepArgs {

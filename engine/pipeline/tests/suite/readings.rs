@@ -169,8 +169,8 @@ fn tasks_have_about_a_quarter_of_a_million_samples() {
     assert_eq!(tasks(|_| ()), (1, 17 * 64));
     assert_eq!(tasks(|it| it.spp = Some(1 << 17)), (9, 17 * (1 << 17) / 9));
     assert_eq!(tasks(|it| it.spp = Some(1 << 20)).0, 17, "a reading is not divided");
-    assert_eq!(tasks(|it| (it.spp, it.error) = (None, Some(0.02))).0, 1);
-    assert_eq!(tasks(|it| (it.spp, it.error) = (None, Some(0.005))).0, 9);
+    assert_eq!(tasks(|it| (it.spp, it.error) = (None, Some(0.02))).0, 2);
+    assert_eq!(tasks(|it| (it.spp, it.error) = (None, Some(0.005))).0, 17);
     assert_eq!(tasks(|it| it.grid[0].count = [1000, 1000]).0, 245);
     assert_eq!(tasks(|it| (it.grid[0].count, it.spp) = ([1000, 1000], Some(1 << 20))).0, 4096);
 }

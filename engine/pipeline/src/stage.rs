@@ -174,6 +174,7 @@ mod tests {
     use femc_graph::{Loop, tag};
 
     use super::*;
+    use crate::split_first_pass;
 
     fn tiling(film: [u32; 2], edge: u32) -> Tiling {
         Tiling { width: film[0], height: film[1], edge }

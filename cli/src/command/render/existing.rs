@@ -62,7 +62,10 @@ impl ExpectedMetadata {
             && settings == self.settings
             && (self.allocation.is_none() || self.allocation == allocation())
             && is_shown;
-        if !same || !self.sidecars.all_exist(path) || !self.has_readings(frame, path) {
+        if !same || !self.sidecars.all_exist(path) {
+            return None;
+        }
+        if !self.has_readings(frame, path) {
             return None;
         }
         let number = |name| says(name)?.parse::<f64>().ok();

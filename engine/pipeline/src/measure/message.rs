@@ -69,8 +69,8 @@ pub enum MessageError {
     Other(&'static str),
 }
 
-fn corrupt(what: impl ToString) -> MessageError {
-    MessageError::Corrupt(what.to_string())
+fn corrupt(what: impl Into<String>) -> MessageError {
+    MessageError::Corrupt(what.into())
 }
 
 /// Share of the readings that a task takes: reading `number` belongs to task `number % tasks`, so that places that need many samples
@@ -150,7 +150,7 @@ impl ReadingBlock {
         if found != BLOCK_VERSION {
             return Err(MessageError::Version { found, expected: BLOCK_VERSION });
         }
-        let (block, rest) = postcard::take_from_bytes::<Self>(rest).map_err(corrupt)?;
+        let (block, rest) = postcard::take_from_bytes::<Self>(rest).map_err(|error| corrupt(error.to_string()))?;
         if !rest.is_empty() {
             return Err(corrupt("more bytes than a block"));
         }

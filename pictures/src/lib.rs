@@ -5,6 +5,7 @@
 //! combines the available outputs as the farm will combine all of them.
 #![deny(missing_docs)]
 
+mod compare;
 mod light;
 mod partial_frame;
 mod planes;
@@ -15,6 +16,7 @@ use femc_model::Role;
 use femc_service::{PictureKind, PictureSource};
 use std::io::Cursor;
 
+pub use compare::compare_pictures;
 pub use light::open_light;
 pub use partial_frame::PartialFrame;
 

@@ -6,6 +6,7 @@ mod columns;
 mod representatives;
 mod rows;
 mod schema;
+mod summary;
 #[cfg(test)]
 mod tests;
 
@@ -155,6 +156,7 @@ impl LightData for RecordedLight {
                 answer.histograms(pairs.as_slice(), if *by_image { Weighting::Image } else { Weighting::Samples })
             }
             LightCallKind::Voxels { level, bounce } => answer.voxels(*level, *bounce),
+            LightCallKind::Summary => answer.summary(),
             LightCallKind::Selection { with_density: true } => answer.selection(Density::ByPixel),
             LightCallKind::Selection { with_density: false } => answer.selection(Density::Omitted),
         }
@@ -237,6 +239,12 @@ impl<'a> Answer<'a> {
             }
         }
         Ok(LightAnswer::Columns(columns.finish()))
+    }
+
+    fn summary(&self) -> Result<LightAnswer, LightError> {
+        let (paths, selected) = (self.paths(), self.selected()?);
+        let found = paths.summarize(selected.as_ref(), self.is_cancelled).map_err(cancelled)?;
+        Ok(LightAnswer::Json(summary::encode_summary(self.light, self.query, &found)))
     }
 
     fn histograms(&self, pairs: &[[usize; 3]], weighting: Weighting) -> Result<LightAnswer, LightError> {

@@ -88,15 +88,20 @@ pub fn encode_statistics(bytes: &[u8]) -> Result<Vec<u8>, FilmError> {
     Ok(bytes)
 }
 
-/// Encodes the pixels of a statistics file. The first of several frames is encoded.
-pub fn encode_file(bytes: &[u8]) -> Result<Vec<u8>, FilmError> {
+/// Decodes the sums of the pixels of a statistics file. The first of several frames is decoded.
+pub fn decode_file(bytes: &[u8]) -> Result<PixelMaps, FilmError> {
     let statistics = if FrameStatistics::has_magic(bytes) {
         let frames = FrameStatistics::decode(bytes).map_err(|_| DAMAGED)?;
         frames.into_frames().into_iter().next().ok_or(FilmError::Corrupt("the file has no frames"))?
     } else {
         LightStatistics::decode(bytes).map_err(|_| DAMAGED)?
     };
-    let maps = PixelMaps::from_statistics(&statistics);
+    Ok(PixelMaps::from_statistics(&statistics))
+}
+
+/// Encodes the pixels of a statistics file. The first of several frames is encoded.
+pub fn encode_file(bytes: &[u8]) -> Result<Vec<u8>, FilmError> {
+    let maps = decode_file(bytes)?;
     let pixels: Vec<Pixel> = maps.pixels().collect();
     let plane = |value: fn(&Pixel) -> f64| -> Vec<f32> { pixels.iter().map(|pixel| value(pixel) as f32).collect() };
     let (luminance, samples) = (plane(|pixel| pixel.luminance), plane(|pixel| pixel.samples as f64));

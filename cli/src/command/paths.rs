@@ -9,9 +9,11 @@ use femc_pipeline::paths::octree::Root;
 use femc_pipeline::paths::query::{Condition, Query, is_known_name, is_within};
 use femc_pipeline::paths::recorded::RepresentativePaths;
 use femc_pipeline::paths::represent::{PathBins, rarest_paths};
+use femc_pipeline::paths::summary::Group;
 use femc_pipeline::paths::{LightPath, LightStatistics, NameKind};
 use femc_reports::attempts::{Column, RowsAsJson, csv, text_table, write_parquet};
 use femc_reports::light::path_table::{self as table, Match, QueriedFrame};
+use femc_reports::light::summary;
 use femc_reports::light::{self, FrameSet};
 use std::collections::BTreeSet;
 use std::path::PathBuf;
@@ -27,6 +29,7 @@ use std::path::PathBuf;
     femc paths box.paths --rarest 100                           # paths with rare attributes\n  \
     femc paths fog/*/*.paths --table voxels --parquet fog.parquet      # one box for all frames, for comparable voxels\n  \
     femc paths new.paths --table voxels --minus old.paths       # where light has increased and decreased\n  \
+    femc paths new.paths --by lamp,bounce --minus old.paths     # light of each lamp and bounce, and what differs\n  \
     femc paths drive --out drive.paths                          # combine all frames in a folder\n  \
     femc paths drive.paths --few 5000                           # representative paths of the whole clip\n  \
     femc paths box.paths --few 5000 --parquet few.parquet && python3 -c \\\n    \
@@ -77,9 +80,12 @@ pub struct PathsArgs {
     /// List N paths with the rarest attributes, the rarest first
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..), conflicts_with = "few")]
     rarest: Option<u32>,
-    /// With --table voxels: subtract the voxels of this frame of the same place
+    /// With --table voxels or --by: compare with this file, and subtract it
     #[arg(long, value_name = "FRAME.paths")]
     minus: Option<PathBuf>,
+    /// Print the light of the matching paths in the picture, in numbers, by these groups
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "GROUP", conflicts_with_all = ["table", "brightest", "deepest", "few", "rarest", "out"])]
+    by: Vec<By>,
     /// Subject of a line
     #[arg(long, value_enum, default_value_t = Table::Paths, value_name = "WHAT")]
     table: Table,
@@ -115,6 +121,27 @@ enum Table {
     Pixels,
 }
 
+/// Group of lines.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum By {
+    /// An object with all objects in it: light of the paths that intersect it
+    Object,
+    /// A bounce: light found at its intersections
+    Bounce,
+    /// A lamp: its light
+    Lamp,
+}
+
+impl By {
+    fn group(self) -> Group {
+        match self {
+            Self::Object => Group::Object,
+            Self::Bounce => Group::Bounce,
+            Self::Lamp => Group::Lamp,
+        }
+    }
+}
+
 /// Runs `femc paths`.
 pub fn run(args: &PathsArgs, printer: Printer) -> Result<Exit, Failure> {
     let mut sets = light::read_all(&args.files)?;
@@ -127,10 +154,14 @@ pub fn run(args: &PathsArgs, printer: Printer) -> Result<Exit, Failure> {
         return Ok(Exit::Done);
     }
     let minus = args.minus.as_deref().map(light::read).transpose()?;
-    if minus.is_some() && (args.table != Table::Voxels || sets.len() > 1) {
-        return Err(usage("--minus: give --table voxels and one file; --union combines several files"));
+    let is_comparable = args.table == Table::Voxels || !args.by.is_empty();
+    if minus.is_some() && (!is_comparable || sets.len() > 1) {
+        return Err(usage("--minus: give --table voxels or --by, and one file; --union combines several files"));
     }
     let query = query(args, &sets)?;
+    if !args.by.is_empty() {
+        return summarize(args, &sets, minus.as_ref(), &query, printer);
+    }
     let frames: Vec<QueriedFrame<'_>> = sets.iter().flat_map(|unit| run_query(args, unit, &query, printer)).collect();
     let out = TableWriter { args, printer };
     match args.table {
@@ -161,6 +192,26 @@ pub fn run(args: &PathsArgs, printer: Printer) -> Result<Exit, Failure> {
             }
         }
     }
+    Ok(Exit::Done)
+}
+
+/// Prints the light of the matching paths in numbers.
+fn summarize(
+    args: &PathsArgs,
+    sets: &[FrameSet],
+    minus: Option<&FrameSet>,
+    query: &Query,
+    printer: Printer,
+) -> Result<Exit, Failure> {
+    let groups: Vec<Group> = args.by.iter().map(|by| by.group()).collect();
+    let there = minus.map(|minus| summary::summarize(minus, query)).transpose()?;
+    let mut rows = Vec::new();
+    for set in sets {
+        let here = summary::summarize(set, query)?;
+        rows.extend(summary::summary_rows(&set.file, &groups, &here, there.as_ref()));
+    }
+    let columns = if minus.is_some() { summary::compared_columns() } else { summary::summary_columns() };
+    TableWriter { args, printer }.write(&columns, &rows)?;
     Ok(Exit::Done)
 }
 

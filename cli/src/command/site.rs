@@ -12,6 +12,7 @@ pub fn site() -> Site {
         files,
         engine: femc_worker::engine().to_owned(),
         draw: Some(femc_pictures::draw_frame),
+        compare: Some(femc_pictures::compare_pictures),
         open_light: Some(femc_pictures::open_light),
         light_files: Vec::new(),
     }

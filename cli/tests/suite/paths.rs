@@ -355,6 +355,71 @@ fn variants_of_a_sweep_share_voxels_and_differ_where_light_does() {
     dir.run(&format!("bottlenecks {dim} {bright}")).exits(0);
 }
 
+/// Returns rows of JSON as the command prints them.
+fn json_rows(dir: &TestFolder, line: &str) -> Vec<serde_json::Value> {
+    dir.run(&format!("{line} --json")).exits(0).json().as_array().expect("rows").clone()
+}
+
+fn number(row: &serde_json::Value, column: &str) -> f64 {
+    row[column].as_f64().unwrap_or_else(|| panic!("no number {column} in {row}"))
+}
+
+#[test]
+fn light_in_numbers_is_the_sum_over_the_tables() {
+    let dir = TestFolder::new();
+    write_named_scene(&dir);
+    let mut dim = dir.read("box.mgf");
+    dim = dim.replace("ed 300", "ed 150");
+    dir.write("dim.mgf", &dim);
+    for name in ["box", "dim"] {
+        dir.run(&format!("render {name}.mgf -o {name}.exr --size 32x24 --spp 64 --frames 5 --stats")).exits(0);
+    }
+    let luminance = |row: &serde_json::Value| {
+        0.212_639 * number(row, "radiance_r") + 0.715_169 * number(row, "radiance_g") + 0.072_192 * number(row, "radiance_b")
+    };
+    let pixels: f64 = json_rows(&dir, "paths box.paths").iter().map(|row| number(row, "pixels")).sum();
+    for condition in ["", "--where depth>=2", "--where bounce==0 --object floor"] {
+        let rows = json_rows(&dir, &format!("paths box.paths {condition} --by object,bounce,lamp"));
+        let paths = json_rows(&dir, &format!("paths box.paths {condition}"));
+        let all: f64 = paths.iter().map(|row| luminance(row) * number(row, "pixels")).sum::<f64>() / pixels;
+        let is_near = |a: f64, b: f64| (a - b).abs() <= 1e-5 * b;
+        assert!(is_near(number(&rows[0], "light"), all), "{condition}: {}, not {all}", rows[0]);
+        assert_eq!(rows[0]["paths"], paths.len(), "{condition}");
+        let lights = json_rows(&dir, &format!("paths box.paths {condition} --table lights"));
+        for lamp in rows.iter().filter(|row| row["by"] == "lamp") {
+            let own = lights.iter().filter(|row| row["light"] == lamp["name"]);
+            let sum: f64 = own.clone().map(|row| luminance(row) * number(row, "pixels")).sum::<f64>() / pixels;
+            assert!(is_near(number(lamp, "light"), sum), "{condition}: {lamp}, not {sum}");
+            assert_eq!(lamp["records"], own.count(), "{condition}: {lamp}");
+        }
+        let hits = json_rows(&dir, &format!("paths box.paths {condition} --table intersections"));
+        for object in rows.iter().filter(|row| row["by"] == "object" && !row["name"].to_string().contains('(')) {
+            let own = hits.iter().filter(|row| {
+                let text = row["object"].as_str().unwrap_or_default();
+                let name = object["name"].as_str().unwrap();
+                text.strip_prefix(name).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
+            });
+            let energy = |row: &serde_json::Value| {
+                (number(row, "radiance_r") + number(row, "radiance_g") + number(row, "radiance_b")) / 3.0
+            };
+            let mean = own.clone().map(energy).sum::<f64>() / own.clone().count() as f64;
+            assert_eq!(object["records"], own.count(), "{condition}: {object}");
+            assert!((number(object, "energy") - mean).abs() <= 1e-5 * mean, "{condition}: {object}, not {mean}");
+        }
+    }
+    // The dim box has half of the light, by each lamp and at each bounce.
+    let rows = json_rows(&dir, "paths box.paths --by object,bounce,lamp --minus dim.paths");
+    for row in &rows {
+        let (a, b) = (number(row, "light"), number(row, "light_there"));
+        assert!((number(row, "difference") - (a - b)).abs() <= 1e-9 * a, "{row}");
+    }
+    let ratio = number(&rows[0], "ratio");
+    assert!(number(&rows[0], "ratio_low") < 2.0 && 2.0 < number(&rows[0], "ratio_high"), "{}", rows[0]);
+    assert!((ratio - 2.0).abs() < 0.4 && rows[0]["differs"] == "yes", "{}", rows[0]);
+    let same = json_rows(&dir, "paths box.paths --by lamp --minus box.paths");
+    assert!(same.iter().all(|row| number(row, "difference") == 0.0 && row["differs"] != "yes"), "{same:?}");
+}
+
 #[test]
 fn tables_are_files_that_other_programs_read() {
     let dir = TestFolder::new();
@@ -410,6 +475,11 @@ fn what_cannot_be_asked_is_refused_with_the_place() {
     refused("box.paths --object flor", 2, "known objects");
     refused("box.paths --then floor", 2, "--object");
     refused("box.paths --in 1,1,1,0,0,0", 2, "lower corner");
+    refused("box.paths --by colour", 2, "possible values: object, bounce, lamp");
+    refused("box.paths --by lamp --table lights", 2, "--table");
+    refused("box.paths --by lamp --brightest", 2, "--brightest");
+    refused("box.paths box.paths --by lamp --minus box.paths", 2, "--minus");
+    refused("box.paths --minus box.paths", 2, "--by");
     refused("nothing.paths", 2, "nothing.paths");
     refused("box.exr", 1, "invalid light statistics: wrong magic number");
 }

@@ -26,6 +26,7 @@ pub mod represent;
 pub mod schema;
 pub mod selection;
 pub mod statistics;
+pub mod summary;
 
 pub use codec::PathsError;
 pub use frames::FrameStatistics;

@@ -33,4 +33,4 @@ pub use light::{
     LightFile, LightSource, MAX_LIGHT_BYTES, OpenLight, PathCount, RowIdentity, VoxelLevel,
 };
 pub use operation::{Operation, Right};
-pub use picture::{DrawPicture, PictureKind, PictureSource};
+pub use picture::{ComparePictures, DrawPicture, PictureKind, PictureSource};

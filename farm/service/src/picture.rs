@@ -1,5 +1,7 @@
 //! Pictures of frames. The farm has no rendering code of its own: a program that has it supplies a [`DrawPicture`] function.
 
+mod compare;
+
 use std::collections::VecDeque;
 use std::fmt;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -13,6 +15,7 @@ use crate::call::Call;
 use crate::farm::Farm;
 use crate::job_control::MissingOutput;
 use crate::light::{LightViewError, LightViews};
+pub(crate) use compare::ComparedPicture;
 
 /// Source of a picture.
 #[derive(Debug, Clone)]
@@ -47,6 +50,10 @@ pub enum PictureKind {
 /// Function that draws pictures. It may take seconds. Its error describes the fault of the source.
 pub type DrawPicture = fn(PictureSource, PictureKind) -> Result<Vec<u8>, String>;
 
+/// Function that compares two pictures and writes the errors of the first one against the second one as JSON, as specified in
+/// `docs/http.md`. It may take seconds. Its error describes the fault of a source.
+pub type ComparePictures = fn([PictureSource; 2]) -> Result<Vec<u8>, String>;
+
 /// A picture, and a tag that identifies its source.
 #[derive(Debug, Clone)]
 pub(crate) struct Picture {
@@ -58,11 +65,12 @@ pub(crate) struct Picture {
 #[derive(Clone)]
 pub(crate) struct Pictures {
     draw: Option<DrawPicture>,
+    compare: Option<ComparePictures>,
     store: Store,
     /// Limits the number of pictures that are drawn at the same time.
     draw_permits: Arc<Semaphore>,
-    /// Cache of the latest thumbnails.
-    thumbnails: Arc<Mutex<VecDeque<Picture>>>,
+    /// Cache of the latest thumbnails and comparisons.
+    small_answers: Arc<Mutex<VecDeque<Picture>>>,
 }
 
 impl fmt::Debug for Pictures {
@@ -74,11 +82,12 @@ impl fmt::Debug for Pictures {
 impl Pictures {
     /// Maximum number of pictures drawn at the same time: each may use as much memory as the frame.
     const MAX_CONCURRENT: usize = 2;
-    /// Size of the thumbnail cache in bytes.
+    /// Size of the cache of thumbnails and comparisons in bytes.
     const CACHE_BYTES: usize = 16 << 20;
 
-    pub(crate) fn new(draw: Option<DrawPicture>, store: Store) -> Self {
-        Self { draw, store, draw_permits: Arc::new(Semaphore::new(Self::MAX_CONCURRENT)), thumbnails: Arc::default() }
+    pub(crate) fn new(draw: Option<DrawPicture>, compare: Option<ComparePictures>, store: Store) -> Self {
+        let draw_permits = Arc::new(Semaphore::new(Self::MAX_CONCURRENT));
+        Self { draw, compare, store, draw_permits, small_answers: Arc::default() }
     }
 
     /// Returns a picture of a frame; `None`: no data is available yet.
@@ -112,7 +121,7 @@ impl Pictures {
         if known == Some(&current) {
             return Ok(Some(Picture { tag: current, bytes: Bytes::new() }));
         }
-        if let Some(kept) = self.cached_thumbnail(&current) {
+        if let Some(kept) = self.cached_answer(&current) {
             return Ok(Some(kept));
         }
         // The semaphore is never closed.
@@ -139,7 +148,7 @@ impl Pictures {
             .map_err(|message| Refusal::Unavailable { message: format!("frame {frame}: {message}") })?;
         let drawn = Picture { tag, bytes };
         if matches!(kind, PictureKind::Thumbnail { .. }) {
-            self.cache_thumbnail(drawn.clone());
+            self.cache_answer(drawn.clone());
         }
         Ok(Some(drawn))
     }
@@ -170,14 +179,14 @@ impl Pictures {
         self.draw.ok_or_else(|| Refusal::Unavailable { message: "this program cannot draw pictures".into() })
     }
 
-    fn cached_thumbnail(&self, tag: &str) -> Option<Picture> {
+    fn cached_answer(&self, tag: &str) -> Option<Picture> {
         // A poisoned lock is safe to use: a panic in the few lines under it leaves no partial change.
-        let kept = self.thumbnails.lock().unwrap_or_else(PoisonError::into_inner);
+        let kept = self.small_answers.lock().unwrap_or_else(PoisonError::into_inner);
         kept.iter().find(|drawn| drawn.tag == tag).cloned()
     }
 
-    fn cache_thumbnail(&self, drawn: Picture) {
-        let mut kept = self.thumbnails.lock().unwrap_or_else(PoisonError::into_inner);
+    fn cache_answer(&self, drawn: Picture) {
+        let mut kept = self.small_answers.lock().unwrap_or_else(PoisonError::into_inner);
         kept.push_back(drawn);
         while kept.iter().map(|drawn| drawn.bytes.len()).sum::<usize>() > Self::CACHE_BYTES {
             kept.pop_front();
@@ -214,16 +223,16 @@ mod tests {
 
     #[test]
     fn latest_thumbnails_are_kept_up_to_16_mebibytes() {
-        let pictures = Pictures::new(None, Store::in_memory());
+        let pictures = Pictures::new(None, None, Store::in_memory());
         let tags: Vec<String> = (0..6).map(|number| format!("tag {number}")).collect();
         let keep = |tag: &String| {
-            pictures.cache_thumbnail(Picture { tag: tag.clone(), bytes: Bytes::from(vec![7; 4 << 20]) });
+            pictures.cache_answer(Picture { tag: tag.clone(), bytes: Bytes::from(vec![7; 4 << 20]) });
         };
-        let kept = || tags.iter().filter(|tag| pictures.cached_thumbnail(tag).is_some()).collect::<Vec<_>>();
+        let kept = || tags.iter().filter(|tag| pictures.cached_answer(tag).is_some()).collect::<Vec<_>>();
         tags[..4].iter().for_each(keep);
         assert_eq!(kept(), tags[..4].iter().collect::<Vec<_>>());
         tags[4..].iter().for_each(keep);
         assert_eq!(kept(), tags[2..].iter().collect::<Vec<_>>());
-        assert!(pictures.cached_thumbnail("tag").is_none());
+        assert!(pictures.cached_answer("tag").is_none());
     }
 }

@@ -631,3 +631,66 @@ fn damaged_and_missing_data_are_told_apart() {
     let bytes = light.memory_bytes();
     assert!(bytes > 700 * 100 && bytes < 10_000_000, "{bytes}");
 }
+
+#[test]
+fn light_in_numbers_agrees_with_the_selection_of_its_rows() {
+    let light = open_frames();
+    let summary = |condition: Option<&str>| -> Value {
+        serde_json::from_slice(&ask(&light, LightCallKind::Summary, condition).unwrap()).unwrap()
+    };
+    let schema = schema(&light);
+    for condition in [None, Some("depth >= 2"), Some("light(light == window) and depth < 4")] {
+        let found = summary(condition);
+        assert_eq!((&found["tag"], &found["recorded"]), (&json!("a tag"), &schema["recorded"]));
+        assert_eq!(found["samples"], schema["samples"]);
+        if let Some(condition) = condition {
+            let selection = ask_columns(&light, LightCallKind::Selection { with_density: false }, Some(condition));
+            assert_eq!(found["text"], condition);
+            assert_eq!(found["total"]["paths"], selection.header["counts"]["paths"], "{condition}");
+            assert_eq!(found["total"]["records"], selection.header["counts"]["intersections"], "{condition}");
+            let all = summary(None)["total"]["light"]["value"].as_f64().unwrap();
+            let share = found["total"]["light"]["value"].as_f64().unwrap() / all;
+            assert!((share - selection.header["light_share"].as_f64().unwrap()).abs() < 1e-9, "{condition}");
+        }
+        let lamps = found["groups"]["lamp"].as_array().unwrap();
+        assert_eq!(lamps.len(), if condition.is_some_and(|it| it.contains("light(")) { 1 } else { 2 }, "{lamps:?}");
+        for (group, rows) in found["groups"].as_object().unwrap() {
+            for row in rows.as_array().unwrap() {
+                let Some(own) = row["where"].as_str() else { continue };
+                let text = condition.map_or_else(|| own.to_owned(), |condition| format!("({condition}) and {own}"));
+                let selected = ask_columns(&light, LightCallKind::Selection { with_density: false }, Some(&text));
+                let table = if group == "lamp" { "lights" } else { "intersections" };
+                if group != "bounce" {
+                    assert_eq!(selected.header["counts"][table], row["records"], "{group} {row}: {text}");
+                }
+            }
+        }
+        assert_eq!(found["left_out"], json!({ "object": 0, "bounce": 0, "lamp": 0 }));
+    }
+}
+
+#[test]
+fn pictures_of_files_are_compared_by_their_luminances() {
+    let compare = |a: &LightStatistics, b: &LightStatistics| -> Value {
+        let sources = [a, b].map(|it| femc_service::PictureSource::Statistics(it.encode().into()));
+        serde_json::from_slice(&crate::compare_pictures(sources).unwrap()).unwrap()
+    };
+    let (a, b) = (frame(&scope(3)), frame(&scope(4)));
+    let same = compare(&a, &a);
+    assert_eq!((&same["mse"], &same["ssim"], &same["mean_ratio"]), (&json!(0.0), &json!(1.0), &json!(1.0)), "{same}");
+    assert_eq!((&same["psnr"], &same["compared"], &same["fault"]), (&Value::Null, &json!("luminance"), &Value::Null));
+    let other = compare(&a, &b);
+    let mean = |it: &LightStatistics| {
+        let pixels: Vec<f64> = femc_paths::pixels::PixelMaps::from_statistics(it).pixels().map(|it| it.luminance).collect();
+        pixels.iter().sum::<f64>() / pixels.len() as f64
+    };
+    let ratio = other["mean_ratio"].as_f64().unwrap();
+    assert!((ratio - mean(&a) / mean(&b)).abs() < 1e-6, "{other}");
+    assert!(other["mse"].as_f64().unwrap() > 0.0 && other["flip"].as_f64().unwrap() > 0.0, "{other}");
+    let wide = compare(&a, &frame(&Scope { film: [16, 8], ..scope(3) }));
+    assert_eq!((&wide["films"], &wide["mse"]), (&json!([[12, 8], [16, 8]]), &Value::Null), "{wide}");
+    assert!(wide["fault"].as_str().is_some_and(|text| text.contains("16")), "{wide}");
+    let damaged = [a.encode(), vec![1, 2, 3]].map(|bytes| femc_service::PictureSource::Statistics(bytes.into()));
+    let fault = crate::compare_pictures(damaged).unwrap_err();
+    assert!(fault.starts_with("B: "), "{fault}");
+}

@@ -10,6 +10,7 @@ import { existsSync, mkdirSync } from 'node:fs';
 import { join } from 'node:path';
 import axe from 'axe-core';
 import { chromium } from 'playwright-core';
+import { compare } from './compare.mjs';
 import { Farm, pause, until } from './farm.mjs';
 import { files } from './files.mjs';
 import { hands } from './hands.mjs';
@@ -81,8 +82,8 @@ async function open(farm, { dark = false, by = browser, ...more } = {}) {
 }
 
 async function step(name, run) {
-  // The steps of light and of the scene have a farm of their own: `run light:` makes only these.
-  if (!name.includes(only) && (!name.startsWith('begin') || /^(light|scene):/.test(only))) return;
+  // The steps of light, of the scene and of comparisons have a farm of their own: `run light:` makes only these.
+  if (!name.includes(only) && (!name.startsWith('begin') || /^(light|scene|compare):/.test(only))) return;
   const began = Date.now();
   steps++;
   try {
@@ -732,6 +733,7 @@ await secured.end();
 
 await light({ step, open, claim, equal, accessible, browser, shotsAt, current: (page) => (current = page) });
 await scene({ step, open, claim, equal, accessible, shotsAt, current: (page) => (current = page) });
+await compare({ step, open, claim, equal, accessible, shotsAt, current: (page) => (current = page) });
 await browser.close();
 console.log(`${steps} steps, ${failures} failed`);
 process.exit(failures ? 1 : 0);

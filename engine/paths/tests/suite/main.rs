@@ -12,4 +12,5 @@ mod recorded_counts;
 mod representatives;
 mod scales;
 mod selection;
+mod summary;
 mod synthetic;

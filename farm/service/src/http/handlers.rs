@@ -125,6 +125,7 @@ impl<S: Send + 'static> Http<S> {
             Route::Logs(job, since, task) => self.logs(job, since, task, caller_key).await,
             Route::Picture(job, frame, wanted) => self.picture(request_head, job, frame, wanted, caller_key).await,
             Route::Light(question) => self.light(request_head, question, caller_key).await,
+            Route::Compare(pictures) => self.compare(request_head, pictures, caller_key).await,
             Route::LightFiles => Ok(self.light_files()),
             Route::FileMaps(file) => self.file_maps(request_head, file, caller_key).await,
             Route::FileModel(file) => Err(self.file_model(file)),

@@ -12,6 +12,7 @@ use crate::light::{
     AxisPairs, Corners, LightAnswer, LightCall, LightCallKind, LightQuestion, LightTarget, LightViewError, PathCount,
     TaggedAnswer, VoxelLevel,
 };
+use crate::picture::ComparedPicture;
 
 /// Maximum number of frames in one question.
 const MAX_FRAMES: usize = 64;
@@ -48,6 +49,15 @@ pub(super) fn frames(query: Query<'_>) -> Result<Vec<u32>, HttpError> {
     frames.sort_unstable();
     frames.dedup();
     Ok(frames)
+}
+
+/// Parses a picture to compare: `JOB/FRAME`, or the number of a file.
+pub(super) fn compared(field: &str, query: Query<'_>) -> Result<ComparedPicture, HttpError> {
+    let text = query.get(field).ok_or_else(|| invalid(field, "expected JOB/FRAME, or the number of a file"))?;
+    match text.split_once('/') {
+        Some((job, frame)) => Ok(ComparedPicture::Frame(number(field, job)?, number(field, frame)?)),
+        None => Ok(ComparedPicture::File(number(field, &text)?)),
+    }
 }
 
 /// Parses a question.
@@ -92,6 +102,7 @@ fn parse_call(call: &str, query: Query<'_>, path: &str) -> Result<LightCall, Htt
             let level = level.transpose()?.unwrap_or_default();
             LightCallKind::Voxels { level, bounce: query.number("bounce")? }
         }
+        "summary" => LightCallKind::Summary,
         "selection" => LightCallKind::Selection { with_density: query.get("density").as_deref() == Some("1") },
         _ => return Err(HttpError::UnknownPath { path: path.to_owned() }),
     };
@@ -162,6 +173,26 @@ impl<S: Send + 'static> Http<S> {
             response::large_bytes("application/vnd.femc.pixels", drawn.bytes, slot)
         };
         response::tag(&mut response, &drawn.tag);
+        Ok(response)
+    }
+
+    /// Compares two pictures.
+    pub(super) async fn compare(
+        &self,
+        request_head: &RequestHead<'_>,
+        pictures: [ComparedPicture; 2],
+        caller_key: CallerKey,
+    ) -> Result<Response<Body>, HttpError> {
+        let known = request_head.known_tag();
+        let _slot = self.0.pixel_slots.acquire(caller_key).await;
+        let compared = self.0.pictures.compare(&self.0.farm, &self.0.light, pictures, known).await?;
+        let Some(compared) = compared else { return Ok(response::empty(StatusCode::NO_CONTENT)) };
+        let mut response = if known == Some(compared.tag.as_str()) {
+            response::empty(StatusCode::NOT_MODIFIED)
+        } else {
+            response::bytes(StatusCode::OK, "application/json", compared.bytes)
+        };
+        response::tag(&mut response, &compared.tag);
         Ok(response)
     }
 

@@ -32,7 +32,7 @@ use crate::farm::Farm;
 use crate::feed::Feed;
 use crate::light::{LightFile, LightViews, OpenLight};
 use crate::operation::Operation;
-use crate::picture::{DrawPicture, Pictures};
+use crate::picture::{ComparePictures, DrawPicture, Pictures};
 pub use connected_client::{ConnectedClient, PermittedResponse, PublicResponse};
 use error::HttpError;
 use order::SortedTasksCache;
@@ -49,6 +49,8 @@ pub struct Site {
     pub engine: String,
     /// Function that draws frames. Without it, no pictures are served.
     pub draw: Option<DrawPicture>,
+    /// Function that compares two frames. Without it, no comparisons are served.
+    pub compare: Option<ComparePictures>,
     /// Function that decodes light statistics. Without it, no recorded light is served.
     pub open_light: Option<OpenLight>,
     /// Files with light statistics that are served beside the farm.
@@ -123,7 +125,7 @@ impl<S: Send + 'static> Http<S> {
         let feed = Feed::new(farm.clone());
         let few = Limits { transfers: 4, transfers_per_caller: 2, transfers_per_connection: 2, ..*gate.limits() };
         let large = TransferSlots::new(&few);
-        let pictures = Pictures::new(site.draw, store.clone());
+        let pictures = Pictures::new(site.draw, site.compare, store.clone());
         let light_limits =
             Limits { transfers: 8, transfers_per_caller: 2, transfers_per_connection: 2, ..*gate.limits() };
         let light_slots = TransferSlots::new(&light_limits);

@@ -11,7 +11,7 @@ use super::order::TaskOrder;
 use crate::file::{FrameFile, FrameModel, ResultFile};
 use crate::light::{LightQuestion, LightTarget};
 use crate::operation::Operation;
-use crate::picture::PictureKind;
+use crate::picture::{ComparedPicture, PictureKind};
 
 /// Parsed request.
 #[derive(Debug, Clone, PartialEq)]
@@ -35,6 +35,8 @@ pub(super) enum Route {
     Picture(JobId, u32, PictureKind),
     /// A question about recorded light.
     Light(LightQuestion),
+    /// A comparison of two pictures.
+    Compare([ComparedPicture; 2]),
     /// The files with light statistics beside the farm.
     LightFiles,
     /// Maps of a file with light statistics.
@@ -133,6 +135,7 @@ impl Route {
                 let target = LightTarget::Frames(number("job", job)?, light::frames(query)?);
                 (Self::Light(light::parse_question(target, call, query, path)?), Method::GET)
             }
+            ["compare"] => (Self::Compare([light::compared("a", query)?, light::compared("b", query)?]), Method::GET),
             ["files"] => (Self::LightFiles, Method::GET),
             ["files", file, "maps"] => (Self::FileMaps(number("file", file)?), Method::GET),
             ["files", file, "geometry" | "solution"] => (Self::FileModel(number("file", file)?), Method::GET),
@@ -195,7 +198,7 @@ impl Route {
             Self::Attempts(..) => Operation::Attempts,
             Self::Logs(..) => Operation::Logs,
             Self::Picture(..) => Operation::Picture,
-            Self::Light(_) | Self::LightFiles | Self::FileMaps(_) | Self::FileModel(_) => Operation::Light,
+            Self::Light(_) | Self::Compare(_) | Self::LightFiles | Self::FileMaps(_) | Self::FileModel(_) => Operation::Light,
             Self::Download(..) | Self::Model(..) => Operation::Download,
             Self::Control => Operation::Control,
             Self::Workers => Operation::ListWorkers,
@@ -300,7 +303,7 @@ mod tests {
                 *seen.entry(route.operation()).or_default() += 1;
             }
         }
-        assert_eq!(seen.values().sum::<usize>(), 36);
+        assert_eq!(seen.values().sum::<usize>(), 38);
         // The page itself has no row in the table, and neither have requests without an operation.
         let documented = seen.into_keys().chain([Operation::Page, Operation::Other]);
         assert_eq!(documented.collect::<BTreeSet<_>>(), BTreeSet::from(Operation::HTTP));

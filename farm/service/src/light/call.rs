@@ -127,6 +127,8 @@ pub enum LightCallKind {
         /// Bounce of the intersections; `None`: all.
         bounce: Option<u32>,
     },
+    /// Light of the selected records in numbers: by object, by bounce and by lamp.
+    Summary,
     /// Evaluation of the condition over all recorded paths.
     Selection {
         /// Whether the density over pixels is wanted.

@@ -58,8 +58,10 @@ const ROUTES: &[(&str, Class, &[&str])] = &[
     ("/api/v1/jobs/JOB/light/paths", Tagged, &["frames", "where", "box", "count", "among"]),
     ("/api/v1/jobs/JOB/light/histograms", Tagged, &["frames", "where", "box", "pairs", "by"]),
     ("/api/v1/jobs/JOB/light/voxels", Tagged, &["frames", "where", "box", "level", "bounce"]),
+    ("/api/v1/jobs/JOB/light/summary", Tagged, LIGHT),
     ("/api/v1/jobs/JOB/light/selection", Tagged, &["frames", "where", "box", "density"]),
     ("/api/v1/workers", Plain, &[]),
+    ("/api/v1/compare", Tagged, &["a", "b"]),
     ("/api/v1/files", Plain, &[]),
     ("/api/v1/files/N/maps", Tagged, &[]),
     ("/api/v1/files/N/light/schema", Tagged, &["where", "box"]),
@@ -169,6 +171,15 @@ fn downloads() -> Vec<Case> {
         text("jobs/7/solution?frame=4", "solution 7.3"),
         case("jobs/8/solution", Status(404)),
         case("files/0/solution", Status(404)),
+        text("compare?a=7/3&b=8/3", "image 7.3 against image 7.3"),
+        text("compare?a=7/3&b=0", "image 7.3 against light of file 0"),
+        text("compare?a=0&b=7/3", "light of file 0 against image 7.3"),
+        text("compare?a=0&b=1", "light of file 0 against light of file 1"),
+        case("compare?a=7/3&b=7/4", Status(204)),
+        case("compare?a=7/3&b=9/3", Status(404)),
+        case("compare?a=7/3&b=9", Status(404)),
+        case("compare?a=7/3", Status(400)),
+        case("compare?a=7/3&b=8/x", Status(400)),
         text("jobs/7/frames/3/still.png", "still"),
         case("jobs/7/frames/3/painted.png", Status(404)),
         text("jobs/7/clip", "\x1aclip 7"),
@@ -190,7 +201,7 @@ fn light() -> Vec<Case> {
         ("files/1/light/CALL?", "file 1 [light of file 1]"),
     ];
     /// Calls, their parameters, and the text of the question.
-    const CALLS: [(&str, &str, &str); 19] = [
+    const CALLS: [(&str, &str, &str); 21] = [
         ("schema", "", "schema"),
         ("schema", "&where=d+%3E+1", "schema if d > 1"),
         ("schema", "&box=0,0,0,1,1,1", "schema in [[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]]"),
@@ -208,6 +219,8 @@ fn light() -> Vec<Case> {
         ("voxels", "&level=3&where=d", "voxels 3 None if d"),
         ("voxels", "&level=3&bounce=1&where=d", "voxels 3 Some(1) if d"),
         ("voxels", "&level=4&where=d", "voxels 4 None if d"),
+        ("summary", "", "summary"),
+        ("summary", "&where=d", "summary if d"),
         ("selection", "&where=d", "selection if d"),
         ("selection", "&where=d&density=1", "selection and density if d"),
     ];

@@ -347,6 +347,7 @@ impl Server {
         let light_files = files.map(|(number, path)| LightFile { name: format!("file {number}"), path: path.clone() });
         let site = Site {
             draw: Some(draw),
+            compare: Some(compare),
             open_light: Some(open),
             light_files: light_files.collect(),
             engine: "test".into(),
@@ -383,6 +384,15 @@ pub const GROWTH: Duration = Duration::from_millis(1050);
 
 fn text(bytes: &Bytes) -> String {
     String::from_utf8_lossy(bytes).into_owned()
+}
+
+/// Writes the names of the sources.
+fn compare([a, b]: [PictureSource; 2]) -> Result<Vec<u8>, String> {
+    let name = |picture: PictureSource| match picture {
+        PictureSource::Image(bytes) | PictureSource::Statistics(bytes) => text(&bytes),
+        PictureSource::Preview(_) | PictureSource::Parts(..) => "a picture that cannot be compared".to_owned(),
+    };
+    Ok(format!("{} against {}", name(a), name(b)).into_bytes())
 }
 
 /// Draws the name of the picture and of its source.
@@ -435,6 +445,7 @@ impl LightData for Echo {
                 format!("histograms {:?} by {by}", pairs.as_slice())
             }
             LightCallKind::Voxels { level, bounce } => format!("voxels {} {bounce:?}", level.get()),
+            LightCallKind::Summary => "summary".to_owned(),
             LightCallKind::Selection { with_density: true } => "selection and density".to_owned(),
             LightCallKind::Selection { with_density: false } => "selection".to_owned(),
         };
@@ -443,7 +454,7 @@ impl LightData for Echo {
         let since = earlier.map(|rows| format!(" since {}", rows.tag)).unwrap_or_default();
         let bytes = format!("{question}{condition}{bounds} of {}{since}", self.0).into_bytes();
         Ok(match kind {
-            LightCallKind::Schema => LightAnswer::Json(bytes),
+            LightCallKind::Schema | LightCallKind::Summary => LightAnswer::Json(bytes),
             LightCallKind::Paths { .. } => LightAnswer::Rows { columns: bytes, identities: vec![[0; 16]].into() },
             _ => LightAnswer::Columns(bytes),
         })

@@ -85,6 +85,67 @@ export interface VoxelsHeader {
   level: number;
 }
 
+/** An estimate from recorded paths; `standard_error` is null if too few paths tell it. */
+export interface Estimate {
+  value: number;
+  standard_error: number | null;
+}
+
+/** Light of some records. */
+export interface LightAmount {
+  /** Number of recorded paths that have such records. */
+  paths: number;
+  /** Part of the mean luminance of the picture, cd/m². */
+  light: Estimate;
+  /** Number of lights for lamps, otherwise of intersections. */
+  records: number;
+  /** Mean number of these records of a recorded path. */
+  per_path: Estimate;
+  /** Mean energy of the intersections, cd/m²; null: there are none. */
+  energy: Estimate | null;
+}
+
+export interface SummaryRow extends LightAmount {
+  name: string;
+  /** Condition that selects the records of the row; null: there is none. */
+  where: string | null;
+}
+
+export type SummaryGroup = 'object' | 'bounce' | 'lamp';
+export const GROUPS: readonly SummaryGroup[] = ['object', 'bounce', 'lamp'];
+
+/** Light of the selected records in numbers. */
+export interface Summary {
+  tag: string;
+  text: string | null;
+  samples: number;
+  recorded: number;
+  share: number;
+  total: LightAmount;
+  groups: Record<SummaryGroup, SummaryRow[]>;
+  /** Number of rows that the answer leaves out. */
+  left_out: Record<SummaryGroup, number>;
+}
+
+/** Errors of picture A against picture B. */
+export interface PictureComparison {
+  /** `luminance`: files without images are compared by the mean luminance of their samples. */
+  compared: 'color' | 'luminance';
+  films: [[number, number], [number, number]];
+  /** Reason why there are no errors. */
+  fault: string | null;
+  mean?: [number, number];
+  mean_ratio?: number;
+  mse?: number;
+  relmse?: number;
+  /** Null for equal pictures. */
+  psnr?: number | null;
+  ssim?: number;
+  flip?: number;
+  worst_pixel?: { x: number; y: number };
+  excluded?: { a: number; b: number; pixels: number };
+}
+
 export interface ServedFile {
   file: number;
   name: string;
@@ -216,6 +277,20 @@ export const light = {
     { where, box, level, bounce }: { where: string; box: Corners | null; level: number; bounce: number | null },
     signal?: AbortSignal,
   ) => columns<VoxelsHeader>(source, 'voxels', { where, box: formatBox(box), level, bounce }, signal),
+
+  /** Returns the light of the selected records in numbers; null: there are no data yet. */
+  async summary(source: Source, where: string, signal?: AbortSignal): Promise<Summary | null> {
+    const answer = await ask(address(source, 'summary', { where }), { signal: signal ?? null, cache: 'no-cache' });
+    return answer.status === 204 ? null : ((await answer.json()) as Summary);
+  },
+
+  /** Compares the pictures of the first frames of two data sets; null: one of them is not finished. */
+  async compare(a: Source, b: Source, signal?: AbortSignal): Promise<PictureComparison | null> {
+    const key = (it: Source) => ('file' in it ? String(it.file) : `${it.job}/${it.frames[0]}`);
+    const query = new URLSearchParams({ a: key(a), b: key(b) });
+    const answer = await ask(`/api/v1/compare?${query}`, { signal: signal ?? null, cache: 'no-cache' });
+    return answer.status === 204 ? null : ((await answer.json()) as PictureComparison);
+  },
 
   /** Returns a model of the scene as binary glTF; `null`: not made yet, `undefined`: there is none. */
   async model(source: Source, model: Model, signal?: AbortSignal): Promise<ArrayBuffer | null | undefined> {

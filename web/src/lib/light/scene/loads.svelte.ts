@@ -3,7 +3,7 @@
 import { explain } from '../../api';
 import type { Rgb } from '../../color';
 import type { Scale } from '../../scale';
-import { light, type Model, type Source } from '../api';
+import { light, type Corners, type Model, type Source } from '../api';
 import { unite } from '../data';
 import { Newest, type DataSet } from '../state.svelte';
 import { parseGlb, type Vec3 } from './glb';
@@ -101,7 +101,8 @@ export class SceneData {
         it ? [{ ...it.header, index: it.u32('voxels.index'), energy: it.f32('voxels.energy') }] : [],
       );
       const [a, b] = all;
-      this.voxels = a && b ? differenceOf(a, b) : a ? { ...a, sign: null, differences: energyScale([]) } : null;
+      const isLacking = all.length < sets.length;
+      this.voxels = isLacking ? null : a && b ? differenceOf(a, b) : a ? { ...a, sign: null, differences: energyScale([]) } : null;
     });
   }
 
@@ -151,3 +152,11 @@ export function differenceOf(a: VoxelAnswer, b: VoxelAnswer): LoadedVoxels {
   };
 }
 
+/** Describes the cube that the voxels of a difference divide, and whether A and B have the same box. */
+export function describeCube(a: Corners, b: Corners, cube: Corners): string {
+  const width = `${Number((cube[1][0] - cube[0][0]).toPrecision(3))} m`;
+  if (JSON.stringify(a) === JSON.stringify(b)) return `A and B have the same box: one cube of ${width} for both.`;
+  const isApart = [0, 1, 2].some((k) => a[1][k]! < b[0][k]! || b[1][k]! < a[0][k]!);
+  if (isApart) return `The boxes of A and B have no place in common: no voxel has light of both. One cube of ${width} contains them.`;
+  return `The boxes of A and B differ: the voxels divide one cube of ${width} around both.`;
+}

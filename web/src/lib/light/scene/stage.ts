@@ -35,6 +35,7 @@ import {
   type Material,
   type Object3D,
 } from 'three';
+import type { Box } from '../boxes';
 import { isWithin } from '../text';
 import { placeOf, type Cut, type Eye } from './eye';
 import type { Geometry, Vec3 } from './glb';
@@ -46,15 +47,21 @@ export interface Hit {
   name: string;
 }
 
+export type { Box };
+
+/** A box that cannot be dragged. */
+export interface Outline {
+  box: Box;
+  /** Color as 0xrrggbb. */
+  color: number;
+}
+
 /** Elements with their colors and values by vertex. */
 export interface ShownSolution {
   /** Subtracted from all positions, m. */
   origin: Vec3;
   parts: readonly { positions: Float32Array; indices: Uint32Array; colors: Uint8Array; values: Float32Array }[];
 }
-
-/** Box in the scene: lower and upper corner in coordinates of the scene, m. */
-export type Box = readonly [number, number, number, number, number, number];
 
 /** A handle of the box: 0 to 5 are its faces (lower and upper x, y, z), 6 is its middle. */
 export type Handle = number;
@@ -86,6 +93,8 @@ export class Stage {
   private readonly rays: Mesh<InstancedBufferGeometry, ShaderMaterial>;
   private readonly voxels: Mesh<InstancedBufferGeometry, ShaderMaterial>;
   private readonly box = new Group();
+  private readonly outlines = new Group();
+  private outlined: readonly Outline[] = [];
   private readonly handles: Mesh[] = [];
   private readonly names: string[] = [];
   private readonly target = new WebGLRenderTarget(1, 1);
@@ -129,7 +138,7 @@ export class Stage {
     this.box.visible = false;
     this.makeBox();
     this.scene.add(new AmbientLight(0xffffff, 1.3), this.headlight, this.headlight.target);
-    this.scene.add(this.surfaces, this.solution, this.voxels, this.points, this.rays, this.paths, this.box);
+    this.scene.add(this.surfaces, this.solution, this.voxels, this.points, this.rays, this.paths, this.box, this.outlines);
     canvas.addEventListener('webglcontextrestored', this.invalidate);
   }
 
@@ -138,6 +147,7 @@ export class Stage {
     this.canvas.removeEventListener('webglcontextrestored', this.invalidate);
     this.clearSurfaces();
     this.setSolution(null);
+    this.clearOutlines();
     for (const it of [this.points, this.paths, this.rays, this.voxels]) {
       it.geometry.dispose();
       it.material.dispose();
@@ -455,7 +465,7 @@ export class Stage {
    * - `without`: what else is invisible.
    */
   private drawPixel(x: number, y: number, without: readonly Object3D[]): Uint8Array {
-    const others: Object3D[] = [this.points, this.paths, this.rays, this.voxels, this.box, ...without];
+    const others: Object3D[] = [this.points, this.paths, this.rays, this.voxels, this.box, this.outlines, ...without];
     const shown = others.map((it) => it.visible);
     for (const it of others) it.visible = false;
     const bytes = new Uint8Array(4);
@@ -515,6 +525,30 @@ export class Stage {
     this.invalidate();
   }
 
+  /** Draws boxes without handles. */
+  setOutlines(all: readonly Outline[]) {
+    this.outlined = all;
+    this.clearOutlines();
+    const { geometry } = this.box.children[0] as LineSegments;
+    for (const { color } of all) {
+      const lines = new LineSegments(geometry, new LineBasicMaterial({ color, depthTest: false, transparent: true }));
+      lines.renderOrder = 2;
+      this.outlines.add(lines);
+    }
+    this.invalidate();
+  }
+
+  private clearOutlines() {
+    for (const it of this.outlines.children) ((it as LineSegments).material as LineBasicMaterial).dispose();
+    this.outlines.clear();
+  }
+
+  /** Moves the edges of a box to its place. */
+  private placeEdges(lines: Object3D, box: Box) {
+    lines.position.set(...this.local([box[0], box[1], box[2]]));
+    lines.scale.set(box[3] - box[0], box[4] - box[1], box[5] - box[2]);
+  }
+
   /** Returns the position of a handle in coordinates of the scene. */
   private handleAt(handle: Handle): Vec3 {
     const box = this.corners!;
@@ -524,13 +558,10 @@ export class Stage {
   }
 
   private placeHandles() {
+    this.outlines.children.forEach((lines, i) => this.placeEdges(lines, this.outlined[i]!.box));
     const box = this.corners;
     if (!box) return;
-    const low = this.local([box[0], box[1], box[2]]);
-    const size = [0, 1, 2].map((k) => box[k + 3]! - box[k]!) as [number, number, number];
-    const lines = this.box.children[0]!;
-    lines.position.set(...low);
-    lines.scale.set(...size);
+    this.placeEdges(this.box.children[0]!, box);
     const perPixel = (2 * Math.tan(this.eye!.fov / 2)) / this.height;
     this.handles.forEach((handle, i) => {
       handle.position.set(...this.local(this.handleAt(i)));

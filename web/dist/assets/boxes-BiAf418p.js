@@ -1,0 +1,1 @@
+function e(e){let t=e?.split(`,`).map(Number)??[];return t.length===6&&t.every(Number.isFinite)&&[0,1,2].every(e=>t[e]<=t[e+3])?t:null}var t=(t,n)=>[e(t),e(n)],n=e=>e.join(`,`),r=(e,t)=>{let r=`in box(${n(t)})`;return e?`(${e}) and ${r}`:r};export{t as n,r,n as t};

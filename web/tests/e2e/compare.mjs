@@ -87,7 +87,9 @@ export async function compare({ step, open, claim, equal, accessible, current, s
   const jobs = {};
   const files = {};
   let server, begun;
-  const size = ['--size', '96x60', '--spp', '256', '--stats'];
+  // The pictures of the manual have the sizes of its commands.
+  const film = shotsAt ? [160, 100] : [96, 60];
+  const size = ['--size', film.join('x'), '--spp', shotsAt ? '512' : '256', '--stats'];
   const lamps = { two: 'object.lamps.five.hidden=1', five: 'object.lamps.two.hidden=1' };
   const hidden = { none: ['reflector'], side: ['reflector.end', 'reflector.bench'], end: ['reflector.side', 'reflector.bench'], bench: ['reflector.side', 'reflector.end'] };
   const sets = (of, sheet = 'none') => ['--set', lamps[of], ...hidden[sheet].flatMap((it) => ['--set', `object.${it}.hidden=1`])];
@@ -96,10 +98,12 @@ export async function compare({ step, open, claim, equal, accessible, current, s
   async function prepare() {
     await farm.coordinator();
     for (const name of ['compare-a', 'compare-b']) farm.worker(name);
-    jobs.two = farm.submit('plants.mgf', ...size, ...sets('two'), '--name', 'two');
-    jobs.five = farm.submit('plants.mgf', ...size, ...sets('five'), '--name', 'five');
-    jobs.sheet = farm.submit('plants.mgf', ...size, ...sets('five', 'bench'), '--name', 'sheet');
-    jobs.box = farm.submit('cornell.mgf', '--size', '32x32', '--spp', '16', '--stats', '--frames', '1..2');
+    const plants = (name, ...more) => farm.submit('plants.mgf', ...size, ...sets(...more), '--name', name);
+    jobs.two = plants('two', 'two');
+    jobs.five = plants('five', 'five');
+    jobs.sheet = plants('sheet', 'five', 'bench');
+    jobs.box = farm.submit('cornell.mgf', '--size', '32x32', '--spp', '16', '--stats');
+    jobs.drive = farm.submit('roundabout.mgf', '--size', '32x20', '--spp', '4', '--stats', '--frames', '1..2');
     jobs.plain = farm.submit('cornell.mgf', '--size', '16x16', '--spp', '2');
     const scene = join(root, 'scenes/cornell.mgf');
     writeFileSync(
@@ -124,6 +128,7 @@ export async function compare({ step, open, claim, equal, accessible, current, s
       const page = current(await open({ url: server.url }, { by: browser, ...options }));
       await page.context().grantPermissions(['clipboard-read', 'clipboard-write'], { origin: server.url });
       await page.goto(server.address);
+      await page.locator('[data-totals]').waitFor({ timeout: 60_000 });
       return new Numbers(page);
     },
     async farm(options = {}) {
@@ -363,15 +368,15 @@ export async function compare({ step, open, claim, equal, accessible, current, s
     equal(name, 'all', 'the first row');
     claim(Math.abs(Number(ratio) - 0.25) < 0.12, `a quarter of the light: ${a}, ${b}, ${ratio}`);
     // Two frames of a job.
-    await page.goto(`/jobs/${jobs.box}/light?numbers=open&frame=1`);
+    await page.goto(`/jobs/${jobs.drive}/light?numbers=open&frame=1`);
     await page.locator('[data-totals]').waitFor({ timeout: 60_000 });
     await menu.selectOption({ label: 'frame 2' });
-    await until(() => it.query('b') === `${jobs.box}/2`, 'another frame', 5);
+    await until(() => it.query('b') === `${jobs.drive}/2`, 'another frame', 5);
     await it.ready();
     await until(async () => (await it.cells('all')).length > 9, 'the numbers of both frames', 10);
   });
 
-  await step('compare: a job without statistics, one without geometry, boxes apart, and one above the limit', async () => {
+  await step('compare: a job without statistics, one without geometry, and other boxes', async () => {
     await begin();
     const it = (targets.farm ??= await openings.farm());
     const { page } = it;
@@ -391,7 +396,7 @@ export async function compare({ step, open, claim, equal, accessible, current, s
     const cube = await page.locator('[data-cube]').innerText();
     console.log(`        two boxes: ${cube}`);
     claim(/The boxes of A and B (differ|have no place in common)/.test(cube), cube);
-    await until(async () => /A has 96 × 60 pixels, B 32 × 32/.test(await page.locator('[data-pictures]').innerText()), 'films differ', 10);
+    await until(async () => (await page.locator('[data-pictures]').innerText()).includes(`A has ${film.join(' × ')} pixels, B 32 × 32`), 'films differ', 10);
     console.log(`        films: ${await page.locator('[data-pictures]').innerText()}`);
     // A job from before has no geometry; one above the limit has boxes.
     await page.route('**/geometry?*', (route) => route.fulfill({ status: 404, contentType: 'application/json', body: '{"error":{"code":"not_found","message":"no geometry"}}' }));
@@ -401,6 +406,32 @@ export async function compare({ step, open, claim, equal, accessible, current, s
     await note.waitFor();
     console.log(`        before geometry: ${await note.innerText()}`);
     await page.unroute('**/geometry?*');
+  });
+
+  await step('compare: a scene above the limit of triangles', async () => {
+    await begin();
+    // 23 x 23 copies of 2500 squares.
+    const mesh = ['m gray =', '\tsides 2', '\trd 0.5', 'm lamp =', '\tsides 1', '\ted 1000', 'm gray', 'xf -a 23 -t 0.2 0 0 -a 23 -t 0 0.2 0', 'o cloth'];
+    for (let k = 0; k < 50; k++)
+      for (let i = 0; i < 50; i++) {
+        const corners = [[i, k], [i + 1, k], [i + 1, k + 1], [i, k + 1]];
+        corners.forEach(([x, y], n) => mesh.push(`v v${n} =`, `\tp ${x * 0.003} ${y * 0.003} ${0.01 * Math.sin(0.3 * x) * Math.cos(0.2 * y)}`));
+        mesh.push('f v0 v1 v2', 'f v0 v2 v3');
+      }
+    mesh.push('o', 'xf', 'm lamp', 'o sun', 'v a =', '\tp 1 1 4', 'v b =', '\tp 1 3 4', 'v c =', '\tp 3 3 4', 'v d =', '\tp 3 1 4', 'f a b c d', 'o');
+    mesh.unshift('camera main =', '\torigin 2.3 -3 4', '\ttarget 2.3 2.3 0', '\tfov 50', '\tfilm 32 20');
+    writeFileSync(join(farm.folder, 'cloth.mgf'), mesh.join('\n') + '\n');
+    const out = farm.femc('submit', 'cloth.mgf', '--size', '32x20', '--spp', '8', '--stats');
+    const job = Number(out.trim().split('\n').at(-1));
+    await until(() => farm.job(job).state === 'done', 'the job is done', 300);
+    const it = (targets.farm ??= await openings.farm());
+    const { page } = it;
+    current(page);
+    await page.goto(`/jobs/${job}/light?scene=open`);
+    await page.locator('[data-scene=ready]').waitFor({ timeout: 120_000 });
+    const said = await page.locator('[data-geometry]').innerText();
+    console.log(`        above the limit: ${said}`);
+    claim(/objects? with too many triangles (are|is) shown as (boxes|a box)/.test(said), said);
   });
 
   // ---- Studies of the manual

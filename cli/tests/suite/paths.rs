@@ -375,7 +375,9 @@ fn light_in_numbers_is_the_sum_over_the_tables() {
         dir.run(&format!("render {name}.mgf -o {name}.exr --size 32x24 --spp 64 --frames 5 --stats")).exits(0);
     }
     let luminance = |row: &serde_json::Value| {
-        0.212_639 * number(row, "radiance_r") + 0.715_169 * number(row, "radiance_g") + 0.072_192 * number(row, "radiance_b")
+        0.212_639 * number(row, "radiance_r")
+            + 0.715_169 * number(row, "radiance_g")
+            + 0.072_192 * number(row, "radiance_b")
     };
     let pixels: f64 = json_rows(&dir, "paths box.paths").iter().map(|row| number(row, "pixels")).sum();
     for condition in ["", "--where depth>=2", "--where bounce==0 --object floor"] {

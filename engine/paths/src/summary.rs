@@ -351,6 +351,7 @@ impl RecordedPaths {
             total: Rows::new(1),
             objects: Rows::new(objects.subjects.len()),
             bounces: Rows::default(),
+            bounce_rows: BTreeMap::new(),
             lamps: Rows::new(lamps.subjects.len()),
             names: [&objects, &lamps],
         };
@@ -380,6 +381,8 @@ struct SummarySums<'a> {
     total: Rows,
     objects: Rows,
     bounces: Rows,
+    /// Rows of bounces; `None`: the camera.
+    bounce_rows: BTreeMap<Option<u32>, usize>,
     lamps: Rows,
     /// Rows of objects and of lamps.
     names: [&'a NamedRows; 2],
@@ -388,7 +391,11 @@ struct SummarySums<'a> {
 impl SummarySums<'_> {
     /// Adds the selected records of a selected path.
     fn add(&mut self, number: u32, path: &LightPath, selected: Option<&SelectedRecords>) {
-        let Self { paths, total, objects, bounces, lamps, names: [object_names, lamp_names] } = self;
+        let Self { paths, total, objects, bounces, bounce_rows, lamps, names: [object_names, lamp_names] } = self;
+        let mut bounce_row = |bounce: Option<u32>| {
+            let next = bounce_rows.len();
+            *bounce_rows.entry(bounce).or_insert(next)
+        };
         let light = f64::from(path.luminance());
         total.row(0).light = light;
         for (at, it) in paths.intersections_of(number).zip(&path.intersections) {
@@ -402,7 +409,7 @@ impl SummarySums<'_> {
                 own.energy += energy;
             };
             add(total.row(0));
-            add(bounces.row(it.bounce as usize + 1));
+            add(bounces.row(bounce_row(Some(it.bounce))));
             let is_in_medium = it.object == Name::NONE && it.interaction == InteractionKind::Volume;
             let name = if is_in_medium { it.material } else { it.object };
             for row in object_names.rows(paths.names().number(name)) {
@@ -417,8 +424,8 @@ impl SummarySums<'_> {
             }
             let light = f64::from(luminance(it.radiance));
             let vertex = (it.vertex as usize).min(path.intersections.len());
-            let bounce = vertex.checked_sub(1).map_or(0, |at| path.intersections[at].bounce as usize + 1);
-            bounces.row(bounce).light += light;
+            let bounce = vertex.checked_sub(1).map(|at| path.intersections[at].bounce);
+            bounces.row(bounce_row(bounce)).light += light;
             for row in lamp_names.rows(paths.names().number(it.light)) {
                 let own = lamps.row(*row);
                 own.light += light;
@@ -434,15 +441,17 @@ impl SummarySums<'_> {
     }
 
     fn finish(self, weights: &WeightSums) -> LightSummary {
-        let amounts = |rows: &Rows, subjects: &mut dyn Iterator<Item = RowSubject>| {
-            let all = subjects.zip(&rows.sums).filter(|(_, sums)| sums.paths > 0);
+        let amounts = |rows: &Rows, subjects: &mut dyn Iterator<Item = (RowSubject, usize)>| {
+            let all = subjects.map(|(subject, row)| (subject, &rows.sums[row])).filter(|(_, sums)| sums.paths > 0);
             all.map(|(subject, sums)| (subject, sums.amount(weights))).collect::<Vec<_>>()
         };
-        let bounce = |row: usize| row.checked_sub(1).map_or(RowSubject::Camera, |it| RowSubject::Bounce(it as u32));
+        let named = |names: &NamedRows| names.subjects.clone().into_iter().zip(0..);
+        let bounce =
+            |(bounce, row): (&Option<u32>, &usize)| (bounce.map_or(RowSubject::Camera, RowSubject::Bounce), *row);
         let mut groups = [
-            amounts(&self.objects, &mut self.names[0].subjects.iter().cloned()),
-            amounts(&self.bounces, &mut (0..self.bounces.sums.len()).map(bounce)),
-            amounts(&self.lamps, &mut self.names[1].subjects.iter().cloned()),
+            amounts(&self.objects, &mut named(self.names[0])),
+            amounts(&self.bounces, &mut self.bounce_rows.iter().map(bounce)),
+            amounts(&self.lamps, &mut named(self.names[1])),
         ];
         let mut left_out = [0; 3];
         for (group, (rows, left_out)) in Group::ALL.into_iter().zip(groups.iter_mut().zip(&mut left_out)) {

@@ -681,7 +681,8 @@ fn pictures_of_files_are_compared_by_their_luminances() {
     assert_eq!((&same["psnr"], &same["compared"], &same["fault"]), (&Value::Null, &json!("luminance"), &Value::Null));
     let other = compare(&a, &b);
     let mean = |it: &LightStatistics| {
-        let pixels: Vec<f64> = femc_paths::pixels::PixelMaps::from_statistics(it).pixels().map(|it| it.luminance).collect();
+        let pixels: Vec<f64> =
+            femc_paths::pixels::PixelMaps::from_statistics(it).pixels().map(|it| it.luminance).collect();
         pixels.iter().sum::<f64>() / pixels.len() as f64
     };
     let ratio = other["mean_ratio"].as_f64().unwrap();

@@ -89,7 +89,7 @@ export async function compare({ step, open, claim, equal, accessible, current, s
   let server, begun;
   // The pictures of the manual have the sizes of its commands.
   const film = shotsAt ? [160, 100] : [96, 60];
-  const size = ['--size', film.join('x'), '--spp', shotsAt ? '512' : '256', '--stats'];
+  const size = ['--size', film.join('x'), '--spp', shotsAt ? (process.env.STUDY_SPP ?? '512') : '256', '--stats', '--set', 'camera.main.fov=27'];
   const lamps = { two: 'object.lamps.five.hidden=1', five: 'object.lamps.two.hidden=1' };
   const hidden = { none: ['reflector'], side: ['reflector.end', 'reflector.bench'], end: ['reflector.side', 'reflector.bench'], bench: ['reflector.side', 'reflector.end'] };
   const sets = (of, sheet = 'none') => ['--set', lamps[of], ...hidden[sheet].flatMap((it) => ['--set', `object.${it}.hidden=1`])];
@@ -112,7 +112,7 @@ export async function compare({ step, open, claim, equal, accessible, current, s
     );
     farm.femc('sweep', 'panels.toml');
     const all = () => JSON.parse(farm.femc('jobs', '--json'));
-    await until(() => all().every((it) => it.state === 'done'), 'all jobs are done', 400);
+    await until(() => all().every((it) => it.state === 'done'), 'all jobs are done', shotsAt ? 1500 : 400);
     jobs.panels = all().filter((it) => /panel|ed=/.test(it.name)).map((it) => it.job).sort((x, y) => x - y);
     claim(jobs.panels.length === 3, `variants: ${JSON.stringify(all().map((it) => it.name))}`);
     for (const name of ['two', 'five', 'sheet', 'box']) {
@@ -443,7 +443,12 @@ export async function compare({ step, open, claim, equal, accessible, current, s
     if (/numbers=open/.test(address)) await page.locator('[data-numbers=ready]').waitFor({ timeout: 30_000 });
     await wait(page);
     await pause(2500);
-    await page.getByRole('region', { name: at, exact: true }).evaluate((it) => it.scrollIntoView({ block: 'start' }));
+    await page.getByRole('region', { name: at, exact: true }).evaluate((it) => {
+      it.scrollIntoView({ block: 'start' });
+      // Only the page within the header scrolls.
+      for (const outer of [document.documentElement, document.body, document.getElementById('app')]) outer.scrollTop = 0;
+    });
+    await page.mouse.move(700, 4);
     await pause(500);
     mkdirSync(shotsAt, { recursive: true });
     await page.screenshot({ path: join(shotsAt, `${name}.png`) });
@@ -452,10 +457,13 @@ export async function compare({ step, open, claim, equal, accessible, current, s
   if (studies) {
     await step('compare: pictures of the studies', async () => {
       await begin();
-      const eye = 'eye=0,0,1,4.6,-0.9,0.35,0.7';
-      await studies('study-lamps', `/jobs/${jobs.two}/light?b=${jobs.five}/1&scene=open&numbers=open&layers=surfaces,voxels&voxelset=difference&level=6&threshold=30&boxa=${BOXES.p1}&boxb=${BOXES.p1}&by=box&${eye}&where=${encodeURIComponent('bounce == 0')}`, { at: 'Scene', height: 1000 });
-      await studies('study-reflector', `/jobs/${jobs.sheet}/light?b=${jobs.five}/1&numbers=open&set=slider&split=50&marked=yes`, { at: 'Picture', height: 900 });
-      await studies('study-place', `/jobs/${jobs.five}/light?scene=open&numbers=open&boxa=${BOXES.p3}&boxb=${BOXES.p1}&by=box&boxof=a&layers=surfaces,points&${eye}`, { at: 'Scene', height: 1000 });
+      const eye = 'eye=0,0,0.95,3.6,-0.9,0.35,0.7';
+      const leaves = `where=${encodeURIComponent('bounce == 0 and object == leaves')}`;
+      const boxes = (a, b) => `boxa=${BOXES[a]}&boxb=${BOXES[b]}&by=box&boxof=a`;
+      const lampsOnly = 'scene=open&numbers=open&layers=surfaces,voxels&voxelset=difference&level=6&threshold=20';
+      await studies('study-lamps', `/jobs/${jobs.two}/light?b=${jobs.five}/1&${lampsOnly}&${boxes('p3', 'p3')}&${eye}&${leaves}`, { at: 'Scene', height: 1240 });
+      await studies('study-reflector', `/jobs/${jobs.sheet}/light?b=${jobs.five}/1&numbers=open&set=slider&split=52`, { at: 'Picture', height: 1040 });
+      await studies('study-place', `/jobs/${jobs.five}/light?scene=open&numbers=open&layers=surfaces,points&${boxes('p3', 'p1')}&${eye}&${leaves}`, { at: 'Scene', height: 1060 });
       await studies('light-numbers', `/jobs/${jobs.two}/light?b=${jobs.five}/1&numbers=open`, { at: 'Numbers', height: 620 });
     });
   }

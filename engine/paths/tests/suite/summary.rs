@@ -227,13 +227,11 @@ fn the_condition_of_a_row_selects_its_records() {
     assert!(conditions > 10, "{conditions}");
 }
 
-/// Returns a small frame with known means. Lamp `weak` has a quarter of the samples.
-fn frame_of_two_lamps(number: u32) -> LightStatistics {
-    let scope = Scope { frame: number, film: [16, 12], max_records: 600, ..scope(600) };
-    let mut all = LightStatistics::new(scope, 0.25);
-    for lamp in ["weak", "strong"] {
-        all.names.insert(Name::new(NameKind::Lamp, lamp), (NameKind::Lamp, lamp.to_owned()));
-    }
+/// Returns a small frame of lamps that the camera sees.
+/// - `lamp`: name of the lamp of a sample; its argument is uniform in 0..1.
+fn frame_of_lamps(number: u32, max_records: u32, lamp: impl Fn(f32) -> String) -> LightStatistics {
+    let scope = Scope { frame: number, film: [16, 12], max_records, ..scope(max_records) };
+    let mut all = LightStatistics::new(scope, 1.0);
     for tile in tiles(&scope) {
         let mut counters = [0, 1].map(|_| SampleCounters::with_pixels(scope.tile_area(tile) as usize));
         for pixel in scope.tile_pixels(tile) {
@@ -244,12 +242,13 @@ fn frame_of_two_lamps(number: u32) -> LightStatistics {
                     continue;
                 }
                 let draw = |salt: u64| unit_f32((combine(&[salt, key.hash(1)]) >> 32) as u32);
-                let lamp = if draw(1) < 0.25 { "weak" } else { "strong" };
+                let lamp = lamp(draw(1));
+                all.names.insert(Name::new(NameKind::Lamp, &lamp), (NameKind::Lamp, lamp.clone()));
                 let brightness = -ln(draw(2).max(1e-6)) * (1.0 + (pixel % 16) as f32);
                 let light = LightRecord {
                     vertex: 0,
                     order: 0,
-                    light: Name::new(NameKind::Lamp, lamp),
+                    light: Name::new(NameKind::Lamp, &lamp),
                     medium: Name::NONE,
                     radiance: [brightness; 3],
                     occluder: None,
@@ -283,7 +282,9 @@ fn intervals_of_95_percent_contain_the_truth_as_often() {
     let truth = 8.5;
     let (mut hits, mut biases) = ([0; 3], [0.0; 3]);
     for frame in 0..FRAMES {
-        let frames = FrameStatistics::from_statistics([frame_of_two_lamps(frame)]).unwrap();
+        // Lamp `weak` has a quarter of the samples.
+        let lamp = |draw: f32| if draw < 0.25 { "weak" } else { "strong" }.to_owned();
+        let frames = FrameStatistics::from_statistics([frame_of_lamps(frame, 600, lamp)]).unwrap();
         let summary = RecordedPaths::new(frames).summarize(None, &RUNNING).unwrap();
         let lamp = |name: &str| summary.groups[2].iter().find(|(it, _)| it.text() == name).unwrap().1.light;
         let found = [(summary.total.light, truth), (lamp("weak"), truth / 4.0), (lamp("strong"), truth * 0.75)];
@@ -307,4 +308,25 @@ fn an_amount_of_light_from_few_paths_has_no_error() {
     assert!(summary.total.energy.unwrap().standard_error.is_some(), "energies are alike");
     let dim = summarize(&all, "path.radiance.g < 1000");
     assert!(dim.total.light.standard_error.is_some(), "{:?}", dim.total);
+}
+
+#[test]
+fn only_the_rows_with_the_most_light_are_listed() {
+    let frame = frame_of_lamps(1, 3000, |draw| format!("lamp {}", (draw * 1500.0) as u32));
+    let all = RecordedPaths::new(FrameStatistics::from_statistics([frame]).unwrap());
+    let summary = all.summarize(None, &RUNNING).unwrap();
+    let lamps = &summary.groups[2];
+    let names = all.names().entries().len();
+    assert_eq!((lamps.len(), summary.left_out), (1000, [0, 0, names - 1000]), "{names} lamps");
+    assert!(lamps.windows(2).all(|two| two[0].1.light.value >= two[1].1.light.value));
+}
+
+#[test]
+fn a_bounce_of_any_number_takes_one_row() {
+    let mut frame = task(&scope(3000), 1, 0..4);
+    let path = frame.paths.values_mut().find(|path| !path.intersections.is_empty()).unwrap();
+    path.intersections[0].bounce = u32::MAX;
+    let all = RecordedPaths::new(FrameStatistics::from_statistics([frame]).unwrap());
+    let bounces = &all.summarize(None, &RUNNING).unwrap().groups[1];
+    assert_eq!(bounces.last().unwrap().0, RowSubject::Bounce(u32::MAX));
 }

@@ -124,7 +124,7 @@ enum Table {
 /// Group of lines.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum By {
-    /// An object with all objects in it: light of the paths that intersect it
+    /// An object with all objects in it: light that came by it
     Object,
     /// A bounce: light found at its intersections
     Bounce,

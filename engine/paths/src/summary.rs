@@ -10,8 +10,9 @@
 //! skewed contributions (exponential, in pixels of different brightness) contain the truth in 94 to 96 % of cases for n from 24 on.
 //! An estimate that depends on fewer than [`MIN_EFFECTIVE_PATHS`] paths has no error.
 //!
-//! The light by object overlaps: a path that visits two objects counts for both. The light by bounce and the light by lamp add up
-//! to the light of the selected records.
+//! The light by object is the light that came by it: the selected lights that a path found at a selected intersection with the
+//! object, or behind one. The light by object overlaps: light that came by two objects counts for both. The light by bounce and the
+//! light by lamp add up to the selected lights.
 
 use crate::attribute::Attribute;
 use crate::query::{CompareOp, Condition, EqualityOp, Quantity};
@@ -110,7 +111,7 @@ impl RowSubject {
 /// Groups of rows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Group {
-    /// Light of the paths that have selected intersections with an object.
+    /// Light that came by an object.
     Object,
     /// Light by the bounce of the intersection where it was found.
     Bounce,
@@ -358,7 +359,8 @@ impl RecordedPaths {
         let mut weights = WeightSums { paths: f64::from(self.totals()[0]), sum: 0.0, squares: 0.0 };
         let mut check = CancelCheck::new(is_cancelled);
         for (number, (path, weight)) in (0u32..).zip(self.paths().iter().zip(self.image_weights())) {
-            check.add(1 + path.intersections.len() + path.lights.len())?;
+            let length = path.intersections.len();
+            check.add(1 + length * length + path.lights.len())?;
             let weight = *weight as f64 / (1u64 << IMAGE_BITS) as f64;
             weights.sum += weight;
             weights.squares += weight * weight;
@@ -396,10 +398,43 @@ impl SummarySums<'_> {
             let next = bounce_rows.len();
             *bounce_rows.entry(bounce).or_insert(next)
         };
-        let light = f64::from(path.luminance());
-        total.row(0).light = light;
-        for (at, it) in paths.intersections_of(number).zip(&path.intersections) {
-            if selected.is_some_and(|selected| !selected.intersections.contains(at)) {
+        total.row(0).light = f64::from(path.luminance());
+        // Selected light found at each intersection or behind it.
+        let mut found = vec![0.0; path.intersections.len()];
+        for (at, it) in paths.lights_of(number).zip(&path.lights) {
+            if selected.is_some_and(|selected| !selected.lights.contains(at)) {
+                continue;
+            }
+            let light = f64::from(luminance(it.radiance));
+            let vertex = (it.vertex as usize).min(path.intersections.len()).checked_sub(1);
+            let bounce = vertex.map(|at| path.intersections[at].bounce);
+            bounces.row(bounce_row(bounce)).light += light;
+            if let Some(vertex) = vertex {
+                found[vertex] += light;
+            }
+            for row in lamp_names.rows(paths.names().number(it.light)) {
+                let own = lamps.row(*row);
+                own.light += light;
+                own.records += 1;
+            }
+        }
+        for (index, it) in path.intersections.iter().enumerate().rev() {
+            if let Some(parent) = (it.parent as usize).checked_sub(1).filter(|parent| *parent < index) {
+                found[parent] += found[index];
+            }
+        }
+        let first = paths.intersections_of(number).start;
+        let rows_at = |index: usize| -> &[usize] {
+            if selected.is_some_and(|selected| !selected.intersections.contains(first + index as u32)) {
+                return &[];
+            }
+            let it = &path.intersections[index];
+            let is_in_medium = it.object == Name::NONE && it.interaction == InteractionKind::Volume;
+            object_names.rows(paths.names().number(if is_in_medium { it.material } else { it.object }))
+        };
+        for (index, it) in path.intersections.iter().enumerate() {
+            let rows = rows_at(index);
+            if rows.is_empty() {
                 continue;
             }
             let energy = it.radiance.iter().map(|value| f64::from(*value)).sum::<f64>() / 3.0;
@@ -410,26 +445,15 @@ impl SummarySums<'_> {
             };
             add(total.row(0));
             add(bounces.row(bounce_row(Some(it.bounce))));
-            let is_in_medium = it.object == Name::NONE && it.interaction == InteractionKind::Volume;
-            let name = if is_in_medium { it.material } else { it.object };
-            for row in object_names.rows(paths.names().number(name)) {
+            for row in rows {
                 let own = objects.row(*row);
-                own.light = light;
                 add(own);
-            }
-        }
-        for (at, it) in paths.lights_of(number).zip(&path.lights) {
-            if selected.is_some_and(|selected| !selected.lights.contains(at)) {
-                continue;
-            }
-            let light = f64::from(luminance(it.radiance));
-            let vertex = (it.vertex as usize).min(path.intersections.len());
-            let bounce = vertex.checked_sub(1).map(|at| path.intersections[at].bounce);
-            bounces.row(bounce_row(bounce)).light += light;
-            for row in lamp_names.rows(paths.names().number(it.light)) {
-                let own = lamps.row(*row);
-                own.light += light;
-                own.records += 1;
+                // The first intersection of a branch with the object has the light of all later ones.
+                let parent = |index: &usize| (path.intersections[*index].parent as usize).checked_sub(1);
+                let mut before = std::iter::successors(parent(&index), parent);
+                if before.all(|index| !rows_at(index).contains(row)) {
+                    own.light += found[index];
+                }
             }
         }
     }

@@ -151,11 +151,25 @@ fn numbers_of_light_are_sums_over_the_records() {
                     other => panic!("{other:?}"),
                 }
             };
+            // Selected lights of which some intersection on the way to the camera is selected and with the object.
+            let is_selected = |number: u32, index: usize| {
+                let at = all.intersections_of(number).start + index as u32;
+                selected.as_ref().is_none_or(|it| it.intersections.contains(at))
+            };
+            let came_by = |number: u32, path: &LightPath, light: &LightRecord| {
+                let mut vertex = light.vertex as usize;
+                let mut way = Vec::new();
+                while vertex > 0 {
+                    way.push(vertex - 1);
+                    vertex = path.intersections[vertex - 1].parent as usize;
+                }
+                way.into_iter().any(|index| is_in(path, index) && is_selected(number, index))
+            };
             let expected = row_by_loops(
                 &all,
                 |number, path| {
                     let own = energies(number, path, &|index| is_in(path, index));
-                    (!own.is_empty()).then(|| f64::from(path.luminance()))
+                    (!own.is_empty()).then(|| lights(number, path, &|light| came_by(number, path, light)).iter().sum())
                 },
                 |number, path| energies(number, path, &|index| is_in(path, index)),
             );
@@ -215,7 +229,10 @@ fn the_condition_of_a_row_selects_its_records() {
             let row = own.groups[at].iter().find(|(it, _)| it == subject).map(|(_, amount)| *amount).unwrap();
             assert_near(row.light, amount.light, &condition.to_string());
             match group {
-                Group::Object => assert_amount(&own.total, amount, &condition.to_string()),
+                Group::Object => {
+                    let records = LightAmount { light: amount.light, ..own.total };
+                    assert_amount(&records, amount, &condition.to_string());
+                }
                 Group::Bounce | Group::Lamp => {
                     let others: f64 =
                         own.groups[at].iter().filter(|(it, _)| it != subject).map(|it| it.1.light.value).sum();

@@ -39,11 +39,21 @@ pub struct Difference {
 }
 
 impl Difference {
-    /// Compares two amounts of light. An amount without recorded paths is 0.
+    /// Compares two amounts of light.
     pub fn new(a: &LightAmount, b: &LightAmount) -> Self {
-        let known = |it: &LightAmount| if it.paths == 0 { Some(0.0) } else { it.light.standard_error };
-        let (x, y) = (a.light.value, b.light.value);
-        let errors = known(a).zip(known(b));
+        Self::between(a, a.light, b, b.light)
+    }
+
+    /// Compares the mean energies of intersections. `None`: one of the amounts has no intersections.
+    pub fn between_energies(a: &LightAmount, b: &LightAmount) -> Option<Self> {
+        Some(Self::between(a, a.energy?, b, b.energy?))
+    }
+
+    /// Compares estimates of two amounts. An amount without recorded paths is 0.
+    fn between(a: &LightAmount, x: Estimate, b: &LightAmount, y: Estimate) -> Self {
+        let known = |it: &LightAmount, of: Estimate| if it.paths == 0 { Some(0.0) } else { of.standard_error };
+        let errors = known(a, x).zip(known(b, y));
+        let (x, y) = (x.value, y.value);
         let standard_error = errors.map(|(x, y)| x.hypot(y)).filter(|error| *error > 0.0);
         let ratio = (y > 0.0).then(|| x / y);
         let ratio_bounds = ratio.zip(errors).filter(|(ratio, _)| *ratio > 0.0).map(|(ratio, (of_x, of_y))| {
@@ -72,6 +82,10 @@ pub struct SummaryRow {
 impl SummaryRow {
     fn difference(&self) -> Option<Difference> {
         self.there.as_ref().map(|there| Difference::new(&self.here, there))
+    }
+
+    fn energy_difference(&self) -> Option<Difference> {
+        self.there.as_ref().and_then(|there| Difference::between_energies(&self.here, there))
     }
 }
 
@@ -179,6 +193,21 @@ pub fn compared_columns() -> Vec<Column<SummaryRow>> {
         column("differs", "beyond noise", Text, Everyone, |row| {
             let z = row.difference().and_then(|it| it.standard_errors());
             z.map_or(Cell::Empty, |z| Cell::Text(if z.abs() > MARKED_ERRORS { "yes" } else { "no" }.to_owned()))
+        }),
+        column("energy_difference", "difference of energy", Number, Programs, |row| {
+            real(row.energy_difference().map(|it| it.difference.value))
+        }),
+        column("energy_difference_error", "+-", Number, Programs, |row| {
+            row.energy_difference().map_or(Cell::Empty, |it| half_width(it.difference))
+        }),
+        column("energy_ratio", "ratio of energy", Number, Programs, |row| {
+            real(row.energy_difference().and_then(|it| it.ratio))
+        }),
+        column("energy_ratio_low", "from", Number, Programs, |row| {
+            real(row.energy_difference().and_then(|it| it.ratio_bounds).map(|bounds| bounds[0]))
+        }),
+        column("energy_ratio_high", "to", Number, Programs, |row| {
+            real(row.energy_difference().and_then(|it| it.ratio_bounds).map(|bounds| bounds[1]))
         }),
     ];
     [summary_columns(), others].concat()

@@ -65,7 +65,8 @@ describe('light in numbers', () => {
     expect(lines[0]).toBe(
       'by,name,paths,light,light_error,records,per_path,per_path_error,energy,energy_error,' +
         'paths_there,light_there,light_error_there,records_there,per_path_there,per_path_error_there,energy_there,energy_error_there,' +
-        'difference,difference_error,ratio,ratio_low,ratio_high,standard_errors,differs',
+        'difference,difference_error,ratio,ratio_low,ratio_high,standard_errors,differs,' +
+        'energy_difference,energy_difference_error,energy_ratio,energy_ratio_low,energy_ratio_high',
     );
     expect(lines[2]).toMatch(/^object,"a ""b"", c",10,5,0.196/);
     expect(Object.keys(cellsOf(allRow(a, null)))).toHaveLength(10);

@@ -105,7 +105,7 @@ export function cellsOf({ by, name, a, b }: NumberRow): Cells {
   });
   const cells: Cells = { by, name, ...amount(a, '') };
   if (!b) return cells;
-  const it = differenceOf(a, b, 'light')!;
+  const [it, energy] = [differenceOf(a, b, 'light')!, differenceOf(a, b, 'energy')];
   return {
     ...cells,
     ...amount(b, '_there'),
@@ -116,6 +116,11 @@ export function cellsOf({ by, name, a, b }: NumberRow): Cells {
     ratio_high: it.bounds?.[1] ?? null,
     standard_errors: it.z,
     differs: it.z === null ? null : isMarked(it) ? 'yes' : 'no',
+    energy_difference: energy?.value ?? null,
+    energy_difference_error: energy?.standard_error == null ? null : INTERVAL_95 * energy.standard_error,
+    energy_ratio: energy?.ratio ?? null,
+    energy_ratio_low: energy?.bounds?.[0] ?? null,
+    energy_ratio_high: energy?.bounds?.[1] ?? null,
   };
 }
 

@@ -226,11 +226,12 @@ fn light() -> Vec<Case> {
         ("selection", "&where=d&density=1", "selection and density if d"),
     ];
     // Each of these parameters alone.
-    const MORE: [(&str, &str, &str); 5] = [
+    const MORE: [(&str, &str, &str); 6] = [
         ("histograms", "&where=e", "histograms [] by samples if e"),
         ("voxels", "&level=3", "voxels 3 None"),
         ("voxels", "&level=3&box=0,0,0,1,1,2", "voxels 3 None in [[0.0, 0.0, 0.0], [1.0, 1.0, 2.0]]"),
         ("selection", "", "selection"),
+        ("summary", "&box=0,0,0,1,1,2", "summary in [[0.0, 0.0, 0.0], [1.0, 1.0, 2.0]]"),
         ("selection", "&box=0,0,0,1,1,2", "selection in [[0.0, 0.0, 0.0], [1.0, 1.0, 2.0]]"),
     ];
     let all = SETS.iter().flat_map(|set| CALLS.iter().chain(&MORE).map(move |call| (set, call)));

@@ -269,6 +269,7 @@ impl World {
             "layers 7.3",
             "geometry 7.3",
             "geometry 7.4",
+            "readings 7.3",
             "light 7.3",
             "tile a",
             "tile b",

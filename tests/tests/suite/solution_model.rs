@@ -2,7 +2,9 @@
 
 use femc_math::glam::DVec3;
 use femc_pipeline::gltf::{SolutionOptions, solution_model};
-use femc_pipeline::measure::{Area, MeasureRequest, MeasureSettings, SurfaceSide, measure, resolve_places, summarize};
+use femc_pipeline::measure::{
+    Area, MeasureRequest, MeasureSettings, Measured, Place, SurfaceSide, measure, resolve_places, summarize,
+};
 use femc_pipeline::radiosity::SolveOptions;
 use femc_pipeline::{Field, Prepared, StopCondition};
 use femc_tests::closed_forms::SolvedScene;
@@ -108,19 +110,19 @@ fn measured(prepared: &Prepared, object: &str, max_depth: u32) -> f64 {
     let places = places.expect("cells");
     let settings = MeasureSettings { stop: StopCondition::Error(0.02), max_depth, seed: 1, by_lamp: false };
     let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
-    let readings: Option<Vec<_>> = (0..)
-        .zip(&places)
-        .map(|(number, place)| measure(prepared, number, place, &settings, &cancel, &progress))
-        .collect();
-    summarize(&places, &readings.expect("not cancelled"))[0].mean.value
+    let read = |(number, place): (u32, &Place)| {
+        let reading = measure(prepared, number, place, &settings, &cancel, &progress).expect("not cancelled");
+        Measured { place: place.info.clone(), reading }
+    };
+    let measured: Vec<Measured> = (0..).zip(&places).map(read).collect();
+    summarize(&measured)[0].mean.value
 }
 
 /// The elements are an approximation: 4 % is more than twice the deviation that this room has at this link error.
 #[test]
 fn illuminance_of_a_solution_is_that_of_measurements() {
-    let prepared = prepare();
-    let model =
-        Model::new(&solution_model(&prepared, &solved(&prepared), &SolutionOptions::default()).expect("a file"));
+    let SolvedScene { prepared, field, .. } = solved();
+    let model = model(&prepared, &field, &SolutionOptions::default());
     let gray = model.triangles("gray");
     let is_floor = |it: &&Triangle| it.corners.iter().all(|corner| corner.z.abs() < 1e-4);
     let is_ceiling = |it: &&Triangle| it.corners.iter().all(|corner| (corner.z - 2.0).abs() < 1e-4);
@@ -149,11 +151,9 @@ fn illuminance_of_a_solution_is_that_of_measurements() {
 
 #[test]
 fn light_of_a_model_follows_the_brightness_of_the_lamps() {
-    let prepared = prepare();
-    let field = solved(&prepared);
-    let model =
-        |field: &Field| Model::new(&solution_model(&prepared, field, &SolutionOptions::default()).expect("a file"));
-    let (once, twice) = (model(&field).triangles("gray"), model(&field.clone().scaled(2.0)).triangles("gray"));
+    let SolvedScene { prepared, field, .. } = solved();
+    let triangles = |field: &Field| model(&prepared, field, &SolutionOptions::default()).triangles("gray");
+    let (once, twice) = (triangles(&field), triangles(&field.clone().scaled(2.0)));
     assert_eq!(once.len(), twice.len());
     for (a, b) in once.iter().zip(&twice) {
         let values = a.values.iter().flatten().zip(b.values.iter().flatten());

@@ -146,7 +146,7 @@ pub fn run(args: &MeasureArgs, printer: Printer) -> Result<Exit, Failure> {
     let begun = Clock.now();
     let readings = match &args.server {
         Some(server) => measure_on_farm(resolved, request.clone(), (args, server), printer)?,
-        None => measure_here(&resolved, request.clone(), args, printer)?,
+        None => measure_here(&resolved, &request, args, printer)?,
     };
     let report = MeasureReport::new(args.scene.display().to_string(), Clock.since(begun).as_secs_f64(), readings);
     warn(&report, &request, printer);
@@ -199,19 +199,19 @@ impl MeasureArgs {
 /// Measures all places in this process, and shows the progress.
 fn measure_here(
     resolved: &ResolvedRequest,
-    request: MeasureRequest,
+    request: &MeasureRequest,
     args: &MeasureArgs,
     printer: Printer,
 ) -> Result<FrameReadings, Failure> {
     let scene = resolved.scene().digest().to_string();
     let settings = request.settings(args.max_depth, args.seed);
-    let id = MeasurementId::new(&request, &settings, (femc_worker::engine(), scene), args.frame);
+    let id = MeasurementId::new(request, &settings, (femc_worker::engine(), scene), args.frame);
     let pool = threads::pool(args.threads)?;
     let prepared = pool.install(|| {
         femc_pipeline::prepare_world(&resolved.source, &resolved.settings.of_measurement(), args.frame, None)
     });
     let prepared = prepared.map_err(failed)?;
-    let places = resolve_places(&prepared, &request).map_err(|error| args.fault(error))?;
+    let places = resolve_places(&prepared, request).map_err(|error| args.fault(error))?;
     let measured = pool.install(|| read(&prepared, &places, &settings, printer));
     Ok(FrameReadings::new(id, args.seed, &measured))
 }

@@ -198,7 +198,9 @@ impl Route {
             Self::Attempts(..) => Operation::Attempts,
             Self::Logs(..) => Operation::Logs,
             Self::Picture(..) => Operation::Picture,
-            Self::Light(_) | Self::Compare(_) | Self::LightFiles | Self::FileMaps(_) | Self::FileModel(_) => Operation::Light,
+            Self::Light(_) | Self::Compare(_) | Self::LightFiles | Self::FileMaps(_) | Self::FileModel(_) => {
+                Operation::Light
+            }
             Self::Download(..) | Self::Model(..) => Operation::Download,
             Self::Control => Operation::Control,
             Self::Workers => Operation::ListWorkers,

@@ -633,7 +633,7 @@ fn damaged_and_missing_data_are_told_apart() {
 }
 
 #[test]
-fn light_in_numbers_agrees_with_the_selection_of_its_rows() {
+fn light_in_numbers_agrees_with_selections_of_rows() {
     let light = open_frames();
     let summary = |condition: Option<&str>| -> Value {
         serde_json::from_slice(&ask(&light, LightCallKind::Summary, condition).unwrap()).unwrap()

@@ -176,6 +176,7 @@ fn downloads() -> Vec<Case> {
         text("compare?a=7/3&b=0", "image 7.3 against light of file 0"),
         text("compare?a=0&b=7/3", "light of file 0 against image 7.3"),
         text("compare?a=0&b=1", "light of file 0 against light of file 1"),
+        text("compare?a=1&b=0", "light of file 1 against light of file 0"),
         case("compare?a=7/3&b=7/4", Status(204)),
         case("compare?a=7/3&b=9/3", Status(404)),
         case("compare?a=7/3&b=9", Status(404)),

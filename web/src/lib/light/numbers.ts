@@ -50,9 +50,6 @@ export const allRow = (a: Summary, b: Summary | null): NumberRow => ({ by: 'all'
 
 export const boxRow = (a: Summary, b: Summary | null): NumberRow => ({ by: 'box', name: 'box', where: null, a: a.total, b: b && b.total });
 
-/** Returns the estimate of a measure; null: there is none. */
-export const estimateOf = (of: LightAmount, measure: Measure): Estimate | null => of[measure];
-
 export interface Difference {
   /** A minus B. */
   value: number;
@@ -68,7 +65,7 @@ export interface Difference {
 
 /** Compares an estimate of A with one of B. A and B are taken for independent. An amount without recorded paths is 0. */
 export function differenceOf(a: LightAmount, b: LightAmount, measure: Measure): Difference | null {
-  const [x, y] = [estimateOf(a, measure), estimateOf(b, measure)];
+  const [x, y]: (Estimate | null)[] = [a[measure], b[measure]];
   // Without intersections, there is no mean.
   if (!x || !y) return null;
   const known = (of: LightAmount, it: Estimate) => (of.paths === 0 ? 0 : it.standard_error);

@@ -20,6 +20,10 @@ use femc_model::{
     LeaseEnding, Manifest, NextRound, Output, Role, Stage, StageKind, TaskKey, TaskResult, TaskSpec, Tick,
     testing::frame_graph,
 };
+use femc_pipeline::measure::{
+    FrameReadings, LampShare, Measured, MeasurementId, PlaceInfo, Quantity, Reading, ReadingBlock, ReadingShare,
+    join_blocks,
+};
 use femc_pipeline::paths::histogram::{Histograms, Table};
 use femc_pipeline::paths::{FrameStatistics, LightStatistics};
 use femc_pipeline::radiosity::{BlockGuides, RayHits, SolveOptions, SolverState};
@@ -44,6 +48,7 @@ pub(super) fn targets() -> Vec<Target> {
     all.extend(brushwork());
     all.extend(first_pass());
     all.extend(paths());
+    all.extend(readings());
     all.extend(log());
     all
 }
@@ -486,6 +491,54 @@ fn paths() -> Vec<Target> {
     };
     all.push(Target::with_envelope("paths of frames, inside", vec![frames], add_envelope, are_frames));
     all
+}
+
+fn readings() -> Vec<Target> {
+    let id = MeasurementId { engine: "1".into(), scene: "ab".into(), request: "cd".into(), frame: 3 };
+    let measured = |number| {
+        let place = PlaceInfo {
+            part: "floor".into(),
+            number,
+            quantity: Quantity::Illuminance,
+            position: [1.0, -2.5, 0.125],
+            cell: Some([number, 0]),
+            area: (number > 1).then_some(0.5),
+        };
+        let lamp = LampShare { lamp: "panel".into(), value: 3.0, half_width: 0.25 };
+        let reading = Reading {
+            color: [4.0, 5.0, 6.0],
+            value: 5.0,
+            half_width: 0.5,
+            samples: 64,
+            bad_samples: 1,
+            rays: 300,
+            is_converged: true,
+            lamps: vec![lamp],
+        };
+        Measured { place, reading }
+    };
+    let block = |task: u32, numbers: &[u32]| ReadingBlock {
+        id: id.clone(),
+        share: ReadingShare { task, tasks: 2 },
+        total: 3,
+        measured: numbers.iter().map(|&number| measured(number)).collect(),
+    };
+    let (first, second) = (block(0, &[0, 2]), block(1, &[1]));
+    let seeds = vec![first.encode(), second.encode()];
+    let all = join_blocks(&id, vec![first.clone(), second.clone()]).expect("both blocks");
+    let document = serde_json::to_vec(&FrameReadings::new(id.clone(), 1, &all)).expect("JSON");
+    vec![
+        Target::new("block of readings", seeds, move |bytes| {
+            let Ok(block) = ReadingBlock::decode(bytes) else { return false };
+            assert!(ReadingBlock::decode(&block.encode()).is_ok_and(|again| again.encode() == block.encode()));
+            let blocks = if block.share.task == 0 { vec![block, second.clone()] } else { vec![first.clone(), block] };
+            // What is joined can be summed up.
+            join_blocks(&id, blocks).is_ok_and(|all| FrameReadings::new(id.clone(), 1, &all).check().is_ok())
+        }),
+        Target::new("document of readings", vec![document], |bytes| {
+            serde_json::from_slice::<FrameReadings>(bytes).is_ok_and(|document| document.check().is_ok())
+        }),
+    ]
 }
 
 fn statistics(frame: u32, full_statistics: bool) -> LightStatistics {

@@ -166,6 +166,11 @@ impl ReadingBlock {
     }
 }
 
+/// Maximum number of samples of a reading. Sums over all readings of a frame do not overflow.
+pub(super) const MAX_COUNT: u64 = u32::MAX as u64;
+/// Maximum number of rays of a reading: 4096 for each sample.
+const MAX_RAYS: u64 = MAX_COUNT << 12;
+
 /// Checks that the numbers of a reading are in their domains.
 fn check(measured: &Measured) -> Result<(), MessageError> {
     let Measured { place, reading } = measured;
@@ -175,7 +180,8 @@ fn check(measured: &Measured) -> Result<(), MessageError> {
     let is_sound = values.chain(lamps).all(|value| is_length(&value))
         && place.position.iter().all(|x| x.is_finite())
         && place.area.is_none_or(|area| area.is_finite() && area > 0.0)
-        && reading.samples + reading.bad_samples <= u64::from(u32::MAX);
+        && [reading.samples, reading.bad_samples].iter().all(|count| *count <= MAX_COUNT)
+        && reading.rays <= MAX_RAYS;
     if is_sound { Ok(()) } else { Err(corrupt(format!("reading {} of `{}`", place.number, place.part))) }
 }
 

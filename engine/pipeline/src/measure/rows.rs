@@ -1,6 +1,6 @@
 //! Rows of the tables of measurements.
 
-use super::message::Measured;
+use super::message::{MAX_COUNT, Measured};
 use super::reading::LampShare;
 use super::request::Quantity;
 use super::summary::{Interval, Summary};
@@ -89,6 +89,7 @@ impl ReadingRow {
         let values = [self.value, self.half_width].into_iter().chain(self.color.into_iter().flatten()).chain(self.area);
         values.into_iter().all(|value| value.is_finite() && value >= 0.0)
             && self.position.iter().all(|x| x.is_finite())
+            && [self.samples, self.bad_samples].iter().all(|count| *count <= MAX_COUNT)
             && self.unit == self.quantity.unit()
     }
 }

@@ -239,7 +239,7 @@ export async function compare({ step, open, claim, equal, accessible, current, s
       await until(async () => new Set(await picture.locator('.host .film canvas').evaluateAll((all) => all.map((it) => it.toDataURL()))).size === 2, 'maps of both', 10);
     });
 
-    await on('boxes, one for each scene: drawn, dragged, and compared in numbers', async (it, page) => {
+    await on('boxes, one for each data set: drawn, dragged, and compared in numbers', async (it, page) => {
       await page.goto(`${home(where)}&scene=open&numbers=open&boxa=${BOXES.p1}&boxb=${BOXES.p3}`);
       await page.locator('[data-scene=ready]').waitFor({ timeout: 60_000 });
       await it.ready();

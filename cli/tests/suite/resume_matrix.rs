@@ -77,9 +77,10 @@ const RENDER: Matrix = Matrix {
             "--style one.png --style-source one.layers.exr",
             "--style one.png --style-source two.layers.exr",
         ),
+        case("--measure", "--measure few.toml", "--measure more.toml"),
     ],
-    // The samples of a time budget depend on the clock, so no two runs are alike.
-    inert: &["--out", "--report", "--fresh", "--watch", "--root", "--time"],
+    // The samples of a time budget depend on the clock, so no two runs are alike. `--measure-only` is refused.
+    inert: &["--out", "--report", "--fresh", "--watch", "--root", "--time", "--measure-only"],
     begun: "room.0001.exr",
 };
 
@@ -102,6 +103,8 @@ const SWEEP: Matrix = Matrix {
         case("--stats", "--stats=some", "--stats=full"),
         case("--layer", "--layer direct=CDL", "--layer direct=CD*L"),
         case("--layers", "--layers direct", "--layers direct,indirect"),
+        case("--measure", "--measure few.toml", "--measure more.toml"),
+        case("--measure-only", "--measure few.toml", "--measure few.toml --measure-only"),
     ],
     inert: &[
         "--out",
@@ -186,6 +189,9 @@ fn test_folder() -> TestFolder {
     let dir = TestFolder::new();
     let side = "camera side =\n\torigin 0.5 -3 1.4\n\ttarget 0 0 1\n\tfov 40\n\tfilm 32 32\nmedium fog =";
     dir.write("room.mgf", &FOG.replacen("medium fog =", side, 1));
+    for (name, points) in [("few", "[0, 0, 1]"), ("more", "[0, 0, 1], [0.5, 0, 1]")] {
+        dir.write(&format!("{name}.toml"), &format!("spp = 64\n[[points]]\nname = \"a\"\nat = [{points}]\n"));
+    }
     dir.write("job.toml", "scene = \"room.mgf\"\n[sweep]\n\"material.lamp.ed\" = [100, 300]\n");
     for (name, seed, frame) in [("one", 5, 1), ("two", 6, 4), ("t-1", 7, 2), ("t-2", 8, 6)] {
         let settings = "--size 32x32 --spp 8 --method pt --preview --layers guides,motion,depth";
@@ -228,6 +234,11 @@ fn results(folder: &Path) -> BTreeMap<String, blake3::Hash> {
     out
 }
 
+/// Adds the digest of a whole file.
+fn add_file(out: &mut BTreeMap<String, blake3::Hash>, name: String, path: &Path) {
+    out.insert(name, blake3::hash(&std::fs::read(path).expect("a file")));
+}
+
 /// Adds the digests of the results in a folder, with `at` before their names. Of an EXR file these are the channels, because its attributes have times.
 /// Tables have times, too, and are left out.
 fn add_results(folder: &Path, at: &str, out: &mut BTreeMap<String, blake3::Hash>) {
@@ -240,7 +251,8 @@ fn add_results(folder: &Path, at: &str, out: &mut BTreeMap<String, blake3::Hash>
                 let channels = format!("{:?}", Channels::read(&path).expect("an EXR file"));
                 out.insert(name, blake3::hash(channels.as_bytes()));
             }
-            Some("png" | "paths") => drop(out.insert(name, blake3::hash(&std::fs::read(&path).expect("a file")))),
+            Some("png" | "paths") => add_file(out, name, &path),
+            Some("json") if name.ends_with(".readings.json") => add_file(out, name, &path),
             _ => {}
         }
     }

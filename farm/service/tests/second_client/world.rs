@@ -268,6 +268,7 @@ impl World {
             "preview 7.3",
             "layers 7.3",
             "geometry 7.3",
+            "solution 7.3",
             "geometry 7.4",
             "readings 7.3",
             "light 7.3",

@@ -13,7 +13,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64};
 
 /// A gray room of 3 m x 2 m x 2 m, far from the world's origin, with a lamp below the ceiling and a ball.
 const ROOM: &str = "camera main =\n origin 1001.5 998 1\n target 1001.5 1001 1\n film 4 4\n\
-     m gray =\n sides 1\n rd .6\nm lamp =\n sides 1\n ed 400\nm white =\n sides 2\n rd .8\n\
+     m gray =\n sides 1\n rd .6\nm lamp =\n sides 1\n ed 400\nm white =\n sides 1\n rd .8\n\
      v a =\n p 1000 1000 0\nv b =\n p 1003 1000 0\nv c =\n p 1003 1002 0\nv d =\n p 1000 1002 0\n\
      v e =\n p 1000 1000 2\nv f =\n p 1003 1000 2\nv g =\n p 1003 1002 2\nv h =\n p 1000 1002 2\n\
      v i =\n p 1001 1000.7 1.8\nv j =\n p 1002 1000.7 1.8\nv k =\n p 1002 1001.3 1.8\nv l =\n p 1001 1001.3 1.8\n\

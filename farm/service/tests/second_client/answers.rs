@@ -171,7 +171,6 @@ fn downloads() -> Vec<Case> {
         text("jobs/7/solution?frame=4", "solution 7.3"),
         case("jobs/8/solution", Status(404)),
         case("files/0/solution", Status(404)),
-        text("compare?a=7/3&b=8/3", "image 7.3 against image 7.3"),
         text("compare?a=7/3&b=8/3", "image 7.3 against image 8.3"),
         text("compare?a=7/3&b=0", "image 7.3 against light of file 0"),
         text("compare?a=0&b=7/3", "light of file 0 against image 7.3"),

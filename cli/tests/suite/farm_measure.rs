@@ -92,7 +92,7 @@ fn readings_of_a_farm_are_those_of_one_process_despite_a_kill() {
     assert!(file_names(&alone.path("out")).contains(&"room.0002.exr".to_owned()));
     assert!(first[0] != first[2], "the fog thickens");
 
-    // Three workers, of which one dies, and no images.
+    // A job that only measures, on three workers. One of them is killed.
     let farm = folder();
     let (_other_coordinator, url) = start_coordinator(&farm, 0);
     let mut workers: Vec<TestProcess> = (0..3).map(|_| start_worker(&farm, &url)).collect();
@@ -227,7 +227,7 @@ fn a_sweep_makes_one_table_over_its_variants() {
     let rows = report["readings"].as_array().expect("rows");
     assert_eq!(rows.len(), 8);
     assert_eq!((&rows[1]["part"], rows[1]["mean"].as_f64()), (&Value::from("plane"), Some(means[1])));
-    // The readings of a variant are those of `femc measure`.
+    // `femc measure` gives the same readings for a variant.
     let variant = report["variants"][1].as_str().expect("a name");
     let alone = "measure room.mgf sweep.toml --frame 3 --set material.lamp.ed=600 --csv";
     assert_eq!(dir.read(&format!("lamps/{variant}/room.0003.readings.csv")), dir.run(alone).exits(0).stdout());

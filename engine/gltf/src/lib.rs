@@ -19,5 +19,6 @@ mod tessellation;
 
 pub use geometry::{GeometryOptions, scene_geometry};
 pub use glb::{Glb, TooLarge};
+pub use root::scene_root;
 pub use solution::{SolutionOptions, solution_model};
 pub use tessellation::{Steps, Tessellation};

@@ -1,6 +1,6 @@
 //! The finite-element solution of a frame as a glTF document, for viewers: a mesh of the elements' leaves by material and side.
 //!
-//! Positions are those of [`scene_geometry`](crate::scene_geometry), so that a viewer can show both.
+//! Positions have the coordinates of [`scene_geometry`](crate::scene_geometry), so that a viewer can show both.
 
 use crate::glb::{Glb, TooLarge};
 use crate::root::scene_root;
@@ -9,7 +9,7 @@ use femc_math::Rgb;
 use femc_math::color::luminance;
 use femc_prepared::Prepared;
 use femc_radiosity::{Mesh, MeshContent, SolutionView, solution_meshes};
-use serde_json::json;
+use serde_json::{Value, json};
 
 /// Options of [`solution_model`].
 #[derive(Clone, Debug, PartialEq)]
@@ -73,7 +73,7 @@ pub fn solution_model(prepared: &Prepared, field: &Field, options: &SolutionOpti
     glb.finish(document)
 }
 
-fn primitive(glb: &mut Glb, mesh: &Mesh) -> serde_json::Value {
+fn primitive(glb: &mut Glb, mesh: &Mesh) -> Value {
     let illuminance = |values: &[[f32; 3]]| -> Vec<f32> {
         values.iter().map(|&irradiance| luminance(Rgb::from_array(irradiance))).collect()
     };

@@ -280,7 +280,7 @@ struct NamedRows {
 impl NamedRows {
     /// Creates the rows of objects with all their parents, and of media.
     fn objects(paths: &RecordedPaths) -> Self {
-        Self::new(paths, NameKind::Object, RowSubject::Object, RowSubject::Nameless, parents)
+        Self::new(paths, NameKind::Object, RowSubject::Object, RowSubject::Nameless, outer_names)
     }
 
     /// Creates the rows of lamps and of media that emit.
@@ -312,7 +312,7 @@ impl NamedRows {
         let mut by_number = vec![vec![nameless]];
         for (own, text) in entries {
             let own_rows: Vec<usize> = if *own == kind {
-                let all = outer_names(text).chain([&text[..]]);
+                let all = parents(text).into_iter().chain([&text[..]]);
                 all.filter_map(|name| rows.get(&subject(name.to_owned())).copied()).collect()
             } else {
                 rows.get(&RowSubject::Medium(text.clone())).copied().into_iter().collect()
@@ -330,12 +330,9 @@ impl NamedRows {
 }
 
 /// Returns the names of the objects that contain an object, the outermost first.
-fn outer_names(text: &str) -> impl Iterator<Item = &str> {
-    text.char_indices().filter(|(at, letter)| *at > 0 && matches!(letter, '.' | '/')).map(|(at, _)| &text[..at])
-}
-
-fn parents(text: &str) -> Vec<&str> {
-    outer_names(text).collect()
+fn outer_names(text: &str) -> Vec<&str> {
+    let ends = text.char_indices().filter(|(at, letter)| *at > 0 && matches!(letter, '.' | '/'));
+    ends.map(|(at, _)| &text[..at]).collect()
 }
 
 impl RecordedPaths {

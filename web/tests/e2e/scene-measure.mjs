@@ -32,7 +32,7 @@ try {
   await farm.coordinator();
   farm.worker('measured');
   for (const scene of scenes) {
-    const job = farm.submit(scene, ...SETTINGS, ...options);
+    const job = Number(farm.femc('submit', scene, ...SETTINGS, ...options).trim().split('\n').at(-1));
     await until(() => ['done', 'failed'].includes(farm.job(job).state), `${scene} is rendered`, 1200);
     const page = await browser.newPage({ viewport: { width: 1360, height: 1000 } });
     const geometry = await page.request.get(`${farm.url}/api/v1/jobs/${job}/geometry`);

@@ -1,11 +1,10 @@
 //! The solution as a glTF document. Each material and side has one node. All nodes are below a root node that turns the scene's z
 //! up into glTF's y up.
 
-use femc_pipeline::gltf::{Glb, TooLarge};
+use femc_pipeline::gltf::{Glb, TooLarge, scene_root};
 use femc_pipeline::radiosity::{Mesh, MeshContent};
 use femc_pipeline::{Prepared, Side};
 use serde_json::{Value, json};
-use std::f64::consts::FRAC_1_SQRT_2;
 
 /// Whether the elements' edges are drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -49,13 +48,7 @@ pub fn glb(meshes: &[Mesh], wireframe: Wireframe, metadata: &GltfMetadata<'_>) -
         shown.push(json!({ "name": name, "primitives": primitives }));
         nodes.push(json!({ "name": name, "mesh": shown.len() - 1 }));
     }
-    let [x, y, z] = metadata.prepared.to_world([0.0; 3].into());
-    let mut root = json!({
-        "name": "scene", "translation": [x, z, -y], "rotation": [-FRAC_1_SQRT_2, 0.0, 0.0, FRAC_1_SQRT_2],
-    });
-    if !nodes.is_empty() {
-        root["children"] = (0..nodes.len()).collect();
-    }
+    let root = scene_root(metadata.prepared.origin, nodes.len());
     nodes.push(root);
     let mut document = json!({
         "asset": { "version": "2.0", "generator": format!("femc {}", env!("CARGO_PKG_VERSION")) },

@@ -41,7 +41,7 @@ impl ExpectedMetadata {
         Ok(Self { settings, allocation, scene, exposure, sidecars, measurement, blocks })
     }
 
-    /// Returns whether the frame needs no readings, or has those of this measurement.
+    /// Checks whether the readings beside a frame belong to the requested measurement. Without a measurement, none are needed.
     fn has_readings(&self, frame: u32, path: &Path) -> bool {
         self.measurement.as_ref().is_none_or(|(request, settings)| {
             let id = MeasurementId::new(request, settings, (femc_worker::engine(), self.scene.clone()), frame);
@@ -62,10 +62,7 @@ impl ExpectedMetadata {
             && settings == self.settings
             && (self.allocation.is_none() || self.allocation == allocation())
             && is_shown;
-        if !same || !self.sidecars.all_exist(path) {
-            return None;
-        }
-        if !self.has_readings(frame, path) {
+        if !same || !self.sidecars.all_exist(path) || !self.has_readings(frame, path) {
             return None;
         }
         let number = |name| says(name)?.parse::<f64>().ok();

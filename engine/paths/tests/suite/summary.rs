@@ -151,7 +151,7 @@ fn numbers_of_light_are_sums_over_the_records() {
                     other => panic!("{other:?}"),
                 }
             };
-            // Selected lights of which some intersection on the way to the camera is selected and with the object.
+            // A light came by the object if a selected intersection with it lies between the light and the camera.
             let is_selected = |number: u32, index: usize| {
                 let at = all.intersections_of(number).start + index as u32;
                 selected.as_ref().is_none_or(|it| it.intersections.contains(at))
@@ -336,6 +336,17 @@ fn only_the_rows_with_the_most_light_are_listed() {
     let names = all.names().entries().len();
     assert_eq!((lamps.len(), summary.left_out), (1000, [0, 0, names - 1000]), "{names} lamps");
     assert!(lamps.windows(2).all(|two| two[0].1.light.value >= two[1].1.light.value));
+}
+
+#[test]
+fn the_light_of_a_lamp_within_another_counts_once() {
+    let frame = frame_of_lamps(1, 3000, |draw| if draw < 0.5 { "sign" } else { "sign.letter" }.to_owned());
+    let all = RecordedPaths::new(FrameStatistics::from_statistics([frame]).unwrap());
+    let summary = all.summarize(None, &RUNNING).unwrap();
+    let lamps = &summary.groups[2];
+    let sum: f64 = lamps.iter().map(|(_, amount)| amount.light.value).sum();
+    assert_eq!(lamps.len(), 2);
+    assert!((sum / summary.total.light.value - 1.0).abs() < 1e-6, "{lamps:?}");
 }
 
 #[test]

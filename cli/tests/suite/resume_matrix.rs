@@ -411,8 +411,13 @@ fn jobs_that_differ_in_a_setting_do_not_mix_on_a_worker() {
     for (job, settings) in jobs {
         let [of_job, alone] = ["job", "alone"].map(|folder| format!("{folder}-{job}"));
         dir.run(&format!("fetch {job} --wait -o {of_job} --server {url}")).exits(0);
-        dir.run(&format!("render room.mgf {settings} -o {alone}/")).exits(0);
-        let [found, expected] = [&of_job, &alone].map(|folder| results(&dir.path(folder)));
+        // `femc render` always makes images. The readings beside them must equal the readings of a job that only measures.
+        let rendered = settings.replace(" --measure-only", "");
+        dir.run(&format!("render room.mgf {rendered} -o {alone}/")).exits(0);
+        let [found, mut expected] = [&of_job, &alone].map(|folder| results(&dir.path(folder)));
+        if rendered != settings {
+            expected.retain(|name, _| name.ends_with(".readings.json"));
+        }
         assert!(!expected.is_empty(), "{settings}: no results");
         assert_eq!(found, expected, "{settings}");
     }

@@ -585,7 +585,7 @@ const FRAMES_FRONT: usize = 8 + 4 + 4 + 8;
 const PATHS_FRONT: usize = 28 + 4 + 8 + 7 * 4 + 6 * 8 + 8 + 7 * 4 + 8;
 
 /// Bytes of an encoded field before its tables.
-const FIELD_FRONT: usize = 28 + 8 * 8 + 4 + 10 * 4 + 8;
+const FIELD_FRONT: usize = 28 + 8 * 8 + 4 + 11 * 4 + 8;
 
 fn test_point() -> Vec3A {
     Vec3A::new(0.4, 0.3, 0.2)

@@ -411,6 +411,10 @@ describe('finite-element solution', () => {
       illuminance: Float32Array.of(1e-6, 1e6, 1),
     };
     expect(solutionScale({ ...solution, parts: [element!, tiny] }, 'illuminance')).toEqual({ low: 10, high: 20, logarithmic: true });
+    // Backs of walls in a room are nearly black: the scale has at most three decades.
+    const dark = { ...element!, illuminance: Float32Array.of(1e-6, 1e-6, 1e-6) };
+    const { low, high } = solutionScale({ ...solution, parts: [element!, dark] }, 'illuminance');
+    expect(low / high).toBeCloseTo(1e-3, 9);
     expect(solutionScale({ ...solution, parts: [] }, 'colors')).toEqual({ low: 1, high: 1, logarithmic: true });
   });
 

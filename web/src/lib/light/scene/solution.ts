@@ -86,6 +86,9 @@ export function valuesOf(part: SolutionPart, kind: SolutionKind): Float32Array {
 /** Shares of the area whose values are below and above the scale. */
 const [BELOW, ABOVE] = [0.03, 0.01];
 
+/** Lower end of the scale over its upper end, at least. Backs of walls outside of a room are nearly black. */
+const LOWEST = 1e-3;
+
 /** Returns a logarithmic scale over the values of the elements, by area, without the lowest and highest shares. */
 export function solutionScale(solution: Solution, kind: SolutionKind): Scale {
   const all: [value: number, area: number][] = [];
@@ -108,7 +111,8 @@ export function solutionScale(solution: Solution, kind: SolutionKind): Scale {
     let sum = 0;
     return (all.find(([, share]) => (sum += share) >= wanted * total) ?? all.at(-1)!)[0];
   };
-  return { low: at(BELOW), high: at(1 - ABOVE), logarithmic: true };
+  const high = at(1 - ABOVE);
+  return { low: Math.max(at(BELOW), LOWEST * high), high, logarithmic: true };
 }
 
 /** Returns the area of a triangle, m². */

@@ -32,8 +32,11 @@ pub const SOLUTION: &str = "solution";
 /// Tag of workers that support measurements of light.
 pub const MEASUREMENTS: &str = "measurements";
 
+/// Tag of workers that support paths guided as in the method of 1998. It is required by the settings, not by a kind or a role.
+pub const GUIDE_1998: &str = "guide-1998";
+
 /// All these tags. A worker of this version offers them.
-pub const ALL: [&str; 10] = [
+pub const ALL: [&str; 11] = [
     FIRST_PASS,
     FIRST_PASS_BLOCKS,
     STATISTICS,
@@ -44,4 +47,5 @@ pub const ALL: [&str; 10] = [
     GEOMETRY,
     SOLUTION,
     MEASUREMENTS,
+    GUIDE_1998,
 ];

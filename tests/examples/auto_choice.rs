@@ -12,7 +12,7 @@
 
 use femc_montecarlo::Guidance;
 use femc_pipeline::method_choice::{Pilot, RAYS_PER_GUIDED_VERTEX, choose_method};
-use femc_pipeline::radiosity::{self, SolveOptions};
+use femc_pipeline::radiosity::{self, GuideKind, SolveOptions};
 use femc_pipeline::{Method, SceneSource, Settings, StopCondition, plan_job, prepare_frame};
 use femc_tests::clock::processor_seconds;
 use femc_tests::relative_variance::measure;
@@ -45,7 +45,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         let source = SceneSource::new(Arc::new(femc_import::load_scene_file(path.as_ref())?.scene));
         let settings = Settings { size: Some([size; 2]), stop: StopCondition::Spp(spp), ..Settings::default() };
         let prepared = prepare_frame(&source, &Settings { method: Method::Pt, ..settings.clone() }, 1, None)?;
-        let options = SolveOptions { error: 1.0, guides: true, ..SolveOptions::default() };
+        let options = SolveOptions { error: 1.0, guides: GuideKind::Lobes, ..SolveOptions::default() };
         let start = processor_seconds().unwrap_or(0.0);
         let solution = radiosity::solve(&prepared, &options, &AtomicBool::new(false)).map_err(|_| "cancelled")?;
         let first_pass_seconds = processor_seconds().unwrap_or(0.0) - start;

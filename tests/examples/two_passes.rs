@@ -18,7 +18,7 @@
 
 use femc_math::sampler::REPLICATES;
 use femc_montecarlo::{Guidance, WeightWindow};
-use femc_pipeline::radiosity::{self, SolveOptions};
+use femc_pipeline::radiosity::{self, GuideKind, SolveOptions};
 use femc_pipeline::{Field, SceneSource, Settings, prepare_frame};
 use femc_prepared::Prepared;
 use femc_tests::clock::processor_seconds;
@@ -74,7 +74,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         let prepared = prepare_frame(&SceneSource::new(scene), &settings, 1, None)?;
         let name = std::path::Path::new(&path).file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let start = processor_seconds().unwrap_or(0.0);
-        let options = SolveOptions { error: 1.0, guides: true, ..SolveOptions::default() };
+        let options = SolveOptions { error: 1.0, guides: GuideKind::Lobes, ..SolveOptions::default() };
         let solution = radiosity::solve(&prepared, &options, &AtomicBool::new(false)).map_err(|_| "cancelled")?;
         let first = processor_seconds().unwrap_or(0.0) - start;
         let guidances: Result<Vec<_>, _> =

@@ -12,7 +12,7 @@ pub use metrics::MetricsArgs;
 pub use notes::{NotesArgs, job_name};
 pub use select::{SelectArgs, glob_match};
 pub use settings::{SettingsArgs, StatsMode};
-pub use values::{Filter, Method};
+pub use values::{Filter, Guide, Method};
 
 use crate::exit::{Failure, failed};
 use clap::{ArgAction, Args, ValueEnum};

@@ -1,4 +1,4 @@
-use super::{Filter, Method};
+use super::{Filter, Guide, Method};
 use crate::values::{DurationArg, Frames, Override, Size};
 use clap::{Args, ValueEnum};
 use femc_pipeline::Layer;
@@ -46,6 +46,9 @@ pub struct SettingsArgs {
     /// Path tracing alone, the first pass alone, both, or the one that a pilot finds faster [default: auto]
     #[arg(long, value_enum)]
     pub method: Option<Method>,
+    /// Guides of the paths of two passes; `1998` is a baseline for measurements and implies `--method femc` [default: lobes]
+    #[arg(long, value_enum)]
+    pub guide: Option<Guide>,
     /// Longest path in segments, counting the one from the camera; 0: unbounded [default: 0]
     #[arg(long, value_name = "N")]
     pub max_depth: Option<u32>,
@@ -107,6 +110,7 @@ impl SettingsArgs {
             error,
             time,
             method: self.method.or(job.method),
+            guide: self.guide.or(job.guide),
             max_depth: self.max_depth.or(job.max_depth),
             filter: self.filter.or(job.filter),
             seed: self.seed.or(job.seed),

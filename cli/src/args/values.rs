@@ -15,6 +15,18 @@ pub enum Method {
     Femc,
 }
 
+/// Guides of the paths of two passes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Deserialize)]
+pub enum Guide {
+    /// Lobes and a weight window.
+    #[serde(rename = "lobes")]
+    Lobes,
+    /// Tables of directions, as in the first version of the method, of 1998: a baseline for measurements.
+    #[value(name = "1998")]
+    #[serde(rename = "1998")]
+    Tables1998,
+}
+
 /// Pixel filter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Deserialize)]
 #[serde(rename_all = "kebab-case")]

@@ -2,7 +2,7 @@
 
 use super::picture::attributes;
 use super::{FrameMetadata, JobFile, points_file};
-use crate::args::{Filter, Method, SettingsArgs, StatsMode};
+use crate::args::{Filter, Guide, Method, SettingsArgs, StatsMode};
 use crate::exit::{Failure, failed, usage};
 use crate::output::faults::{self, FaultLine};
 use crate::output::{BusyIndicator, Printer, human};
@@ -101,6 +101,10 @@ impl ImportedScene {
 
     /// Checks settings against the scene, and plans.
     pub fn resolve(&self, typed: &SettingsArgs, at: LocateSetting<'_>) -> Result<ResolvedRequest, Failure> {
+        if let (Some(Guide::Tables1998), Some(Method::Auto | Method::Pt | Method::Fem)) = (typed.guide, typed.method) {
+            let place = at("guide").unwrap_or_else(|| "--guide".to_owned());
+            return Err(usage(format!("{place}: tables of 1998 guide two passes; use `--method femc` with it")));
+        }
         let settings = resolve_settings(typed);
         let measure =
             typed.measure.as_deref().map(|path| points_file::load_for(path, self.source.scene())).transpose()?;
@@ -436,7 +440,10 @@ fn resolve_settings(typed: &SettingsArgs) -> Settings {
         camera: typed.camera.clone(),
         size: typed.size.map(|Size { width, height }| [width, height]),
         stop,
-        method: typed.method.map_or(default.method, method),
+        method: match typed.guide {
+            Some(Guide::Tables1998) => femc_pipeline::Method::Femc1998,
+            Some(Guide::Lobes) | None => typed.method.map_or(default.method, method),
+        },
         max_depth: typed.max_depth.unwrap_or(default.max_depth),
         filter: typed.filter.map_or(default.filter, filter),
         seed: typed.seed.unwrap_or(default.seed),

@@ -1,4 +1,4 @@
-use crate::{Cell, FogTree, Guided, Guides, Harmonics, NONE, Side, Surface};
+use crate::{Cell, DirectionTable, DirectionTables, FogTree, Guided, Guides, Harmonics, NONE, Side, Surface};
 use femc_geometry::Hit;
 use femc_math::Rgb;
 use femc_math::color::luminance;
@@ -103,6 +103,8 @@ pub struct Field {
     pub errors: Vec<f32>,
     /// Guides by leaf: the directions from which light comes. Empty if they were not computed.
     pub guides: Guides,
+    /// Tables of directions by leaf, in place of guides, for the method of 1998. Empty if they were not computed.
+    pub tables: DirectionTables,
     /// Surfaces of the front and of the back by instance and primitive, or [`NONE`].
     pub sides: Vec<Vec<[u32; 2]>>,
     /// Light in fog.
@@ -143,8 +145,19 @@ impl Field {
         self.guides.at(surface, || self.surfaces[surface as usize].parameters(position, [hit.u, hit.v]))
     }
 
+    /// Returns the table of directions at a hit. `None` if there is none.
+    /// - `position`: position of the hit.
+    pub fn table_at(&self, hit: &Hit, side: Side, position: Vec3A) -> Option<&DirectionTable> {
+        self.tables.of_leaf(self.leaf_at(hit, side, position)?.0)
+    }
+
+    /// Returns the table of directions at a point in fog. `None` if there is none.
+    pub fn fog_table_at(&self, point: Vec3A) -> Option<&DirectionTable> {
+        self.tables.of_fog_leaf(self.fog.leaf_at(point)?)
+    }
+
     /// Returns the leaf of a hit, and the hit's coordinates in it.
-    fn leaf_at(&self, hit: &Hit, side: Side, position: Vec3A) -> Option<(u32, Vec2)> {
+    pub fn leaf_at(&self, hit: &Hit, side: Side, position: Vec3A) -> Option<(u32, Vec2)> {
         let (surface, root) = self.surface_and_root(hit, side)?;
         Cell::find(&self.cells, root, surface.parameters(position, [hit.u, hit.v]))
     }
@@ -166,6 +179,7 @@ impl Field {
             + size_of_val(&*self.direct)
             + size_of_val(&*self.errors)
             + self.guides.memory()
+            + self.tables.memory()
             + self.sides.iter().map(|sides| size_of_val(&**sides)).sum::<usize>()
             + self.fog.memory()
     }

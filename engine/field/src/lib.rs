@@ -16,6 +16,7 @@ mod guide;
 mod harmonics;
 mod regions;
 mod surface;
+mod tables;
 mod walk;
 
 pub use cell::{Cell, Outline, Split};
@@ -25,6 +26,7 @@ pub use fog::{FogCell, FogLeaf, FogLine, FogLinePoint, FogTree};
 pub use guide::{Block, Directions, Guide, Guided, Guides, HALF, LOBES, Lobe};
 pub use harmonics::Harmonics;
 pub use surface::{Form, Side, Surface, SurfaceSpot};
+pub use tables::{DirectionTable, DirectionTables, TABLE_CELLS, TableCells, TableExtent};
 
 /// "None" among `u32` indices.
 pub const NONE: u32 = u32::MAX;

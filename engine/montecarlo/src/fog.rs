@@ -4,9 +4,11 @@
 //! scatters, a distance by the same measure, then a point on the light. (2) Sample a distance by transmittance, then a direction
 //! that hits the light. Both have densities over (light, distance, direction) and are combined there with the power heuristic.
 //!
-//! Directions after an event are sampled from the phase function or toward a light, with the density of the mixture of both.
+//! Directions after an event are sampled from the phase function or toward a light, with the density of the mixture of both. A table
+//! of directions, if a field has one, is a third part of the mixture.
 
 use crate::dimensions as dim;
+use crate::guided::TABLE_SHARE;
 use crate::path_state::PathState;
 use crate::record::Decision;
 use crate::shadow::ShadowTester;
@@ -14,6 +16,7 @@ use crate::square;
 use crate::technique::{MisTechnique, mis_weight};
 use crate::tracer::TracerCounters;
 use femc_emission::{DeltaKind, DirectionContext, LightWeights, SegmentContext};
+use femc_field::DirectionTable;
 use femc_math::Rgb;
 use femc_math::glam::Vec3A;
 use femc_prepared::Prepared;
@@ -72,6 +75,8 @@ pub struct DirectionSample {
     pub phase_pdf: f32,
     /// Factor on the throughput.
     pub weight: Rgb,
+    /// Whether a table of directions sampled the direction.
+    pub is_guide_sample: bool,
 }
 
 /// Light scattered once on a segment.
@@ -236,7 +241,13 @@ impl FogSampler<'_> {
     }
 
     /// Samples the direction after an event.
-    pub fn sample_direction(&mut self, path: &mut PathState, collision: &Collision) -> Option<DirectionSample> {
+    /// - `table`: table of directions from which a share of the directions is sampled.
+    pub fn sample_direction(
+        &mut self,
+        path: &mut PathState,
+        collision: &Collision,
+        table: Option<&DirectionTable>,
+    ) -> Option<DirectionSample> {
         let scene = self.scene;
         let (media, event, many) = (&scene.media, &collision.event, scene.lights.sampler());
         path.stream.seek(path.base + dim::LOBE);
@@ -246,10 +257,15 @@ impl FogSampler<'_> {
         let from = (path.bounce < MAX_GUIDED_SEGMENTS)
             .then(|| self.direction_context(path, collision.position, event))
             .flatten();
+        let table_share = if table.is_some() { TABLE_SHARE } else { 0.0 };
+        let is_guide_sample = choice < table_share;
+        if !is_guide_sample {
+            choice = (choice - table_share) / (1.0 - table_share);
+        }
         let mut toward_light = None;
         if let Some(from) = &from {
             many.weigh_directions(from, self.direction_weights);
-            if choice >= PHASE_SHARE {
+            if !is_guide_sample && choice >= PHASE_SHARE {
                 choice = (choice - PHASE_SHARE) / (1.0 - PHASE_SHARE);
                 path.stream.seek(path.base + dim::LIGHT_DIRECTION);
                 toward_light =
@@ -259,15 +275,21 @@ impl FogSampler<'_> {
             }
         }
         let by_phase = || media.sample_phase(&self.ray.media, event, choice).sample(-path.ray.dir, u).wi;
-        let dir = toward_light.unwrap_or_else(by_phase);
+        let dir = match table {
+            Some(table) if is_guide_sample => table.sample(u),
+            _ => toward_light.unwrap_or_else(by_phase),
+        };
         let (value, phase) = media.phase(&self.ray.media, event, -path.ray.dir, dir);
-        let pdf = match &from {
+        let unguided = match &from {
             None => phase,
             Some(from) => {
                 PHASE_SHARE * phase + (1.0 - PHASE_SHARE) * many.direction_pdf(from, self.direction_weights, dir, phase)
             }
         };
-        (pdf > 0.0 && phase > 0.0).then(|| DirectionSample { dir, pdf, phase_pdf: phase, weight: value / pdf })
+        let by_table = table.map_or(0.0, |table| table.pdf(dir));
+        let pdf = table_share * by_table + (1.0 - table_share) * unguided;
+        let sample = || DirectionSample { dir, pdf, phase_pdf: phase, weight: value / pdf, is_guide_sample };
+        (pdf > 0.0 && phase > 0.0).then(sample)
     }
 }
 
@@ -276,6 +298,7 @@ mod tests {
     use super::*;
     use crate::path_state::PathState;
     use crate::test_scene::{center_path, prepare};
+    use femc_field::{TABLE_CELLS, TableCells, TableExtent};
     use femc_geometry::Ray;
     use femc_math::color::luminance;
     use femc_stats::testing::{Moments, pooled_test, sidak};
@@ -283,7 +306,7 @@ mod tests {
     /// Probability of a false alarm over all statistical tests here.
     const LEVEL: f64 = 1e-4;
     /// Number of statistical tests here.
-    const TESTS: usize = 8;
+    const TESTS: usize = 11;
 
     /// Colored fog in a box, thinner fog around it whose density falls with height, and a lamp beside the camera's ray.
     const SCENE: &str = "\
@@ -440,21 +463,30 @@ f e f g h
         let scene = prepare(SCENE);
         let mut fixture = Fixture::new(&scene);
         let event = scene.media.event_at(&fixture.ray.media, 2.5).expect("fog");
-        let (mut solid_angle, mut weight, mut phase) = (Moments::default(), Moments::default(), Moments::default());
-        for seed in 0..40_000 {
-            let mut path = center_path(&scene, seed);
-            let collision = Collision { event, position: path.ray.origin + path.ray.dir * event.t };
-            let scattered = fixture.sampler().sample_direction(&mut path, &collision).expect("a direction");
-            assert!((scattered.dir.length() - 1.0).abs() < 1e-4);
-            solid_angle.add(1.0 / f64::from(scattered.pdf));
-            weight.add(luminance(scattered.weight).into());
-            phase.add(f64::from(scattered.phase_pdf) / f64::from(scattered.pdf));
-        }
-        for (name, moments, expected) in
-            [("sphere", solid_angle, 4.0 * std::f64::consts::PI), ("weight", weight, 1.0), ("phase", phase, 1.0)]
-        {
-            let p = moments.p_value(expected);
-            assert!(p >= sidak(LEVEL, TESTS), "{name}: {moments:?} for {expected}: {p}");
+        let mut light = [0.1; TABLE_CELLS];
+        light[TableCells::new(TableExtent::Sphere).find(Vec3A::Y).expect("all directions")] = 40.0;
+        let table = DirectionTable::new(TableExtent::Sphere, &light).expect("light");
+        for table in [None, Some(&table)] {
+            let (mut solid_angle, mut weight, mut phase) = (Moments::default(), Moments::default(), Moments::default());
+            let mut guided = 0;
+            for seed in 0..40_000 {
+                let mut path = center_path(&scene, seed);
+                let collision = Collision { event, position: path.ray.origin + path.ray.dir * event.t };
+                let scattered = fixture.sampler().sample_direction(&mut path, &collision, table).expect("a direction");
+                assert!((scattered.dir.length() - 1.0).abs() < 1e-4);
+                solid_angle.add(1.0 / f64::from(scattered.pdf));
+                weight.add(luminance(scattered.weight).into());
+                phase.add(f64::from(scattered.phase_pdf) / f64::from(scattered.pdf));
+                guided += u32::from(scattered.is_guide_sample);
+            }
+            for (name, moments, expected) in
+                [("sphere", solid_angle, 4.0 * std::f64::consts::PI), ("weight", weight, 1.0), ("phase", phase, 1.0)]
+            {
+                let p = moments.p_value(expected);
+                assert!(p >= sidak(LEVEL, TESTS), "{name}: {moments:?} for {expected}: {p}");
+            }
+            let expected = if table.is_some() { 20_000 } else { 0 };
+            assert!(guided.abs_diff(expected) < 1_000, "{guided} from the table");
         }
     }
 }

@@ -5,7 +5,7 @@
 //! correct for any guide.
 
 use crate::surface::SurfaceInteraction;
-use femc_field::{Block, Directions, Field, Side};
+use femc_field::{Block, DirectionTable, Directions, Field, Side};
 use femc_math::color::luminance;
 use femc_math::glam::Vec3A;
 use femc_math::{Frame, Rgb};
@@ -18,13 +18,64 @@ pub struct DirectionSampler<'a> {
     frame: &'a Frame,
     /// Outgoing direction, toward the previous vertex, local frame.
     wo: Vec3A,
-    guide: Option<(&'a Directions<'a>, f32)>,
+    guide: Option<(&'a GuideDirections<'a>, f32)>,
+}
+
+/// Share of the directions at a surface or in fog that are sampled from a table.
+pub(crate) const TABLE_SHARE: f32 = 0.5;
+
+/// Guide of a leaf of a field.
+#[derive(Clone, Copy)]
+pub enum LeafGuide<'a> {
+    /// Lobes, whose directions depend on the point.
+    Lobes(&'a Block),
+    /// Table of directions.
+    Table(&'a DirectionTable),
+}
+
+impl<'a> LeafGuide<'a> {
+    /// Returns the directions at a point. `None`: there is nothing to sample.
+    #[inline(always)]
+    pub fn directions_at(self, point: Vec3A) -> Option<GuideDirections<'a>> {
+        match self {
+            Self::Lobes(block) => Directions::new(block, point).non_empty().map(GuideDirections::Lobes),
+            Self::Table(table) => Some(GuideDirections::Table(table)),
+        }
+    }
+}
+
+/// Directions of a guide at a point.
+pub enum GuideDirections<'a> {
+    /// Directions of lobes.
+    Lobes(Directions<'a>),
+    /// Table of directions.
+    Table(&'a DirectionTable),
+}
+
+impl GuideDirections<'_> {
+    /// Returns the density of [`Self::sample`] in a unit direction of the world, 1/sr.
+    #[inline]
+    pub fn pdf(&self, dir: Vec3A) -> f32 {
+        match self {
+            Self::Lobes(directions) => directions.pdf(dir),
+            Self::Table(table) => table.pdf(dir),
+        }
+    }
+
+    /// Samples a direction from `u` in [0, 1)^2. Evenly spread numbers give evenly spread directions.
+    #[inline]
+    pub fn sample(&self, u: [f32; 2]) -> Vec3A {
+        match self {
+            Self::Lobes(directions) => directions.sample_evenly(u),
+            Self::Table(table) => table.sample(u),
+        }
+    }
 }
 
 /// Guide of a field at a surface.
 pub struct SurfaceGuide<'a> {
-    /// Lobes, and the share of directions to sample from them, in (0, 1).
-    pub lobes: Option<(&'a Block, f32)>,
+    /// Guide of the leaf, and the share of directions to sample from it, in (0, 1).
+    pub leaf: Option<(LeafGuide<'a>, f32)>,
     /// Radiance that the surface scatters toward the previous vertex according to the field, cd/m2, without direct light from
     /// sources: albedo times irradiance, over pi. It is 0 if the field has no data here.
     pub radiance: Rgb,
@@ -34,17 +85,23 @@ impl<'a> SurfaceGuide<'a> {
     /// Returns the guide of a field at a surface.
     #[inline(always)]
     pub fn new(field: &'a Field, surface: &SurfaceInteraction<'_>) -> Self {
-        let mut out = Self { lobes: None, radiance: Rgb::ZERO };
+        let mut out = Self { leaf: None, radiance: Rgb::ZERO };
         // The guide has no data about glossy lobes.
         let diffuse = luminance(surface.bsdf.lambertian(surface.wo).0);
         if diffuse <= 0.0 {
             return out;
         }
         let side = if surface.back { Side::Back } else { Side::Front };
-        let Some(guided) = field.guide_at(&surface.hit, side, surface.point.position) else { return out };
         let albedo = surface.bsdf.albedo(surface.wo);
+        let diffuse_share = (diffuse / luminance(albedo)).min(1.0);
+        if !field.tables.is_empty() {
+            let table = field.table_at(&surface.hit, side, surface.point.position);
+            out.leaf = table.map(|table| (LeafGuide::Table(table), TABLE_SHARE * diffuse_share));
+            return out;
+        }
+        let Some(guided) = field.guide_at(&surface.hit, side, surface.point.position) else { return out };
         out.radiance = albedo * guided.light * FRAC_1_PI;
-        out.lobes = guided.lobes.map(|(block, share)| (block, share * (diffuse / luminance(albedo)).min(1.0)));
+        out.leaf = guided.lobes.map(|(block, share)| (LeafGuide::Lobes(block), share * diffuse_share));
         out
     }
 }
@@ -68,7 +125,7 @@ impl<'a> DirectionSampler<'a> {
     /// Adds the directions of a guide.
     /// - `share`: share of the directions to sample from them, in (0, 1).
     #[inline(always)]
-    pub fn add_guide(&mut self, directions: &'a Directions<'a>, share: f32) {
+    pub fn add_guide(&mut self, directions: &'a GuideDirections<'a>, share: f32) {
         self.guide = Some((directions, share));
     }
 
@@ -93,7 +150,7 @@ impl<'a> DirectionSampler<'a> {
         };
         let by_guide = u[0] < share;
         let mut sample = if by_guide {
-            let wi = self.frame.to_local(directions.sample_evenly([u[0] / share, u[1]]));
+            let wi = self.frame.to_local(directions.sample([u[0] / share, u[1]]));
             let transmitted = if wi.z * self.wo.z < 0.0 { Transmitted::Yes } else { Transmitted::No };
             BsdfSample { wi, weight: Rgb::ZERO, pdf: 0.0, lobe: LobeKind::Diffuse, transmitted, eta: 1.0 }
         } else {
@@ -111,8 +168,8 @@ impl<'a> DirectionSampler<'a> {
             return None;
         }
         let by_bsdf = self.bsdf.pdf(self.wo, sample.wi);
-        let by_lobes = directions.pdf(self.frame.to_world(sample.wi));
-        sample.pdf = by_bsdf * (1.0 - share) + by_lobes * share;
+        let by_guide_pdf = directions.pdf(self.frame.to_world(sample.wi));
+        sample.pdf = by_bsdf * (1.0 - share) + by_guide_pdf * share;
         sample.weight = value / sample.pdf;
         // The BSDF can sample everything that it scatters, so its density is 0 only by rounding.
         let pdf_ratio = sample.pdf / by_bsdf.max(1e-6 * sample.pdf);
@@ -138,7 +195,7 @@ mod tests {
         let lobe = |dir: Vec3A| Lobe::round(dir * 3.0, dir, 0.5, 0.45);
         let (above, below) = (frame.to_world(Vec3A::new(0.2, 0.9, 0.1).normalize()), frame.to_world(Vec3A::NEG_Z));
         let block = Block::new(&[lobe(above), lobe(below)]);
-        let directions = Directions::new(&block, Vec3A::ZERO);
+        let directions = LeafGuide::Lobes(&block).directions_at(Vec3A::ZERO).expect("lobes in sight");
         let mut sampler = DirectionSampler::new(&bsdf, &frame, wo);
         sampler.add_guide(&directions, share);
         let grid = 24;

@@ -138,12 +138,19 @@ impl<R: Recorder> Tracer<'_, R> {
                 return ControlFlow::Break(path.end(PathEnd::Roulette));
             }
         }
+        let guides = guidance.filter(|guidance| guidance.samples_directions && !guidance.field.tables.is_empty());
+        let table = guides.and_then(|guidance| guidance.field.fog_table_at(position));
         let (mut fog, recorder) = self.fog_sampler();
         record!(recorder.decide(Decision::Direction, path.bounce, &mut path.stream));
-        let Some(scattered) = fog.sample_direction(path, collision) else {
+        let Some(scattered) = fog.sample_direction(path, collision, table) else {
             return ControlFlow::Break(path.end(PathEnd::Absorbed));
         };
-        record!(recorder.leave(Continuation::unguided(InteractionKind::Volume)));
+        record!(
+            recorder.leave(Continuation {
+                interaction: InteractionKind::Volume,
+                is_guide_sample: scattered.is_guide_sample
+            })
+        );
         path.throughput *= scattered.weight;
         std::mem::swap(&mut self.fog, &mut self.fog_before);
         let origin = SegmentOrigin::Medium { collision: *collision, phase_pdf: scattered.phase_pdf };

@@ -11,7 +11,7 @@ use crate::surface::SurfaceInteraction;
 use crate::tracer::{PathSample, Tracer};
 use crate::window::{DirectionNumbers, MAX_BRANCHES, WindowDecision};
 use femc_emission::PointContext;
-use femc_field::{Directions, Field, Side};
+use femc_field::{Field, Side};
 use femc_geometry::{Ray, offset_origin};
 use femc_math::Rgb;
 use femc_math::color::luminance;
@@ -62,19 +62,18 @@ impl<R: Recorder> Tracer<'_, R> {
             throughput: path.throughput,
         }));
         let mut directions = DirectionSampler::new(bsdf, frame, wo);
-        let lobe_directions;
+        let guide_directions;
         let mut decision = WindowDecision::Unknown;
         if let Some(guidance) = &self.guidance {
-            let SurfaceGuide { lobes, radiance } = SurfaceGuide::new(guidance.field, surface);
+            let SurfaceGuide { leaf, radiance } = SurfaceGuide::new(guidance.field, surface);
             decision = guidance.decide(path, radiance);
             if guidance.samples_directions
-                && let Some((block, share)) = lobes
+                && let Some((guide, share)) = leaf
+                && let Some(found) = guide.directions_at(point.position)
             {
-                lobe_directions = Directions::new(block, point.position);
-                if !lobe_directions.is_empty() {
-                    directions.add_guide(&lobe_directions, share);
-                    self.counters.guided += 1;
-                }
+                guide_directions = found;
+                directions.add_guide(&guide_directions, share);
+                self.counters.guided += 1;
             }
         }
         let light_context =

@@ -73,7 +73,7 @@ pub trait PixelFilter: Copy {
 pub struct Guidance<'a> {
     /// Field of the first pass.
     pub field: &'a Field,
-    /// Whether the field's lobes sample a share of the directions at surfaces.
+    /// Whether the field's guides sample a share of the directions.
     pub samples_directions: bool,
     /// Weight window.
     pub window: WeightWindow,
@@ -89,7 +89,9 @@ impl<'a> Guidance<'a> {
             true => *scene.field_light.get_or_init(|| frame_light(scene, field)),
             false => frame_light(scene, field),
         };
-        Self { field, samples_directions: true, window: WeightWindow::default(), frame_light }
+        // The method of 1998 has no window.
+        let window = if field.tables.is_empty() { WeightWindow::default() } else { WeightWindow::OPEN };
+        Self { field, samples_directions: true, window, frame_light }
     }
 
     /// Decides by the window on a path at its latest vertex.

@@ -34,6 +34,11 @@ impl Default for WeightWindow {
     }
 }
 
+impl WeightWindow {
+    /// A window that ends and splits no path.
+    pub const OPEN: Self = Self { lower: 0.0, upper: f32::INFINITY };
+}
+
 /// Minimum survival probability by the window, because the field may be wrong.
 const MIN_SURVIVAL: f32 = 0.2;
 /// Maximum number of copies of a path at a vertex.
@@ -194,8 +199,11 @@ mod tests {
             };
             assert!((weight - 1.0).abs() < 0.01, "{ratio}: {weight}");
         }
-        let open = WeightWindow { lower: 0.0, upper: f32::INFINITY };
-        assert!([1e-30, 1.0, 1e30].iter().all(|ratio| open.decide_by_ratio(*ratio) == WindowDecision::Unknown));
+        assert!(
+            [1e-30, 1.0, 1e30]
+                .iter()
+                .all(|ratio| WeightWindow::OPEN.decide_by_ratio(*ratio) == WindowDecision::Unknown)
+        );
     }
 
     /// The first vertex with data is the center of the window. Vertices without data decide nothing.

@@ -55,7 +55,7 @@ impl FrameLight {
 ///   the solution also share the tasks that compute it.
 pub fn first_pass_key(frame_key: &FrameKey, method: Method, blocks: u32) -> [u8; 32] {
     let mut hasher = blake3::Hasher::new();
-    hasher.update(b"femc first pass 12");
+    hasher.update(b"femc first pass 13");
     hasher.update(&frame_key.light.0);
     hasher.update(&solver(method).key());
     if blocks > 1 {
@@ -96,7 +96,7 @@ pub fn encode_solution(solution: &Solution) -> Vec<u8> {
     solution.field.encode(&statistics)
 }
 
-/// Assigns the light of the first pass to a frame.
+/// Assigns the light of the first pass to a frame. Tables of directions are kept for the leaves that its camera sees.
 /// - errors: the light belongs to other surfaces, or to lamps of another brightness.
 pub fn attach_first_pass(prepared: &mut Prepared, light: FrameLight) -> Result<(), FieldMismatch> {
     let FrameLight { field, brightness } = light;
@@ -106,6 +106,13 @@ pub fn attach_first_pass(prepared: &mut Prepared, light: FrameLight) -> Result<(
     if !field.matches_primitives(prepared.instances.iter().map(|group| group.compiled.primitives.len())) {
         return Err(FieldMismatch::Surfaces);
     }
+    let field = if field.tables.is_empty() {
+        field
+    } else {
+        let mut seen = Arc::unwrap_or_clone(field);
+        femc_montecarlo::keep_seen_tables(prepared, &mut seen);
+        Arc::new(seen)
+    };
     prepared.set_field(Some(field));
     Ok(())
 }

@@ -100,12 +100,13 @@ mod tests {
     use femc_graph::{Round, tag};
     use femc_prepared::Prepared;
     use femc_radiosity::SolverState;
+    use std::collections::BTreeSet;
     use std::sync::atomic::AtomicBool;
 
     #[test]
     fn blocks_are_leading_stages_and_tiles_read_the_last_output() {
         let tiling = Tiling { width: 272, height: 256, edge: 16 };
-        for (method, count) in [(Method::Fem, 7), (Method::Femc, 9)] {
+        for (method, count) in [(Method::Fem, 7), (Method::Femc, 9), (Method::Femc1998, 7)] {
             for rounds in [&[4][..], &[4, 8]] {
                 let whole = job_graph(&tiling, rounds, tiles_per_group(&tiling), method);
                 assert_eq!(
@@ -114,7 +115,12 @@ mod tests {
                 );
                 let cut = split_first_pass(whole.clone(), method, 7);
                 assert_eq!((planned_first_pass_blocks(&cut), cut.stages.len()), (7, whole.stages.len() - 1 + count));
-                assert!(cut.stages.iter().all(|stage| stage.tags == [tag::FIRST_PASS, tag::TASK_KINDS]));
+                let tags: BTreeSet<&str> = match method {
+                    Method::Femc1998 => [tag::FIRST_PASS, tag::TASK_KINDS, tag::GUIDE_1998].into(),
+                    _ => [tag::FIRST_PASS, tag::TASK_KINDS].into(),
+                };
+                let tags_of = |stage: &StageTemplate| stage.tags.iter().cloned().collect::<BTreeSet<String>>();
+                assert!(cut.stages.iter().all(|stage| tags_of(stage).iter().eq(tags.iter())));
                 let cut = cut.stages;
                 for (number, stage) in cut.iter().enumerate() {
                     for need in &stage.needs {
@@ -202,7 +208,7 @@ m gray\nf a b c d\nf e f g h\nsph i 0.3\nm bright\nsph j 0.2\n";
     fn first_pass_in_blocks_has_the_bytes_of_an_undivided_one() {
         for text in [SCENE, EMPTY] {
             let prepared = prepare_scene(text);
-            for (method, blocks) in [(Method::Fem, 3), (Method::Femc, 64)] {
+            for (method, blocks) in [(Method::Fem, 3), (Method::Femc, 64), (Method::Femc1998, 5)] {
                 let whole = crate::encode_solution(&crate::solve_first_pass(&prepared, method, &CANCEL).unwrap());
                 assert!(solve_in_steps(&prepared, method, blocks) == whole, "{method:?} in {blocks}");
             }

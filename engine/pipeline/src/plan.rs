@@ -125,7 +125,7 @@ pub fn plan_job(scene: &Scene, settings: &Settings, frames: Option<&[u32]>) -> R
         Method::Fem => {
             vec![left_out("paths beyond the first diffuse surface", "the method `fem` takes that light from elements")]
         }
-        Method::Femc => Vec::new(),
+        Method::Femc | Method::Femc1998 => Vec::new(),
         Method::Auto | Method::Pt => vec![left_out(
             FIRST_PASS_FEATURE,
             "path tracing does not use it; `--method femc` guides paths with its solution, `--method fem` renders its solution",

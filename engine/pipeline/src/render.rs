@@ -144,7 +144,7 @@ pub(crate) fn frame_tracer<'a, R: Recorder>(prepared: &'a Prepared, settings: &S
     let tracer = Tracer::with_recorder(prepared, path, recorder);
     match (settings.method, prepared.field()) {
         (Method::Fem, Some(field)) => tracer.with_field(field),
-        (Method::Femc, Some(field)) => tracer.with_guidance(Guidance::new(prepared, field)),
+        (Method::Femc | Method::Femc1998, Some(field)) => tracer.with_guidance(Guidance::new(prepared, field)),
         _ => tracer,
     }
 }

@@ -97,12 +97,16 @@ pub enum Method {
     Fem,
     /// Finite-element first pass, then guided path tracing.
     Femc,
+    /// Finite-element first pass, then path tracing guided as in the first version of the method, of 1998: by tables of the
+    /// directions of light at the leaves that the camera sees. It is a baseline for measurements.
+    #[serde(rename = "femc-1998")]
+    Femc1998,
 }
 
 impl Method {
     /// Checks whether frames have a finite-element first pass.
     pub fn has_first_pass(self) -> bool {
-        matches!(self, Self::Fem | Self::Femc)
+        matches!(self, Self::Fem | Self::Femc | Self::Femc1998)
     }
 
     /// Describes the error of a method in every pixel that more samples do not reduce. `None`: there is none.

@@ -15,7 +15,7 @@
 use crate::Method;
 use crate::measure::MeasureRequest;
 use femc_film::Tiling;
-use femc_graph::{Graph, Need, Reach, Role, Round, Scope, StageKind, StageTemplate, TaskSizes};
+use femc_graph::{Graph, Need, Reach, Role, Round, Scope, StageKind, StageTemplate, TaskSizes, tag};
 use std::num::NonZeroU32;
 
 /// Returns a stage of frames with `tasks` equal tasks.
@@ -27,6 +27,18 @@ fn per_frame(kind: StageKind, tasks: u32, outputs: &[Role]) -> StageTemplate {
 pub(crate) fn graph_of(stages: Vec<StageTemplate>) -> Graph {
     let mut graph = Graph { stages };
     graph.add_known_tags();
+    // The tag of a method comes from the stages that were there before.
+    if graph.stages.iter().any(|stage| stage.tags.iter().any(|own| own == tag::GUIDE_1998)) {
+        graph = with_tag(graph, tag::GUIDE_1998);
+    }
+    graph
+}
+
+/// Returns a graph whose stages all require a tag.
+fn with_tag(mut graph: Graph, tag: &str) -> Graph {
+    for stage in graph.stages.iter_mut().filter(|stage| stage.tags.iter().all(|own| own != tag)) {
+        stage.tags.push(tag.to_owned());
+    }
     graph
 }
 
@@ -80,7 +92,9 @@ pub fn job_graph(tiling: &Tiling, rounds: &[u32], fan: NonZeroU32, method: Metho
     }
     let image = per_frame(StageKind::Image, 1, &[Role::Image, Role::Preview]);
     all.push(image.with_input(finished.0, finished.1, Reach::All));
-    graph_of(all)
+    let graph = graph_of(all);
+    // Workers of earlier versions cannot read settings with this method.
+    if method == Method::Femc1998 { with_tag(graph, tag::GUIDE_1998) } else { graph }
 }
 
 /// Number of tiles whose paths one task unites, and number of groups of them that one task reads.
@@ -171,7 +185,7 @@ fn number_of(graph: &Graph, kind: StageKind) -> Option<u16> {
 
 #[cfg(test)]
 mod tests {
-    use femc_graph::{Loop, tag};
+    use femc_graph::Loop;
 
     use super::*;
     use crate::split_first_pass;

@@ -69,7 +69,7 @@ pub fn of_groups(
                 // Dark leaves next to bright ones count nearly as much.
                 let scale = element.size() / area / (light.mean + least);
                 let first = ways.len();
-                by_links(arena, lights, links, leaf, &mut ways);
+                add_links(arena, lights, links, leaf, &mut ways);
                 ways[first..].iter_mut().for_each(|part: &mut Part| part.amount *= scale);
                 let of = rays
                     .incident_segments((scene, arena), &light_sent, leaf, |irradiance, _| irradiance.is_finite())
@@ -209,7 +209,22 @@ pub fn groups(arena: &Arena, leaves: &[u32], light: &[(u32, [f32; 2])]) -> Vec<(
 }
 
 /// Adds the light of the links of a leaf and of all elements above it.
-fn by_links(arena: &Arena, lights: &ElementLights, links: &[Link], leaf: u32, parts: &mut Vec<Part>) {
+fn add_links(arena: &Arena, lights: &ElementLights, links: &[Link], leaf: u32, parts: &mut Vec<Part>) {
+    let receiver = &arena.elements[leaf as usize];
+    for_each_link(arena, lights, links, leaf, |source, amount| {
+        in_parts(arena, lights, receiver, source, amount, parts);
+    });
+}
+
+/// Calls a function with the source of each link of a leaf and of all elements above it, and with the irradiance by the link,
+/// positive.
+pub(crate) fn for_each_link(
+    arena: &Arena,
+    lights: &ElementLights,
+    links: &[Link],
+    leaf: u32,
+    mut receive: impl FnMut(u32, f32),
+) {
     let receiver = &arena.elements[leaf as usize];
     let mut at = leaf;
     while at != NONE {
@@ -226,7 +241,7 @@ fn by_links(arena: &Arena, lights: &ElementLights, links: &[Link], leaf: u32, pa
             };
             let amount = sent * factor;
             if amount > 0.0 && amount.is_finite() {
-                in_parts(arena, lights, receiver, link.source, amount, parts);
+                receive(link.source, amount);
             }
         }
         at = p.parent;

@@ -37,6 +37,7 @@ mod rays;
 mod scene;
 mod solve;
 mod steps;
+mod tables;
 #[cfg(test)]
 mod tests;
 mod tuning;
@@ -48,7 +49,7 @@ pub use bytes::StepDecodeError;
 pub use census::{Census, KindCounts};
 pub use mesh::{Mesh, MeshContent, solution_meshes};
 pub use rays::RayHits;
-pub use solve::{Cancelled, Solution, SolveOptions, SolveReport, SolverState};
+pub use solve::{Cancelled, GuideKind, Solution, SolveOptions, SolveReport, SolverState};
 pub use steps::{BlockGuides, CastingState, CorrectedState, min_solve_bytes, solve};
 pub use tuning::{RAY_ROUNDS, TARGET_RESIDUAL};
 pub use verify::VerifyError;

@@ -33,13 +33,25 @@ pub struct SolveOptions {
     /// Limit for the bytes of elements and links. When it is reached, elements are not split further. When links alone reach it,
     /// links are not refined further.
     pub memory: usize,
-    /// Whether the field must have guides: the directions from which light comes, for sampling.
-    pub guides: bool,
+    /// Guides that the field must have: the directions from which light comes, for sampling.
+    pub guides: GuideKind,
+}
+
+/// Kind of the guides of a field.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum GuideKind {
+    /// The field does not guide paths.
+    #[default]
+    None,
+    /// Lobes of groups of leaves.
+    Lobes,
+    /// Tables of directions of leaves, as in the method of 1998.
+    Tables,
 }
 
 impl Default for SolveOptions {
     fn default() -> Self {
-        Self { error: 0.3, memory: 1 << 30, guides: false }
+        Self { error: 0.3, memory: 1 << 30, guides: GuideKind::None }
     }
 }
 
@@ -291,7 +303,7 @@ impl<'a> Solver<'a> {
             let both = contrast.into_iter().zip(lamp_contrast);
             let uneven_leaves = both.filter(is_uneven).map(|((leaf, _), _)| leaf).collect();
             self.state.uneven_leaves = uneven_leaves;
-            if !self.options.guides && self.state.uneven_leaves.is_empty() {
+            if self.options.guides != GuideKind::Lobes && self.state.uneven_leaves.is_empty() {
                 // Nothing is split, and new rays would go nowhere else, so they would bring no new information.
                 self.state.round = RAY_ROUNDS;
             }

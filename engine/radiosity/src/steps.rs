@@ -16,7 +16,8 @@ use crate::link::Link;
 use crate::portals::{self, Portal};
 use crate::rays::{Aims, RayHits, RayPlan, Rays, are_complete, block_range, ray_leaves};
 use crate::scene::Scene;
-use crate::solve::{Cancelled, Solution, SolveOptions, SolveReport, Solver, SolverState, surface_leaves};
+use crate::solve::{Cancelled, GuideKind, Solution, SolveOptions, SolveReport, Solver, SolverState, surface_leaves};
+use crate::tables::direction_tables;
 use femc_field::{Cell, Guide, Harmonics, Leaf, Lobe, NONE};
 use femc_math::Rgb;
 use femc_math::hash::mix64;
@@ -32,12 +33,12 @@ pub fn solve(prepared: &Prepared, options: &SolveOptions, cancel: &AtomicBool) -
         let casting = state.plan_rays(prepared, options);
         let hits = vec![casting.cast(prepared, 0, 1)];
         let corrected = correct_with_rays(casting.state, casting.plan, prepared, options, hits, cancel)?;
-        if options.guides && corrected.state.is_finished() {
+        if options.guides == GuideKind::Lobes && corrected.state.is_finished() {
             guides = vec![corrected.guides(prepared, 0, 1)];
         }
         state = corrected.state;
     }
-    Ok(state.solution(prepared, guides))
+    Ok(state.solution(prepared, options, guides))
 }
 
 /// Returns the minimum number of bytes of the first pass of a prepared frame: for the tree of clusters over all surfaces, and for
@@ -124,9 +125,13 @@ impl SolverState {
     }
 
     /// Creates the solution.
-    /// - `guides`: guides of all groups, in order; none for a field that does not guide paths.
-    pub fn solution(&self, prepared: &Prepared, guides: Vec<BlockGuides>) -> Solution {
-        self.finish(Scene::new(prepared), join_guides(guides, &surface_leaves(&self.arena)))
+    /// - `guides`: guides of all groups, in order; none for a field without lobes.
+    pub fn solution(&self, prepared: &Prepared, options: &SolveOptions, guides: Vec<BlockGuides>) -> Solution {
+        let mut solution = self.finish(Scene::new(prepared), join_guides(guides, &surface_leaves(&self.arena)));
+        if options.guides == GuideKind::Tables && self.arena.root != NONE {
+            solution.field.tables = direction_tables(&self.arena, &self.lights, &self.links);
+        }
+        solution
     }
 
     /// Encodes the state of the first step: the elements and the links.
@@ -395,7 +400,7 @@ fn correct_with_rays(
     let mut solver = Solver::from_state(state, &scene, options, cancel);
     solver.apply_rays(&rays)?;
     let mut corrected = CorrectedState::new(solver.state, rays);
-    if options.guides {
+    if options.guides == GuideKind::Lobes {
         corrected.find_portals(&scene);
     }
     Ok(corrected)

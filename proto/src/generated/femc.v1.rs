@@ -59,8 +59,8 @@ pub struct JobSpec {
     /// "size":       \[width, height\] of the film in pixels, 1 to 32768, or null: the camera's own
     /// "stop":       when a frame is done: {"spp": n}, n samples per pixel, 1 to 16777216; {"error": e}, when each block of
     ///                16 x 16 pixels has a relative error of e at 95 %, 0 < e < 10; {"time": s}, after s seconds
-    /// "method":     "auto", "pt" (path tracing), "fem" (finite-element first pass alone) or "femc" (first pass, then guided
-    ///                path tracing)
+    /// "method":     "auto", "pt" (path tracing), "fem" (finite-element first pass alone), "femc" (first pass, then guided
+    ///                path tracing) or "femc-1998" (first pass, then path tracing guided by tables of directions)
     /// "max_depth":  longest path in segments; 0: no limit
     /// "filter":     "box", "triangle", "gaussian" or "blackman-harris"
     /// "seed":       key of all randomness, 0 to 2^64 - 1

@@ -26,11 +26,14 @@ pub enum Budget {
 
 /// All methods. Add a line for a new one.
 #[rustfmt::skip]
-pub const METHODS: [Method; 5] = [
+pub const METHODS: [Method; 8] = [
     Method { name: "pt", about: "path tracing, the same number of samples for every pixel", transport: femc_pipeline::Method::Pt, budget: Budget::Spp },
     Method { name: "adaptive", about: "path tracing, each tile until it reaches the requested error", transport: femc_pipeline::Method::Pt, budget: Budget::Error },
     Method { name: "fem", about: "only the finite-element solution (biased), the same number of samples for every pixel", transport: femc_pipeline::Method::Fem, budget: Budget::Spp },
     Method { name: "femc", about: "path tracing guided by the finite-element solution, the same number of samples for every pixel", transport: femc_pipeline::Method::Femc, budget: Budget::Spp },
+    Method { name: "femc-adaptive", about: "path tracing guided by the finite-element solution, each tile until it reaches the requested error", transport: femc_pipeline::Method::Femc, budget: Budget::Error },
+    Method { name: "1998", about: "path tracing guided by tables of directions, as in the method of 1998, the same number of samples for every pixel", transport: femc_pipeline::Method::Femc1998, budget: Budget::Spp },
+    Method { name: "1998-adaptive", about: "path tracing guided as in 1998, each tile until it reaches the requested error", transport: femc_pipeline::Method::Femc1998, budget: Budget::Error },
     Method { name: "auto", about: "`pt` or `femc`, as a pilot chooses, the same number of samples for every pixel", transport: femc_pipeline::Method::Auto, budget: Budget::Spp },
 ];
 

@@ -19,7 +19,7 @@
 mod laws;
 mod rooms;
 
-use femc_pipeline::radiosity::{Census, KindCounts, SolveOptions, solve};
+use femc_pipeline::radiosity::{Census, GuideKind, KindCounts, SolveOptions, solve};
 use femc_pipeline::{
     BlockPhase, FirstPassStatistics, Method, SceneSource, Settings, first_pass_world, prepare_frame, solver,
 };
@@ -64,7 +64,8 @@ fn main() -> Result<(), Box<dyn Error>> {
             let errors = numbers(option("--error").unwrap_or("2,1,0.3"))?;
             let memory = option("--memory").map(str::parse::<usize>).transpose()?.map(|megabytes| megabytes << 20);
             let memory = memory.unwrap_or(SolveOptions::default().memory);
-            let guides = args.iter().any(|arg| arg == "--guides");
+            let has_guides = args.iter().any(|arg| arg == "--guides");
+            let guides = if has_guides { GuideKind::Lobes } else { GuideKind::None };
             cost(Path::new(scene), &errors, SolveOptions { memory, guides, ..SolveOptions::default() })?;
         }
         Some("steps") => steps(Path::new(args.get(1).ok_or("which scene?")?))?,

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use bytes::Bytes;
-use femc_field::{FogCell, FogLine, FogTree};
+use femc_field::{DirectionTable, DirectionTables, FogCell, FogLine, FogTree, TABLE_CELLS, TableExtent};
 use femc_film::tile::NONE_HELD;
 use femc_film::{
     AovPiece, AovTile, ErrorStatistics, FeatureLayout, FeatureSums, FeatureTile, Frame, ImagePiece, LayerPiece,
@@ -26,7 +26,7 @@ use femc_pipeline::measure::{
 };
 use femc_pipeline::paths::histogram::{Histograms, Table};
 use femc_pipeline::paths::{FrameStatistics, LightStatistics};
-use femc_pipeline::radiosity::{BlockGuides, RayHits, SolveOptions, SolverState};
+use femc_pipeline::radiosity::{BlockGuides, GuideKind, RayHits, SolveOptions, SolverState};
 use femc_pipeline::{
     Field, Layer, LayerPlan, Outputs, Prepared, Preset, RenderTask, SceneSource, Settings, Side, StatisticsPlan,
     StopCondition, encode_solution, prepare_world, solve_first_pass,
@@ -358,6 +358,11 @@ fn first_pass() -> Vec<Target> {
     let [min, max] = solution.field.fog.bounds();
     let cells = [FogCell::Split { axis: 1, at: 0.5 * (min.y + max.y) }, leaf(0), leaf(1)];
     solution.field.fog = FogTree::new([min, max], &cells).expect("boxes of fog");
+    // One leaf has a table of directions.
+    let table = DirectionTable::new(TableExtent::Hemisphere(Vec3A::Z), &[1.0; TABLE_CELLS]);
+    let [leaves, fog] = [solution.field.leaves.len(), 2].map(|count| vec![None; count]);
+    let leaves = std::iter::once(table).chain(leaves).take(solution.field.leaves.len()).collect();
+    solution.field.tables = DirectionTables::new(leaves, fog);
     let encoded = encode_solution(&solution);
     let tables = zstd::bulk::decompress(&encoded[FIELD_FRONT..], 1 << 26).expect("what was compressed");
     let front = encoded[..FIELD_FRONT - 8].to_vec();
@@ -376,6 +381,9 @@ fn first_pass() -> Vec<Target> {
                     [Side::Front, Side::Back].map(|side| field.irradiance(&hit, side, test_point(), Vec3A::Z));
                 let error = field.irradiance_error(&hit, Side::Front, test_point());
                 let _ = (front, error, field.fog.scattered_radiance(test_point(), Vec3A::X));
+                if let Some(table) = field.table_at(&hit, Side::Front, test_point()) {
+                    assert!(table.pdf(table.sample([0.3, 0.7])).is_finite());
+                }
                 field.fog.radiance_along(test_point(), Vec3A::Z, 0.0, f32::INFINITY, &mut line);
                 if let Some(point) = line.sample(0.4) {
                     assert!(point.pdf == line.pdf(point.t));
@@ -406,7 +414,7 @@ fn first_pass() -> Vec<Target> {
 /// Targets for data between the steps of a first pass in blocks. A memory limit of 0 keeps the elements few. There is one ray of
 /// each part.
 fn first_pass_steps(prepared: Prepared) -> Vec<Target> {
-    let (options, cancel) = (SolveOptions { error: 1.0, memory: 0, guides: true }, AtomicBool::new(false));
+    let (options, cancel) = (SolveOptions { error: 1.0, memory: 0, guides: GuideKind::Lobes }, AtomicBool::new(false));
     let state = SolverState::new(&prepared, &options, &cancel).expect("elements");
     let links = state.encode_links();
     let casting = state.plan_rays(&prepared, &options);
@@ -421,7 +429,10 @@ fn first_pass_steps(prepared: Prepared) -> Vec<Target> {
         let Ok(read) = SolverState::decode(&prepared, elements, links) else { return false };
         // An accepted state must be able to continue, and must encode again.
         let again = SolverState::decode(&prepared, &read.encode_elements(), &read.encode_links());
-        assert!(again.is_ok_and(|again| again.solution(&prepared, Vec::new()).report.links == read.report().links));
+        assert!(
+            again
+                .is_ok_and(|again| again.solution(&prepared, &options, Vec::new()).report.links == read.report().links)
+        );
         true
     };
     let with_links = is_state.clone();
@@ -439,7 +450,7 @@ fn first_pass_steps(prepared: Prepared) -> Vec<Target> {
     let are_guides = move |bytes: &[u8]| {
         let Ok(found) = BlockGuides::decode(bytes) else { return false };
         assert!(BlockGuides::decode(&found.encode()).is_ok());
-        let _ = end.solution(&of, vec![found]);
+        let _ = end.solution(&of, &options, vec![found]);
         true
     };
     let (rays, is_rays) = (hits.encode(), are_rays.clone());
@@ -585,7 +596,7 @@ const FRAMES_FRONT: usize = 8 + 4 + 4 + 8;
 const PATHS_FRONT: usize = 28 + 4 + 8 + 7 * 4 + 6 * 8 + 8 + 7 * 4 + 8;
 
 /// Bytes of an encoded field before its tables.
-const FIELD_FRONT: usize = 28 + 8 * 8 + 4 + 11 * 4 + 8;
+const FIELD_FRONT: usize = 28 + 8 * 8 + 4 + 14 * 4 + 8;
 
 fn test_point() -> Vec3A {
     Vec3A::new(0.4, 0.3, 0.2)

@@ -13,6 +13,7 @@ mod materials;
 mod modules;
 mod pairs;
 mod parts;
+mod plants;
 mod proofs;
 mod references;
 mod solution_model;

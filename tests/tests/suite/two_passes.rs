@@ -1,13 +1,13 @@
 //! Guided paths have the same mean as unguided paths, whatever the guide says.
 
 use crate::first_pass::{cube, furnace};
-use femc_field::Leaf;
+use femc_field::{DirectionTable, DirectionTables, Leaf, TableExtent};
 use femc_film::Filter;
 use femc_math::color::luminance;
 use femc_math::glam::Vec3A;
 use femc_math::sampler::{REPLICATES, replicate_of};
-use femc_montecarlo::{Guidance, PathSettings, Tracer};
-use femc_pipeline::radiosity::{self, SolveOptions};
+use femc_montecarlo::{Guidance, PathSettings, Tracer, keep_seen_tables};
+use femc_pipeline::radiosity::{self, GuideKind, SolveOptions};
 use femc_pipeline::{Field, FilterAdapter, SceneSource, Settings, prepare_frame};
 use femc_prepared::Prepared;
 use femc_scene::Scene;
@@ -32,7 +32,11 @@ fn prepare_scene(scene: Arc<Scene>) -> Prepared {
 }
 
 fn solve_guides(prepared: &Prepared) -> Field {
-    let options = SolveOptions { error: 1.0, guides: true, ..SolveOptions::default() };
+    solve_with(prepared, GuideKind::Lobes)
+}
+
+fn solve_with(prepared: &Prepared, guides: GuideKind) -> Field {
+    let options = SolveOptions { error: 1.0, guides, ..SolveOptions::default() };
     radiosity::solve(prepared, &options, &AtomicBool::new(false)).unwrap_or_else(|e| panic!("{e:?}")).field
 }
 
@@ -83,6 +87,31 @@ fn what_guides_paths_changes_no_mean() {
         let field = solve_guides(&prepared);
         assert!(field.guides.by_leaf().iter().any(|guide| guide.count > 0), "{name}: nothing is guided");
         assert_same_means(name, &blocks(&prepared, None, 1, 128), &blocks(&prepared, Some(&field), 2, 128));
+    }
+}
+
+/// Tables of directions, at the surfaces and in the fog that the camera sees, and at all.
+#[test]
+fn tables_of_directions_change_no_mean() {
+    for (name, has_fog) in [("cornell", false), ("cornell-fog", true)] {
+        let prepared = prepare_scene_file(name);
+        let mut field = solve_with(&prepared, GuideKind::Tables);
+        let paths = blocks(&prepared, None, 1, 128);
+        let all = field.tables.count();
+        assert!(all[0] > 50 && (all[1] > 50) == has_fog, "{name}: {all:?} tables");
+        assert_same_means(name, &paths, &blocks(&prepared, Some(&field), 2, 128));
+        keep_seen_tables(&prepared, &mut field);
+        let seen = field.tables.count();
+        assert!(seen[0] > 10 && seen[0] < all[0] && (seen[1] > 10) == has_fog, "{name}: {seen:?} of {all:?}");
+        assert_same_means(name, &paths, &blocks(&prepared, Some(&field), 3, 128));
+        // Any directions at all.
+        let table = |k: usize| {
+            let light = std::array::from_fn(|cell| if (cell * 7 + k).is_multiple_of(31) { 1.0 } else { 0.0 });
+            DirectionTable::new(TableExtent::Sphere, &light)
+        };
+        let [leaves, fog] = [field.leaves.len(), field.fog.leaves().count()];
+        field.tables = DirectionTables::new((0..leaves).map(table).collect(), (0..fog).map(table).collect());
+        assert_same_means(name, &paths, &blocks(&prepared, Some(&field), 4, 128));
     }
 }
 
@@ -232,11 +261,14 @@ fn paths_that_are_guided_have_less_variance() {
     let turned = text.replace("xf -t 0 0.1 3.98", "xf -rx 180 -t 0 0.1 3.2");
     assert_ne!(turned, text);
     let prepared = prepare_scene(parse_scene(&turned));
-    let field = solve_guides(&prepared);
+    let (lobes, tables) = (solve_guides(&prepared), solve_with(&prepared, GuideKind::Tables));
     let variance = |blocks: Vec<[f64; 2]>| {
         blocks.iter().map(|[mean, variance]| variance / (mean * mean + 1e-2)).sum::<f64>() / blocks.len() as f64
     };
-    let ratio = variance(blocks(&prepared, None, 1, 64)) / variance(blocks(&prepared, Some(&field), 2, 64));
-    println!("variance without a guide over that with one: {ratio:.2}");
-    assert!(ratio > 1.4, "{ratio}");
+    let unguided = variance(blocks(&prepared, None, 1, 64));
+    for (name, field, least) in [("lobes", lobes, 1.4), ("tables", tables, 1.2)] {
+        let ratio = unguided / variance(blocks(&prepared, Some(&field), 2, 64));
+        println!("{name}: variance without a guide over that with one: {ratio:.2}");
+        assert!(ratio > least, "{name}: {ratio}");
+    }
 }

@@ -245,7 +245,9 @@ impl Bench<'_> {
         for bench_scene in bench_scenes {
             let mut prepared = bench_scene.prepare(self.pool, &cancel)?;
             for &method in &self.args.methods {
-                if matches!(method.transport, femc_pipeline::Method::Pt | femc_pipeline::Method::Femc) {
+                let traces_paths =
+                    !matches!(method.transport, femc_pipeline::Method::Auto | femc_pipeline::Method::Fem);
+                if traces_paths && method.budget == Budget::Spp {
                     let report = prepared.attribute_to_decisions(method, samples)?;
                     let scene = bench_scene.setup.name.clone();
                     all.push(MethodDecisions { scene, method: method.name, report });

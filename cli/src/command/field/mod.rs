@@ -14,7 +14,7 @@ use clap::Args;
 use document::{GltfMetadata, Wireframe};
 use femc_film::{LuminanceLevels, ToneCurve};
 use femc_pipeline::radiosity::{
-    Mesh, MeshContent, SolutionView, SolveOptions, TARGET_RESIDUAL, solution_meshes, solve,
+    GuideKind, Mesh, MeshContent, SolutionView, SolveOptions, TARGET_RESIDUAL, solution_meshes, solve,
 };
 use report::{FieldReport, LeafCounts, LinkCounts};
 use std::path::{Path, PathBuf};
@@ -93,8 +93,11 @@ pub fn run(args: FieldArgs, printer: Printer) -> Result<Exit, Failure> {
         args.frame,
         human::percent(args.error.into())
     ));
-    let options =
-        SolveOptions { error: args.error, memory: usize::try_from(args.memory.0).unwrap_or(usize::MAX), guides: false };
+    let options = SolveOptions {
+        error: args.error,
+        memory: usize::try_from(args.memory.0).unwrap_or(usize::MAX),
+        guides: GuideKind::None,
+    };
     let begun = Clock.now();
     let solution = pool.install(|| solve(&prepared, &options, &AtomicBool::new(false)));
     let solution = solution.map_err(|_| failed("cancelled"))?;

@@ -1,7 +1,7 @@
 //! A change of one setting of an image, or of one scalar of a scene.
 
 use super::fault::one_line;
-use crate::args::{Filter, Method, SettingsArgs};
+use crate::args::{Filter, Guide, Method, SettingsArgs};
 use crate::values::{DurationArg, Frames, Override, Size};
 use serde::Deserialize;
 #[cfg(feature = "openjd")]
@@ -28,6 +28,8 @@ pub enum Change {
     Time(DurationArg),
     /// `method`
     Method(Method),
+    /// `guide`
+    Guide(Guide),
     /// `max-depth`
     MaxDepth(u32),
     /// `filter`
@@ -51,6 +53,7 @@ impl Change {
             "error" => Self::Error(parse_value(value)?),
             "time" => Self::Time(parse_value(value)?),
             "method" => Self::Method(parse_value(value)?),
+            "guide" => Self::Guide(parse_value(value)?),
             "max-depth" => Self::MaxDepth(parse_value(value)?),
             "filter" => Self::Filter(parse_value(value)?),
             "seed" => Self::Seed(parse_value(value)?),
@@ -82,6 +85,8 @@ impl Change {
             Self::Method(Method::Pt) => "pt".to_owned(),
             Self::Method(Method::Fem) => "fem".to_owned(),
             Self::Method(Method::Femc) => "femc".to_owned(),
+            Self::Guide(Guide::Lobes) => "lobes".to_owned(),
+            Self::Guide(Guide::Tables1998) => "1998".to_owned(),
             Self::Filter(Filter::Box) => "box".to_owned(),
             Self::Filter(Filter::Triangle) => "triangle".to_owned(),
             Self::Filter(Filter::Gaussian) => "gaussian".to_owned(),
@@ -97,7 +102,9 @@ impl Change {
             Self::Spp(n) | Self::MaxDepth(n) => Some(f64::from(*n)),
             Self::Time(time) => Some(time.seconds),
             Self::Seed(n) => Some(*n as f64),
-            Self::Camera(_) | Self::Size(_) | Self::Frames(_) | Self::Method(_) | Self::Filter(_) => None,
+            Self::Camera(_) | Self::Size(_) | Self::Frames(_) | Self::Method(_) | Self::Guide(_) | Self::Filter(_) => {
+                None
+            }
         }
     }
 
@@ -122,6 +129,7 @@ impl Change {
                 settings.time = Some(*time);
             }
             Self::Method(method) => settings.method = Some(*method),
+            Self::Guide(guide) => settings.guide = Some(*guide),
             Self::MaxDepth(n) => settings.max_depth = Some(*n),
             Self::Filter(filter) => settings.filter = Some(*filter),
             Self::Seed(n) => settings.seed = Some(*n),
@@ -135,8 +143,9 @@ impl Change {
     /// Returns the changes that turn empty settings into these, one per setting and selector. They do not include `workers`,
     /// `threads` and `stats`, which change no pixel.
     pub fn from_settings(settings: &SettingsArgs) -> Vec<Self> {
-        let SettingsArgs { camera, size, frames, spp, error, time, method, max_depth, filter, seed, set, .. } =
-            settings;
+        let SettingsArgs {
+            camera, size, frames, spp, error, time, method, guide, max_depth, filter, seed, set, ..
+        } = settings;
         let last: BTreeMap<&str, &Override> = set.iter().map(|change| (change.selector.as_str(), change)).collect();
         let given = [
             camera.clone().map(Self::Camera),
@@ -146,6 +155,7 @@ impl Change {
             error.map(Self::Error),
             time.map(Self::Time),
             method.map(Self::Method),
+            guide.map(Self::Guide),
             max_depth.map(Self::MaxDepth),
             filter.map(Self::Filter),
             seed.map(Self::Seed),
@@ -165,6 +175,7 @@ impl Change {
             Self::Error(_) => "error",
             Self::Time(_) => "time",
             Self::Method(_) => "method",
+            Self::Guide(_) => "guide",
             Self::MaxDepth(_) => "max-depth",
             Self::Filter(_) => "filter",
             Self::Seed(_) => "seed",

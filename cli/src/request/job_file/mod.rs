@@ -16,7 +16,7 @@ pub use sweep::Sweep;
 #[cfg(feature = "openjd")]
 pub use {axis::Axis, change::Change, sweep::SweepMode};
 
-use crate::args::{Filter, Method, SettingsArgs, StatsMode, job_name};
+use crate::args::{Filter, Guide, Method, SettingsArgs, StatsMode, job_name};
 use crate::values::{DurationArg, Frames, Override, Size, TextPosition};
 use fault::{Fault, one_line};
 use femc_model::JobNotes;
@@ -63,6 +63,7 @@ struct RawJobFile {
     error: Option<f64>,
     time: Option<DurationArg>,
     method: Option<Method>,
+    guide: Option<Guide>,
     #[serde(alias = "max_depth")]
     max_depth: Option<u32>,
     filter: Option<Filter>,
@@ -157,6 +158,7 @@ impl JobFile {
                 error: job.error,
                 time: job.time,
                 method: job.method,
+                guide: job.guide,
                 max_depth: job.max_depth,
                 filter: job.filter,
                 seed: job.seed,
@@ -197,7 +199,8 @@ impl JobFile {
 /// Returns the long names of the typed settings, and the selectors of typed overrides. A typed stopping rule adds the names of all
 /// three.
 pub fn typed_keys(typed: &SettingsArgs) -> BTreeSet<&str> {
-    let SettingsArgs { camera, size, frames, spp, error, time, method, max_depth, filter, seed, set, .. } = typed;
+    let SettingsArgs { camera, size, frames, spp, error, time, method, guide, max_depth, filter, seed, set, .. } =
+        typed;
     let stop = spp.is_some() || error.is_some() || time.is_some();
     let given = [
         ("camera", camera.is_some()),
@@ -207,6 +210,7 @@ pub fn typed_keys(typed: &SettingsArgs) -> BTreeSet<&str> {
         ("error", stop),
         ("time", stop),
         ("method", method.is_some()),
+        ("guide", guide.is_some()),
         ("max-depth", max_depth.is_some()),
         ("filter", filter.is_some()),
         ("seed", seed.is_some()),

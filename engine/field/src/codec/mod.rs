@@ -4,11 +4,11 @@
 //! | bytes | what |
 //! | --- | --- |
 //! | 8 | `FEMCFELD` |
-//! | 4 | format version, 6 |
+//! | 4 | format version, 7 |
 //! | 16 | BLAKE3 of everything after this field, first half |
 //! | 8 x 8 | [`SolveStatistics`]: elements, leaves, links, links with light sources, refused links, rays, iterations, bytes |
 //! | 4 | the residual |
-//! | 11 x 4 | numbers of instances, primitives of all of them, surfaces, cells, leaves, leaves with direct light (all or 0), errors of leaves, boxes that contain all fog (1 or 0), boxes of fog, guides, lobes |
+//! | 14 x 4 | numbers of instances, primitives of all of them, surfaces, cells, leaves, leaves with direct light (all or 0), errors of leaves, boxes that contain all fog (1 or 0), boxes of fog, guides, lobes, leaves with tables of directions (all or 0), boxes of fog with tables (all or 0), tables |
 //! | 8 | bytes of the tables below |
 //! | rest | zstd frame of the tables |
 //!
@@ -33,14 +33,16 @@
 //! | leaves of fog, in order | mean and its changes, anisotropy, scattering and extinction coefficient: 21 |
 //! | guides | first lobe, number of lobes, share |
 //! | lobes | target, half axes, share: 10 |
+//! | tables of leaves, of boxes of fog that are leaves | index |
+//! | tables | 0: hemisphere, 1: sphere; pole; sums of probabilities by cell: 516 |
 //!
 //! The checksum is verified first. Decompression never yields more than the header says, and no memory is allocated for data that
 //! has not been decompressed. An accepted field can be evaluated anywhere: indices are in their ranges, trees have no cycles, and
 //! light and coefficients of fog are finite and not negative.
 
 use crate::{
-    Cell, Field, FogCell, FogLeaf, FogTree, Form, Guide, Guides, Harmonics, LOBES, Leaf, Lobe, NONE, Outline, Side,
-    Split, Surface,
+    Cell, DirectionTable, DirectionTables, Field, FogCell, FogLeaf, FogTree, Form, Guide, Guides, Harmonics, LOBES,
+    Leaf, Lobe, NONE, Outline, Side, Split, Surface, TABLE_CELLS, TableExtent,
 };
 use femc_geometry::{Facing, Quadric};
 use femc_math::Rgb;
@@ -49,7 +51,7 @@ use std::io::Read;
 use std::mem::discriminant;
 
 const MAGIC: &[u8; 8] = b"FEMCFELD";
-const VERSION: u32 = 6;
+const VERSION: u32 = 7;
 const CHECKSUM: usize = 16;
 const PREFIX: usize = MAGIC.len() + 4 + CHECKSUM;
 /// Maximum number of bytes of all tables: 4 GiB.
@@ -99,7 +101,11 @@ pub enum FieldError {
     Corrupt(&'static str),
 }
 
+/// Words of a table of directions.
+const TABLE_WORDS: usize = TABLE_CELLS + 4;
+
 const TRUNCATED: FieldError = FieldError::Corrupt("cut short");
+const INDEX: FieldError = FieldError::Corrupt("an index is out of its range");
 
 impl Field {
     /// Encodes the field as bytes, with its statistics.
@@ -134,6 +140,9 @@ impl Field {
             self.fog.cells().count(),
             self.guides.by_leaf().len(),
             self.guides.lobes().len(),
+            self.tables.parts().0.len(),
+            self.tables.parts().1.len(),
+            self.tables.parts().2.len(),
         ];
         lengths.iter().for_each(|&length| out.extend((length as u32).to_le_bytes()));
         let tables = self.encode_tables();
@@ -195,7 +204,27 @@ impl Field {
             std::array::from_fn::<u32, 10, _>(|at| if at < 9 { values[at] } else { share.to_bits() })
         };
         write_table(&mut out, self.guides.lobes().iter().map(lobe));
+        self.encode_direction_tables(&mut out);
         out
+    }
+
+    fn encode_direction_tables(&self, out: &mut Vec<u8>) {
+        let (leaves, fog, tables) = self.tables.parts();
+        write_table(out, leaves.iter().map(|index| [*index]));
+        write_table(out, fog.iter().map(|index| [*index]));
+        let words = |table: &DirectionTable| {
+            let (kind, pole) = match table.extent() {
+                TableExtent::Hemisphere(normal) => (0, normal),
+                TableExtent::Sphere => (1, Vec3A::ZERO),
+            };
+            let sums = table.sums();
+            std::array::from_fn::<u32, TABLE_WORDS, _>(|at| match at {
+                0 => kind,
+                1..4 => pole[at - 1].to_bits(),
+                _ => sums[at - 4].to_bits(),
+            })
+        };
+        write_table(out, tables.iter().map(words));
     }
 
     fn encode_fog_tables(&self, out: &mut Vec<u8>) {
@@ -240,7 +269,7 @@ impl Field {
             bytes: front.read_u64()?,
             residual: f32::from_bits(front.read_u32()?),
         };
-        let mut lengths = [0; 11];
+        let mut lengths = [0; 14];
         for length in &mut lengths {
             *length = front.read_u32()?;
         }
@@ -269,9 +298,21 @@ fn decompress(bytes: &[u8], plain: u64) -> Result<Vec<u8>, FieldError> {
     if tables.len() as u64 == plain { Ok(tables) } else { Err(LENGTH) }
 }
 
-fn read_tables(mut tables: TableReader<'_>, lengths: [u32; 11]) -> Result<Field, FieldError> {
-    let [instances, primitives, surfaces, cells, leaves, direct, errors, roots_of_fog, boxes, guides, lobes] = lengths;
-    const INDEX: FieldError = FieldError::Corrupt("an index is out of its range");
+fn read_tables(mut tables: TableReader<'_>, lengths: [u32; 14]) -> Result<Field, FieldError> {
+    let [
+        instances,
+        primitives,
+        surfaces,
+        cells,
+        leaves,
+        direct,
+        errors,
+        roots_of_fog,
+        boxes,
+        guides,
+        lobes,
+        counts @ ..,
+    ] = lengths;
     let instances: Vec<[u32; 1]> = tables.read_table(instances)?;
     if instances.iter().map(|[count]| u64::from(*count)).sum::<u64>() != u64::from(primitives) {
         return Err(FieldError::Corrupt("wrong number of primitives"));
@@ -353,6 +394,18 @@ fn read_tables(mut tables: TableReader<'_>, lengths: [u32; 11]) -> Result<Field,
         return Err(FieldError::Corrupt("an error is not a number of at least 0"));
     }
     let fog = read_fog(&mut tables, roots_of_fog, boxes)?;
+    let (guides, lobes) = read_guides(&mut tables, [guides, lobes])?;
+    let direction_tables = read_direction_tables(&mut tables, counts, [leaves.len(), fog.leaves().count()])?;
+    if !tables.0.is_empty() {
+        return Err(FieldError::Corrupt("extra bytes follow the tables"));
+    }
+    let guides = Guides::new(guides, lobes, &roots, &all, &leaves);
+    Ok(Field { surfaces, roots, leaves, direct, errors, guides, tables: direction_tables, cells: all, sides, fog })
+}
+
+/// Reads guides and their lobes.
+/// - `lengths`: numbers of guides and of lobes.
+fn read_guides(tables: &mut TableReader<'_>, [guides, lobes]: [u32; 2]) -> Result<(Vec<Guide>, Vec<Lobe>), FieldError> {
     let records: Vec<[u32; 3]> = tables.read_table(guides)?;
     if records
         .iter()
@@ -361,24 +414,49 @@ fn read_tables(mut tables: TableReader<'_>, lengths: [u32; 11]) -> Result<Field,
         return Err(INDEX);
     }
     let guides = records.into_iter().map(|[first, count, share]| Guide { first, count, share: decode_share(share) });
-    let guides = guides.collect();
     let lobe = |words: [u32; 10]| {
         let [target, a, b] = vectors_from_words::<3, 9>(&std::array::from_fn(|at| words[at]));
         Lobe { target, axes: [a, b], share: f32::from_bits(words[9]) }
     };
-    let lobes: Vec<Lobe> = tables.read_table::<10>(lobes)?.into_iter().map(lobe).collect();
+    let read: Vec<Lobe> = tables.read_table::<10>(lobes)?.into_iter().map(lobe).collect();
     let is_sound = |lobe: &Lobe| {
         let is_axis = |axis: &Vec3A| axis.is_finite() && axis.length_squared() > 0.0;
         lobe.target.is_finite() && lobe.axes.iter().all(is_axis) && (0.0..f32::INFINITY).contains(&lobe.share)
     };
-    if !lobes.iter().all(is_sound) {
+    if !read.iter().all(is_sound) {
         return Err(FieldError::Corrupt("invalid lobe"));
     }
-    if !tables.0.is_empty() {
-        return Err(FieldError::Corrupt("extra bytes follow the tables"));
+    Ok((guides.collect(), read))
+}
+
+/// Reads tables of directions.
+/// - `counts`: numbers of leaves, of leaves of fog, and of tables;
+/// - `leaves`: numbers of all leaves, and of all leaves of fog.
+fn read_direction_tables(
+    tables: &mut TableReader<'_>,
+    [of_leaves, of_fog, count]: [u32; 3],
+    leaves: [usize; 2],
+) -> Result<DirectionTables, FieldError> {
+    const INVALID: FieldError = FieldError::Corrupt("invalid tables of directions");
+    if [of_leaves, of_fog].iter().zip(leaves).any(|(&count, all)| count != 0 && count as usize != all) {
+        return Err(INVALID);
     }
-    let guides = Guides::new(guides, lobes, &roots, &all, &leaves);
-    Ok(Field { surfaces, roots, leaves, direct, errors, guides, cells: all, sides, fog })
+    let [of_leaves, of_fog] = [of_leaves, of_fog].map(|count| tables.read_table::<1>(count));
+    let table = |words: [u32; TABLE_WORDS]| {
+        let extent = match words[0] {
+            0 => TableExtent::Hemisphere(Vec3A::from_array([1, 2, 3].map(|at| f32::from_bits(words[at])))),
+            1 => TableExtent::Sphere,
+            _ => return None,
+        };
+        DirectionTable::from_sums(extent, Box::new(std::array::from_fn(|at| f32::from_bits(words[at + 4]))))
+    };
+    let all: Option<Vec<DirectionTable>> = tables.read_table(count)?.into_iter().map(table).collect();
+    DirectionTables::from_indices(
+        of_leaves?.into_iter().map(|[index]| index).collect(),
+        of_fog?.into_iter().map(|[index]| index).collect(),
+        all.ok_or(INVALID)?,
+    )
+    .ok_or(INVALID)
 }
 
 /// Decodes a share of directions, in [0, 1). The rest is for directions that no lobe covers.

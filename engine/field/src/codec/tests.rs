@@ -59,6 +59,14 @@ fn one_of_everything() -> Field {
         &cells,
         &leaves,
     );
+    let table = |extent, cell: usize| {
+        let mut light = [1.0; TABLE_CELLS];
+        light[cell] = 100.0;
+        DirectionTable::new(extent, &light)
+    };
+    let leaf_tables = vec![None, table(TableExtent::Hemisphere(Vec3A::Y), 7), None];
+    let fog_tables = fog.leaves().map(|leaf| table(TableExtent::Sphere, leaf.sigma_s.x as usize)).collect();
+    let tables = DirectionTables::new(leaf_tables, fog_tables);
     Field {
         surfaces: (0..).zip(forms).map(surface).collect(),
         roots,
@@ -67,6 +75,7 @@ fn one_of_everything() -> Field {
         leaves,
         errors: vec![0.0, 1.5, 0.25],
         guides,
+        tables,
         sides: vec![vec![[0, 1], [2, NONE]], vec![[4, NONE], [NONE, 5]], vec![]],
         fog,
     }
@@ -105,8 +114,8 @@ fn a_damaged_byte_is_found_and_another_version_is_named() {
         assert!(Field::decode(&bytes[..at]).is_err(), "the first {at} bytes");
     }
     let mut newer = bytes;
-    newer[8] = 7;
-    assert_eq!(Field::decode(&newer).err(), Some(FieldError::Version { found: 7, expected: 6 }));
+    newer[8] = 8;
+    assert_eq!(Field::decode(&newer).err(), Some(FieldError::Version { found: 8, expected: 7 }));
 }
 
 #[test]
@@ -133,6 +142,25 @@ fn indices_that_lead_astray_are_refused() {
     assert!(refused(|field| guides(field, |of, _| of.truncate(1))), "leaves without a guide");
     assert!(refused(|field| guides(field, |_, lobes| lobes[0].axes[1] = Vec3A::ZERO)), "a lobe without a width");
     assert!(!refused(|_| ()));
+}
+
+/// Tables for other numbers of leaves, and a table that is no distribution.
+#[test]
+fn tables_of_directions_that_do_not_fit_are_refused() {
+    let table = || DirectionTable::new(TableExtent::Sphere, &[1.0; TABLE_CELLS]);
+    let decode = |leaves: usize, fog: usize| {
+        let tables = DirectionTables::new(vec![table(); leaves], vec![table(); fog]);
+        Field::decode(&Field { tables, ..one_of_everything() }.encode(&STATISTICS))
+            .map(|(field, _)| field.tables.count())
+    };
+    assert_eq!(decode(3, 3), Ok([3, 3]));
+    assert_eq!(decode(0, 0), Ok([0, 0]));
+    assert!(decode(2, 3).is_err() && decode(3, 2).is_err() && decode(4, 0).is_err());
+    let flat = Box::new([0.5; TABLE_CELLS]);
+    assert!(DirectionTable::from_sums(TableExtent::Sphere, flat).is_none());
+    let rising = Box::new(std::array::from_fn(|at| (at + 1) as f32 / TABLE_CELLS as f32));
+    assert!(DirectionTable::from_sums(TableExtent::Hemisphere(Vec3A::X * 2.0), rising.clone()).is_none());
+    assert!(DirectionTable::from_sums(TableExtent::Hemisphere(Vec3A::X), rising).is_some());
 }
 
 #[test]

@@ -231,6 +231,11 @@ impl FogTree {
     }
 
     fn find(&self, point: Vec3A) -> Option<&PlacedLeaf> {
+        self.leaf_at(point).map(|index| &self.leaves[index as usize])
+    }
+
+    /// Returns the index of the leaf that contains a point, in the order of [`Self::leaves`]. `None`: outside of the boxes.
+    pub fn leaf_at(&self, point: Vec3A) -> Option<u32> {
         if self.nodes.is_empty() || point.cmplt(self.min).any() || point.cmpgt(self.max).any() {
             return None;
         }
@@ -239,7 +244,7 @@ impl FogTree {
         loop {
             match node.kind() {
                 NodeKind::Split { axis, at, low } => node = self.nodes[low as usize + usize::from(place[axis] >= at)],
-                NodeKind::Leaf(index) => return Some(&self.leaves[index as usize]),
+                NodeKind::Leaf(index) => return Some(index),
             }
         }
     }

@@ -5,8 +5,8 @@ use crate::render::RenderError;
 use crate::settings::Method;
 use femc_prepared::Prepared;
 use femc_radiosity::{
-    BlockGuides, CastingState, CorrectedState, RAY_ROUNDS, RayHits, Solution, SolveOptions, SolveReport, SolverState,
-    StepDecodeError,
+    BlockGuides, CastingState, CorrectedState, GuideKind, RAY_ROUNDS, RayHits, Solution, SolveOptions, SolveReport,
+    SolverState, StepDecodeError,
 };
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -21,7 +21,10 @@ pub(super) struct Radiosity(SolveOptions);
 impl Radiosity {
     pub(super) fn new(method: Method) -> Self {
         Self(match method {
-            Method::Femc => SolveOptions { error: GUIDING_ERROR, guides: true, ..SolveOptions::default() },
+            Method::Femc => SolveOptions { error: GUIDING_ERROR, guides: GuideKind::Lobes, ..SolveOptions::default() },
+            Method::Femc1998 => {
+                SolveOptions { error: GUIDING_ERROR, guides: GuideKind::Tables, ..SolveOptions::default() }
+            }
             Method::Auto | Method::Pt | Method::Fem => SolveOptions::default(),
         })
     }
@@ -31,11 +34,11 @@ impl Solver for Radiosity {
     fn key(&self) -> Vec<u8> {
         let SolveOptions { error, memory, guides } = self.0;
         let (error, memory) = (error.to_bits().to_le_bytes(), (memory as u64).to_le_bytes());
-        error.into_iter().chain(memory).chain([u8::from(guides)]).collect()
+        error.into_iter().chain(memory).chain([guides as u8]).collect()
     }
 
     fn phases(&self) -> SolverPhases {
-        SolverPhases { rounds: RAY_ROUNDS, has_guides: self.0.guides }
+        SolverPhases { rounds: RAY_ROUNDS, has_guides: self.0.guides == GuideKind::Lobes }
     }
 
     fn min_bytes(&self, prepared: &Prepared) -> u64 {
@@ -87,11 +90,11 @@ impl LinkedState for Linked {
     }
 
     fn after_rays(self: Box<Self>, rays: Vec<BlockOutput>) -> Result<Arc<dyn GuideState>, StepDecodeError> {
-        Ok(Arc::new(Corrected(self.0.with_hits(BlockOutput::unwrap_all(rays)?)?)))
+        Ok(Arc::new(Corrected(self.0.with_hits(BlockOutput::unwrap_all(rays)?)?, self.1)))
     }
 
     fn solution(&self, prepared: &Prepared, guides: Vec<BlockOutput>) -> Result<Solution, StepDecodeError> {
-        Ok(self.0.solution(prepared, BlockOutput::unwrap_all(guides)?))
+        Ok(self.0.solution(prepared, &self.1, BlockOutput::unwrap_all(guides)?))
     }
 }
 
@@ -111,12 +114,12 @@ impl RayState for Casting {
     ) -> Result<Option<Arc<dyn GuideState>>, RenderError> {
         let Ok(hits) = BlockOutput::unwrap_all(rays) else { return Ok(None) };
         let applied = self.0.apply_hits(prepared, &self.1, hits, cancel).map_err(|_| RenderError::Cancelled)?;
-        Ok(applied.map(|corrected| -> Arc<dyn GuideState> { Arc::new(Corrected(corrected)) }))
+        Ok(applied.map(|corrected| -> Arc<dyn GuideState> { Arc::new(Corrected(corrected, self.1)) }))
     }
 }
 
 #[derive(Debug)]
-struct Corrected(CorrectedState);
+struct Corrected(CorrectedState, SolveOptions);
 
 impl GuideState for Corrected {
     fn guides(&self, prepared: &Prepared, block: u32, blocks: u32) -> Vec<u8> {
@@ -132,6 +135,6 @@ impl GuideState for Corrected {
     }
 
     fn solution(&self, prepared: &Prepared) -> Solution {
-        self.0.state().solution(prepared, Vec::new())
+        self.0.state().solution(prepared, &self.1, Vec::new())
     }
 }

@@ -7,7 +7,7 @@ use femc_geometry::{Hit, Ray};
 use femc_math::Rgb;
 use femc_math::glam::{Vec2, Vec3A};
 use femc_montecarlo::Guidance;
-use femc_pipeline::radiosity::{SolveOptions, solve};
+use femc_pipeline::radiosity::{GuideKind, SolveOptions, solve};
 use femc_pipeline::{
     Field, FrameLight, Method, Outputs, Prepared, RenderTask, SceneSource, Settings, Side, StopCondition,
     attach_first_pass, first_pass_world, frame_key, plan_job, prepare_frame, prepare_world, render_frame,
@@ -163,7 +163,7 @@ fn assert_mean(name: &str, got: &[[f32; 3]], one: &[[f32; 3]], factor: [f32; 3],
 }
 
 fn options() -> SolveOptions {
-    SolveOptions { error: 1.0, guides: true, ..SolveOptions::default() }
+    SolveOptions { error: 1.0, guides: GuideKind::Lobes, ..SolveOptions::default() }
 }
 
 fn solved(prepared: &Prepared) -> (Field, Vec<[f32; 3]>) {

@@ -6,14 +6,14 @@ use crate::element::Shape;
 use crate::gather::{FROM_ELEMENTS, FROM_LAMPS};
 use crate::scene::Scene;
 use crate::solve;
-use crate::solve::{SolveOptions, SolverState};
+use crate::solve::{GuideKind, SolveOptions, SolverState};
 use femc_field::Leaf;
 use femc_math::color::luminance;
 use femc_math::glam::{Vec2, Vec3A};
 use std::f64::consts::PI;
 use std::sync::atomic::AtomicBool;
 
-const OPTIONS: SolveOptions = SolveOptions { error: 1.0, memory: 1 << 30, guides: false };
+const OPTIONS: SolveOptions = SolveOptions { error: 1.0, memory: 1 << 30, guides: GuideKind::None };
 static CANCEL: AtomicBool = AtomicBool::new(false);
 
 /// Height of the lamp, m, and its area, m2.

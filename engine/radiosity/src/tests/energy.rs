@@ -5,14 +5,14 @@ use crate::gather::{ElementLights, FROM_ELEMENTS, FROM_LAMPS};
 use crate::rays::{Aims, Rays, ray_leaves};
 use crate::scene::Scene;
 use crate::solve::SolverState;
-use crate::{SolveOptions, solve};
+use crate::{GuideKind, SolveOptions, solve};
 use femc_field::Leaf;
 use femc_math::Rgb;
 use std::f32::consts::PI;
 use std::sync::atomic::AtomicBool;
 
 static CANCEL: AtomicBool = AtomicBool::new(false);
-const OPTIONS: SolveOptions = SolveOptions { error: 0.3, memory: 1 << 24, guides: false };
+const OPTIONS: SolveOptions = SolveOptions { error: 0.3, memory: 1 << 24, guides: GuideKind::None };
 
 /// Returns a cube of 1 m whose inner sides have a luminance of 1 cd/m2.
 fn furnace(reflectance: f64) -> String {

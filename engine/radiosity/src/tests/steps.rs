@@ -2,14 +2,14 @@
 
 use super::{face, prepare};
 use crate::solve::SolverState;
-use crate::{BlockGuides, CastingState, RAY_ROUNDS, RayHits, Solution, SolveOptions, solve};
+use crate::{BlockGuides, CastingState, GuideKind, RAY_ROUNDS, RayHits, Solution, SolveOptions, solve};
 use femc_field::Lobe;
 use femc_math::glam::Vec3A;
 use femc_prepared::Prepared;
 use std::sync::atomic::AtomicBool;
 
 static CANCEL: AtomicBool = AtomicBool::new(false);
-const OPTIONS: SolveOptions = SolveOptions { error: 2.0, memory: 1 << 22, guides: true };
+const OPTIONS: SolveOptions = SolveOptions { error: 2.0, memory: 1 << 22, guides: GuideKind::Lobes };
 
 /// A floor, a screen, a ball, a lamp in glass and fog: elements of all shapes.
 fn world() -> Prepared {
@@ -106,7 +106,7 @@ fn room() -> Prepared {
 #[test]
 fn steps_through_bytes_have_the_solution_of_one_process() {
     let world = room();
-    for guides in [false, true] {
+    for guides in [GuideKind::None, GuideKind::Lobes, GuideKind::Tables] {
         let options = SolveOptions { error: 1.0, memory: 1 << 24, guides };
         let whole = solve(&world, &options, &CANCEL).unwrap();
         let start = SolverState::new(&world, &options, &CANCEL).unwrap();
@@ -119,13 +119,15 @@ fn steps_through_bytes_have_the_solution_of_one_process() {
             let hits: Vec<RayHits> = (0..3).map(cast).collect();
             let corrected = casting.apply_hits(&world, &options, hits.clone(), &CANCEL).unwrap().expect("all hits");
             elements = corrected.state().encode_elements();
-            if guides && corrected.state().is_finished() {
+            if guides == GuideKind::Lobes && corrected.state().is_finished() {
                 let again = SolverState::decode(&world, &elements, &links).unwrap().with_hits(hits).unwrap();
                 of_blocks = (0..3).map(|block| again.guides(&world, block, 3)).collect();
             }
         }
-        let found = SolverState::decode(&world, &elements, &links).unwrap().solution(&world, of_blocks);
+        let found = SolverState::decode(&world, &elements, &links).unwrap().solution(&world, &options, of_blocks);
         let text = |solution: &Solution| format!("{:?}", solution.field);
-        assert!(text(&found) == text(&whole), "guides: {guides}");
+        assert!(text(&found) == text(&whole), "guides: {guides:?}");
+        assert_eq!(found.field.tables.is_empty(), guides != GuideKind::Tables);
+        assert_eq!(found.field.guides.by_leaf().is_empty(), guides != GuideKind::Lobes);
     }
 }

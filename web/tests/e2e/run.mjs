@@ -684,7 +684,7 @@ await step('roles: a token lets in, and each role is refused what is not its own
     await current.getByText(`the-${role}`).first().waitFor();
     const cookies = await current.context().cookies();
     claim(
-      cookies.some((it) => it.name === 'femc' && it.httpOnly && it.sameSite === 'Strict'),
+      cookies.some((it) => it.name.startsWith('femc') && it.httpOnly && it.sameSite === 'Strict'),
       'the cookie is HttpOnly and strict',
     );
     const off = async () =>

@@ -1,4 +1,4 @@
-//! Tables of directions: the guides of the method of 1998, which are a baseline for today's.
+//! Tables of directions: the guides of the method of 1998. They are a baseline for the present guides.
 //!
 //! Each leaf has a distribution of directions over cells between parallels and meridians, all of equal solid angle. The probability
 //! of a cell is the share of the leaf's light that comes from it. There is no parallax: all points of a leaf have the same table.
@@ -170,7 +170,8 @@ pub struct DirectionTables {
 }
 
 impl DirectionTables {
-    /// Creates the tables from those of the leaves of surfaces and of fog. `None`: a leaf has no light.
+    /// Creates the tables of a field.
+    /// - `leaves`, `fog`: table by leaf of surfaces, and by leaf of fog; `None` for a leaf without light.
     pub fn new(leaves: Vec<Option<DirectionTable>>, fog: Vec<Option<DirectionTable>>) -> Self {
         let mut tables = Vec::new();
         let mut number = |table: Option<DirectionTable>| match table {

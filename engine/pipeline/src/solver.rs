@@ -142,6 +142,6 @@ pub trait GuideState: Debug + Send + Sync {
     /// Encodes what this round has changed in the state of the first step.
     fn encode_elements(&self) -> Vec<u8>;
 
-    /// Creates the solution, without guides of blocks.
+    /// Creates the solution of a field without lobes.
     fn solution(&self, prepared: &Prepared) -> Solution;
 }

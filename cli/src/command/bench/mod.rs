@@ -247,7 +247,7 @@ impl Bench<'_> {
             for &method in &self.args.methods {
                 let traces_paths =
                     !matches!(method.transport, femc_pipeline::Method::Auto | femc_pipeline::Method::Fem);
-                if traces_paths && method.budget == Budget::Spp {
+                if traces_paths {
                     let report = prepared.attribute_to_decisions(method, samples)?;
                     let scene = bench_scene.setup.name.clone();
                     all.push(MethodDecisions { scene, method: method.name, report });

@@ -7,7 +7,7 @@ use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Role, StageKind};
+use crate::{Role, StageKind, tag};
 
 /// Stages of a job. A stage is identified by its index here. It may read only earlier stages, or any stage of its own loop in the
 /// previous round.
@@ -285,14 +285,15 @@ impl Graph {
         self.iter().find(|(_, template)| template.kind == kind)
     }
 
-    /// Adds the tags of all kinds and roles of the graph to each stage. A worker that cannot read one stage of a graph can execute
+    /// Adds the tags of all kinds and roles of the graph, and the tags of versions that a stage already requires, to each stage. A worker that cannot read one stage of a graph can execute
     /// none of its tasks.
     pub fn add_known_tags(&mut self) {
         let kinds = StageKind::ALL.into_iter().filter(|kind| self.stage_of_kind(*kind).is_some());
         let is_made = |role: &Role| self.stages.iter().any(|template| template.outputs.contains(role));
         let roles = Role::ALL.into_iter().filter(is_made);
         let known = kinds.flat_map(|kind| kind.properties().tags).chain(roles.flat_map(|role| role.properties().tags));
-        let known: Vec<&str> = known.copied().collect();
+        let is_required = |tag: &&str| self.stages.iter().any(|template| template.tags.iter().any(|own| own == tag));
+        let known: Vec<&str> = known.copied().chain(tag::ALL.into_iter().filter(is_required)).collect();
         for template in &mut self.stages {
             for tag in &known {
                 if !template.tags.iter().any(|own| own == tag) {

@@ -3,19 +3,22 @@
 //!
 //! `cargo run --release -p femc-tests --example two_passes -- SCENE.mgf.. [--methods M,..] [--spp N] [--size N] [--turns N]`
 //!
-//! Methods: `pt`, `femc`; parts of `femc`: `directions` (no weight window), `roulette` (no splitting), `splitting` (no roulette by
+//! Methods: `pt`, `femc`; `lobes` (lobes of the first pass in place of targets; the first pass of all methods then computes them); parts of `femc`: `directions` (no weight window), `roulette` (no splitting), `splitting` (no roulette by
 //! the window), `window` (no guided directions); and `LOWER:UPPER` (`femc` with these bounds of the window). The first method is the
 //! baseline.
 //!
 //! One line for each scene and method:
-//! - `first s`: processor seconds of the first pass; `s`: of the samples;
-//! - `rays`: rays and shadow rays of a sample; `guided`: vertices at which lobes sample directions;
+//! - `first s`: processor seconds of the first pass and of learning the targets; `s`: of the samples;
+//! - `rays`: rays and shadow rays of a sample; `guided`: vertices at which a guide samples directions;
 //! - `variance`: variance of the mean of all samples of a pixel, times their number, over the pixel's squared mean + 0.01, averaged
 //!   over all pixels and channels, as in relmse. Evenly spread samples have less variance than independent ones; the column `independent` ignores their spread;
 //! - `±`: standard error of the variance, %, from the spread over rows of pixels;
 //! - `gain`: variance times seconds of the baseline over that of the method; `with first`: with the seconds of the first pass;
 //! - `z`: difference of the mean from the baseline's, in standard errors.
 
+use femc_field::TargetGuide;
+use femc_guiding::openings::Opening;
+use femc_guiding::patches::Patch;
 use femc_math::sampler::REPLICATES;
 use femc_montecarlo::{Guidance, WeightWindow};
 use femc_pipeline::radiosity::{self, GuideKind, SolveOptions};
@@ -28,13 +31,20 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 /// Guidance of the paths of a method. `None`: path tracing alone.
-fn guidance<'a>(method: &str, prepared: &Prepared, field: &'a Field) -> Result<Option<Guidance<'a>>, String> {
-    let all = Guidance::new(prepared, field);
+fn guidance<'a>(
+    method: &str,
+    prepared: &'a Prepared,
+    field: &'a Field,
+    targets: &'a TargetGuide,
+) -> Result<Option<Guidance<'a>>, String> {
+    let lobes = Guidance::new(prepared, field);
+    let all = lobes.with_targets(prepared, targets);
     let open = WeightWindow { lower: 0.0, upper: f32::INFINITY };
     let window = WeightWindow::default();
     Ok(Some(match method {
         "pt" => return Ok(None),
         "femc" => all,
+        "lobes" => lobes,
         "directions" => Guidance { window: open, ..all },
         "roulette" => Guidance { window: WeightWindow { upper: f32::INFINITY, ..window }, ..all },
         "splitting" => Guidance { window: WeightWindow { lower: 0.0, ..window }, ..all },
@@ -74,16 +84,35 @@ fn main() -> Result<(), Box<dyn Error>> {
         let prepared = prepare_frame(&SceneSource::new(scene), &settings, 1, None)?;
         let name = std::path::Path::new(&path).file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let start = processor_seconds().unwrap_or(0.0);
-        let options = SolveOptions { error: 1.0, guides: GuideKind::Lobes, ..SolveOptions::default() };
+        // Lobes cost seconds, which the other methods do not need.
+        let guides = if methods.iter().any(|it| it == "lobes") { GuideKind::Lobes } else { GuideKind::None };
+        let options = SolveOptions { error: 1.0, guides, ..SolveOptions::default() };
         let solution = radiosity::solve(&prepared, &options, &AtomicBool::new(false)).map_err(|_| "cancelled")?;
         let first = processor_seconds().unwrap_or(0.0) - start;
+        let start = processor_seconds().unwrap_or(0.0);
+        let learned = femc_guiding::learn(&prepared, &solution.field);
+        let learning = processor_seconds().unwrap_or(0.0) - start;
+        println!("{name}\tlearning {learning:.2} s, {} paths, {} rays", learned.paths, learned.rays);
+        for Opening { target, share } in &learned.openings {
+            let (center, [a, b]) = (target.center() + prepared.origin.as_vec3a(), target.edges);
+            println!("{name}\topening {:.3} m x {:.3} m at {center:.2}, share {share:.3}", a.length(), b.length());
+        }
+        for Patch { target, share } in &learned.patches {
+            let (center, [a, b]) = (target.center() + prepared.origin.as_vec3a(), target.edges);
+            println!("{name}\tpatch {:.3} m x {:.3} m at {center:.2}, share {share:.3}", a.length(), b.length());
+        }
+        let field = &solution.field;
         let guidances: Result<Vec<_>, _> =
-            methods.iter().map(|method| guidance(method, &prepared, &solution.field)).collect();
+            methods.iter().map(|method| guidance(method, &prepared, field, &learned.guide)).collect();
         let guidances = guidances?;
         let measured = measure(&guidances, &prepared, size, spp, turns);
         let base = &measured[0];
         for (method, of) in methods.iter().zip(&measured) {
-            let first = if method == "pt" { 0.0 } else { first };
+            let first = match method.as_str() {
+                "pt" => 0.0,
+                "lobes" => first,
+                _ => first + learning,
+            };
             let work = |of: &MethodStatistics| of.variance * of.seconds;
             println!(
                 "{name}\t{method}\t{first:.2}\t{:.2}\t{:.2}\t{:.2}\t{:.5}\t{:.0}\t{:.5}\t{:.2}\t{:.2}\t{:+.2}",

@@ -124,7 +124,7 @@ impl PictureComparison {
 fn render(source: &SceneSource, settings: &Settings, light: Option<FrameLight>) -> Result<Vec<f64>, Box<dyn Error>> {
     let mut prepared = femc_pipeline::prepare_world(source, settings, 1, None)?;
     if let Some(light) = light {
-        attach_first_pass(&mut prepared, light)?;
+        attach_first_pass(&mut prepared, light, settings.method)?;
     }
     let [width, height] = settings.size.unwrap_or_default();
     let tiling = Tiling::new(width, height, 24)?;

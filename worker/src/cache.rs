@@ -290,7 +290,7 @@ impl Cache {
             if let Some(light) = light {
                 let frame_light = self.frame_light(light, prepared.brightness, client, fetch)?;
                 fetch
-                    .prepare(|| femc_pipeline::attach_first_pass(&mut prepared, frame_light))
+                    .prepare(|| femc_pipeline::attach_first_pass(&mut prepared, frame_light, loaded.settings.method))
                     .map_err(|error| lost_field_failure(light, &error))?;
             }
             Ok(Arc::new(prepared))

@@ -226,9 +226,9 @@ fn run_trial(
         let world = femc_pipeline::first_pass_world(&resolved.source, &resolved.settings, frame, Some(&prepared));
         let (world, begun) = (world.map_err(failed)?, clock.now());
         let solution = femc_pipeline::solve_first_pass(&world, plan.method, &AtomicBool::new(false)).map_err(failed)?;
-        first_pass_seconds = clock.since(begun).as_secs_f64();
         let light = femc_pipeline::FrameLight::new(Arc::new(solution.field), prepared.brightness);
-        femc_pipeline::attach_first_pass(&mut prepared, light).map_err(failed)?;
+        femc_pipeline::attach_first_pass(&mut prepared, light, plan.method).map_err(failed)?;
+        first_pass_seconds = clock.since(begun).as_secs_f64();
     }
     let begun = clock.now();
     let mut samples = 0;

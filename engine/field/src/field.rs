@@ -141,8 +141,17 @@ impl Field {
     /// - `position`: position of the hit.
     #[inline]
     pub fn guide_at(&self, hit: &Hit, side: Side, position: Vec3A) -> Option<Guided<'_>> {
+        let (surface, parameters) = self.surface_at(hit, side);
+        self.guides.at(surface, || parameters(position))
+    }
+
+    /// Returns the index of the surface of a hit, and the function that returns the parameters of a position on it. The function must
+    /// not be called if the first pass has no surface there.
+    #[inline]
+    pub(crate) fn surface_at(&self, hit: &Hit, side: Side) -> (u32, impl FnOnce(Vec3A) -> Vec2) {
         let surface = self.sides[hit.instance as usize][hit.primitive as usize][usize::from(side == Side::Back)];
-        self.guides.at(surface, || self.surfaces[surface as usize].parameters(position, [hit.u, hit.v]))
+        let [u, v] = [hit.u, hit.v];
+        (surface, move |position| self.surfaces[surface as usize].parameters(position, [u, v]))
     }
 
     /// Returns the table of directions at a hit. `None` if there is none.

@@ -17,6 +17,7 @@ mod harmonics;
 mod regions;
 mod surface;
 mod tables;
+mod targets;
 mod walk;
 
 pub use cell::{Cell, Outline, Split};
@@ -27,6 +28,7 @@ pub use guide::{Block, Directions, Guide, Guided, Guides, HALF, LOBES, Lobe};
 pub use harmonics::Harmonics;
 pub use surface::{Form, Side, Surface, SurfaceSpot};
 pub use tables::{DirectionTable, DirectionTables, TABLE_CELLS, TableCells, TableExtent};
+pub use targets::{GuidedTargets, PACK_TARGETS, RegionTargets, Target, TargetDirections, TargetGuide, TargetPack};
 
 /// "None" among `u32` indices.
 pub const NONE: u32 = u32::MAX;

@@ -196,9 +196,9 @@ impl DirectionTables {
         })
     }
 
-    /// Checks whether there are no tables.
+    /// Checks whether no tables were computed. A field whose leaves have no light has tables without content.
     pub fn is_empty(&self) -> bool {
-        self.tables.is_empty()
+        self.by_leaf.is_empty() && self.by_fog_leaf.is_empty()
     }
 
     /// Returns the indices by leaf of surfaces and by leaf of fog, and the tables.
@@ -219,13 +219,12 @@ impl DirectionTables {
     /// Removes the tables of all leaves for which a condition does not hold.
     /// - `keeps_leaf`, `keeps_fog_leaf`: conditions by index of the leaf of surfaces and of fog.
     pub fn retain(&mut self, keeps_leaf: impl Fn(usize) -> bool, keeps_fog_leaf: impl Fn(usize) -> bool) {
-        let remove = |(leaf, index): (usize, &mut u32), keeps: &dyn Fn(usize) -> bool| {
-            if !keeps(leaf) {
-                *index = NONE;
-            }
+        let select = |indices: &[u32], keeps: &dyn Fn(usize) -> bool| {
+            let table =
+                |(leaf, &index): (usize, &u32)| self.tables.get(index as usize).filter(|_| keeps(leaf)).cloned();
+            indices.iter().enumerate().map(table).collect()
         };
-        self.by_leaf.iter_mut().enumerate().for_each(|it| remove(it, &keeps_leaf));
-        self.by_fog_leaf.iter_mut().enumerate().for_each(|it| remove(it, &keeps_fog_leaf));
+        *self = Self::new(select(&self.by_leaf, &keeps_leaf), select(&self.by_fog_leaf, &keeps_fog_leaf));
     }
 
     /// Returns the number of leaves of surfaces and of fog that have tables.
@@ -311,6 +310,7 @@ mod tests {
         let mut tables = DirectionTables::new(vec![None, Some(table(TableExtent::Sphere))], vec![None]);
         assert!(tables.of_leaf(0).is_none() && tables.of_leaf(1).is_some() && tables.of_fog_leaf(0).is_none());
         tables.retain(|leaf| leaf != 1, |_| true);
-        assert!(tables.of_leaf(1).is_none() && tables.count() == [0, 0]);
+        assert!(tables.of_leaf(1).is_none() && tables.count() == [0, 0] && !tables.is_empty());
+        assert_eq!(tables.memory(), 3 * size_of::<u32>());
     }
 }

@@ -42,6 +42,24 @@ pub fn first_surface(scene: &Prepared, ray: &Ray, stream: SampleStream) -> Optio
     Some(FirstSurface { hit, point, normal, albedo, field_error })
 }
 
+/// Returns rays through the centers of pixels on a grid over the film, row by row, with the first surfaces that they hit.
+/// - `count`: number of rays by axis of the film.
+pub(crate) fn first_surfaces_on_grid(
+    scene: &Prepared,
+    count: [u32; 2],
+) -> impl Iterator<Item = (Ray, Option<SurfaceInteraction<'_>>)> {
+    let film = scene.camera.film;
+    let view = scene.camera.view([0.5; 2], 0.5);
+    (0..count[0] * count[1]).map(move |at| {
+        let place = [at % count[0], at / count[0]];
+        let [x, y] = [0, 1]
+            .map(|axis| (u64::from(film[axis]) * u64::from(2 * place[axis] + 1) / u64::from(2 * count[axis])) as u32);
+        let pixel = y * film[0] + x;
+        let ray = view.ray(scene.camera.center(pixel));
+        (ray, find_first_surface(scene, &ray, SampleStream::new(0, scene.frame, pixel, 0)))
+    })
+}
+
 /// Returns the interaction with the first surface along `ray`, as [`first_surface`] does.
 pub(crate) fn find_first_surface<'s>(
     scene: &'s Prepared,

@@ -5,7 +5,10 @@
 //! correct for any guide.
 
 use crate::surface::SurfaceInteraction;
-use femc_field::{Block, DirectionTable, Directions, Field, Side};
+use femc_field::{
+    Block, DirectionTable, Directions, Field, GuidedTargets, RegionTargets, Side, TargetDirections, TargetGuide,
+    TargetPack,
+};
 use femc_math::color::luminance;
 use femc_math::glam::Vec3A;
 use femc_math::{Frame, Rgb};
@@ -31,6 +34,8 @@ pub enum LeafGuide<'a> {
     Lobes(&'a Block),
     /// Table of directions.
     Table(&'a DirectionTable),
+    /// Targets in space, and their shares.
+    Targets(&'a TargetPack, &'a RegionTargets),
 }
 
 impl<'a> LeafGuide<'a> {
@@ -40,6 +45,9 @@ impl<'a> LeafGuide<'a> {
         match self {
             Self::Lobes(block) => Directions::new(block, point).non_empty().map(GuideDirections::Lobes),
             Self::Table(table) => Some(GuideDirections::Table(table)),
+            Self::Targets(pack, region) => {
+                Some(GuideDirections::Targets { directions: pack.directions_at(point), region, share: region.share() })
+            }
         }
     }
 }
@@ -50,6 +58,15 @@ pub enum GuideDirections<'a> {
     Lobes(Directions<'a>),
     /// Table of directions.
     Table(&'a DirectionTable),
+    /// Directions toward targets.
+    Targets {
+        /// Directions by target.
+        directions: TargetDirections<'a>,
+        /// Shares of the targets.
+        region: &'a RegionTargets,
+        /// Sum of the shares, positive.
+        share: f32,
+    },
 }
 
 impl GuideDirections<'_> {
@@ -59,6 +76,7 @@ impl GuideDirections<'_> {
         match self {
             Self::Lobes(directions) => directions.pdf(dir),
             Self::Table(table) => table.pdf(dir),
+            Self::Targets { directions, region, share } => region.pdf(directions, dir) / share,
         }
     }
 
@@ -68,6 +86,10 @@ impl GuideDirections<'_> {
         match self {
             Self::Lobes(directions) => directions.sample_evenly(u),
             Self::Table(table) => table.sample(u),
+            Self::Targets { directions, region, share } => {
+                let (target, rest) = region.pick(u[0] * share);
+                directions.sample(target, [rest, u[1]])
+            }
         }
     }
 }
@@ -79,13 +101,16 @@ pub struct SurfaceGuide<'a> {
     /// Radiance that the surface scatters toward the previous vertex according to the field, cd/m2, without direct light from
     /// sources: albedo times irradiance, over pi. It is 0 if the field has no data here.
     pub radiance: Rgb,
+    /// Index of the region of the targets. `None`: there are none, or the field has no data here.
+    pub region: Option<u32>,
 }
 
 impl<'a> SurfaceGuide<'a> {
     /// Returns the guide of a field at a surface.
+    /// - `targets`: targets of the frame, in place of the guides of the field.
     #[inline(always)]
-    pub fn new(field: &'a Field, surface: &SurfaceInteraction<'_>) -> Self {
-        let mut out = Self { leaf: None, radiance: Rgb::ZERO };
+    pub fn new(field: &'a Field, targets: Option<&'a TargetGuide>, surface: &SurfaceInteraction<'_>) -> Self {
+        let mut out = Self { leaf: None, radiance: Rgb::ZERO, region: None };
         // The guide has no data about glossy lobes.
         let diffuse = luminance(surface.bsdf.lambertian(surface.wo).0);
         if diffuse <= 0.0 {
@@ -97,6 +122,16 @@ impl<'a> SurfaceGuide<'a> {
         if !field.tables.is_empty() {
             let table = field.table_at(&surface.hit, side, surface.point.position);
             out.leaf = table.map(|table| (LeafGuide::Table(table), TABLE_SHARE * diffuse_share));
+            return out;
+        }
+        if let Some(targets) = targets {
+            let found = targets.at(field, &surface.hit, side, surface.point.position);
+            let Some(GuidedTargets { region, targets, light }) = found else { return out };
+            out.radiance = albedo * light * FRAC_1_PI;
+            out.region = Some(region);
+            let share = |region: &RegionTargets| region.share() * diffuse_share;
+            out.leaf = targets.map(|(pack, region)| (LeafGuide::Targets(pack, region), share(region)));
+            out.leaf = out.leaf.filter(|(_, share)| *share > 0.0);
             return out;
         }
         let Some(guided) = field.guide_at(&surface.hit, side, surface.point.position) else { return out };
@@ -127,6 +162,11 @@ impl<'a> DirectionSampler<'a> {
     #[inline(always)]
     pub fn add_guide(&mut self, directions: &'a GuideDirections<'a>, share: f32) {
         self.guide = Some((directions, share));
+    }
+
+    /// Returns the share of directions that the BSDF samples, in (0, 1].
+    pub fn bsdf_share(&self) -> f32 {
+        self.guide.map_or(1.0, |(_, share)| 1.0 - share)
     }
 
     /// Returns the density of [`Self::sample`], 1/sr, without deltas.

@@ -35,7 +35,7 @@ pub use record::{Recorder, Recording};
 pub use seen_tables::keep_seen_tables;
 pub use technique::MisTechnique;
 pub use tracer::{Guidance, PathSample, PathSettings, PixelFilter, Tracer, TracerCounters};
-pub use window::WeightWindow;
+pub use window::{FRAME_SHARE, WeightWindow};
 
 #[inline]
 fn square(x: f32) -> f32 {

@@ -124,6 +124,10 @@ pub trait Recorder {
     /// Records the scattering lobes of the latest vertex's surface for the direction that is reported next: the direction in which
     /// the path continues, or that of the sampled light, unless it is occluded. It is not called for mirrors and clear surfaces.
     fn lobe_split(&mut self, _lobe_split: impl FnOnce() -> LobeSplit) {}
+    /// Records the light that a field expects at the latest vertex, if it has data there and the frame has targets.
+    fn expectation(&mut self, _expectation: impl FnOnce() -> Expectation) {}
+    /// Records the sampled direction in which the path leaves its latest vertex, if [`Self::expectation`] was called there.
+    fn direction(&mut self, _direction: impl FnOnce() -> Direction) {}
     /// Records a light contribution.
     fn contribution(&mut self, contribution: impl FnOnce() -> Contribution);
     /// Records that a path is split, or that one of its branches is traced.
@@ -210,6 +214,30 @@ impl Continuation {
     pub(crate) fn unguided(interaction: InteractionKind) -> Self {
         Self { interaction, is_guide_sample: false }
     }
+}
+
+/// Light that a field expects at a surface that a path reached.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Expectation {
+    /// Region of the targets.
+    pub region: u32,
+    /// Luminance that the path still adds to the sample, without direct light from sources at this surface, cd/m2.
+    pub light: f32,
+}
+
+/// Sampled direction in which a path leaves a surface.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Direction {
+    /// Position of the surface, prepared frame, m.
+    pub position: Vec3A,
+    /// Unit direction.
+    pub dir: Vec3A,
+    /// Index of the segment that ends at the surface; 0: the camera's.
+    pub bounce: u32,
+    /// Light that the field expects along all directions, after Russian roulette.
+    pub expectation: Expectation,
+    /// Probability that the BSDF sampled the direction, rather than a guide, in 0..=1.
+    pub bsdf_share: f32,
 }
 
 /// Lobes that scatter light from one direction into another at a surface.
@@ -488,6 +516,14 @@ impl<A: Recorder, B: Recorder> Recorder for RecorderPair<A, B> {
 
     fn lobe_split(&mut self, split: impl FnOnce() -> LobeSplit) {
         record_both(self, split, |it, split| it.lobe_split(|| split), |it, split| it.lobe_split(|| split));
+    }
+
+    fn expectation(&mut self, expectation: impl FnOnce() -> Expectation) {
+        record_both(self, expectation, |it, light| it.expectation(|| light), |it, light| it.expectation(|| light));
+    }
+
+    fn direction(&mut self, direction: impl FnOnce() -> Direction) {
+        record_both(self, direction, |it, dir| it.direction(|| dir), |it, dir| it.direction(|| dir));
     }
 
     fn contribution(&mut self, contribution: impl FnOnce() -> Contribution) {

@@ -3,8 +3,8 @@
 use crate::guided::{DirectionSampler, GuidedSample, SurfaceGuide};
 use crate::path_state::{PathState, PreviousVertex, SegmentOrigin};
 use crate::record::{
-    BranchEvent, Continuation, Contribution, Decision, InteractionKind, LobeSplit, PathEnd, Recorder, Termination,
-    Vertex, VertexLocation,
+    BranchEvent, Continuation, Contribution, Decision, Direction, Expectation, InteractionKind, LobeSplit, PathEnd,
+    Recorder, Termination, Vertex, VertexLocation,
 };
 use crate::roulette::RouletteRule;
 use crate::surface::SurfaceInteraction;
@@ -27,6 +27,8 @@ struct Continuing<'s> {
     directions: &'s DirectionSampler<'s>,
     /// Context for which the lamps were weighed.
     light_context: &'s PointContext,
+    /// Region of the targets, and the radiance that the field expects to be scattered toward the previous vertex, cd/m2.
+    expected: Option<(u32, Rgb)>,
 }
 
 impl PathState {
@@ -64,9 +66,14 @@ impl<R: Recorder> Tracer<'_, R> {
         let mut directions = DirectionSampler::new(bsdf, frame, wo);
         let guide_directions;
         let mut decision = WindowDecision::Unknown;
+        let mut expected = None;
         if let Some(guidance) = &self.guidance {
-            let SurfaceGuide { leaf, radiance } = SurfaceGuide::new(guidance.field, surface);
+            let SurfaceGuide { leaf, radiance, region } = SurfaceGuide::new(guidance.field, guidance.targets, surface);
             decision = guidance.decide(path, radiance);
+            expected = region.map(|region| (region, radiance));
+            if let Some(expected) = expected {
+                record!(self.recorder.expectation(|| expectation(expected, path.throughput)));
+            }
             if guidance.samples_directions
                 && let Some((guide, share)) = leaf
                 && let Some(found) = guide.directions_at(point.position)
@@ -92,7 +99,7 @@ impl<R: Recorder> Tracer<'_, R> {
             rest = bsdf.without_lambertian();
             directions = DirectionSampler::new(&rest, frame, wo);
         }
-        let continuing = Continuing { surface, directions: &directions, light_context: &light_context };
+        let continuing = Continuing { surface, directions: &directions, light_context: &light_context, expected };
         self.apply_window::<MEDIA, RECORD_ALL>(path, decision, continuing)
     }
 
@@ -158,7 +165,7 @@ impl<R: Recorder> Tracer<'_, R> {
     fn continue_path<const MEDIA: bool, const RECORD_ALL: bool>(
         &mut self,
         path: &mut PathState,
-        Continuing { surface, directions, light_context }: Continuing<'_>,
+        Continuing { surface, directions, light_context, expected }: Continuing<'_>,
         numbers: DirectionNumbers,
         rule: RouletteRule,
     ) -> ControlFlow<Termination> {
@@ -169,6 +176,7 @@ impl<R: Recorder> Tracer<'_, R> {
             let is_field = self.field.is_some();
             return ControlFlow::Break(path.end(if is_field { PathEnd::Field } else { PathEnd::Absorbed }));
         };
+        let throughput = path.throughput;
         path.throughput *= scattered.weight;
         path.roulette_scale *= pdf_ratio;
         let is_delta = scattered.lobe == LobeKind::Delta;
@@ -197,6 +205,15 @@ impl<R: Recorder> Tracer<'_, R> {
         } else {
             let is_glossy = scattered.lobe == LobeKind::Glossy;
             let interaction = if is_glossy { InteractionKind::Glossy } else { InteractionKind::Diffuse };
+            if let Some(expected) = expected {
+                record!(self.recorder.direction(|| Direction {
+                    position: point.position,
+                    dir: wi,
+                    bounce: path.bounce,
+                    expectation: expectation(expected, throughput),
+                    bsdf_share: directions.bsdf_share() / pdf_ratio,
+                }));
+            }
             record!(self.recorder.lobe_split(|| LobeSplit::new(&surface.bsdf, surface.wo, scattered.wi)));
             record!(self.recorder.leave(Continuation { interaction, is_guide_sample }));
             SegmentOrigin::Surface { light_context: *light_context, pdf: scattered.pdf }
@@ -208,6 +225,11 @@ impl<R: Recorder> Tracer<'_, R> {
         path.bounce += 1;
         path.roulette::<MEDIA>(rule)
     }
+}
+
+/// Returns the light that a field expects of a path with this throughput at a region that scatters this radiance.
+fn expectation((region, radiance): (u32, Rgb), throughput: Rgb) -> Expectation {
+    Expectation { region, light: luminance(throughput * radiance) }
 }
 
 /// Returns the side of a surface on which the path is, and the other side.

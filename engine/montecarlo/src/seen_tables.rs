@@ -1,8 +1,7 @@
 //! Leaves of a field that the camera sees. The method of 1998 guides paths only there.
 
-use crate::first_hit::find_first_surface;
+use crate::first_hit::first_surfaces_on_grid;
 use femc_field::{Field, Side};
-use femc_math::SampleStream;
 use femc_math::glam::Vec3A;
 use femc_prepared::Prepared;
 
@@ -16,15 +15,8 @@ const FOG_POINTS: u32 = 64;
 pub fn keep_seen_tables(scene: &Prepared, field: &mut Field) {
     let mut leaves = vec![false; field.leaves.len()];
     let mut fog = vec![false; field.fog.leaves().count()];
-    let film = scene.camera.film;
-    let view = scene.camera.view([0.5; 2], 0.5);
-    let count = film.map(|edge| edge.min(MAX_RAYS));
-    for place in (0..count[0] * count[1]).map(|at| [at % count[0], at / count[0]]) {
-        let [x, y] = [0, 1]
-            .map(|axis| (u64::from(film[axis]) * u64::from(2 * place[axis] + 1) / u64::from(2 * count[axis])) as u32);
-        let pixel = y * film[0] + x;
-        let ray = view.ray(scene.camera.center(pixel));
-        let surface = find_first_surface(scene, &ray, SampleStream::new(0, scene.frame, pixel, 0));
+    let count = scene.camera.film.map(|edge| edge.min(MAX_RAYS));
+    for (ray, surface) in first_surfaces_on_grid(scene, count) {
         let mut end = f32::INFINITY;
         if let Some(surface) = &surface {
             let side = if surface.back { Side::Back } else { Side::Front };

@@ -11,7 +11,7 @@ use crate::surface::SurfaceInteraction;
 use crate::technique::MisTechnique;
 use crate::window::{WeightWindow, WindowDecision, frame_light};
 use femc_emission::LightWeights;
-use femc_field::Field;
+use femc_field::{Field, TargetGuide};
 use femc_math::{Rgb, SampleStream};
 use femc_prepared::compile::NONE;
 use femc_prepared::{Crossing, Prepared};
@@ -73,7 +73,9 @@ pub trait PixelFilter: Copy {
 pub struct Guidance<'a> {
     /// Field of the first pass.
     pub field: &'a Field,
-    /// Whether the field's guides sample a share of the directions.
+    /// Targets of the frame's directions, in place of the guides of the field.
+    pub targets: Option<&'a TargetGuide>,
+    /// Whether the guides sample a share of the directions.
     pub samples_directions: bool,
     /// Weight window.
     pub window: WeightWindow,
@@ -82,16 +84,24 @@ pub struct Guidance<'a> {
 }
 
 impl<'a> Guidance<'a> {
-    /// Creates the guidance of a frame's paths by `field`. The mean light of the frame's own field is computed once.
-    pub fn new(scene: &Prepared, field: &'a Field) -> Self {
+    /// Creates the guidance of a frame's paths by `field`. The mean light of the frame's own field is computed once. The targets of
+    /// the frame belong to its own field.
+    pub fn new(scene: &'a Prepared, field: &'a Field) -> Self {
         let is_own = scene.field().is_some_and(|own| std::ptr::eq(own, field));
+        let targets = if is_own { scene.targets() } else { None };
         let frame_light = match is_own {
-            true => *scene.field_light.get_or_init(|| frame_light(scene, field)),
-            false => frame_light(scene, field),
+            true => *scene.field_light.get_or_init(|| frame_light(scene, field, targets)),
+            false => frame_light(scene, field, None),
         };
         // The method of 1998 has no window.
         let window = if field.tables.is_empty() { WeightWindow::default() } else { WeightWindow::OPEN };
-        Self { field, samples_directions: true, window, frame_light }
+        Self { field, targets, samples_directions: true, window, frame_light }
+    }
+
+    /// Replaces the guides of the field by targets.
+    pub fn with_targets(self, scene: &Prepared, targets: &'a TargetGuide) -> Self {
+        let targets = Some(targets);
+        Self { targets, frame_light: frame_light(scene, self.field, targets), ..self }
     }
 
     /// Decides by the window on a path at its latest vertex.

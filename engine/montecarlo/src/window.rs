@@ -7,13 +7,13 @@
 //! how many copies continue, so the mean is correct for any field.
 
 use crate::dimensions as dim;
-use crate::first_hit::find_first_surface;
+use crate::first_hit::first_surfaces_on_grid;
 use crate::guided::SurfaceGuide;
 use crate::path_state::PathState;
 use crate::roulette::{RouletteRule, survivor_throughput};
-use femc_field::Field;
+use femc_field::{Field, TargetGuide};
+use femc_math::Rgb;
 use femc_math::color::luminance;
-use femc_math::{Rgb, SampleStream};
 use femc_prepared::Prepared;
 
 /// Bounds of the light expected of a path, relative to the light expected at its first vertex.
@@ -47,7 +47,7 @@ const MAX_COPIES: u32 = 8;
 pub(crate) const MAX_BRANCHES: u32 = 64;
 /// Share of the frame's mean light that is added to the light expected at the first vertex. Otherwise, paths from dark places
 /// would be split at every bright one.
-const FRAME_SHARE: f32 = 0.02;
+pub const FRAME_SHARE: f32 = 0.02;
 /// Number of camera rays by axis for the mean of the frame.
 const FRAME_RAYS: u32 = 16;
 
@@ -125,20 +125,12 @@ impl PathState {
 }
 
 /// Returns the mean light that a field expects at the first surfaces of a frame, cd/m2.
-pub(crate) fn frame_light(scene: &Prepared, field: &Field) -> f32 {
-    let film = scene.camera.film;
-    let view = scene.camera.view([0.5; 2], 0.5);
-    let light = |place: [u32; 2]| {
-        let [x, y] =
-            [0, 1].map(|axis| (u64::from(film[axis]) * u64::from(2 * place[axis] + 1)) as u32 / (2 * FRAME_RAYS));
-        let pixel = y * film[0] + x;
-        let ray = view.ray(scene.camera.center(pixel));
-        let surface = find_first_surface(scene, &ray, SampleStream::new(0, scene.frame, pixel, 0))?;
-        let light = luminance(SurfaceGuide::new(field, &surface).radiance);
+pub(crate) fn frame_light(scene: &Prepared, field: &Field, targets: Option<&TargetGuide>) -> f32 {
+    let lights = first_surfaces_on_grid(scene, [FRAME_RAYS; 2]).filter_map(|(_, surface)| {
+        let light = luminance(SurfaceGuide::new(field, targets, &surface?).radiance);
         light.is_finite().then_some(light)
-    };
-    let places = (0..FRAME_RAYS * FRAME_RAYS).map(|at| [at % FRAME_RAYS, at / FRAME_RAYS]);
-    places.filter_map(light).sum::<f32>() / (FRAME_RAYS * FRAME_RAYS) as f32
+    });
+    lights.sum::<f32>() / (FRAME_RAYS * FRAME_RAYS) as f32
 }
 
 /// Random numbers of a direction: a point in [0, 1)^2, and the choice of a lobe.
@@ -174,6 +166,7 @@ impl DirectionNumbers {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use femc_math::SampleStream;
 
     const WINDOW: WeightWindow = WeightWindow { lower: 0.4, upper: 1.5 };
 

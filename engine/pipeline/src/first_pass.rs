@@ -96,9 +96,10 @@ pub fn encode_solution(solution: &Solution) -> Vec<u8> {
     solution.field.encode(&statistics)
 }
 
-/// Assigns the light of the first pass to a frame. Tables of directions are kept for the leaves that its camera sees.
+/// Assigns the light of the first pass to a frame. Tables of directions are kept for the leaves that its camera sees. For
+/// [`Method::Femc`], targets of its paths are learned if most light comes through openings.
 /// - errors: the light belongs to other surfaces, or to lamps of another brightness.
-pub fn attach_first_pass(prepared: &mut Prepared, light: FrameLight) -> Result<(), FieldMismatch> {
+pub fn attach_first_pass(prepared: &mut Prepared, light: FrameLight, method: Method) -> Result<(), FieldMismatch> {
     let FrameLight { field, brightness } = light;
     if brightness != prepared.brightness {
         return Err(FieldMismatch::Brightness);
@@ -114,7 +115,20 @@ pub fn attach_first_pass(prepared: &mut Prepared, light: FrameLight) -> Result<(
         Arc::new(seen)
     };
     prepared.set_field(Some(field));
+    learn_targets(prepared, method);
     Ok(())
+}
+
+/// Learns the targets of a frame's paths for [`Method::Femc`], if most light comes through openings. Else the lobes of the field
+/// guide the paths. Nothing happens if the frame has no field, or targets already.
+pub(crate) fn learn_targets(prepared: &mut Prepared, method: Method) {
+    if method == Method::Femc
+        && prepared.targets().is_none()
+        && let Some(field) = prepared.field()
+        && let Some(learned) = femc_guiding::learn_openings(prepared, field)
+    {
+        prepared.set_targets(Arc::new(learned.guide));
+    }
 }
 
 /// Reason why the light of a first pass does not match a frame.

@@ -286,7 +286,7 @@ fn run_pilot(
         match solve_first_pass(&world, Method::Femc, &AtomicBool::new(false)) {
             Ok(solution) => {
                 let light = FrameLight::new(Arc::new(solution.field.clone()), prepared.brightness);
-                attach_first_pass(&mut prepared, light)?;
+                attach_first_pass(&mut prepared, light, settings.method)?;
                 let guided = PilotSamples::trace(&prepared, &settings)?;
                 found.samples += guided.samples;
                 let (measured, error) = paths.gain(&guided);

@@ -1,6 +1,6 @@
 //! Preparation of frames.
 
-use crate::first_pass::{FrameLight, attach_first_pass, first_pass_world, solve_first_pass};
+use crate::first_pass::{FrameLight, attach_first_pass, first_pass_world, learn_targets, solve_first_pass};
 use crate::settings::Settings;
 use femc_layers::Feature;
 use femc_prepared::{FrameSpec, PrepareError, Prepared, SceneSource};
@@ -22,9 +22,11 @@ pub fn prepare_frame(
         let solution = solve_first_pass(&world, settings.method, &AtomicBool::new(false));
         let solution = solution.map_err(|error| PrepareError::FirstPass { reason: error.to_string() })?;
         let light = FrameLight::new(Arc::new(solution.field), prepared.brightness);
-        attach_first_pass(&mut prepared, light)
+        attach_first_pass(&mut prepared, light, settings.method)
             .map_err(|error| PrepareError::FirstPass { reason: error.to_string() })?;
     }
+    // A field of another frame of the same world has no targets of this frame's view.
+    learn_targets(&mut prepared, settings.method);
     Ok(prepared)
 }
 

@@ -27,18 +27,6 @@ fn per_frame(kind: StageKind, tasks: u32, outputs: &[Role]) -> StageTemplate {
 pub(crate) fn graph_of(stages: Vec<StageTemplate>) -> Graph {
     let mut graph = Graph { stages };
     graph.add_known_tags();
-    // The tag of a method comes from the stages that were there before.
-    if graph.stages.iter().any(|stage| stage.tags.iter().any(|own| own == tag::GUIDE_1998)) {
-        graph = with_tag(graph, tag::GUIDE_1998);
-    }
-    graph
-}
-
-/// Returns a graph whose stages all require a tag.
-fn with_tag(mut graph: Graph, tag: &str) -> Graph {
-    for stage in graph.stages.iter_mut().filter(|stage| stage.tags.iter().all(|own| own != tag)) {
-        stage.tags.push(tag.to_owned());
-    }
     graph
 }
 
@@ -92,9 +80,11 @@ pub fn job_graph(tiling: &Tiling, rounds: &[u32], fan: NonZeroU32, method: Metho
     }
     let image = per_frame(StageKind::Image, 1, &[Role::Image, Role::Preview]);
     all.push(image.with_input(finished.0, finished.1, Reach::All));
-    let graph = graph_of(all);
-    // Workers of earlier versions cannot read settings with this method.
-    if method == Method::Femc1998 { with_tag(graph, tag::GUIDE_1998) } else { graph }
+    if method == Method::Femc1998 {
+        // Workers of earlier versions cannot read settings with this method.
+        all[0].tags.push(tag::GUIDE_1998.to_owned());
+    }
+    graph_of(all)
 }
 
 /// Number of tiles whose paths one task unites, and number of groups of them that one task reads.

@@ -9,7 +9,7 @@ use crate::media::{DensityProfile, KernelMedium, Media, MediumStack};
 use crate::scene_source::SceneSource;
 use crate::texture::Texture;
 use femc_emission::Light;
-use femc_field::Field;
+use femc_field::{Field, TargetGuide};
 use femc_geometry::{InstanceInput, Pose, Ray, World, offset_origin};
 use femc_math::Rgb;
 use femc_math::elementary::double;
@@ -120,6 +120,7 @@ pub struct Prepared {
     /// Brightness of the lamps ([`Scalars::brightness`]).
     pub brightness: f32,
     field: Option<Arc<Field>>,
+    targets: Option<Arc<TargetGuide>>,
     /// Mean light that the field expects at the first surfaces of the frame, cd/m2, once it was computed.
     pub field_light: OnceLock<f32>,
     cache: Cache,
@@ -213,6 +214,7 @@ fn prepare_with(
             has_clear_surfaces: previous.has_clear_surfaces,
             brightness: previous.brightness,
             field: previous.field.clone(),
+            targets: None,
             field_light: OnceLock::new(),
             cache: previous.cache.clone(),
         },
@@ -293,6 +295,7 @@ fn build_world(
         has_clear_surfaces,
         brightness: scalars.brightness() as f32,
         field: None,
+        targets: None,
         field_light: OnceLock::new(),
         cache,
     })
@@ -306,7 +309,18 @@ impl Prepared {
 
     /// Assigns the light field of the first pass, or removes it.
     pub fn set_field(&mut self, field: Option<Arc<Field>>) {
-        self.field = field;
+        (self.field, self.targets) = (field, None);
+        self.field_light = OnceLock::new();
+    }
+
+    /// Returns the targets of the frame's paths. `None`: none were learned.
+    pub fn targets(&self) -> Option<&TargetGuide> {
+        self.targets.as_deref()
+    }
+
+    /// Assigns the targets of the frame's paths, which belong to its field. [`Self::set_field`] removes them.
+    pub fn set_targets(&mut self, targets: Arc<TargetGuide>) {
+        self.targets = Some(targets);
         self.field_light = OnceLock::new();
     }
 

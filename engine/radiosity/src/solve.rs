@@ -5,7 +5,7 @@ mod refine;
 mod solution;
 
 pub use solution::Solution;
-pub(crate) use solution::surface_leaves;
+pub(crate) use solution::{fog_leaves, surface_leaves};
 
 use crate::arena::Arena;
 use crate::caustics::Caustics;

@@ -7,8 +7,8 @@ use crate::arena::Arena;
 use crate::gather::ElementLights;
 use crate::incoming::for_each_link;
 use crate::link::Link;
-use crate::solve::surface_leaves;
-use femc_field::{DirectionTable, DirectionTables, NONE, TABLE_CELLS, TableCells, TableExtent};
+use crate::solve::{fog_leaves, surface_leaves};
+use femc_field::{DirectionTable, DirectionTables, TABLE_CELLS, TableCells, TableExtent};
 use femc_math::glam::Vec3A;
 use femc_math::{Frame, warp};
 use rayon::prelude::*;
@@ -25,23 +25,6 @@ pub fn direction_tables(arena: &Arena, lights: &ElementLights, links: &[Link]) -
     let table = |&leaf: &u32| leaf_table(arena, lights, links, leaf);
     let surfaces = surface_leaves(arena).par_iter().map(table).collect();
     DirectionTables::new(surfaces, fog_leaves(arena).par_iter().map(table).collect())
-}
-
-/// Returns the leaves of fog, in the order of the field.
-fn fog_leaves(arena: &Arena) -> Vec<u32> {
-    let mut order: Vec<u32> = [arena.fog].into_iter().filter(|root| *root != NONE).collect();
-    let mut leaves = Vec::new();
-    let mut at = 0;
-    while at < order.len() {
-        let element = &arena.elements[order[at] as usize];
-        if element.is_leaf() {
-            leaves.push(order[at]);
-        } else {
-            order.extend(element.children);
-        }
-        at += 1;
-    }
-    leaves
 }
 
 /// Returns the table of a leaf. `None`: no light arrives.

@@ -1,10 +1,11 @@
 //! Guided paths have the same mean as unguided paths, whatever the guide says.
 
 use crate::first_pass::{cube, furnace};
-use femc_field::{DirectionTable, DirectionTables, Leaf, TableExtent};
+use femc_field::{DirectionTable, DirectionTables, Leaf, RegionTargets, TableExtent, Target, TargetGuide, TargetPack};
 use femc_film::Filter;
 use femc_math::color::luminance;
 use femc_math::glam::Vec3A;
+use femc_math::hash::{mix64, unit_f32};
 use femc_math::sampler::{REPLICATES, replicate_of};
 use femc_montecarlo::{Guidance, PathSettings, Tracer, keep_seen_tables};
 use femc_pipeline::radiosity::{self, GuideKind, SolveOptions};
@@ -42,12 +43,17 @@ fn solve_with(prepared: &Prepared, guides: GuideKind) -> Field {
 
 /// Renders the mean luminance of each block of pixels. Returns it with its variance.
 fn blocks(prepared: &Prepared, guide: Option<&Field>, seed: u64, spp: u32) -> Vec<[f64; 2]> {
+    guided_blocks(prepared, guide.map(|field| Guidance::new(prepared, field)), seed, spp)
+}
+
+/// Renders the mean luminance of each block of pixels with paths that are guided. Returns it with its variance.
+fn guided_blocks(prepared: &Prepared, guidance: Option<Guidance<'_>>, seed: u64, spp: u32) -> Vec<[f64; 2]> {
     let path = PathSettings { seed, max_depth: 0, single_technique: None };
     let across = EDGE / BLOCK;
     let block = |index: u32| {
         let mut tracer = Tracer::new(prepared, path);
-        if let Some(field) = guide {
-            tracer = tracer.with_guidance(Guidance::new(prepared, field));
+        if let Some(guidance) = guidance {
+            tracer = tracer.with_guidance(guidance);
         }
         let (mut mean, mut variance) = (0.0, 0.0);
         for k in 0..BLOCK * BLOCK {
@@ -113,6 +119,89 @@ fn tables_of_directions_change_no_mean() {
         field.tables = DirectionTables::new((0..leaves).map(table).collect(), (0..fog).map(table).collect());
         assert_same_means(name, &paths, &blocks(&prepared, Some(&field), 4, 128));
     }
+}
+
+/// Targets as learned, and any targets at all.
+#[test]
+fn targets_change_no_mean() {
+    for (name, openings) in [("cornell", 0), ("glossy", 0), ("cornell-fog", 0), ("door-ajar", 2)] {
+        let prepared = prepare_scene_file(name);
+        let field = solve_with(&prepared, GuideKind::None);
+        let paths = blocks(&prepared, None, 1, 128);
+        let check = |kind: &str, guide: &TargetGuide, seed| {
+            let guidance = Guidance::new(&prepared, &field).with_targets(&prepared, guide);
+            assert_same_means(&format!("{name}, {kind}"), &paths, &guided_blocks(&prepared, Some(guidance), seed, 128));
+        };
+        let learned = femc_guiding::learn(&prepared, &field);
+        let found = learned.openings.len();
+        assert!((openings..=2 * openings).contains(&found), "{name}: {:?}", learned.openings);
+        assert!(openings > 0 || !learned.patches.is_empty(), "{name}: nothing is guided");
+        check("learned", &learned.guide, 2);
+        // Targets in other places than those learned, and any targets with any light.
+        let moved = |target: &Target| Target { corner: target.corner + Vec3A::new(0.3, -0.2, 0.4), ..*target };
+        let packs = learned.guide.packs().iter();
+        let packs = packs.map(|pack| TargetPack::new(&pack.targets().iter().map(moved).collect::<Vec<_>>()));
+        let mut displaced = learned.guide.clone();
+        displaced.set_targets(packs.collect(), learned.guide.by_region().to_vec());
+        check("displaced", &displaced, 3);
+        let vector = |k: u64| {
+            let number = |axis: u64| 4.0 * unit_f32((mix64(3 * k + axis) >> 32) as u32) - 2.0;
+            Vec3A::new(number(0), number(1), number(2))
+        };
+        let target = |k: u64| Target { corner: vector(3 * k), edges: [vector(3 * k + 1), vector(3 * k + 2)] };
+        let packs = (0..3).map(|pack| TargetPack::new(&(0..8).map(|k| target(8 * pack + k)).collect::<Vec<_>>()));
+        let region = |leaf: u32| {
+            let share = |k: usize| if (leaf as usize + k).is_multiple_of(3) { 0.02 * (k + 1) as f32 } else { 0.0 };
+            let light_scale = 4f32.powi((leaf % 5) as i32 - 2);
+            RegionTargets { pack: leaf % 3, shares: std::array::from_fn(share), light_scale }
+        };
+        let leaves: Vec<u32> = (0..field.leaves.len() as u32).collect();
+        let any = TargetGuide::new(&field, packs.collect(), leaves.iter().map(|&leaf| region(leaf)).collect(), &leaves);
+        check("at random", &any, 4);
+    }
+}
+
+/// From twenty places of the camera, the gap of the door and the triangle above the door.
+#[test]
+fn both_openings_of_the_door_are_found() {
+    let path = format!("{}/../scenes/door-ajar.mgf", env!("CARGO_MANIFEST_DIR"));
+    let text = std::fs::read_to_string(path).unwrap_or_else(|e| panic!("{e}"));
+    for view in 0..20 {
+        let origin = format!("origin {} {} 1.7", -2.6 + 0.02 * f64::from(view), -1.4 + 0.11 * f64::from(view % 7));
+        let prepared = prepare_scene(parse_scene(&text.replace("origin -2.6 -1.4 1.7", &origin)));
+        let field = solve_with(&prepared, GuideKind::None);
+        let learned = femc_guiding::learn(&prepared, &field);
+        let found = learned.openings.iter().map(|opening| {
+            let corners = [[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 1.0]]
+                .map(|at| opening.target.point_at(at) + prepared.origin.as_vec3a());
+            let low = corners.iter().fold(Vec3A::INFINITY, |low, corner| low.min(*corner));
+            [low, corners.iter().fold(Vec3A::NEG_INFINITY, |high, corner| high.max(*corner))]
+        });
+        let found: Vec<[Vec3A; 2]> = found.collect();
+        println!("view {view}: {found:.3?}");
+        // The gap is open between the edge of the door, at (0.91, -0.29) .. (0.95, -0.30), and the jamb at (1, -0.3).
+        // Two openings may share it.
+        let gaps = found.iter().filter(|[low, high]| low.x > 0.9 && high.x < 1.02 && high.y < -0.25);
+        let [low, high] =
+            gaps.fold([f32::INFINITY, f32::NEG_INFINITY], |[low, high], gap| [low.min(gap[0].z), high.max(gap[1].z)]);
+        let is_gap = low.abs() < 0.01 && (high - 2.0).abs() < 0.1;
+        // The triangle is at the height of the upper edge of the door, which is also that of the lintel. A parallelogram around it
+        // may be tilted.
+        let is_above = |[low, high]: &[Vec3A; 2]| (low.z - 2.0).abs() < 0.04 && (high.z - 2.0).abs() < 0.04;
+        assert!(is_gap && found.iter().any(is_above), "view {view}: {found:?}");
+    }
+}
+
+/// Learning does not depend on the number of threads.
+#[test]
+fn learning_has_the_same_bits_for_any_threads() {
+    let prepared = prepare_scene_file("door-ajar");
+    let field = solve_with(&prepared, GuideKind::None);
+    let [one, three] = [1, 3].map(|threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap_or_else(|e| panic!("{e}"));
+        format!("{:?}", pool.install(|| femc_guiding::learn(&prepared, &field)))
+    });
+    assert!(one == three);
 }
 
 /// A wrong guide only costs time.

@@ -197,7 +197,7 @@ impl Tally {
             let tracer = Tracer::new(scene, settings(technique));
             let Some(field) = field else { return tracer };
             let window = WeightWindow::OPEN;
-            tracer.with_guidance(Guidance { field, samples_directions: true, window, frame_light: 1.0 })
+            tracer.with_guidance(Guidance { field, targets: None, samples_directions: true, window, frame_light: 1.0 })
         };
         let sampled = |technique| {
             let (mut tracer, mut out) =
@@ -214,7 +214,7 @@ impl Tally {
         }
         let weight_of_light = luminance(light_of_all) / luminance(light_alone);
         assert_ne!(sample.delta, DeltaKind::Position);
-        let guide = field.and_then(|field| SurfaceGuide::new(field, surface).leaf);
+        let guide = field.and_then(|field| SurfaceGuide::new(field, None, surface).leaf);
         let guide = guide.and_then(|(guide, share)| Some((guide.directions_at(surface.point.position)?, share)));
         let mut directions = DirectionSampler::new(&surface.bsdf, &surface.frame, surface.wo);
         let mut parts = vec![];
@@ -227,7 +227,7 @@ impl Tally {
         parts.extend([0.02, 0.35, 0.65, 0.98].map(|choice| ([first, 1.0], choice)));
         let light_context =
             &scene.lights.point_context(surface.point.position, surface.lit_side(), surface.lobes(ray.dir));
-        let continuing = Continuing { surface, directions: &directions, light_context };
+        let continuing = Continuing { surface, directions: &directions, light_context, expected: None };
         for (part, choice) in parts {
             let Some(numbers) = search(&directions, surface.frame.to_local(sample.dir), part, choice) else { continue };
             let hit_light = |tracer: &mut Tracer<'_>| {
@@ -301,7 +301,7 @@ fn the_density_of_a_sample_is_the_one_asked_later() {
     for ((name, material), field) in MATERIALS.into_iter().flat_map(|it| fields.iter().map(move |field| (it, field))) {
         let scene = floor(material);
         let surface = &interaction(&scene, &ray_to_floor(&scene, 1));
-        let (guide, share) = SurfaceGuide::new(field, surface).leaf.expect("a guide");
+        let (guide, share) = SurfaceGuide::new(field, None, surface).leaf.expect("a guide");
         let guide = guide.directions_at(surface.point.position).expect("lobes in sight");
         let mut directions = DirectionSampler::new(&surface.bsdf, &surface.frame, surface.wo);
         directions.add_guide(&guide, share);
@@ -324,7 +324,7 @@ fn directions_follow_the_density_that_weighs_lamps() {
     let surface = &interaction(&scene, &ray_to_floor(&scene, 1));
     // The density of a table is discontinuous, so the test of densities does not apply. Its own tests have one.
     for (name, field, is_continuous) in [("lobes", guiding_field(), true), ("table", table_field(), false)] {
-        let (guide, share) = SurfaceGuide::new(&field, surface).leaf.expect("a guide");
+        let (guide, share) = SurfaceGuide::new(&field, None, surface).leaf.expect("a guide");
         let guide = guide.directions_at(surface.point.position).expect("lobes in sight");
         let mut directions = DirectionSampler::new(&surface.bsdf, &surface.frame, surface.wo);
         directions.add_guide(&guide, share);

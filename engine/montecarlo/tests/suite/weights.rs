@@ -130,7 +130,8 @@ impl Run<'_> {
                     _ => WeightWindow::default(),
                 };
                 let samples_directions = guided != Guided::Window;
-                let guidance = Guidance { field: self.field, samples_directions, window, frame_light: 0.1 };
+                let guidance =
+                    Guidance { field: self.field, targets: None, samples_directions, window, frame_light: 0.1 };
                 tracer = tracer.with_guidance(guidance);
             }
             let color = tracer.sample(0, 0, CENTER).color;

@@ -200,7 +200,7 @@ fn frames_that_share_a_solution_are_proportional_to_their_lamps() {
             let mut prepared =
                 prepare_world(&source(Factors { light, ..ONE }), &settings(method), 1, None).expect("a frame");
             let light = FrameLight::new(unit.clone(), prepared.brightness);
-            attach_first_pass(&mut prepared, light).expect("a field of the frame");
+            attach_first_pass(&mut prepared, light, method).expect("a field of the frame");
             let answers = Answers::new(&prepared, prepared.field().expect("a field"));
             (answers, colors(&prepared, &settings(method)))
         };

@@ -47,19 +47,27 @@ impl SolverState {
 
 /// Returns the leaves of surfaces, in the order of the field. A cluster without parts is the leaf of each of its surfaces.
 pub(crate) fn surface_leaves(arena: &Arena) -> Vec<u32> {
+    arena.roots.iter().flat_map(|&root| leaves_below(arena, root)).collect()
+}
+
+/// Returns the leaves of fog, in the order of the field.
+pub(crate) fn fog_leaves(arena: &Arena) -> Vec<u32> {
+    leaves_below(arena, arena.fog)
+}
+
+/// Returns the leaves below an element, breadth first. [`NONE`] has no leaves.
+fn leaves_below(arena: &Arena, root: u32) -> Vec<u32> {
+    let mut order: Vec<u32> = [root].into_iter().filter(|root| *root != NONE).collect();
     let mut leaves = Vec::new();
-    for &root in arena.roots.iter().filter(|&&root| root != NONE) {
-        let mut order = vec![root];
-        let mut at = 0;
-        while at < order.len() {
-            let element = &arena.elements[order[at] as usize];
-            if element.is_leaf() {
-                leaves.push(order[at]);
-            } else {
-                order.extend(element.children);
-            }
-            at += 1;
+    let mut at = 0;
+    while at < order.len() {
+        let element = &arena.elements[order[at] as usize];
+        if element.is_leaf() {
+            leaves.push(order[at]);
+        } else {
+            order.extend(element.children);
         }
+        at += 1;
     }
     leaves
 }

@@ -1,0 +1,382 @@
+//! Targets: parallelograms in space from which, or through which, much light comes. A region of the field has a pack of targets and the
+//! share of its directions to sample toward each of them.
+//!
+//! All regions share few packs, so what a path reads at a vertex is small.
+
+use crate::regions::RegionGrids;
+use crate::{Field, Side};
+use femc_geometry::Hit;
+use femc_math::glam::Vec3A;
+use femc_math::{Rgb, cross};
+use std::array;
+
+/// Maximum number of targets of a pack.
+pub const PACK_TARGETS: usize = 8;
+
+/// A parallelogram in space. Directions toward it are sampled uniformly over its area.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Target {
+    /// Corner, prepared frame, m.
+    pub corner: Vec3A,
+    /// Edges from the corner, m.
+    pub edges: [Vec3A; 2],
+}
+
+impl Target {
+    /// Returns the center.
+    pub fn center(&self) -> Vec3A {
+        self.corner + (self.edges[0] + self.edges[1]) * 0.5
+    }
+
+    /// Returns the area, m2.
+    pub fn area(&self) -> f32 {
+        cross(self.edges[0], self.edges[1]).length()
+    }
+
+    /// Returns the point at coordinates along the edges.
+    pub fn point_at(&self, local: [f32; 2]) -> Vec3A {
+        self.corner + self.edges[0] * local[0] + self.edges[1] * local[1]
+    }
+
+    /// Returns the position at which a segment crosses the parallelogram, as a share of its length, if it does.
+    pub fn crossing(&self, from: Vec3A, to: Vec3A) -> Option<f32> {
+        let along = to - from;
+        let normal = cross(self.edges[0], self.edges[1]);
+        let share = (self.corner - from).dot(normal) / along.dot(normal);
+        if !(share > 0.0 && share < 1.0) {
+            return None;
+        }
+        let offset = from + along * share - self.corner;
+        let square = normal.length_squared();
+        let place =
+            [cross(offset, self.edges[1]).dot(normal) / square, cross(self.edges[0], offset).dot(normal) / square];
+        place.iter().all(|at| (0.0..=1.0).contains(at)).then_some(share)
+    }
+}
+
+/// Targets in a structure of arrays. Unused places have area 0: their density is 0.
+#[derive(Clone, Debug, Default)]
+pub struct TargetPack {
+    targets: Vec<Target>,
+    /// Values by axis and target: the corner; the unit normal; the vectors whose dot products with an offset from the corner are its
+    /// coordinates along the edges.
+    corners: [[f32; PACK_TARGETS]; 3],
+    normals: [[f32; PACK_TARGETS]; 3],
+    across: [[[f32; PACK_TARGETS]; 3]; 2],
+    /// Lengths of the vectors `across`, 1/m.
+    scales: [[f32; PACK_TARGETS]; 2],
+    /// 1 over the area, 1/m2.
+    densities: [f32; PACK_TARGETS],
+    /// Distance from the origin up to which coordinates of the targets lie, m. It bounds their rounding.
+    extents: [f32; PACK_TARGETS],
+}
+
+/// Relative rounding of positions.
+const ROUNDING: f32 = 4.0 * f32::EPSILON;
+
+impl TargetPack {
+    /// Creates a pack of at most [`PACK_TARGETS`] targets. Targets without area are never sampled.
+    pub fn new(targets: &[Target]) -> Self {
+        let targets = &targets[..targets.len().min(PACK_TARGETS)];
+        let mut out = Self { targets: targets.to_vec(), ..Self::default() };
+        for (k, target) in targets.iter().enumerate() {
+            let [a, b] = target.edges;
+            let cross_product = cross(a, b);
+            let square = cross_product.length_squared();
+            let across = [cross(b, cross_product) / square, cross(cross_product, a) / square];
+            let density = 1.0 / square.sqrt();
+            let is_sound = [target.corner, across[0], across[1]].iter().all(|it| it.is_finite())
+                && density.is_finite()
+                && density > 0.0;
+            if !is_sound {
+                continue;
+            }
+            for axis in 0..3 {
+                out.corners[axis][k] = target.corner[axis];
+                out.normals[axis][k] = cross_product[axis] * density;
+                (out.across[0][axis][k], out.across[1][axis][k]) = (across[0][axis], across[1][axis]);
+            }
+            (out.scales[0][k], out.scales[1][k]) = (across[0].length(), across[1].length());
+            out.densities[k] = density;
+            out.extents[k] = target.corner.length() + a.length() + b.length();
+        }
+        out
+    }
+
+    /// Returns the targets.
+    pub fn targets(&self) -> &[Target] {
+        &self.targets
+    }
+
+    /// Returns the directions to the targets from a point.
+    #[inline]
+    pub fn directions_at(&self, point: Vec3A) -> TargetDirections<'_> {
+        const NONE: [f32; PACK_TARGETS] = [0.0; PACK_TARGETS];
+        let mut out = TargetDirections { pack: self, point, heights: NONE, places: [NONE; 2] };
+        for k in 0..PACK_TARGETS {
+            let x = self.corners[0][k] - point.x;
+            let y = self.corners[1][k] - point.y;
+            let z = self.corners[2][k] - point.z;
+            let dot = |of: &[[f32; PACK_TARGETS]; 3]| of[0][k] * x + of[1][k] * y + of[2][k] * z;
+            out.heights[k] = dot(&self.normals);
+            (out.places[0][k], out.places[1][k]) = (-dot(&self.across[0]), -dot(&self.across[1]));
+        }
+        out
+    }
+}
+
+/// Targets of a pack as seen from a point.
+#[derive(Clone, Copy, Debug)]
+pub struct TargetDirections<'a> {
+    pack: &'a TargetPack,
+    point: Vec3A,
+    /// Distance to the plane along its normal, m; and the point's coordinates along the edges.
+    heights: [f32; PACK_TARGETS],
+    places: [[f32; PACK_TARGETS]; 2],
+}
+
+impl TargetDirections<'_> {
+    /// Returns the density by target of directions toward points that are uniform over its area, in a unit direction, 1/sr.
+    #[inline]
+    pub fn each(&self, dir: Vec3A) -> [f32; PACK_TARGETS] {
+        let pack = self.pack;
+        let mut each = [0.0f32; PACK_TARGETS];
+        for (k, pdf) in each.iter_mut().enumerate() {
+            let dot = |of: &[[f32; PACK_TARGETS]; 3]| of[0][k] * dir.x + of[1][k] * dir.y + of[2][k] * dir.z;
+            let ahead = dot(&pack.normals);
+            // A direction parallel to the plane has no density.
+            let steep = if ahead.abs() > 1e-6 { ahead } else { f32::INFINITY };
+            let distance = self.heights[k] / steep;
+            let a = self.places[0][k] + distance * dot(&pack.across[0]);
+            let b = self.places[1][k] + distance * dot(&pack.across[1]);
+            // A sampled direction at the edge must have its density in spite of rounding.
+            let rounding = ROUNDING * (distance + pack.extents[k]);
+            let margins = [ROUNDING + rounding * pack.scales[0][k], ROUNDING + rounding * pack.scales[1][k]];
+            let is_inside = (distance > 0.0)
+                & (a >= -margins[0])
+                & (a <= 1.0 + margins[0])
+                & (b >= -margins[1])
+                & (b <= 1.0 + margins[1]);
+            *pdf = if is_inside { pack.densities[k] * (distance * distance / steep.abs()) } else { 0.0 };
+        }
+        each
+    }
+
+    /// Returns the unit direction toward the point of a target with these coordinates along its edges, in [0, 1)^2.
+    #[inline]
+    pub fn sample(&self, target: usize, u: [f32; 2]) -> Vec3A {
+        let at = self.pack.targets.get(target).map_or(Vec3A::ZERO, |target| target.point_at(u));
+        (at - self.point).normalize_or(Vec3A::Z)
+    }
+}
+
+/// Targets of a region of the field.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RegionTargets {
+    /// Index of the pack.
+    pub pack: u32,
+    /// Share of all directions, from the BSDF and toward targets, to sample toward each target. The sum is below 1.
+    pub shares: [f32; PACK_TARGETS],
+    /// Ratio of the light of the region to that of the field, where paths have found that the field is wrong.
+    pub light_scale: f32,
+}
+
+impl Default for RegionTargets {
+    fn default() -> Self {
+        Self { pack: 0, shares: [0.0; PACK_TARGETS], light_scale: 1.0 }
+    }
+}
+
+impl RegionTargets {
+    /// Returns the share of directions to sample toward targets, in [0, 1).
+    #[inline]
+    pub fn share(&self) -> f32 {
+        let [a, b, c, d, e, f, g, h] = self.shares;
+        ((a + e) + (b + f)) + ((c + g) + (d + h))
+    }
+
+    /// Returns the density of directions toward targets, times their shares, 1/sr.
+    #[inline]
+    pub fn pdf(&self, directions: &TargetDirections<'_>, dir: Vec3A) -> f32 {
+        let each = directions.each(dir);
+        Self { shares: array::from_fn(|k| self.shares[k] * each[k]), ..*self }.share()
+    }
+
+    /// Returns the target that a number in 0..[`Self::share`] chooses, and the position of the number in the target's part, in [0, 1).
+    #[inline]
+    pub fn pick(&self, choice: f32) -> (usize, f32) {
+        let (mut at, mut left) = (0, choice);
+        while at + 1 < PACK_TARGETS && left >= self.shares[at] {
+            left -= self.shares[at];
+            at += 1;
+        }
+        // By rounding, nothing may be left for the last targets.
+        while at > 0 && self.shares[at] <= 0.0 {
+            at -= 1;
+        }
+        (at, (left / self.shares[at]).clamp(0.0, 1.0 - f32::EPSILON / 2.0))
+    }
+}
+
+/// Targets of a frame and their shares by region of the field.
+#[derive(Clone, Debug, Default)]
+pub struct TargetGuide {
+    packs: Vec<TargetPack>,
+    by_region: Vec<RegionTargets>,
+    regions: RegionGrids,
+}
+
+/// Targets for paths at a point.
+#[derive(Clone, Copy, Debug)]
+pub struct GuidedTargets<'a> {
+    /// Index of the region.
+    pub region: u32,
+    /// Targets and their shares, if sampling them is worthwhile.
+    pub targets: Option<(&'a TargetPack, &'a RegionTargets)>,
+    /// Irradiance near the point, lx by channel, without direct light from light sources. It is the field's, times a factor of the
+    /// region.
+    pub light: Rgb,
+}
+
+impl TargetGuide {
+    /// Creates the guide of a field.
+    /// - `by_region`: targets by region;
+    /// - `region_by_leaf`: index of the region by leaf of the field.
+    pub fn new(field: &Field, packs: Vec<TargetPack>, by_region: Vec<RegionTargets>, region_by_leaf: &[u32]) -> Self {
+        let regions = RegionGrids::new(&field.roots, &field.cells, &field.leaves, region_by_leaf);
+        Self { packs, by_region, regions }
+    }
+
+    /// Replaces the targets. The regions stay.
+    /// - `by_region`: targets by region.
+    pub fn set_targets(&mut self, packs: Vec<TargetPack>, by_region: Vec<RegionTargets>) {
+        (self.packs, self.by_region) = (packs, by_region);
+    }
+
+    /// Returns the packs of targets.
+    pub fn packs(&self) -> &[TargetPack] {
+        &self.packs
+    }
+
+    /// Returns the targets by region.
+    pub fn by_region(&self) -> &[RegionTargets] {
+        &self.by_region
+    }
+
+    /// Returns the number of bytes of the guide.
+    pub fn memory(&self) -> usize {
+        size_of_val(&*self.packs) + size_of_val(&*self.by_region) + self.regions.memory()
+    }
+
+    /// Returns the targets for paths at a hit. `None` if the first pass has no surface there.
+    /// - `position`: position of the hit.
+    #[inline]
+    pub fn at(&self, field: &Field, hit: &Hit, side: Side, position: Vec3A) -> Option<GuidedTargets<'_>> {
+        let (surface, place) = field.surface_at(hit, side);
+        let region = self.regions.at(surface, || place(position))?;
+        let own = self.by_region.get(region.data as usize);
+        let targets = own.and_then(|own| self.packs.get(own.pack as usize).map(|pack| (pack, own)));
+        let light = Rgb::from(region.light) * own.map_or(1.0, |own| own.light_scale);
+        Some(GuidedTargets { region: region.data, targets, light })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use femc_math::hash::{mix64, unit_f32};
+    use femc_math::warp;
+    use std::f32::consts::PI;
+
+    fn pack() -> TargetPack {
+        let target =
+            |corner: [f32; 3], a: [f32; 3], b: [f32; 3]| Target { corner: corner.into(), edges: [a.into(), b.into()] };
+        TargetPack::new(&[
+            target([3.0, 1.0, 0.5], [0.0, 1.0, 0.2], [-0.3, 0.1, 0.8]),
+            target([-1.0, 2.0, -2.0], [0.4, 0.0, 0.0], [0.0, 0.0, 4.0]),
+            target([-2.0, -2.0, -5.0], [4.0, 0.0, 1.0], [0.0, 4.0, 0.0]),
+        ])
+    }
+
+    /// Shares of samples in boxes of directions match the density of each target (chi-square with at most 191 degrees of freedom: 280
+    /// at a level of 3e-5).
+    #[test]
+    fn samples_of_targets_have_the_density() {
+        const N: usize = 100_000;
+        let pack = pack();
+        let directions = pack.directions_at(Vec3A::new(0.1, 0.2, 0.3));
+        let bin = |dir: Vec3A| {
+            let turn = femc_math::elementary::atan2(dir.y, dir.x) / (2.0 * PI) + 0.5;
+            let [row, column] = [(dir.z + 1.0) * 4.0, turn * 24.0].map(|at| at as usize);
+            row.min(7) * 24 + column.min(23)
+        };
+        let mut wanted = vec![[0.0f64; 3]; 192];
+        for z in 0..4000 {
+            for turn in 0..4800 {
+                let dir = warp::direction((z as f32 + 0.5) / 2000.0 - 1.0, (turn as f32 + 0.5) / 4800.0);
+                let each = directions.each(dir);
+                let cell = &mut wanted[bin(dir)];
+                (0..3).for_each(|k| cell[k] += f64::from(each[k]) * 4.0 * std::f64::consts::PI / (4000.0 * 4800.0));
+            }
+        }
+        for target in 0..3 {
+            let total: f64 = wanted.iter().map(|cell| cell[target]).sum();
+            assert!((total - 1.0).abs() < 5e-3, "{target}: {total}");
+            let mut found = vec![0.0f64; 192];
+            for at in 0..N as u64 {
+                let number = |k: u64| unit_f32((mix64(3 * at + k) >> 32) as u32);
+                let dir = directions.sample(target, [number(0), number(1)]);
+                assert!(directions.each(dir)[target] > 0.0, "{target}: {dir}");
+                found[bin(dir)] += 1.0;
+            }
+            let terms = wanted.iter().zip(&found).map(|(cell, found)| {
+                let wanted = cell[target] / total * N as f64;
+                (found - wanted).powi(2) / wanted.max(1.0)
+            });
+            let chi: f64 = terms.sum();
+            assert!(chi < 280.0, "{target}: {chi}");
+        }
+    }
+
+    #[test]
+    fn directions_at_the_edges_of_far_narrow_targets_have_a_density() {
+        for scale in [0.1f32, 1.0, 30.0] {
+            let corner = Vec3A::new(40.0, -3.0, 2.0) * scale;
+            let target = Target { corner, edges: [Vec3A::new(0.003, 0.01, 0.0), Vec3A::Z * 2.0] };
+            let pack = TargetPack::new(&[target]);
+            let point = Vec3A::new(1.3, 0.7, -0.4) * scale;
+            let directions = pack.directions_at(point);
+            for edge in (0..400u64).map(|at| unit_f32((mix64(at) >> 32) as u32)) {
+                for u in [[0.0, edge], [edge, 0.0], [1.0, edge], [edge, 1.0]] {
+                    let dir = directions.sample(0, u);
+                    assert!(directions.each(dir)[0] > 0.0, "{u:?} at {scale}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn targets_without_area_or_beside_the_way_have_no_density() {
+        let flat = Target { corner: Vec3A::X, edges: [Vec3A::Y, Vec3A::Y] };
+        let invalid = Target { corner: Vec3A::X, edges: [Vec3A::Y, Vec3A::new(0.0, 0.0, f32::NAN)] };
+        let sound = Target { corner: Vec3A::X, edges: [Vec3A::Y, Vec3A::Z] };
+        let pack = TargetPack::new(&[flat, invalid, sound]);
+        let directions = pack.directions_at(Vec3A::ZERO);
+        assert_eq!(directions.each(Vec3A::X)[..2], [0.0; 2]);
+        assert!(directions.each((Vec3A::X + Vec3A::splat(0.1)).normalize())[2] > 0.0);
+        assert_eq!(directions.each(-(Vec3A::X + Vec3A::splat(0.1)).normalize()), [0.0; PACK_TARGETS]);
+        assert_eq!(pack.directions_at(Vec3A::X).each(Vec3A::Y), [0.0; PACK_TARGETS], "in the plane");
+    }
+
+    #[test]
+    fn a_segment_crosses_a_target_inside_of_its_edges() {
+        let target = Target { corner: Vec3A::new(1.0, -1.0, -1.0), edges: [Vec3A::Y * 2.0, Vec3A::new(0.5, 0.0, 2.0)] };
+        assert!((target.area() - 4.123).abs() < 1e-3 && target.center() == Vec3A::new(1.25, 0.0, 0.0));
+        let crossing = target.crossing(Vec3A::ZERO, Vec3A::X * 2.5);
+        assert!((crossing.unwrap() - 0.5).abs() < 1e-6, "{crossing:?}");
+        assert_eq!(target.crossing(Vec3A::ZERO, Vec3A::X), None);
+        assert_eq!(target.crossing(Vec3A::ZERO, -Vec3A::X * 9.0), None);
+        assert_eq!(target.crossing(Vec3A::ZERO, Vec3A::new(2.5, 2.2, 0.0)), None);
+        assert_eq!(target.crossing(Vec3A::ZERO, Vec3A::Y), None, "parallel");
+    }
+}

@@ -1,0 +1,225 @@
+//! Pilot paths of one block, and the recorder that learns from them.
+
+use crate::openings::Line;
+use crate::sums::{MAX_VALUE, SumsByPlace, SumsByRegion};
+use femc_field::{Field, PACK_TARGETS, TargetGuide};
+use femc_geometry::Ray;
+use femc_math::Rgb;
+use femc_math::color::luminance;
+use femc_math::glam::Vec3A;
+use femc_montecarlo::record::{
+    BranchEvent, Continuation, Contribution, Direction, Expectation, LightTechnique, RecordLevel, Recorder,
+    Termination, Vertex,
+};
+use femc_montecarlo::{FRAME_SHARE, Guidance, PathSettings, PixelFilter, Tracer, WeightWindow};
+use femc_prepared::Prepared;
+use std::ops::Range;
+
+/// Key of the random numbers of pilot paths.
+const SEED: u64 = 0x706f_696e_7465_7273;
+/// Light along a direction, relative to the light expected, from which on it is a surprise.
+const SURPRISE: f32 = 8.0;
+/// Maximum number of surprising lines of a block.
+const MAX_LINES: usize = 1024;
+
+/// Filter of pilot paths: the square of a pixel.
+#[derive(Clone, Copy)]
+struct SquareFilter;
+
+impl PixelFilter for SquareFilter {
+    fn sample(self, u: [f32; 2]) -> [f32; 2] {
+        [u[0] - 0.5, u[1] - 0.5]
+    }
+
+    fn density(self, offset: [f32; 2]) -> f32 {
+        if offset.iter().all(|at| at.abs() <= 0.5) { 1.0 } else { 0.0 }
+    }
+}
+
+/// Traces the pilot paths with numbers in a range.
+/// - `count`: number of paths of the round, which are spread evenly over the film.
+pub fn trace_block<'a>(
+    scene: &Prepared,
+    field: &Field,
+    guide: &'a TargetGuide,
+    paths: Range<u32>,
+    count: u32,
+) -> Pilot<'a> {
+    let guidance = Guidance::new(scene, field).with_targets(scene, guide);
+    // A path without branches has one direction at each vertex.
+    let window = WeightWindow { upper: f32::INFINITY, ..guidance.window };
+    let settings = PathSettings { seed: SEED, max_depth: 0, single_technique: None };
+    let pilot = Pilot::new(guide, FRAME_SHARE * guidance.frame_light);
+    let mut tracer = Tracer::with_recorder(scene, settings, pilot).with_guidance(Guidance { window, ..guidance });
+    let pixels = scene.camera.film.map(u64::from).iter().product::<u64>();
+    for path in paths {
+        let pixel = u64::from(path) * pixels / u64::from(count) % pixels.max(1);
+        tracer.recorder.number = path;
+        let sample = tracer.sample(pixel as u32, path, SquareFilter);
+        tracer.recorder.end_sample(Some(sample.color));
+    }
+    let rays = tracer.counters.rays + tracer.counters.shadow_rays;
+    Pilot { rays, ..tracer.recorder }
+}
+
+/// Recorder of pilot paths.
+pub struct Pilot<'a> {
+    /// Sums by region.
+    pub sums: SumsByRegion,
+    /// Sums by region that directions reached, without those toward targets.
+    pub places: SumsByPlace,
+    /// Surprising lines, each with the number of its path and direction.
+    pub lines: Vec<(Line, u64)>,
+    /// Number of rays.
+    pub rays: u64,
+    guide: &'a TargetGuide,
+    /// Light that is added to the light expected of a path, cd/m2.
+    floor: f32,
+    /// Number of the current path.
+    number: u32,
+    /// Directions that the current path took.
+    directions: Vec<PilotDirection>,
+}
+
+/// A direction of a pilot path.
+struct PilotDirection {
+    direction: Direction,
+    /// Luminance that the path found along it, cd/m2 in the sample.
+    found: f32,
+    /// Luminance that the path found up to the next vertex, and what the field expects there. It has much less variance.
+    estimate: f32,
+    /// Point that the path reached.
+    end: Option<Vec3A>,
+    /// Whether the path has left the next vertex.
+    is_closed: bool,
+    /// Region that the path reached. `None`: the field has no data there.
+    end_region: Option<u32>,
+}
+
+impl<'a> Pilot<'a> {
+    fn new(guide: &'a TargetGuide, floor: f32) -> Self {
+        let (sums, places) = (SumsByRegion::new(), SumsByPlace::new());
+        let (lines, directions) = (Vec::new(), Vec::new());
+        Self { sums, places, lines, rays: 0, guide, floor, number: 0, directions }
+    }
+
+    /// Returns the probabilities by sampler that it sampled a direction: targets, then the BSDF.
+    fn parts(&self, direction: &Direction) -> [f32; PACK_TARGETS + 1] {
+        let mut parts = [0.0; PACK_TARGETS + 1];
+        parts[PACK_TARGETS] = 1.0;
+        let Some(region) = self.guide.by_region().get(direction.expectation.region as usize) else { return parts };
+        let Some(pack) = self.guide.packs().get(region.pack as usize) else { return parts };
+        let each = pack.directions_at(direction.position).each(direction.dir);
+        let whole = (0..PACK_TARGETS).map(|k| region.shares[k] * each[k]).sum::<f32>();
+        if whole > 0.0 {
+            let scale = (1.0 - direction.bsdf_share).max(0.0) / whole;
+            (0..PACK_TARGETS).for_each(|k| parts[k] = region.shares[k] * each[k] * scale);
+            parts[PACK_TARGETS] = direction.bsdf_share.min(1.0);
+        }
+        parts
+    }
+
+    /// Returns the share of directions of a region that the BSDF samples.
+    fn bsdf_share(&self, region: u32) -> f32 {
+        1.0 - self.guide.by_region().get(region as usize).map_or(0.0, |region| region.share())
+    }
+
+    /// Drops all but the lines of most weight.
+    fn limit_lines(&mut self) {
+        self.lines.sort_by(|a, b| b.0.weight.total_cmp(&a.0.weight).then(a.1.cmp(&b.1)));
+        self.lines.truncate(MAX_LINES);
+    }
+}
+
+impl Recorder for Pilot<'_> {
+    const WANTS_OCCLUDERS: bool = false;
+    const WANTS_ZERO_LIGHT: bool = false;
+
+    fn begin_sample(&mut self, _: u32, _: u32) -> RecordLevel {
+        self.directions.clear();
+        RecordLevel::All
+    }
+
+    fn vertex(&mut self, vertex: impl FnOnce() -> Vertex) {
+        if let Some(last) = self.directions.last_mut().filter(|last| last.end.is_none()) {
+            last.end = Some(vertex().position);
+        }
+    }
+
+    fn expectation(&mut self, expectation: impl FnOnce() -> Expectation) {
+        if let Some(last) = self.directions.last_mut().filter(|last| last.end_region.is_none()) {
+            let Expectation { region, light } = expectation();
+            last.estimate += light;
+            last.end_region = Some(region);
+        }
+    }
+
+    fn direction(&mut self, direction: impl FnOnce() -> Direction) {
+        if let Some(last) = self.directions.last_mut() {
+            last.is_closed = true;
+        }
+        let (found, estimate, end) = (0.0, 0.0, None);
+        let (is_closed, end_region) = (false, None);
+        self.directions.push(PilotDirection { direction: direction(), found, estimate, end, is_closed, end_region });
+    }
+
+    fn contribution(&mut self, contribution: impl FnOnce() -> Contribution) {
+        let Contribution { color, bounce, technique, .. } = contribution();
+        let light = luminance(color);
+        if !(light > 0.0 && light.is_finite()) {
+            return;
+        }
+        for it in &mut self.directions {
+            // Light of a source that a direction reaches is direct light, which the field does not contain.
+            if technique == LightTechnique::EmitterHit && bounce == it.direction.bounce + 1 {
+                continue;
+            }
+            it.found += light;
+            if !it.is_closed {
+                it.estimate += light;
+            }
+        }
+    }
+
+    fn leave(&mut self, _: Continuation) {}
+    fn occluded(&mut self, _: impl FnOnce() -> Ray) {}
+    fn branch(&mut self, _: BranchEvent) {}
+    fn terminate(&mut self, _: Termination) {}
+
+    fn end_sample(&mut self, _: Option<Rgb>) {
+        let directions = std::mem::take(&mut self.directions);
+        let first = directions.first().map_or(0.0, |first| first.direction.expectation.light);
+        for (at, it) in directions.iter().enumerate() {
+            let Expectation { region, light: expected } = it.direction.expectation;
+            let light = if it.end_region.is_some() { it.estimate } else { it.found };
+            let [value, found] = [light, it.found].map(|light| light / expected);
+            if !(value >= 0.0 && value.is_finite() && found.is_finite()) {
+                continue;
+            }
+            let parts = self.parts(&it.direction);
+            self.sums.entry(region).or_default().add_direction(value, found, parts);
+            let center = first + self.floor;
+            if let Some(end) = it.end_region
+                && parts[PACK_TARGETS] == 1.0
+            {
+                // Without a guide, all directions are the BSDF's.
+                let chance = expected / self.bsdf_share(region);
+                self.places
+                    .entry(end)
+                    .or_default()
+                    .add_direction([light, it.found].map(|light| light / center), chance / center);
+            }
+            if value > SURPRISE
+                && let Some(end) = it.end
+            {
+                let weight = (light / center).min(MAX_VALUE);
+                let key = u64::from(self.number) << 16 | at as u64;
+                self.lines.push((Line { ends: [it.direction.position, end], weight }, key));
+            }
+        }
+        if self.lines.len() >= 2 * MAX_LINES {
+            self.limit_lines();
+        }
+        self.directions = directions;
+    }
+}

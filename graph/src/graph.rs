@@ -285,8 +285,8 @@ impl Graph {
         self.iter().find(|(_, template)| template.kind == kind)
     }
 
-    /// Adds the tags of all kinds and roles of the graph, and the tags of versions that a stage already requires, to each stage. A worker that cannot read one stage of a graph can execute
-    /// none of its tasks.
+    /// Adds the tags of all kinds and roles of the graph, and the tags of versions that a stage already requires, to each stage. A
+    /// worker that cannot read one stage of a graph can execute none of its tasks.
     pub fn add_known_tags(&mut self) {
         let kinds = StageKind::ALL.into_iter().filter(|kind| self.stage_of_kind(*kind).is_some());
         let is_made = |role: &Role| self.stages.iter().any(|template| template.outputs.contains(role));

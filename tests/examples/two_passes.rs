@@ -90,9 +90,13 @@ fn main() -> Result<(), Box<dyn Error>> {
         let solution = radiosity::solve(&prepared, &options, &AtomicBool::new(false)).map_err(|_| "cancelled")?;
         let first = processor_seconds().unwrap_or(0.0) - start;
         let start = processor_seconds().unwrap_or(0.0);
+        let has_openings = femc_guiding::learn_openings(&prepared, &solution.field).is_some();
+        let deciding = processor_seconds().unwrap_or(0.0) - start;
+        let start = processor_seconds().unwrap_or(0.0);
         let learned = femc_guiding::learn(&prepared, &solution.field);
         let learning = processor_seconds().unwrap_or(0.0) - start;
         println!("{name}\tlearning {learning:.2} s, {} paths, {} rays", learned.paths, learned.rays);
+        println!("{name}\topenings guide the paths: {has_openings}, decided in {deciding:.2} s");
         for Opening { target, share } in &learned.openings {
             let (center, [a, b]) = (target.center() + prepared.origin.as_vec3a(), target.edges);
             println!("{name}\topening {:.3} m x {:.3} m at {center:.2}, share {share:.3}", a.length(), b.length());

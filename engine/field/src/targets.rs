@@ -8,7 +8,6 @@ use crate::{Field, Side};
 use femc_geometry::Hit;
 use femc_math::glam::Vec3A;
 use femc_math::{Rgb, cross};
-use std::array;
 
 /// Maximum number of targets of a pack.
 pub const PACK_TARGETS: usize = 8;
@@ -67,6 +66,8 @@ pub struct TargetPack {
     scales: [[f32; PACK_TARGETS]; 2],
     /// 1 over the area, 1/m2.
     densities: [f32; PACK_TARGETS],
+    /// Sums of the edges' lengths, m.
+    diameters: [f32; PACK_TARGETS],
     /// Distance from the origin up to which coordinates of the targets lie, m. It bounds their rounding.
     extents: [f32; PACK_TARGETS],
 }
@@ -98,7 +99,8 @@ impl TargetPack {
             }
             (out.scales[0][k], out.scales[1][k]) = (across[0].length(), across[1].length());
             out.densities[k] = density;
-            out.extents[k] = target.corner.length() + a.length() + b.length();
+            out.diameters[k] = a.length() + b.length();
+            out.extents[k] = target.corner.length() + out.diameters[k];
         }
         out
     }
@@ -107,25 +109,9 @@ impl TargetPack {
     pub fn targets(&self) -> &[Target] {
         &self.targets
     }
-
-    /// Returns the directions to the targets from a point.
-    #[inline]
-    pub fn directions_at(&self, point: Vec3A) -> TargetDirections<'_> {
-        const NONE: [f32; PACK_TARGETS] = [0.0; PACK_TARGETS];
-        let mut out = TargetDirections { pack: self, point, heights: NONE, places: [NONE; 2] };
-        for k in 0..PACK_TARGETS {
-            let x = self.corners[0][k] - point.x;
-            let y = self.corners[1][k] - point.y;
-            let z = self.corners[2][k] - point.z;
-            let dot = |of: &[[f32; PACK_TARGETS]; 3]| of[0][k] * x + of[1][k] * y + of[2][k] * z;
-            out.heights[k] = dot(&self.normals);
-            (out.places[0][k], out.places[1][k]) = (-dot(&self.across[0]), -dot(&self.across[1]));
-        }
-        out
-    }
 }
 
-/// Targets of a pack as seen from a point.
+/// Targets of a region as seen from a point.
 #[derive(Clone, Copy, Debug)]
 pub struct TargetDirections<'a> {
     pack: &'a TargetPack,
@@ -133,10 +119,48 @@ pub struct TargetDirections<'a> {
     /// Distance to the plane along its normal, m; and the point's coordinates along the edges.
     heights: [f32; PACK_TARGETS],
     places: [[f32; PACK_TARGETS]; 2],
+    /// Shares of the visible targets, which sum to 1; 0 for the others.
+    weights: [f32; PACK_TARGETS],
 }
 
-impl TargetDirections<'_> {
-    /// Returns the density by target of directions toward points that are uniform over its area, in a unit direction, 1/sr.
+/// Minimum distance of a point from the plane of a target, relative to that from the target's farthest point, for the target to be
+/// visible. All directions toward a visible target have a density in spite of rounding.
+const MIN_HEIGHT: f32 = 1e-4;
+/// Minimum cosine of a direction with a density and the normal of a target; below [`MIN_HEIGHT`].
+const MIN_COSINE: f32 = 1e-5;
+
+impl<'a> TargetDirections<'a> {
+    /// Creates the directions from a point toward the targets of a region. `None`: no target with a share is visible.
+    #[inline]
+    pub fn new(pack: &'a TargetPack, region: &RegionTargets, point: Vec3A) -> Option<Self> {
+        const NONE: [f32; PACK_TARGETS] = [0.0; PACK_TARGETS];
+        let mut out = Self { pack, point, heights: NONE, places: [NONE; 2], weights: NONE };
+        for k in 0..PACK_TARGETS {
+            let x = pack.corners[0][k] - point.x;
+            let y = pack.corners[1][k] - point.y;
+            let z = pack.corners[2][k] - point.z;
+            let dot = |of: &[[f32; PACK_TARGETS]; 3]| of[0][k] * x + of[1][k] * y + of[2][k] * z;
+            let height = dot(&pack.normals);
+            out.heights[k] = height;
+            (out.places[0][k], out.places[1][k]) = (-dot(&pack.across[0]), -dot(&pack.across[1]));
+            let farthest = (x * x + y * y + z * z).sqrt() + pack.diameters[k];
+            let is_visible =
+                (height.abs() > MIN_HEIGHT * farthest) & (pack.densities[k] > 0.0) & (region.shares[k] > 0.0);
+            out.weights[k] = if is_visible { region.shares[k] } else { 0.0 };
+        }
+        let whole = sum(&out.weights);
+        let scale = 1.0 / whole;
+        out.weights = out.weights.map(|weight| weight * scale);
+        (whole > 0.0 && scale.is_finite()).then_some(out)
+    }
+
+    /// Returns the density of [`Self::sample`] in a unit direction, 1/sr.
+    #[inline]
+    pub fn pdf(&self, dir: Vec3A) -> f32 {
+        sum(&self.each(dir))
+    }
+
+    /// Returns the density by target. The sum is [`Self::pdf`].
     #[inline]
     pub fn each(&self, dir: Vec3A) -> [f32; PACK_TARGETS] {
         let pack = self.pack;
@@ -145,7 +169,7 @@ impl TargetDirections<'_> {
             let dot = |of: &[[f32; PACK_TARGETS]; 3]| of[0][k] * dir.x + of[1][k] * dir.y + of[2][k] * dir.z;
             let ahead = dot(&pack.normals);
             // A direction parallel to the plane has no density.
-            let steep = if ahead.abs() > 1e-6 { ahead } else { f32::INFINITY };
+            let steep = if ahead.abs() > MIN_COSINE { ahead } else { f32::INFINITY };
             let distance = self.heights[k] / steep;
             let a = self.places[0][k] + distance * dot(&pack.across[0]);
             let b = self.places[1][k] + distance * dot(&pack.across[1]);
@@ -157,17 +181,35 @@ impl TargetDirections<'_> {
                 & (a <= 1.0 + margins[0])
                 & (b >= -margins[1])
                 & (b <= 1.0 + margins[1]);
-            *pdf = if is_inside { pack.densities[k] * (distance * distance / steep.abs()) } else { 0.0 };
+            let density = self.weights[k] * pack.densities[k] * (distance * distance / steep.abs());
+            *pdf = if is_inside { density } else { 0.0 };
         }
         each
     }
 
-    /// Returns the unit direction toward the point of a target with these coordinates along its edges, in [0, 1)^2.
+    /// Samples a unit direction from `u` in [0, 1)^2. The first number also picks the target, so evenly spread numbers give each target
+    /// evenly spread directions.
     #[inline]
-    pub fn sample(&self, target: usize, u: [f32; 2]) -> Vec3A {
-        let at = self.pack.targets.get(target).map_or(Vec3A::ZERO, |target| target.point_at(u));
-        (at - self.point).normalize_or(Vec3A::Z)
+    pub fn sample(&self, u: [f32; 2]) -> Vec3A {
+        let (mut at, mut left) = (0, u[0]);
+        while at + 1 < PACK_TARGETS && left >= self.weights[at] {
+            left -= self.weights[at];
+            at += 1;
+        }
+        // By rounding, nothing may be left for the last targets.
+        while at > 0 && self.weights[at] <= 0.0 {
+            at -= 1;
+        }
+        let rest = (left / self.weights[at]).clamp(0.0, 1.0 - f32::EPSILON / 2.0);
+        let target = self.pack.targets.get(at).map_or(Vec3A::ZERO, |target| target.point_at([rest, u[1]]));
+        (target - self.point).normalize_or(Vec3A::Z)
     }
+}
+
+/// Returns the sum in an order that suits vectors.
+#[inline(always)]
+fn sum([a, b, c, d, e, f, g, h]: &[f32; PACK_TARGETS]) -> f32 {
+    ((a + e) + (b + f)) + ((c + g) + (d + h))
 }
 
 /// Targets of a region of the field.
@@ -191,30 +233,7 @@ impl RegionTargets {
     /// Returns the share of directions to sample toward targets, in [0, 1).
     #[inline]
     pub fn share(&self) -> f32 {
-        let [a, b, c, d, e, f, g, h] = self.shares;
-        ((a + e) + (b + f)) + ((c + g) + (d + h))
-    }
-
-    /// Returns the density of directions toward targets, times their shares, 1/sr.
-    #[inline]
-    pub fn pdf(&self, directions: &TargetDirections<'_>, dir: Vec3A) -> f32 {
-        let each = directions.each(dir);
-        Self { shares: array::from_fn(|k| self.shares[k] * each[k]), ..*self }.share()
-    }
-
-    /// Returns the target that a number in 0..[`Self::share`] chooses, and the position of the number in the target's part, in [0, 1).
-    #[inline]
-    pub fn pick(&self, choice: f32) -> (usize, f32) {
-        let (mut at, mut left) = (0, choice);
-        while at + 1 < PACK_TARGETS && left >= self.shares[at] {
-            left -= self.shares[at];
-            at += 1;
-        }
-        // By rounding, nothing may be left for the last targets.
-        while at > 0 && self.shares[at] <= 0.0 {
-            at -= 1;
-        }
-        (at, (left / self.shares[at]).clamp(0.0, 1.0 - f32::EPSILON / 2.0))
+        sum(&self.shares)
     }
 }
 
@@ -263,11 +282,6 @@ impl TargetGuide {
         &self.by_region
     }
 
-    /// Returns the number of bytes of the guide.
-    pub fn memory(&self) -> usize {
-        size_of_val(&*self.packs) + size_of_val(&*self.by_region) + self.regions.memory()
-    }
-
     /// Returns the targets for paths at a hit. `None` if the first pass has no surface there.
     /// - `position`: position of the hit.
     #[inline]
@@ -298,35 +312,43 @@ mod tests {
         ])
     }
 
-    /// Shares of samples in boxes of directions match the density of each target (chi-square with at most 191 degrees of freedom: 280
+    /// Returns a region with shares of the first three targets.
+    fn only([a, b, c]: [f32; 3]) -> RegionTargets {
+        RegionTargets { shares: [a, b, c, 0.0, 0.0, 0.0, 0.0, 0.0], ..Default::default() }
+    }
+
+    /// Shares of samples in boxes of directions match the density of each target and of all (chi-square with at most 191 degrees of freedom: 280
     /// at a level of 3e-5).
     #[test]
     fn samples_of_targets_have_the_density() {
         const N: usize = 100_000;
         let pack = pack();
-        let directions = pack.directions_at(Vec3A::new(0.1, 0.2, 0.3));
+        let point = Vec3A::new(0.1, 0.2, 0.3);
+        let all = only([0.2, 0.05, 0.4]);
+        let kinds = [only([0.3, 0.0, 0.0]), only([0.0, 0.3, 0.0]), only([0.0, 0.0, 0.3]), all];
+        let kinds = kinds.map(|region| TargetDirections::new(&pack, &region, point).expect("visible targets"));
         let bin = |dir: Vec3A| {
             let turn = femc_math::elementary::atan2(dir.y, dir.x) / (2.0 * PI) + 0.5;
             let [row, column] = [(dir.z + 1.0) * 4.0, turn * 24.0].map(|at| at as usize);
             row.min(7) * 24 + column.min(23)
         };
-        let mut wanted = vec![[0.0f64; 3]; 192];
+        let mut wanted = vec![[0.0f64; 4]; 192];
         for z in 0..4000 {
             for turn in 0..4800 {
                 let dir = warp::direction((z as f32 + 0.5) / 2000.0 - 1.0, (turn as f32 + 0.5) / 4800.0);
-                let each = directions.each(dir);
                 let cell = &mut wanted[bin(dir)];
-                (0..3).for_each(|k| cell[k] += f64::from(each[k]) * 4.0 * std::f64::consts::PI / (4000.0 * 4800.0));
+                let solid_angle = 4.0 * std::f64::consts::PI / (4000.0 * 4800.0);
+                (0..4).for_each(|kind| cell[kind] += f64::from(kinds[kind].pdf(dir)) * solid_angle);
             }
         }
-        for target in 0..3 {
+        for (target, directions) in kinds.iter().enumerate() {
             let total: f64 = wanted.iter().map(|cell| cell[target]).sum();
             assert!((total - 1.0).abs() < 5e-3, "{target}: {total}");
             let mut found = vec![0.0f64; 192];
             for at in 0..N as u64 {
                 let number = |k: u64| unit_f32((mix64(3 * at + k) >> 32) as u32);
-                let dir = directions.sample(target, [number(0), number(1)]);
-                assert!(directions.each(dir)[target] > 0.0, "{target}: {dir}");
+                let dir = directions.sample([number(0), number(1)]);
+                assert!(directions.pdf(dir) > 0.0, "{target}: {dir}");
                 found[bin(dir)] += 1.0;
             }
             let terms = wanted.iter().zip(&found).map(|(cell, found)| {
@@ -345,27 +367,34 @@ mod tests {
             let target = Target { corner, edges: [Vec3A::new(0.003, 0.01, 0.0), Vec3A::Z * 2.0] };
             let pack = TargetPack::new(&[target]);
             let point = Vec3A::new(1.3, 0.7, -0.4) * scale;
-            let directions = pack.directions_at(point);
+            let directions = TargetDirections::new(&pack, &only([0.5, 0.0, 0.0]), point).expect("a visible target");
             for edge in (0..400u64).map(|at| unit_f32((mix64(at) >> 32) as u32)) {
-                for u in [[0.0, edge], [edge, 0.0], [1.0, edge], [edge, 1.0]] {
-                    let dir = directions.sample(0, u);
-                    assert!(directions.each(dir)[0] > 0.0, "{u:?} at {scale}");
+                let last = 1.0 - f32::EPSILON / 2.0;
+                for u in [[0.0, edge], [edge, 0.0], [last, edge], [edge, last]] {
+                    assert!(directions.pdf(directions.sample(u)) > 0.0, "{u:?} at {scale}");
                 }
             }
         }
     }
 
+    /// Directions toward a target without a density would have too large weights.
     #[test]
-    fn targets_without_area_or_beside_the_way_have_no_density() {
+    fn targets_without_area_and_in_the_plane_of_the_point_are_not_sampled() {
         let flat = Target { corner: Vec3A::X, edges: [Vec3A::Y, Vec3A::Y] };
         let invalid = Target { corner: Vec3A::X, edges: [Vec3A::Y, Vec3A::new(0.0, 0.0, f32::NAN)] };
         let sound = Target { corner: Vec3A::X, edges: [Vec3A::Y, Vec3A::Z] };
         let pack = TargetPack::new(&[flat, invalid, sound]);
-        let directions = pack.directions_at(Vec3A::ZERO);
-        assert_eq!(directions.each(Vec3A::X)[..2], [0.0; 2]);
-        assert!(directions.each((Vec3A::X + Vec3A::splat(0.1)).normalize())[2] > 0.0);
-        assert_eq!(directions.each(-(Vec3A::X + Vec3A::splat(0.1)).normalize()), [0.0; PACK_TARGETS]);
-        assert_eq!(pack.directions_at(Vec3A::X).each(Vec3A::Y), [0.0; PACK_TARGETS], "in the plane");
+        let all = RegionTargets { shares: [0.1; PACK_TARGETS], ..Default::default() };
+        let directions = TargetDirections::new(&pack, &all, Vec3A::ZERO).expect("a visible target");
+        for at in 0..1000u64 {
+            let number = |k: u64| unit_f32((mix64(2 * at + k) >> 32) as u32);
+            let dir = directions.sample([number(0), number(1)]);
+            assert!(directions.pdf(dir) > 0.0 && directions.pdf(-dir) == 0.0, "{dir}");
+        }
+        assert!(TargetDirections::new(&pack, &only([0.4, 0.4, 0.0]), Vec3A::ZERO).is_none(), "without area");
+        for point in [Vec3A::X, Vec3A::new(1.0, 5.0, -3.0), Vec3A::new(1.0 + 1e-6, 2.0, 0.5)] {
+            assert!(TargetDirections::new(&pack, &all, point).is_none(), "in the plane: {point}");
+        }
     }
 
     #[test]

@@ -7,10 +7,11 @@
 
 use crate::openings::{Line, Opening, find_openings};
 use crate::patches::{Patch, find_patches};
-use crate::pilot::{Pilot, trace_block};
+use crate::pilot::{Pilot, keep_heaviest, trace_block};
 use crate::shares::Shares;
 use crate::sums::{SumsByPlace, SumsByRegion};
 use femc_field::{Field, PACK_TARGETS, Target, TargetGuide, TargetPack};
+use femc_montecarlo::Guidance;
 use femc_prepared::Prepared;
 use rayon::prelude::*;
 
@@ -67,10 +68,11 @@ fn learn_if(scene: &Prepared, field: &Field, is_worthwhile: impl Fn(&[Opening]) 
     let mut pieces = Pieces::default();
     let mut shares = Shares::default();
     for (round, &paths) in PATHS.iter().enumerate() {
+        let guidance = Guidance::new(scene, field).with_targets(scene, &out.guide);
         let blocks = (0..BLOCKS).into_par_iter().map(|block| {
             let first = PATHS[..round].iter().sum::<u32>();
             let [low, high] = [block, block + 1].map(|at| first + paths / BLOCKS * at);
-            trace_block(scene, field, &out.guide, low..high, paths)
+            trace_block(scene, guidance, &out.guide, low..high, paths)
         });
         let blocks: Vec<Pilot<'_>> = blocks.collect();
         let (mut sums, mut places) = (SumsByRegion::new(), SumsByPlace::new());
@@ -85,17 +87,18 @@ fn learn_if(scene: &Prepared, field: &Field, is_worthwhile: impl Fn(&[Opening]) 
             out.rays += block.rays;
         }
         out.paths += paths;
-        shares = Shares::new(field, &sums, &shares);
         let is_last = round + 1 == PATHS.len();
+        let targets = out.targets();
+        if !is_last && lines.len() >= MIN_LINES {
+            keep_heaviest(&mut lines, MAX_LINES);
+            let lines: Vec<Line> = lines.into_iter().map(|(line, _)| line).collect();
+            out.openings.extend(find_openings(scene, &lines, &targets, PACK_TARGETS - targets.len()));
+        }
+        if round == 0 && !is_worthwhile(&out.openings) {
+            return None;
+        }
+        shares = Shares::new(field, &sums, &shares);
         if !is_last {
-            let targets = out.targets();
-            let lines = heaviest(lines);
-            if lines.len() >= MIN_LINES {
-                out.openings.extend(find_openings(scene, &lines, &targets, PACK_TARGETS - targets.len()));
-            }
-            if round == 0 && !is_worthwhile(&out.openings) {
-                return None;
-            }
             // Light through openings must not count as light of patches, so openings come first.
             if round > 0 {
                 out.patches = find_patches(field, &places, PACK_TARGETS - out.openings.len());
@@ -126,13 +129,6 @@ impl Learned {
         let openings = self.openings.iter().map(|opening| opening.target);
         openings.chain(self.patches.iter().map(|patch| patch.target)).collect()
     }
-}
-
-/// Returns the lines of most weight.
-fn heaviest(mut lines: Vec<(Line, u64)>) -> Vec<Line> {
-    lines.sort_by(|a, b| b.0.weight.total_cmp(&a.0.weight).then(a.1.cmp(&b.1)));
-    lines.truncate(MAX_LINES);
-    lines.into_iter().map(|(line, _)| line).collect()
 }
 
 /// Parts of openings and patches. From a point near a long one, its parts bring different light.

@@ -56,7 +56,8 @@ const MIN_SHARE: f32 = 0.01;
 const MIN_LINES: usize = 2;
 /// Minimum ratio of the weight of the lines that pass through an opening to that of lines in random directions.
 const MIN_LIFT: f32 = 3.0;
-/// Number of searches that must have found a line's opening until no other starts at the line. The narrowest one explains its light best.
+/// Number of searches that must have found a line's opening until no other starts at the line. The narrowest one explains its
+/// light best.
 const CANDIDATES: usize = 4;
 /// Number of times that blocked parts are cut from the edges of an opening.
 const TIGHTENINGS: u32 = 3;
@@ -90,7 +91,8 @@ pub fn find_openings(blockers: &impl Blockers, lines: &[Line], known: &[Target],
         let rated = candidates.iter().map(|target| (Rating::new(target, &rest), target));
         let rest_weight: f32 = rest.iter().map(|line| line.weight).sum();
         let fit = rated.filter(|(rating, _)| {
-            rating.lines >= MIN_LINES
+            rating.score > 0.0
+                && rating.lines >= MIN_LINES
                 && rating.weight >= MIN_SHARE * total
                 && rating.weight >= MIN_LIFT * rating.chance * rest_weight
         });

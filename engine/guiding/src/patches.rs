@@ -70,7 +70,7 @@ pub fn find_patches(field: &Field, sums: &SumsByPlace, most: usize) -> Vec<Patch
             let Cell { split, next, .. } = field.cells[inner as usize];
             if split != Split::None {
                 for half in [next, next + 1] {
-                    // What lies in an inner patch stays in it.
+                    // Cells of an inner patch keep it as their patch.
                     if around[half as usize] != half {
                         around[half as usize] = cell;
                         within.push(half);

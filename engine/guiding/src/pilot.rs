@@ -2,7 +2,7 @@
 
 use crate::openings::Line;
 use crate::sums::{MAX_VALUE, SumsByPlace, SumsByRegion};
-use femc_field::{Field, PACK_TARGETS, TargetGuide};
+use femc_field::{PACK_TARGETS, TargetDirections, TargetGuide};
 use femc_geometry::Ray;
 use femc_math::Rgb;
 use femc_math::color::luminance;
@@ -37,15 +37,15 @@ impl PixelFilter for SquareFilter {
 }
 
 /// Traces the pilot paths with numbers in a range.
+/// - `guidance`: guidance of the paths by a field and by `guide`;
 /// - `count`: number of paths of the round, which are spread evenly over the film.
 pub fn trace_block<'a>(
     scene: &Prepared,
-    field: &Field,
+    guidance: Guidance<'_>,
     guide: &'a TargetGuide,
     paths: Range<u32>,
     count: u32,
 ) -> Pilot<'a> {
-    let guidance = Guidance::new(scene, field).with_targets(scene, guide);
     // A path without branches has one direction at each vertex.
     let window = WeightWindow { upper: f32::INFINITY, ..guidance.window };
     let settings = PathSettings { seed: SEED, max_depth: 0, single_technique: None };
@@ -60,6 +60,12 @@ pub fn trace_block<'a>(
     }
     let rays = tracer.counters.rays + tracer.counters.shadow_rays;
     Pilot { rays, ..tracer.recorder }
+}
+
+/// Drops all but the lines of most weight. Equal ones are ordered by their numbers.
+pub fn keep_heaviest(lines: &mut Vec<(Line, u64)>, most: usize) {
+    lines.sort_by(|a, b| b.0.weight.total_cmp(&a.0.weight).then(a.1.cmp(&b.1)));
+    lines.truncate(most);
 }
 
 /// Recorder of pilot paths.
@@ -109,11 +115,12 @@ impl<'a> Pilot<'a> {
         parts[PACK_TARGETS] = 1.0;
         let Some(region) = self.guide.by_region().get(direction.expectation.region as usize) else { return parts };
         let Some(pack) = self.guide.packs().get(region.pack as usize) else { return parts };
-        let each = pack.directions_at(direction.position).each(direction.dir);
-        let whole = (0..PACK_TARGETS).map(|k| region.shares[k] * each[k]).sum::<f32>();
+        let Some(directions) = TargetDirections::new(pack, region, direction.position) else { return parts };
+        let each = directions.each(direction.dir);
+        let whole = each.iter().sum::<f32>();
         if whole > 0.0 {
             let scale = (1.0 - direction.bsdf_share).max(0.0) / whole;
-            (0..PACK_TARGETS).for_each(|k| parts[k] = region.shares[k] * each[k] * scale);
+            (0..PACK_TARGETS).for_each(|k| parts[k] = each[k] * scale);
             parts[PACK_TARGETS] = direction.bsdf_share.min(1.0);
         }
         parts
@@ -122,12 +129,6 @@ impl<'a> Pilot<'a> {
     /// Returns the share of directions of a region that the BSDF samples.
     fn bsdf_share(&self, region: u32) -> f32 {
         1.0 - self.guide.by_region().get(region as usize).map_or(0.0, |region| region.share())
-    }
-
-    /// Drops all but the lines of most weight.
-    fn limit_lines(&mut self) {
-        self.lines.sort_by(|a, b| b.0.weight.total_cmp(&a.0.weight).then(a.1.cmp(&b.1)));
-        self.lines.truncate(MAX_LINES);
     }
 }
 
@@ -218,7 +219,7 @@ impl Recorder for Pilot<'_> {
             }
         }
         if self.lines.len() >= 2 * MAX_LINES {
-            self.limit_lines();
+            keep_heaviest(&mut self.lines, MAX_LINES);
         }
         self.directions = directions;
     }

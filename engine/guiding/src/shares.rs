@@ -1,7 +1,9 @@
 //! Shares of the targets by region.
 //!
-//! The shares are those of a mixture: a step of expectation maximization (\[dempster1977\]) from the light that directions found,
-//! divided among the samplers. A region with few directions leans on the part of the surface around it, and that on the whole scene.
+//! The samplers of directions, which are the targets and the BSDF, form a mixture. Expectation maximization (\[dempster1977\]) finds
+//! its shares: the light that each direction found is divided among the samplers, and a sampler's new share is its part of the light.
+//! The shares of a region also depend on those of the larger part of the surface that contains the region, and the shares of a surface
+//! depend on those of the whole scene. The fewer directions a region has, the more they depend.
 
 use crate::sums::{RegionSums, SumsByRegion};
 use femc_field::{Cell, Field, NONE, PACK_TARGETS, RegionTargets, Split};
@@ -42,9 +44,7 @@ pub struct Shares {
     /// Shares of the whole scene, then of regions.
     regions: Vec<Region>,
     /// Regions by leaf, for leaves of surfaces that paths reached.
-    by_leaf: Vec<(u32, u32)>,
-    /// Ratio of the light that was used by leaf.
-    scales: BTreeMap<u32, f64>,
+    by_leaf: BTreeMap<u32, u32>,
 }
 
 /// Sums of a part of the scene.
@@ -97,7 +97,7 @@ impl Shares {
     /// Computes the shares from the sums of a round.
     /// - `before`: shares of the round.
     pub fn new(field: &Field, sums: &SumsByRegion, before: &Self) -> Self {
-        let part = |(leaf, sums): (&u32, &RegionSums)| Part::new(sums, before.scales.get(leaf).copied().unwrap_or(1.0));
+        let part = |(leaf, sums): (&u32, &RegionSums)| Part::new(sums, before.light_scale(*leaf));
         // Halves come after the cell that contains them.
         let mut cells = vec![Part::default(); field.cells.len()];
         for (at, cell) in field.cells.iter().enumerate().rev() {
@@ -121,6 +121,12 @@ impl Shares {
         out
     }
 
+    /// Returns the ratio of the light of a leaf's region to that of the field.
+    fn light_scale(&self, leaf: u32) -> f64 {
+        let region = self.by_leaf.get(&leaf).copied().unwrap_or(0);
+        self.regions.get(region as usize).map_or(1.0, |region| region.light_scale)
+    }
+
     /// Computes the shares of a cell and of its parts.
     fn descend(&mut self, field: &Field, parts: &[Part], cell: u32, around: &Region, mean: f64) {
         let part = &parts[cell as usize];
@@ -141,10 +147,7 @@ impl Shares {
         while let Some(cell) = below.pop() {
             let Cell { split, next, .. } = field.cells[cell as usize];
             match split {
-                Split::None => {
-                    self.by_leaf.push((next, region));
-                    self.scales.insert(next, own.light_scale);
-                }
+                Split::None => _ = self.by_leaf.insert(next, region),
                 _ => below.extend([next, next + 1]),
             }
         }
@@ -174,7 +177,7 @@ impl Shares {
     /// - `is_patch`: whether a target is part of a patch.
     pub fn regions(&self, leaves: usize, is_patch: impl Fn(usize) -> bool) -> (Vec<RegionTargets>, Vec<u32>) {
         let mut by_leaf = vec![0; leaves];
-        self.by_leaf.iter().for_each(|&(leaf, region)| by_leaf[leaf as usize] = region);
+        self.by_leaf.iter().for_each(|(&leaf, &region)| by_leaf[leaf as usize] = region);
         let by_region = self.regions.iter().map(|Region { shares, light_scale }| {
             let mut kept = shares.map(|share| if share < MIN_SHARE { 0.0 } else { share });
             let patches: f64 = (0..PACK_TARGETS).filter(|&k| is_patch(k)).map(|k| kept[k]).sum();
@@ -196,7 +199,7 @@ mod tests {
     /// Shares with one region besides that of the scene.
     fn shares(of_region: [f64; PACK_TARGETS]) -> Shares {
         let region = Region { shares: of_region, light_scale: 2.0 };
-        Shares { regions: vec![Region::default(), region], by_leaf: vec![(3, 1)], scales: BTreeMap::new() }
+        Shares { regions: vec![Region::default(), region], by_leaf: BTreeMap::from([(3, 1)]) }
     }
 
     #[test]
@@ -216,13 +219,21 @@ mod tests {
             assert_eq!((by_leaf, regions[1].light_scale), (vec![0, 0, 0, 1, 0], 2.0));
             regions[1]
         };
+        let all = shares([0.0; PACK_TARGETS]);
+        assert_eq!(
+            [3, 4].map(|leaf| all.light_scale(leaf)),
+            [2.0, 1.0],
+            "leaves without paths have the light of the scene"
+        );
+        assert_eq!(Shares::default().light_scale(3), 1.0);
         let openings = targets(|_| false);
         assert!((openings.share() - 0.9).abs() < 1e-6 && openings.shares[7] == 0.0, "{openings:?}");
         let patches = targets(|k| k >= 2);
         assert!((patches.shares[2] - 0.5 / 3.0).abs() < 1e-6 && (patches.shares[0] - 0.2).abs() < 1e-6, "{patches:?}");
     }
 
-    /// Directions of one target found twice the light that the field expects, and those of the BSDF none.
+    /// Half of the directions go to one target and find four times the light that the field expects. The other directions come from
+    /// the BSDF and find no light.
     #[test]
     fn shares_and_light_follow_what_directions_found() {
         let mut sums = RegionSums::default();

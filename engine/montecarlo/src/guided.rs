@@ -45,9 +45,7 @@ impl<'a> LeafGuide<'a> {
         match self {
             Self::Lobes(block) => Directions::new(block, point).non_empty().map(GuideDirections::Lobes),
             Self::Table(table) => Some(GuideDirections::Table(table)),
-            Self::Targets(pack, region) => {
-                Some(GuideDirections::Targets { directions: pack.directions_at(point), region, share: region.share() })
-            }
+            Self::Targets(pack, region) => TargetDirections::new(pack, region, point).map(GuideDirections::Targets),
         }
     }
 }
@@ -59,14 +57,7 @@ pub enum GuideDirections<'a> {
     /// Table of directions.
     Table(&'a DirectionTable),
     /// Directions toward targets.
-    Targets {
-        /// Directions by target.
-        directions: TargetDirections<'a>,
-        /// Shares of the targets.
-        region: &'a RegionTargets,
-        /// Sum of the shares, positive.
-        share: f32,
-    },
+    Targets(TargetDirections<'a>),
 }
 
 impl GuideDirections<'_> {
@@ -76,7 +67,7 @@ impl GuideDirections<'_> {
         match self {
             Self::Lobes(directions) => directions.pdf(dir),
             Self::Table(table) => table.pdf(dir),
-            Self::Targets { directions, region, share } => region.pdf(directions, dir) / share,
+            Self::Targets(directions) => directions.pdf(dir),
         }
     }
 
@@ -86,10 +77,7 @@ impl GuideDirections<'_> {
         match self {
             Self::Lobes(directions) => directions.sample_evenly(u),
             Self::Table(table) => table.sample(u),
-            Self::Targets { directions, region, share } => {
-                let (target, rest) = region.pick(u[0] * share);
-                directions.sample(target, [rest, u[1]])
-            }
+            Self::Targets(directions) => directions.sample(u),
         }
     }
 }

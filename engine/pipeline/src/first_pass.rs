@@ -120,10 +120,9 @@ pub fn attach_first_pass(prepared: &mut Prepared, light: FrameLight, method: Met
 }
 
 /// Learns the targets of a frame's paths for [`Method::Femc`], if most light comes through openings. Else the lobes of the field
-/// guide the paths. Nothing happens if the frame has no field, or targets already.
+/// guide the paths. Nothing happens if the frame has no field.
 pub(crate) fn learn_targets(prepared: &mut Prepared, method: Method) {
     if method == Method::Femc
-        && prepared.targets().is_none()
         && let Some(field) = prepared.field()
         && let Some(learned) = femc_guiding::learn_openings(prepared, field)
     {

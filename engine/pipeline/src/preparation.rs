@@ -24,9 +24,10 @@ pub fn prepare_frame(
         let light = FrameLight::new(Arc::new(solution.field), prepared.brightness);
         attach_first_pass(&mut prepared, light, settings.method)
             .map_err(|error| PrepareError::FirstPass { reason: error.to_string() })?;
+    } else {
+        // The field of another frame of the same world has no targets of this frame's view.
+        learn_targets(&mut prepared, settings.method);
     }
-    // A field of another frame of the same world has no targets of this frame's view.
-    learn_targets(&mut prepared, settings.method);
     Ok(prepared)
 }
 

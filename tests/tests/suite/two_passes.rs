@@ -1,7 +1,9 @@
 //! Guided paths have the same mean as unguided paths, whatever the guide says.
 
 use crate::first_pass::{cube, furnace};
-use femc_field::{DirectionTable, DirectionTables, Leaf, RegionTargets, TableExtent, Target, TargetGuide, TargetPack};
+use femc_field::{
+    DirectionTable, DirectionTables, Form, Leaf, RegionTargets, Surface, TableExtent, Target, TargetGuide, TargetPack,
+};
 use femc_film::Filter;
 use femc_math::color::luminance;
 use femc_math::glam::Vec3A;
@@ -158,6 +160,18 @@ fn targets_change_no_mean() {
         let leaves: Vec<u32> = (0..field.leaves.len() as u32).collect();
         let any = TargetGuide::new(&field, packs.collect(), leaves.iter().map(|&leaf| region(leaf)).collect(), &leaves);
         check("at random", &any, 4);
+        // Parts of the surfaces themselves, in whose planes many vertices are.
+        let part = |surface: &Surface| match surface.form {
+            Form::Parallelogram([corner, a, b]) => {
+                Some(Target { corner: corner + (a + b) * 0.25, edges: [a * 0.5, b * 0.5] })
+            }
+            Form::Triangle(_) | Form::Curved { .. } => None,
+        };
+        let parts: Vec<Target> = field.surfaces.iter().filter_map(part).take(8).collect();
+        assert!(parts.len() > 4, "{name}: {parts:?}");
+        let everywhere = RegionTargets { shares: [0.05; 8], ..Default::default() };
+        let walls = TargetGuide::new(&field, vec![TargetPack::new(&parts)], vec![everywhere], &vec![0; leaves.len()]);
+        check("in the planes of surfaces", &walls, 5);
     }
 }
 

@@ -32,7 +32,7 @@ pub enum StageKind {
     FirstPassRays,
     /// Solves a first pass again, corrected by the rays of all blocks.
     FirstPassSolve,
-    /// Computes the guides of one block of a first pass.
+    /// Computed guides of one block of a first pass in earlier versions. Workers of this version make an empty output.
     FirstPassGuides,
     /// Makes the light of a first pass in blocks from its last state.
     FirstPassFinish,

@@ -12,7 +12,7 @@
 
 use femc_montecarlo::Guidance;
 use femc_pipeline::method_choice::{Pilot, RAYS_PER_GUIDED_VERTEX, choose_method};
-use femc_pipeline::radiosity::{self, GuideKind, SolveOptions};
+use femc_pipeline::radiosity::{self, SolveOptions};
 use femc_pipeline::{Method, SceneSource, Settings, StopCondition, plan_job, prepare_frame};
 use femc_tests::clock::processor_seconds;
 use femc_tests::relative_variance::measure;
@@ -45,11 +45,13 @@ fn main() -> Result<(), Box<dyn Error>> {
         let source = SceneSource::new(Arc::new(femc_import::load_scene_file(path.as_ref())?.scene));
         let settings = Settings { size: Some([size; 2]), stop: StopCondition::Spp(spp), ..Settings::default() };
         let prepared = prepare_frame(&source, &Settings { method: Method::Pt, ..settings.clone() }, 1, None)?;
-        let options = SolveOptions { error: 1.0, guides: GuideKind::Lobes, ..SolveOptions::default() };
+        let options = SolveOptions { error: 1.0, ..SolveOptions::default() };
         let start = processor_seconds().unwrap_or(0.0);
         let solution = radiosity::solve(&prepared, &options, &AtomicBool::new(false)).map_err(|_| "cancelled")?;
+        let learned = femc_guiding::learn(&prepared, &solution.field);
         let first_pass_seconds = processor_seconds().unwrap_or(0.0) - start;
-        let methods = [None, Some(Guidance::new(&prepared, &solution.field))];
+        let guidance = Guidance::new(&prepared, &solution.field).with_targets(&prepared, &learned.guide);
+        let methods = [None, Some(guidance)];
         let measured_spp = spp.min(256);
         let measured = measure(&methods, &prepared, size, measured_spp, 2);
         let rays_per_second =
@@ -64,12 +66,20 @@ fn main() -> Result<(), Box<dyn Error>> {
         let costs = [measured[0].variance * work[0], measured[1].variance * (work[1] + first_pass)];
         for seed in 1..=seeds {
             let (choice, _) = choose_method(&source, &Settings { seed, ..settings.clone() }, &plan)?;
-            let Some(Pilot { samples: drawn, rays_a_sample, first_pass_rays, gain, variance, most_gain, .. }) =
-                choice.pilot
+            let Some(Pilot {
+                samples: drawn,
+                rays_a_sample,
+                first_pass_rays,
+                learning_rays,
+                gain,
+                variance,
+                most_gain,
+                ..
+            }) = choice.pilot
             else {
                 return Err(format!("{path}: the job is too small for a pilot").into());
             };
-            estimated = first_pass_rays;
+            estimated = first_pass_rays + learning_rays;
             let is_guided = choice.method == Method::Femc;
             chosen += u64::from(is_guided);
             gains.extend(gain.map(|gain| format!("{:.2} ({:.2})", gain.measured, gain.estimated)));

@@ -3,7 +3,7 @@
 //!
 //! `cargo run --release -p femc-tests --example two_passes -- SCENE.mgf.. [--methods M,..] [--spp N] [--size N] [--turns N]`
 //!
-//! Methods: `pt`, `femc`; `lobes` (lobes of the first pass in place of targets; the first pass of all methods then computes them); parts of `femc`: `directions` (no weight window), `roulette` (no splitting), `splitting` (no roulette by
+//! Methods: `pt`, `femc`; parts of `femc`: `directions` (no weight window), `roulette` (no splitting), `splitting` (no roulette by
 //! the window), `window` (no guided directions); and `LOWER:UPPER` (`femc` with these bounds of the window). The first method is the
 //! baseline.
 //!
@@ -16,12 +16,12 @@
 //! - `gain`: variance times seconds of the baseline over that of the method; `with first`: with the seconds of the first pass;
 //! - `z`: difference of the mean from the baseline's, in standard errors.
 
-use femc_field::TargetGuide;
+use femc_field::{Target, TargetGuide};
 use femc_guiding::openings::Opening;
 use femc_guiding::patches::Patch;
 use femc_math::sampler::REPLICATES;
 use femc_montecarlo::{Guidance, WeightWindow};
-use femc_pipeline::radiosity::{self, GuideKind, SolveOptions};
+use femc_pipeline::radiosity::{self, SolveOptions};
 use femc_pipeline::{Field, SceneSource, Settings, prepare_frame};
 use femc_prepared::Prepared;
 use femc_tests::clock::processor_seconds;
@@ -37,14 +37,12 @@ fn guidance<'a>(
     field: &'a Field,
     targets: &'a TargetGuide,
 ) -> Result<Option<Guidance<'a>>, String> {
-    let lobes = Guidance::new(prepared, field);
-    let all = lobes.with_targets(prepared, targets);
+    let all = Guidance::new(prepared, field).with_targets(prepared, targets);
     let open = WeightWindow { lower: 0.0, upper: f32::INFINITY };
     let window = WeightWindow::default();
     Ok(Some(match method {
         "pt" => return Ok(None),
         "femc" => all,
-        "lobes" => lobes,
         "directions" => Guidance { window: open, ..all },
         "roulette" => Guidance { window: WeightWindow { upper: f32::INFINITY, ..window }, ..all },
         "splitting" => Guidance { window: WeightWindow { lower: 0.0, ..window }, ..all },
@@ -84,26 +82,25 @@ fn main() -> Result<(), Box<dyn Error>> {
         let prepared = prepare_frame(&SceneSource::new(scene), &settings, 1, None)?;
         let name = std::path::Path::new(&path).file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let start = processor_seconds().unwrap_or(0.0);
-        // Lobes cost seconds, which the other methods do not need.
-        let guides = if methods.iter().any(|it| it == "lobes") { GuideKind::Lobes } else { GuideKind::None };
-        let options = SolveOptions { error: 1.0, guides, ..SolveOptions::default() };
+        let options = SolveOptions { error: 1.0, ..SolveOptions::default() };
         let solution = radiosity::solve(&prepared, &options, &AtomicBool::new(false)).map_err(|_| "cancelled")?;
         let first = processor_seconds().unwrap_or(0.0) - start;
-        let start = processor_seconds().unwrap_or(0.0);
-        let has_openings = femc_guiding::learn_openings(&prepared, &solution.field).is_some();
-        let deciding = processor_seconds().unwrap_or(0.0) - start;
         let start = processor_seconds().unwrap_or(0.0);
         let learned = femc_guiding::learn(&prepared, &solution.field);
         let learning = processor_seconds().unwrap_or(0.0) - start;
         println!("{name}\tlearning {learning:.2} s, {} paths, {} rays", learned.paths, learned.rays);
-        println!("{name}\topenings guide the paths: {has_openings}, decided in {deciding:.2} s");
         for Opening { target, share } in &learned.openings {
             let (center, [a, b]) = (target.center() + prepared.origin.as_vec3a(), target.edges);
             println!("{name}\topening {:.3} m x {:.3} m at {center:.2}, share {share:.3}", a.length(), b.length());
         }
         for Patch { target, share } in &learned.patches {
-            let (center, [a, b]) = (target.center() + prepared.origin.as_vec3a(), target.edges);
-            println!("{name}\tpatch {:.3} m x {:.3} m at {center:.2}, share {share:.3}", a.length(), b.length());
+            let (center, size) = match target {
+                Target::Parallelogram(it) => {
+                    (it.center(), format!("{:.3} m x {:.3} m", it.edges[0].length(), it.edges[1].length()))
+                }
+                Target::Ball(it) => (it.center, format!("of radius {:.3} m", it.radius)),
+            };
+            println!("{name}\tpatch {size} at {:.2}, share {share:.3}", center + prepared.origin.as_vec3a());
         }
         let field = &solution.field;
         let guidances: Result<Vec<_>, _> =
@@ -114,7 +111,6 @@ fn main() -> Result<(), Box<dyn Error>> {
         for (method, of) in methods.iter().zip(&measured) {
             let first = match method.as_str() {
                 "pt" => 0.0,
-                "lobes" => first,
                 _ => first + learning,
             };
             let work = |of: &MethodStatistics| of.variance * of.seconds;

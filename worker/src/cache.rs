@@ -20,7 +20,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use femc_metrics::{Counter, Page};
 use femc_model::{Artifact, Digest, Failure, JobSpec};
 use femc_pipeline::{
-    Field, FrameKey, FrameLight, GuideState, Layer, LayerPlan, Prepared, RayState, SceneSource, Settings, Solution,
+    Field, FrameKey, FrameLight, Layer, LayerPlan, Prepared, RayState, SceneSource, Settings, Solution,
 };
 use femc_proto::Client;
 use femc_scene::Scene;
@@ -77,10 +77,8 @@ struct CacheInner {
     frame_lights: LruCache<(Digest, u32), FrameLight>,
     /// First passes that were solved before the job, by the keys of their tasks. A task takes its solution out.
     solved: Mutex<BTreeMap<Digest, Arc<Solution>>>,
-    /// Solver states of unfinished first passes, by their input artifacts: `states_before_rays` before the rays,
-    /// `states_after_rays` after them.
+    /// States of unfinished first passes before their rays, by their input artifacts.
     states_before_rays: LruCache<Digest, Arc<dyn RayState>>,
-    states_after_rays: LruCache<Digest, Arc<dyn GuideState>>,
     pieces: PieceCache,
 }
 
@@ -121,7 +119,6 @@ impl Cache {
             frame_lights: LruCache::new(Self::FIELDS),
             solved: Mutex::default(),
             states_before_rays: LruCache::new(1),
-            states_after_rays: LruCache::new(1),
             pieces,
         }))
     }
@@ -139,7 +136,6 @@ impl Cache {
     /// Drops the solver states of unfinished first passes.
     fn drop_solver_states(&self) {
         self.0.states_before_rays.clear();
-        self.0.states_after_rays.clear();
     }
 
     /// Writes the hit and miss counts to the metrics page.
@@ -349,15 +345,6 @@ impl Cache {
         make: impl FnOnce() -> Result<Arc<dyn RayState>, Failure>,
     ) -> Result<Arc<dyn RayState>, Failure> {
         self.0.states_before_rays.get_or(combined_digest(artifacts), make)
-    }
-
-    /// Returns the state of a first pass after its rays, by the artifacts that it is made of.
-    pub(crate) fn state_after_rays(
-        &self,
-        artifacts: &[Artifact],
-        make: impl FnOnce() -> Result<Arc<dyn GuideState>, Failure>,
-    ) -> Result<Arc<dyn GuideState>, Failure> {
-        self.0.states_after_rays.get_or(combined_digest(artifacts), make)
     }
 
     fn load_scene(&self, spec: &JobSpec, client: &Client, fetch: &Fetcher) -> Result<LoadedScene, Failure> {

@@ -46,7 +46,7 @@ pub struct SettingsArgs {
     /// Path tracing alone, the first pass alone, both, or the one that a pilot finds faster [default: auto]
     #[arg(long, value_enum)]
     pub method: Option<Method>,
-    /// Guides of the paths of two passes; `1998` is a baseline for measurements and implies `--method femc` [default: lobes]
+    /// Guides of the paths of two passes; `1998` is a baseline for measurements and implies `--method femc` [default: targets]
     #[arg(long, value_enum)]
     pub guide: Option<Guide>,
     /// Longest path in segments, counting the one from the camera; 0: unbounded [default: 0]

@@ -18,9 +18,10 @@ pub enum Method {
 /// Guides of the paths of two passes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Deserialize)]
 pub enum Guide {
-    /// Lobes and a weight window.
-    #[serde(rename = "lobes")]
-    Lobes,
+    /// Openings, bright patches and a weight window.
+    #[serde(rename = "targets", alias = "lobes")]
+    #[value(alias = "lobes")]
+    Targets,
     /// Tables of directions, as in the first version of the method, of 1998: a baseline for measurements.
     #[value(name = "1998")]
     #[serde(rename = "1998")]

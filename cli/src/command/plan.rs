@@ -326,7 +326,7 @@ fn print(printer: Printer, report: &PlanReport) {
         let surfaces = human::counted_noun(report.surfaces, "surface");
         printer.result(match report.first_pass_blocks {
             1 => format!("the first pass is one task: for {surfaces}, blocks would cost more than they save"),
-            blocks => format!("its rays and guides are computed in {blocks} blocks, because the scene has {surfaces}"),
+            blocks => format!("its rays are cast in {blocks} blocks, because the scene has {surfaces}"),
         });
     }
     if let Some(cost) = &report.cost {

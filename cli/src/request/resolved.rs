@@ -442,7 +442,7 @@ fn resolve_settings(typed: &SettingsArgs) -> Settings {
         stop,
         method: match typed.guide {
             Some(Guide::Tables1998) => femc_pipeline::Method::Femc1998,
-            Some(Guide::Lobes) | None => typed.method.map_or(default.method, method),
+            Some(Guide::Targets) | None => typed.method.map_or(default.method, method),
         },
         max_depth: typed.max_depth.unwrap_or(default.max_depth),
         filter: typed.filter.map_or(default.filter, filter),

@@ -105,16 +105,18 @@ fn firefly_shares_sum_to_all_variance_and_all_light() {
 #[test]
 fn light_that_came_by_a_guided_direction_is_named() {
     let dir = TestFolder::new();
+    let door = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/../scenes/door-ajar.mgf"));
+    dir.write("door.mgf", &door.expect("a scene"));
     for (method, is_guided) in [("femc", true), ("pt", false)] {
-        dir.run(&format!("render fog.mgf -o {method}.exr --frames 1 --spp 8 --method {method}")).exits(0);
-        let report = dir.run(&format!("fireflies {method}.exr fog.mgf --json")).exits(0).json();
+        dir.run(&format!("render door.mgf -o {method}.exr --size 32x32 --spp 8 --method {method}")).exits(0);
+        let report = dir.run(&format!("fireflies {method}.exr door.mgf --json")).exits(0).json();
         assert_eq!(report["unlike"], 0, "{method}");
         let origins = report["origins"].as_array().expect("a list");
         let guided: Vec<_> = origins.iter().filter(|origin| origin["guided"] == true).collect();
         assert_eq!(!guided.is_empty(), is_guided, "{method}: {origins:?}");
         assert!(guided.iter().all(|origin| origin["bounce"].as_u64() >= Some(1)), "{guided:?}");
         assert!((sum(&report["origins"], "share") - 1.0).abs() < 1e-6, "{method}");
-        let said = dir.run(&format!("fireflies {method}.exr fog.mgf")).exits(0).stdout();
+        let said = dir.run(&format!("fireflies {method}.exr door.mgf")).exits(0).stdout();
         assert_eq!(said.contains(", guided"), is_guided, "{said}");
     }
 }

@@ -213,7 +213,7 @@ fn a_plan_says_how_many_solutions_the_frames_share() {
     let face = FOG.lines().rfind(|line| line.starts_with("f ")).expect("a face");
     dir.write("many.mgf", &format!("{FOG}{}", format!("{face}\n").repeat(640)));
     let many = plan("many.mgf --method femc --frames 1");
-    assert!(many.contains("its rays and guides are computed in 10 blocks, because the scene has 6"), "{many}");
+    assert!(many.contains("its rays are cast in 10 blocks, because the scene has 6"), "{many}");
     assert!(many.contains("first-pass-rays") && many.contains("solver-state of "), "{many}");
     let own = plan("fog.mgf --method fem --frames 1..4");
     assert!(own.contains("every frame has its own first pass"), "{own}");

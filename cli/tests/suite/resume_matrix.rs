@@ -61,7 +61,10 @@ const RENDER: Matrix = Matrix {
         case("--spp", "--spp 16", "--spp 24"),
         Case { without: &["--spp"], ..case("--error", "--error 0.4", "--error 0.1") },
         case("--method", "--method pt", "--method femc"),
-        Case { without: &["--method"], ..case("--guide", "--method femc --guide lobes", "--method femc --guide 1998") },
+        Case {
+            without: &["--method"],
+            ..case("--guide", "--method femc --guide targets", "--method femc --guide 1998")
+        },
         case("--max-depth", "--max-depth 2", "--max-depth 3"),
         case("--filter", "--filter box", "--filter gaussian"),
         case("--seed", "--seed 1", "--seed 2"),
@@ -95,7 +98,10 @@ const SWEEP: Matrix = Matrix {
         case("--spp", "--spp 16", "--spp 24"),
         Case { without: &["--spp"], ..case("--error", "--error 0.4", "--error 0.1") },
         case("--method", "--method pt", "--method femc"),
-        Case { without: &["--method"], ..case("--guide", "--method femc --guide lobes", "--method femc --guide 1998") },
+        Case {
+            without: &["--method"],
+            ..case("--guide", "--method femc --guide targets", "--method femc --guide 1998")
+        },
         case("--max-depth", "--max-depth 2", "--max-depth 3"),
         case("--filter", "--filter box", "--filter gaussian"),
         case("--seed", "--seed 1", "--seed 2"),

@@ -1,4 +1,4 @@
-use crate::{Cell, DirectionTable, DirectionTables, FogTree, Guided, Guides, Harmonics, NONE, Side, Surface};
+use crate::{Cell, DirectionTable, DirectionTables, FogTree, Harmonics, NONE, Side, Surface};
 use femc_geometry::Hit;
 use femc_math::Rgb;
 use femc_math::color::luminance;
@@ -101,9 +101,7 @@ pub struct Field {
     pub direct: Vec<Leaf>,
     /// Estimated root mean square error of the irradiance by leaf, lx by luminance. Empty if it was not estimated.
     pub errors: Vec<f32>,
-    /// Guides by leaf: the directions from which light comes. Empty if they were not computed.
-    pub guides: Guides,
-    /// Tables of directions by leaf, in place of guides, for the method of 1998. Empty if they were not computed.
+    /// Tables of directions by leaf, for the method of 1998. Empty if they were not computed.
     pub tables: DirectionTables,
     /// Surfaces of the front and of the back by instance and primitive, or [`NONE`].
     pub sides: Vec<Vec<[u32; 2]>>,
@@ -116,7 +114,6 @@ impl Field {
     pub fn scaled(mut self, factor: f32) -> Self {
         self.leaves.iter_mut().chain(&mut self.direct).for_each(|leaf| *leaf = leaf.scaled(factor));
         self.errors.iter_mut().for_each(|error| *error *= factor);
-        self.guides.scale(factor);
         self.fog.scale(factor);
         self
     }
@@ -135,14 +132,6 @@ impl Field {
     pub fn irradiance_error(&self, hit: &Hit, side: Side, position: Vec3A) -> f32 {
         let found = self.leaf_at(hit, side, position);
         found.and_then(|(leaf, _)| self.errors.get(leaf as usize)).copied().unwrap_or(0.0)
-    }
-
-    /// Returns the guide for paths at a hit. `None` if the first pass has no surface there, or no guides.
-    /// - `position`: position of the hit.
-    #[inline]
-    pub fn guide_at(&self, hit: &Hit, side: Side, position: Vec3A) -> Option<Guided<'_>> {
-        let (surface, parameters) = self.surface_at(hit, side);
-        self.guides.at(surface, || parameters(position))
     }
 
     /// Returns the index of the surface of a hit, and the function that returns the parameters of a position on it. The function must
@@ -187,7 +176,6 @@ impl Field {
             + size_of_val(&*self.leaves)
             + size_of_val(&*self.direct)
             + size_of_val(&*self.errors)
-            + self.guides.memory()
             + self.tables.memory()
             + self.sides.iter().map(|sides| size_of_val(&**sides)).sum::<usize>()
             + self.fog.memory()

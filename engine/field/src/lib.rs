@@ -3,8 +3,8 @@
 //! A [`Surface`] is one side of a triangle, of a parallelogram or of a curved shape, with two parameters over it. Its [`Cell`]s are
 //! a binary tree over the parameters. A leaf has the irradiance from other surfaces and from fog, linear over the leaf, or, if the
 //! leaf is too curved for one normal, by direction ([`Harmonics`]). In fog, the leaves of a tree of boxes have the mean radiance
-//! from all directions ([`FogTree`]). With the fog's coefficients, they give the light sent along a [`FogLine`]. [`Guide`]s
-//! describe the directions from which a leaf's light comes, for sampling. Direct light from light sources is not in the field: the
+//! from all directions ([`FogTree`]). With the fog's coefficients, they give the light sent along a [`FogLine`]. A
+//! [`TargetGuide`] tells paths toward which parts of the scene to sample directions. Direct light from light sources is not in the field: the
 //! caller computes it from the sources. [`Field::encode`] converts the field to bytes that a farm can store and send.
 #![deny(missing_docs)]
 
@@ -12,7 +12,6 @@ mod cell;
 mod codec;
 mod field;
 mod fog;
-mod guide;
 mod harmonics;
 mod regions;
 mod surface;
@@ -24,11 +23,12 @@ pub use cell::{Cell, Outline, Split};
 pub use codec::{FieldError, SolveStatistics};
 pub use field::{Field, Leaf};
 pub use fog::{FogCell, FogLeaf, FogLine, FogLinePoint, FogTree};
-pub use guide::{Block, Directions, Guide, Guided, Guides, HALF, LOBES, Lobe};
 pub use harmonics::Harmonics;
 pub use surface::{Form, Side, Surface, SurfaceSpot};
 pub use tables::{DirectionTable, DirectionTables, TABLE_CELLS, TableCells, TableExtent};
-pub use targets::{GuidedTargets, PACK_TARGETS, RegionTargets, Target, TargetDirections, TargetGuide, TargetPack};
+pub use targets::{
+    Ball, GuidedTargets, PACK_TARGETS, Parallelogram, RegionTargets, Target, TargetDirections, TargetGuide, TargetPack,
+};
 
 /// "None" among `u32` indices.
 pub const NONE: u32 = u32::MAX;

@@ -91,11 +91,6 @@ impl RegionGrids {
         out
     }
 
-    /// Multiplies the light by a factor.
-    pub fn scale(&mut self, factor: f32) {
-        self.regions.iter_mut().flat_map(|region| &mut region.light).for_each(|light| *light *= factor);
-    }
-
     /// Returns the region of a point of a surface. `None` if the surface has no data.
     /// - `place`: the point's parameters on the surface.
     #[inline]
@@ -115,11 +110,6 @@ impl RegionGrids {
             index += along(place.x, bits[0]) + (along(place.y, bits[1]) << bits[0]);
         }
         self.regions.get(index as usize).copied()
-    }
-
-    /// Returns the number of bytes of the grids.
-    pub fn memory(&self) -> usize {
-        size_of_val(&*self.grids) + size_of_val(&*self.regions)
     }
 }
 
@@ -205,8 +195,5 @@ mod tests {
         let (cells, leaves) = cells(|number| if number % 2 == 0 && number < 60 { Split::Half(0) } else { Split::None });
         let grids = RegionGrids::new(&[0], &cells, &leaves, &vec![0; leaves.len()]);
         assert!(grids.regions.len() <= 8 * leaves.len(), "{} for {}", grids.regions.len(), leaves.len());
-        let mut scaled = grids.clone();
-        scaled.scale(2.0);
-        assert!(scaled.regions.iter().zip(&grids.regions).all(|(a, b)| a.light[0] == 2.0 * b.light[0]));
     }
 }

@@ -1,4 +1,4 @@
-//! Targets: parallelograms in space from which, or through which, much light comes. A region of the field has a pack of targets and the
+//! Targets: parallelograms and balls in space from which, or through which, much light comes. A region of the field has a pack of targets and the
 //! share of its directions to sample toward each of them.
 //!
 //! All regions share few packs, so what a path reads at a vertex is small.
@@ -7,21 +7,62 @@ use crate::regions::RegionGrids;
 use crate::{Field, Side};
 use femc_geometry::Hit;
 use femc_math::glam::Vec3A;
-use femc_math::{Rgb, cross};
+use femc_math::{Frame, Rgb, cross, warp};
+use std::f32::consts::PI;
 
 /// Maximum number of targets of a pack.
 pub const PACK_TARGETS: usize = 8;
 
-/// A parallelogram in space. Directions toward it are sampled uniformly over its area.
+/// A part of space toward which directions are sampled.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Target {
+pub enum Target {
+    /// Directions are sampled uniformly over the area.
+    Parallelogram(Parallelogram),
+    /// Directions are sampled uniformly over the solid angle.
+    Ball(Ball),
+}
+
+impl Target {
+    /// Returns the parallelogram, if it is one.
+    pub fn parallelogram(&self) -> Option<Parallelogram> {
+        match *self {
+            Self::Parallelogram(target) => Some(target),
+            Self::Ball(_) => None,
+        }
+    }
+}
+
+impl From<Parallelogram> for Target {
+    fn from(target: Parallelogram) -> Self {
+        Self::Parallelogram(target)
+    }
+}
+
+impl From<Ball> for Target {
+    fn from(ball: Ball) -> Self {
+        Self::Ball(ball)
+    }
+}
+
+/// A ball in space.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Ball {
+    /// Center, prepared frame, m.
+    pub center: Vec3A,
+    /// Radius, m.
+    pub radius: f32,
+}
+
+/// A parallelogram in space.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Parallelogram {
     /// Corner, prepared frame, m.
     pub corner: Vec3A,
     /// Edges from the corner, m.
     pub edges: [Vec3A; 2],
 }
 
-impl Target {
+impl Parallelogram {
     /// Returns the center.
     pub fn center(&self) -> Vec3A {
         self.corner + (self.edges[0] + self.edges[1]) * 0.5
@@ -57,15 +98,18 @@ impl Target {
 #[derive(Clone, Debug, Default)]
 pub struct TargetPack {
     targets: Vec<Target>,
-    /// Values by axis and target: the corner; the unit normal; the vectors whose dot products with an offset from the corner are its
+    /// Values by axis and target: the corner, or the center of a ball; the unit normal; the vectors whose dot products with an offset from the corner are its
     /// coordinates along the edges.
     corners: [[f32; PACK_TARGETS]; 3],
     normals: [[f32; PACK_TARGETS]; 3],
     across: [[[f32; PACK_TARGETS]; 3]; 2],
     /// Lengths of the vectors `across`, 1/m.
     scales: [[f32; PACK_TARGETS]; 2],
-    /// 1 over the area, 1/m2.
+    /// 1 over the area, 1/m2; 0 for balls.
     densities: [f32; PACK_TARGETS],
+    /// Radii of balls, m; 0 for parallelograms.
+    radii: [f32; PACK_TARGETS],
+    has_balls: bool,
     /// Sums of the edges' lengths, m.
     diameters: [f32; PACK_TARGETS],
     /// Distance from the origin up to which coordinates of the targets lie, m. It bounds their rounding.
@@ -81,6 +125,18 @@ impl TargetPack {
         let targets = &targets[..targets.len().min(PACK_TARGETS)];
         let mut out = Self { targets: targets.to_vec(), ..Self::default() };
         for (k, target) in targets.iter().enumerate() {
+            let target = match target {
+                Target::Parallelogram(target) => target,
+                Target::Ball(ball) => {
+                    if ball.center.is_finite() && ball.radius.is_finite() && ball.radius > 0.0 {
+                        (0..3).for_each(|axis| out.corners[axis][k] = ball.center[axis]);
+                        out.radii[k] = ball.radius;
+                        out.extents[k] = ball.center.length() + ball.radius;
+                        out.has_balls = true;
+                    }
+                    continue;
+                }
+            };
             let [a, b] = target.edges;
             let cross_product = cross(a, b);
             let square = cross_product.length_squared();
@@ -109,6 +165,10 @@ impl TargetPack {
     pub fn targets(&self) -> &[Target] {
         &self.targets
     }
+
+    fn center(&self, k: usize) -> Vec3A {
+        Vec3A::new(self.corners[0][k], self.corners[1][k], self.corners[2][k])
+    }
 }
 
 /// Targets of a region as seen from a point.
@@ -119,6 +179,8 @@ pub struct TargetDirections<'a> {
     /// Distance to the plane along its normal, m; and the point's coordinates along the edges.
     heights: [f32; PACK_TARGETS],
     places: [[f32; PACK_TARGETS]; 2],
+    /// Versine of the angular radius of each visible ball; 0 for the others.
+    caps: [f32; PACK_TARGETS],
     /// Shares of the visible targets, which sum to 1; 0 for the others.
     weights: [f32; PACK_TARGETS],
 }
@@ -128,13 +190,15 @@ pub struct TargetDirections<'a> {
 const MIN_HEIGHT: f32 = 1e-4;
 /// Minimum cosine of a direction with a density and the normal of a target; below [`MIN_HEIGHT`].
 const MIN_COSINE: f32 = 1e-5;
+/// Maximum squared sine of the angular radius of a visible ball. Closer to its surface, rounding would exceed it.
+const MAX_SINE2: f32 = 0.999;
 
 impl<'a> TargetDirections<'a> {
     /// Creates the directions from a point toward the targets of a region. `None`: no target with a share is visible.
     #[inline]
     pub fn new(pack: &'a TargetPack, region: &RegionTargets, point: Vec3A) -> Option<Self> {
         const NONE: [f32; PACK_TARGETS] = [0.0; PACK_TARGETS];
-        let mut out = Self { pack, point, heights: NONE, places: [NONE; 2], weights: NONE };
+        let mut out = Self { pack, point, heights: NONE, places: [NONE; 2], caps: NONE, weights: NONE };
         for k in 0..PACK_TARGETS {
             let x = pack.corners[0][k] - point.x;
             let y = pack.corners[1][k] - point.y;
@@ -148,10 +212,26 @@ impl<'a> TargetDirections<'a> {
                 (height.abs() > MIN_HEIGHT * farthest) & (pack.densities[k] > 0.0) & (region.shares[k] > 0.0);
             out.weights[k] = if is_visible { region.shares[k] } else { 0.0 };
         }
+        if pack.has_balls {
+            out.add_balls(region);
+        }
         let whole = sum(&out.weights);
         let scale = 1.0 / whole;
         out.weights = out.weights.map(|weight| weight * scale);
         (whole > 0.0 && scale.is_finite()).then_some(out)
+    }
+
+    /// Adds the balls. A ball around the point is not visible.
+    fn add_balls(&mut self, region: &RegionTargets) {
+        for k in 0..PACK_TARGETS {
+            let radius = self.pack.radii[k];
+            let square = (self.pack.center(k) - self.point).length_squared();
+            let sine2 = radius * radius / square;
+            if radius > 0.0 && sine2 < MAX_SINE2 && region.shares[k] > 0.0 {
+                self.caps[k] = sine2 / (1.0 + (1.0 - sine2).sqrt());
+                self.weights[k] = region.shares[k];
+            }
+        }
     }
 
     /// Returns the density of [`Self::sample`] in a unit direction, 1/sr.
@@ -184,7 +264,27 @@ impl<'a> TargetDirections<'a> {
             let density = self.weights[k] * pack.densities[k] * (distance * distance / steep.abs());
             *pdf = if is_inside { density } else { 0.0 };
         }
+        if pack.has_balls {
+            self.add_ball_densities(dir, &mut each);
+        }
         each
+    }
+
+    /// Adds the densities of balls.
+    fn add_ball_densities(&self, dir: Vec3A, each: &mut [f32; PACK_TARGETS]) {
+        for (k, pdf) in each.iter_mut().enumerate().filter(|(k, _)| self.caps[*k] > 0.0) {
+            let center = self.pack.center(k) - self.point;
+            let ahead = center.dot(dir);
+            let radius = self.pack.radii[k] + ROUNDING * (ahead + self.pack.extents[k]);
+            if ahead > 0.0 && (center - dir * ahead).length_squared() <= radius * radius {
+                *pdf = self.weights[k] / (2.0 * PI * self.caps[k]);
+            }
+        }
+    }
+
+    /// Returns the shares of the visible targets, which sum to 1; 0 for the others.
+    pub fn weights(&self) -> &[f32; PACK_TARGETS] {
+        &self.weights
     }
 
     /// Samples a unit direction from `u` in [0, 1)^2. The first number also picks the target, so evenly spread numbers give each target
@@ -201,8 +301,15 @@ impl<'a> TargetDirections<'a> {
             at -= 1;
         }
         let rest = (left / self.weights[at]).clamp(0.0, 1.0 - f32::EPSILON / 2.0);
-        let target = self.pack.targets.get(at).map_or(Vec3A::ZERO, |target| target.point_at([rest, u[1]]));
-        (target - self.point).normalize_or(Vec3A::Z)
+        match self.pack.targets.get(at) {
+            Some(Target::Parallelogram(target)) => (target.point_at([rest, u[1]]) - self.point).normalize_or(Vec3A::Z),
+            Some(Target::Ball(ball)) => {
+                let axis = (ball.center - self.point).normalize_or(Vec3A::Z);
+                let dir = warp::direction_from_versine(f64::from(rest * self.caps[at]), u[1]);
+                Frame::from_normal(axis).to_world(dir).normalize()
+            }
+            None => Vec3A::Z,
+        }
     }
 }
 
@@ -266,6 +373,12 @@ impl TargetGuide {
         Self { packs, by_region, regions }
     }
 
+    /// Creates the guide of a field with a region for each leaf, and without targets. It still has the light of the field.
+    pub fn without_targets(field: &Field) -> Self {
+        let leaves: Vec<u32> = (0..field.leaves.len() as u32).collect();
+        Self::new(field, Vec::new(), Vec::new(), &leaves)
+    }
+
     /// Replaces the targets. The regions stay.
     /// - `by_region`: targets by region.
     pub fn set_targets(&mut self, packs: Vec<TargetPack>, by_region: Vec<RegionTargets>) {
@@ -299,22 +412,22 @@ impl TargetGuide {
 mod tests {
     use super::*;
     use femc_math::hash::{mix64, unit_f32};
-    use femc_math::warp;
-    use std::f32::consts::PI;
 
     fn pack() -> TargetPack {
-        let target =
-            |corner: [f32; 3], a: [f32; 3], b: [f32; 3]| Target { corner: corner.into(), edges: [a.into(), b.into()] };
+        let target = |corner: [f32; 3], a: [f32; 3], b: [f32; 3]| {
+            Parallelogram { corner: corner.into(), edges: [a.into(), b.into()] }.into()
+        };
         TargetPack::new(&[
             target([3.0, 1.0, 0.5], [0.0, 1.0, 0.2], [-0.3, 0.1, 0.8]),
             target([-1.0, 2.0, -2.0], [0.4, 0.0, 0.0], [0.0, 0.0, 4.0]),
             target([-2.0, -2.0, -5.0], [4.0, 0.0, 1.0], [0.0, 4.0, 0.0]),
+            Ball { center: Vec3A::new(-1.5, -0.5, 1.0), radius: 0.7 }.into(),
         ])
     }
 
-    /// Returns a region with shares of the first three targets.
-    fn only([a, b, c]: [f32; 3]) -> RegionTargets {
-        RegionTargets { shares: [a, b, c, 0.0, 0.0, 0.0, 0.0, 0.0], ..Default::default() }
+    /// Returns a region with shares of the targets.
+    fn only([a, b, c, d]: [f32; 4]) -> RegionTargets {
+        RegionTargets { shares: [a, b, c, d, 0.0, 0.0, 0.0, 0.0], ..Default::default() }
     }
 
     /// Shares of samples in boxes of directions match the density of each target and of all (chi-square with at most 191 degrees of freedom: 280
@@ -324,21 +437,22 @@ mod tests {
         const N: usize = 100_000;
         let pack = pack();
         let point = Vec3A::new(0.1, 0.2, 0.3);
-        let all = only([0.2, 0.05, 0.4]);
-        let kinds = [only([0.3, 0.0, 0.0]), only([0.0, 0.3, 0.0]), only([0.0, 0.0, 0.3]), all];
+        let all = only([0.2, 0.05, 0.4, 0.1]);
+        let alone = [0, 1, 2, 3].map(|k| only(std::array::from_fn(|at| if at == k { 0.3 } else { 0.0 })));
+        let kinds = [alone[0], alone[1], alone[2], alone[3], all];
         let kinds = kinds.map(|region| TargetDirections::new(&pack, &region, point).expect("visible targets"));
         let bin = |dir: Vec3A| {
             let turn = femc_math::elementary::atan2(dir.y, dir.x) / (2.0 * PI) + 0.5;
             let [row, column] = [(dir.z + 1.0) * 4.0, turn * 24.0].map(|at| at as usize);
             row.min(7) * 24 + column.min(23)
         };
-        let mut wanted = vec![[0.0f64; 4]; 192];
+        let mut wanted = vec![[0.0f64; 5]; 192];
         for z in 0..4000 {
             for turn in 0..4800 {
                 let dir = warp::direction((z as f32 + 0.5) / 2000.0 - 1.0, (turn as f32 + 0.5) / 4800.0);
                 let cell = &mut wanted[bin(dir)];
                 let solid_angle = 4.0 * std::f64::consts::PI / (4000.0 * 4800.0);
-                (0..4).for_each(|kind| cell[kind] += f64::from(kinds[kind].pdf(dir)) * solid_angle);
+                (0..5).for_each(|kind| cell[kind] += f64::from(kinds[kind].pdf(dir)) * solid_angle);
             }
         }
         for (target, directions) in kinds.iter().enumerate() {
@@ -364,14 +478,16 @@ mod tests {
     fn directions_at_the_edges_of_far_narrow_targets_have_a_density() {
         for scale in [0.1f32, 1.0, 30.0] {
             let corner = Vec3A::new(40.0, -3.0, 2.0) * scale;
-            let target = Target { corner, edges: [Vec3A::new(0.003, 0.01, 0.0), Vec3A::Z * 2.0] };
-            let pack = TargetPack::new(&[target]);
+            let target = Parallelogram { corner, edges: [Vec3A::new(0.003, 0.01, 0.0), Vec3A::Z * 2.0] };
+            let pack = TargetPack::new(&[target.into(), Ball { center: corner, radius: 0.003 }.into()]);
             let point = Vec3A::new(1.3, 0.7, -0.4) * scale;
-            let directions = TargetDirections::new(&pack, &only([0.5, 0.0, 0.0]), point).expect("a visible target");
-            for edge in (0..400u64).map(|at| unit_f32((mix64(at) >> 32) as u32)) {
-                let last = 1.0 - f32::EPSILON / 2.0;
-                for u in [[0.0, edge], [edge, 0.0], [last, edge], [edge, last]] {
-                    assert!(directions.pdf(directions.sample(u)) > 0.0, "{u:?} at {scale}");
+            for region in [only([0.5, 0.0, 0.0, 0.0]), only([0.0, 0.5, 0.0, 0.0])] {
+                let directions = TargetDirections::new(&pack, &region, point).expect("a visible target");
+                for edge in (0..400u64).map(|at| unit_f32((mix64(at) >> 32) as u32)) {
+                    let last = 1.0 - f32::EPSILON / 2.0;
+                    for u in [[0.0, edge], [edge, 0.0], [last, edge], [edge, last]] {
+                        assert!(directions.pdf(directions.sample(u)) > 0.0, "{u:?} at {scale}");
+                    }
                 }
             }
         }
@@ -379,11 +495,11 @@ mod tests {
 
     /// Directions toward a target without a density would have too large weights.
     #[test]
-    fn targets_without_area_and_in_the_plane_of_the_point_are_not_sampled() {
-        let flat = Target { corner: Vec3A::X, edges: [Vec3A::Y, Vec3A::Y] };
-        let invalid = Target { corner: Vec3A::X, edges: [Vec3A::Y, Vec3A::new(0.0, 0.0, f32::NAN)] };
-        let sound = Target { corner: Vec3A::X, edges: [Vec3A::Y, Vec3A::Z] };
-        let pack = TargetPack::new(&[flat, invalid, sound]);
+    fn targets_of_no_area_or_seen_edge_on_are_not_sampled() {
+        let flat = Parallelogram { corner: Vec3A::X, edges: [Vec3A::Y, Vec3A::Y] };
+        let invalid = Parallelogram { corner: Vec3A::X, edges: [Vec3A::Y, Vec3A::new(0.0, 0.0, f32::NAN)] };
+        let sound = Parallelogram { corner: Vec3A::X, edges: [Vec3A::Y, Vec3A::Z] };
+        let pack = TargetPack::new(&[flat, invalid, sound].map(Target::from));
         let all = RegionTargets { shares: [0.1; PACK_TARGETS], ..Default::default() };
         let directions = TargetDirections::new(&pack, &all, Vec3A::ZERO).expect("a visible target");
         for at in 0..1000u64 {
@@ -391,7 +507,7 @@ mod tests {
             let dir = directions.sample([number(0), number(1)]);
             assert!(directions.pdf(dir) > 0.0 && directions.pdf(-dir) == 0.0, "{dir}");
         }
-        assert!(TargetDirections::new(&pack, &only([0.4, 0.4, 0.0]), Vec3A::ZERO).is_none(), "without area");
+        assert!(TargetDirections::new(&pack, &only([0.4, 0.4, 0.0, 0.0]), Vec3A::ZERO).is_none(), "without area");
         for point in [Vec3A::X, Vec3A::new(1.0, 5.0, -3.0), Vec3A::new(1.0 + 1e-6, 2.0, 0.5)] {
             assert!(TargetDirections::new(&pack, &all, point).is_none(), "in the plane: {point}");
         }
@@ -399,7 +515,8 @@ mod tests {
 
     #[test]
     fn a_segment_crosses_a_target_inside_of_its_edges() {
-        let target = Target { corner: Vec3A::new(1.0, -1.0, -1.0), edges: [Vec3A::Y * 2.0, Vec3A::new(0.5, 0.0, 2.0)] };
+        let target =
+            Parallelogram { corner: Vec3A::new(1.0, -1.0, -1.0), edges: [Vec3A::Y * 2.0, Vec3A::new(0.5, 0.0, 2.0)] };
         assert!((target.area() - 4.123).abs() < 1e-3 && target.center() == Vec3A::new(1.25, 0.0, 0.0));
         let crossing = target.crossing(Vec3A::ZERO, Vec3A::X * 2.5);
         assert!((crossing.unwrap() - 0.5).abs() < 1e-6, "{crossing:?}");

@@ -6,24 +6,26 @@
 //! toward them found.
 
 use crate::openings::{Line, Opening, find_openings};
-use crate::patches::{Patch, find_patches};
-use crate::pilot::{Pilot, keep_heaviest, trace_block};
+use crate::patches::{Patch, Reached, find_patches, leaf_bins};
+use crate::pilot::{Pilot, PilotPlaces, keep_heaviest, trace_block};
 use crate::shares::Shares;
-use crate::sums::{SumsByPlace, SumsByRegion};
-use femc_field::{Field, PACK_TARGETS, Target, TargetGuide, TargetPack};
+use crate::sums::PositionGrid;
+use femc_field::{Field, PACK_TARGETS, Parallelogram, Target, TargetGuide, TargetPack};
 use femc_montecarlo::Guidance;
 use femc_prepared::Prepared;
 use rayon::prelude::*;
 
-/// Number of pilot paths by round.
+/// Number of pilot paths by round, for films that are not small.
 const PATHS: [u32; 3] = [1 << 14, 1 << 15, 1 << 16];
+/// Maximum number of pilot paths for each pixel. More would cost more than the samples of a small film.
+const MAX_PATHS_PER_PIXEL: u64 = 64;
+/// Maximum number of pilot paths of a frame.
+const MAX_PATHS: u32 = PATHS[0] + PATHS[1] + PATHS[2];
 /// Number of blocks of a round.
 const BLOCKS: u32 = 16;
 /// Minimum and maximum number of surprising lines of a search.
 const MIN_LINES: usize = 8;
 const MAX_LINES: usize = 96;
-/// Minimum share of openings in surprising light for [`learn_openings`].
-const MIN_OPENING_SHARE: f32 = 0.7;
 /// Ratio of the edges of a target from which on it is divided.
 const LONG: f32 = 2.0;
 
@@ -42,68 +44,54 @@ pub struct Learned {
     pub rays: u64,
 }
 
-/// Learns the targets of a frame.
+/// Learns the targets of a frame. If the first rounds find no targets, the last one is left out.
 /// - `field`: field of the frame, scaled to its brightness.
 pub fn learn(scene: &Prepared, field: &Field) -> Learned {
-    learn_if(scene, field, |_| true).unwrap_or_default()
-}
-
-/// Learns the targets of a frame if most of the light that surprises comes through openings. `None`: it does not. Then only the
-/// first round of pilot paths was traced.
-/// - `field`: field of the frame, scaled to its brightness.
-pub fn learn_openings(scene: &Prepared, field: &Field) -> Option<Learned> {
-    learn_if(scene, field, |openings| openings.iter().map(|it| it.share).sum::<f32>() >= MIN_OPENING_SHARE)
-}
-
-/// Learns the targets of a frame.
-/// - `is_worthwhile`: condition for the openings of the first round; without it, the result is `None`.
-fn learn_if(scene: &Prepared, field: &Field, is_worthwhile: impl Fn(&[Opening]) -> bool) -> Option<Learned> {
     let mut out = Learned::default();
     if field.leaves.is_empty() {
-        return None;
+        return out;
     }
-    let leaves: Vec<u32> = (0..field.leaves.len() as u32).collect();
     // During learning, each leaf is a region.
-    out.guide = TargetGuide::new(field, Vec::new(), Vec::new(), &leaves);
+    out.guide = TargetGuide::without_targets(field);
+    let grid = PositionGrid::new(scene.world.bounds());
+    let places = PilotPlaces { bins: leaf_bins(field, &grid), grid };
     let mut pieces = Pieces::default();
     let mut shares = Shares::default();
-    for (round, &paths) in PATHS.iter().enumerate() {
+    let round_paths = paths_by_round(scene.camera.film);
+    for (round, &paths) in round_paths.iter().enumerate() {
         let guidance = Guidance::new(scene, field).with_targets(scene, &out.guide);
         let blocks = (0..BLOCKS).into_par_iter().map(|block| {
-            let first = PATHS[..round].iter().sum::<u32>();
+            let first = round_paths[..round].iter().sum::<u32>();
             let [low, high] = [block, block + 1].map(|at| first + paths / BLOCKS * at);
-            trace_block(scene, guidance, &out.guide, low..high, paths)
+            trace_block(scene, guidance, &out.guide, &places, low..high, paths)
         });
         let blocks: Vec<Pilot<'_>> = blocks.collect();
-        let (mut sums, mut places) = (SumsByRegion::new(), SumsByPlace::new());
+        let (mut records, mut reached) = (Vec::new(), Reached::default());
         let mut lines = Vec::new();
         for block in blocks {
-            block.sums.iter().for_each(|(&region, more)| sums.entry(region).or_default().add(more));
-            for (&region, more) in &block.places {
-                let sums = places.entry(region).or_default();
-                *sums = sums.with(more);
-            }
+            records.extend(block.records);
+            reached.add(&block.bins, &block.voxels);
             lines.extend(block.lines);
             out.rays += block.rays;
         }
         out.paths += paths;
-        let is_last = round + 1 == PATHS.len();
+        let mut is_last = round + 1 == PATHS.len();
         let targets = out.targets();
         if !is_last && lines.len() >= MIN_LINES {
             keep_heaviest(&mut lines, MAX_LINES);
             let lines: Vec<Line> = lines.into_iter().map(|(line, _)| line).collect();
-            out.openings.extend(find_openings(scene, &lines, &targets, PACK_TARGETS - targets.len()));
+            let known: Vec<Parallelogram> = out.openings.iter().map(|opening| opening.target).collect();
+            out.openings.extend(find_openings(scene, &lines, &known, PACK_TARGETS - targets.len()));
         }
-        if round == 0 && !is_worthwhile(&out.openings) {
-            return None;
-        }
-        shares = Shares::new(field, &sums, &shares);
+        shares = Shares::new(field, &records, &shares);
         if !is_last {
             // Light through openings must not count as light of patches, so openings come first.
             if round > 0 {
-                out.patches = find_patches(field, &places, PACK_TARGETS - out.openings.len());
+                out.patches = find_patches(field, &grid, &reached, PACK_TARGETS - out.openings.len());
             }
             let new = out.targets();
+            // Without targets, more paths have nothing to learn.
+            is_last = round > 0 && new.is_empty();
             if new.len() > targets.len() {
                 let divided = Pieces::new(&new);
                 shares.replace(&pieces.wholes, &divided.wholes, targets.len()..new.len());
@@ -112,21 +100,33 @@ fn learn_if(scene: &Prepared, field: &Field, is_worthwhile: impl Fn(&[Opening]) 
         }
         let packs = if pieces.targets.is_empty() { Vec::new() } else { vec![TargetPack::new(&pieces.targets)] };
         let is_patch = |k: usize| pieces.wholes.get(k).is_some_and(|whole| *whole >= out.openings.len());
-        let (by_region, region_by_leaf) = shares.regions(leaves.len(), is_patch);
+        let (by_region, region_by_leaf) = shares.regions(field.leaves.len(), is_patch);
         if is_last {
             out.guide = TargetGuide::new(field, packs, by_region, &region_by_leaf);
-        } else {
-            let by_leaf = region_by_leaf.iter().map(|&region| by_region[region as usize]).collect();
-            out.guide.set_targets(packs, by_leaf);
+            break;
         }
+        let by_leaf = region_by_leaf.iter().map(|&region| by_region[region as usize]).collect();
+        out.guide.set_targets(packs, by_leaf);
     }
-    Some(out)
+    out
+}
+
+/// Returns the number of pilot paths of a frame with targets, for a film of this size in pixels.
+pub fn pilot_path_count(film: [u32; 2]) -> u32 {
+    paths_by_round(film).iter().sum()
+}
+
+/// Returns the number of pilot paths by round for a film, a multiple of the number of blocks.
+fn paths_by_round(film: [u32; 2]) -> [u32; 3] {
+    let pixels = film.map(u64::from).iter().product::<u64>();
+    let most = (MAX_PATHS_PER_PIXEL * pixels).min(MAX_PATHS.into());
+    PATHS.map(|paths| (u64::from(paths) * most / u64::from(MAX_PATHS)) as u32 / BLOCKS * BLOCKS)
 }
 
 impl Learned {
     /// Returns the targets: openings, then patches.
     fn targets(&self) -> Vec<Target> {
-        let openings = self.openings.iter().map(|opening| opening.target);
+        let openings = self.openings.iter().map(|opening| opening.target.into());
         openings.chain(self.patches.iter().map(|patch| patch.target)).collect()
     }
 }
@@ -145,7 +145,8 @@ impl Pieces {
         let mut counts = vec![1u32; wholes.len()];
         // Ratio of the edges of a part.
         let ratio = |counts: &[u32], k: usize| {
-            let [a, b] = wholes[k].edges.map(|edge| edge.length());
+            let Target::Parallelogram(whole) = wholes[k] else { return 1.0 };
+            let [a, b] = whole.edges.map(|edge| edge.length());
             a.max(b) / counts[k] as f32 / a.min(b)
         };
         while counts.iter().sum::<u32>() < PACK_TARGETS as u32 {
@@ -157,14 +158,18 @@ impl Pieces {
             counts[longest] += 1;
         }
         let mut out = Self::default();
-        for (k, (&Target { corner, edges }, &count)) in wholes.iter().zip(&counts).enumerate() {
+        for (k, (whole, &count)) in wholes.iter().zip(&counts).enumerate() {
+            out.wholes.extend(std::iter::repeat_n(k, count as usize));
+            let &Target::Parallelogram(Parallelogram { corner, edges }) = whole else {
+                out.targets.push(*whole);
+                continue;
+            };
             let longer = usize::from(edges[1].length() > edges[0].length());
             let step = edges[longer] / count as f32;
             for part in 0..count {
-                let mut target = Target { corner: corner + step * part as f32, edges };
+                let mut target = Parallelogram { corner: corner + step * part as f32, edges };
                 target.edges[longer] = step;
-                out.targets.push(target);
-                out.wholes.push(k);
+                out.targets.push(target.into());
             }
         }
         out
@@ -174,19 +179,32 @@ impl Pieces {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use femc_field::Ball;
     use femc_math::glam::Vec3A;
 
     #[test]
+    fn small_films_have_fewer_pilot_paths() {
+        assert_eq!(paths_by_round([1920, 1080]), PATHS);
+        assert_eq!(paths_by_round([48, 48]), PATHS);
+        assert_eq!(paths_by_round([8, 8]), [576, 1168, 2336]);
+        assert_eq!(paths_by_round([0, 8]), [0; 3]);
+    }
+
+    #[test]
     fn long_targets_are_divided_until_the_pack_is_full() {
-        let slit = Target { corner: Vec3A::ZERO, edges: [Vec3A::X * 0.05, Vec3A::Z * 2.0] };
-        let window = Target { corner: Vec3A::ONE, edges: [Vec3A::X * 0.9, Vec3A::Y] };
-        let Pieces { targets, wholes } = Pieces::new(&[slit, window]);
+        let slit = Parallelogram { corner: Vec3A::ZERO, edges: [Vec3A::X * 0.05, Vec3A::Z * 2.0] };
+        let window = Parallelogram { corner: Vec3A::ONE, edges: [Vec3A::X * 0.9, Vec3A::Y] };
+        let Pieces { targets, wholes } = Pieces::new(&[slit.into(), window.into()]);
         assert_eq!(wholes, [0, 0, 0, 0, 0, 0, 0, 1]);
-        assert_eq!(targets[7], window);
-        let area: f32 = targets[..7].iter().map(Target::area).sum();
-        assert!((area / slit.area() - 1.0).abs() < 1e-5 && targets[6].corner.z > 1.7, "{targets:?}");
+        assert_eq!(targets[7], window.into());
+        let parts: Vec<Parallelogram> = targets.iter().filter_map(Target::parallelogram).take(7).collect();
+        let area: f32 = parts.iter().map(Parallelogram::area).sum();
+        assert!((area / slit.area() - 1.0).abs() < 1e-5 && parts[6].corner.z > 1.7, "{targets:?}");
         // A part of less than twice its width stays.
-        assert_eq!(Pieces::new(&[Target { edges: [Vec3A::X, Vec3A::Z * 3.0], ..slit }]).wholes, [0, 0]);
+        let short = Parallelogram { edges: [Vec3A::X, Vec3A::Z * 3.0], ..slit };
+        assert_eq!(Pieces::new(&[short.into()]).wholes, [0, 0]);
+        let ball = Target::from(Ball { center: Vec3A::ZERO, radius: 0.1 });
+        assert_eq!(Pieces::new(&[ball, short.into()]).wholes, [0, 1, 1]);
         assert!(Pieces::new(&[]).targets.is_empty());
     }
 }

@@ -2,6 +2,7 @@
 //! ([`openings`]), and shares of directions to sample toward each target.
 #![deny(missing_docs)]
 
+mod bins;
 mod learn;
 pub mod openings;
 pub mod patches;
@@ -9,7 +10,7 @@ mod pilot;
 mod shares;
 mod sums;
 
-pub use learn::{Learned, learn, learn_openings};
+pub use learn::{Learned, learn, pilot_path_count};
 
 use femc_geometry::Ray;
 use femc_math::glam::Vec3A;

@@ -9,7 +9,7 @@ mod edges;
 mod waist;
 
 use edges::find_by_edges;
-use femc_field::Target;
+use femc_field::Parallelogram;
 use femc_math::cross;
 use femc_math::elementary::ln;
 use femc_math::glam::Vec3A;
@@ -40,7 +40,7 @@ pub trait Blockers {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Opening {
     /// Parallelogram that contains the opening.
-    pub target: Target,
+    pub target: Parallelogram,
     /// Share of the weight of all lines that pass through it, in 0..1.
     pub share: f32,
 }
@@ -65,15 +65,15 @@ const TIGHTENINGS: u32 = 3;
 /// Finds the openings through which lines pass, those that explain most first.
 /// - `known`: targets whose lines are left out;
 /// - `most`: maximum number of openings.
-pub fn find_openings(blockers: &impl Blockers, lines: &[Line], known: &[Target], most: usize) -> Vec<Opening> {
-    let passes = |line: &Line, target: &Target| target.crossing(line.ends[0], line.ends[1]).is_some();
+pub fn find_openings(blockers: &impl Blockers, lines: &[Line], known: &[Parallelogram], most: usize) -> Vec<Opening> {
+    let passes = |line: &Line, target: &Parallelogram| target.crossing(line.ends[0], line.ends[1]).is_some();
     let total: f32 = lines.iter().map(|line| line.weight).sum();
     let mut rest: Vec<Line> =
         lines.iter().filter(|line| !known.iter().any(|target| passes(line, target))).copied().collect();
     // Openings by the line with which they were found.
-    let mut groups: Vec<Vec<Target>> = Vec::new();
+    let mut groups: Vec<Vec<Parallelogram>> = Vec::new();
     for line in &rest {
-        let is_tried = |group: &&Vec<Target>| group.iter().any(|target| passes(line, target));
+        let is_tried = |group: &&Vec<Parallelogram>| group.iter().any(|target| passes(line, target));
         if groups.iter().filter(is_tried).count() >= CANDIDATES {
             continue;
         }
@@ -85,7 +85,7 @@ pub fn find_openings(blockers: &impl Blockers, lines: &[Line], known: &[Target],
         found.retain(|target| passes(line, target));
         groups.push(found);
     }
-    let candidates: Vec<Target> = groups.into_iter().flatten().collect();
+    let candidates: Vec<Parallelogram> = groups.into_iter().flatten().collect();
     let mut out = Vec::new();
     while out.len() < most {
         let rated = candidates.iter().map(|target| (Rating::new(target, &rest), target));
@@ -96,7 +96,7 @@ pub fn find_openings(blockers: &impl Blockers, lines: &[Line], known: &[Target],
                 && rating.weight >= MIN_SHARE * total
                 && rating.weight >= MIN_LIFT * rating.chance * rest_weight
         });
-        let best = fit.fold(None::<(Rating, &Target)>, |best, it| match best {
+        let best = fit.fold(None::<(Rating, &Parallelogram)>, |best, it| match best {
             Some(best) if best.0.score >= it.0.score => Some(best),
             _ => Some(it),
         });
@@ -118,7 +118,7 @@ struct Rating {
 }
 
 impl Rating {
-    fn new(target: &Target, lines: &[Line]) -> Self {
+    fn new(target: &Parallelogram, lines: &[Line]) -> Self {
         let mut out = Self { lines: 0, weight: 0.0, score: 0.0, chance: 0.0 };
         let whole: f32 = lines.iter().map(|line| line.weight).sum();
         let center = target.center();
@@ -138,7 +138,7 @@ impl Rating {
 }
 
 /// Returns the solid angle of a target as seen from the start of a line that crosses it, approximately, sr.
-fn solid_angle(target: &Target, line: &Line, share: f32) -> f32 {
+fn solid_angle(target: &Parallelogram, line: &Line, share: f32) -> f32 {
     let normal = cross(target.edges[0], target.edges[1]);
     let along = line.ends[1] - line.ends[0];
     let square = along.length_squared() * share * share;
@@ -150,7 +150,7 @@ fn solid_angle(target: &Target, line: &Line, share: f32) -> f32 {
 const GRID: u32 = 16;
 
 /// Returns the coordinates of the points of a parallelogram that let light pass, on a grid.
-fn open_points<'a>(blockers: &'a impl Blockers, target: &'a Target) -> impl Iterator<Item = [f32; 2]> + 'a {
+fn open_points<'a>(blockers: &'a impl Blockers, target: &'a Parallelogram) -> impl Iterator<Item = [f32; 2]> + 'a {
     let normal = cross(target.edges[0], target.edges[1]).normalize_or_zero();
     let reach = 0.05 * target.edges[0].length().min(target.edges[1].length());
     let center = |at: u32| (at as f32 + 0.5) / GRID as f32;
@@ -159,12 +159,12 @@ fn open_points<'a>(blockers: &'a impl Blockers, target: &'a Target) -> impl Iter
 }
 
 /// Returns the share of a parallelogram that lets light pass.
-fn open_share(blockers: &impl Blockers, target: &Target) -> f32 {
+fn open_share(blockers: &impl Blockers, target: &Parallelogram) -> f32 {
     open_points(blockers, target).count() as f32 / (GRID * GRID) as f32
 }
 
 /// Returns the smallest part of a parallelogram with parallel edges that contains all points that let light pass.
-fn tighten(blockers: &impl Blockers, target: &Target) -> Target {
+fn tighten(blockers: &impl Blockers, target: &Parallelogram) -> Parallelogram {
     let mut target = *target;
     for _ in 0..TIGHTENINGS {
         let (mut low, mut high) = ([1.0f32; 2], [0.0f32; 2]);
@@ -178,7 +178,7 @@ fn tighten(blockers: &impl Blockers, target: &Target) -> Target {
         if low[0] >= high[0] || low[1] >= high[1] {
             break;
         }
-        target = Target {
+        target = Parallelogram {
             corner: target.point_at(low),
             edges: [0, 1].map(|axis| target.edges[axis] * (high[axis] - low[axis])),
         };

@@ -1,7 +1,9 @@
 //! Pilot paths of one block, and the recorder that learns from them.
 
+use crate::bins::LeafBins;
 use crate::openings::Line;
-use crate::sums::{MAX_VALUE, SumsByPlace, SumsByRegion};
+use crate::shares::DirectionRecord;
+use crate::sums::{MAX_VALUE, PositionGrid, SumsByBin, SumsByVoxel};
 use femc_field::{PACK_TARGETS, TargetDirections, TargetGuide};
 use femc_geometry::Ray;
 use femc_math::Rgb;
@@ -38,18 +40,20 @@ impl PixelFilter for SquareFilter {
 
 /// Traces the pilot paths with numbers in a range.
 /// - `guidance`: guidance of the paths by a field and by `guide`;
+/// - `places`: places that directions can reach;
 /// - `count`: number of paths of the round, which are spread evenly over the film.
 pub fn trace_block<'a>(
     scene: &Prepared,
     guidance: Guidance<'_>,
     guide: &'a TargetGuide,
+    places: &'a PilotPlaces,
     paths: Range<u32>,
     count: u32,
 ) -> Pilot<'a> {
     // A path without branches has one direction at each vertex.
     let window = WeightWindow { upper: f32::INFINITY, ..guidance.window };
     let settings = PathSettings { seed: SEED, max_depth: 0, single_technique: None };
-    let pilot = Pilot::new(guide, FRAME_SHARE * guidance.frame_light);
+    let pilot = Pilot::new(guide, places, FRAME_SHARE * guidance.frame_light);
     let mut tracer = Tracer::with_recorder(scene, settings, pilot).with_guidance(Guidance { window, ..guidance });
     let pixels = scene.camera.film.map(u64::from).iter().product::<u64>();
     for path in paths {
@@ -68,17 +72,27 @@ pub fn keep_heaviest(lines: &mut Vec<(Line, u64)>, most: usize) {
     lines.truncate(most);
 }
 
+/// Places that directions can reach.
+pub struct PilotPlaces {
+    /// Bins of the leaves of flat surfaces.
+    pub bins: Vec<Option<LeafBins>>,
+    /// Positions of all else.
+    pub grid: PositionGrid,
+}
+
 /// Recorder of pilot paths.
 pub struct Pilot<'a> {
-    /// Sums by region.
-    pub sums: SumsByRegion,
-    /// Sums by region that directions reached, without those toward targets.
-    pub places: SumsByPlace,
+    /// Directions that paths took.
+    pub records: Vec<DirectionRecord>,
+    /// Sums by bin of a leaf that directions reached, and by voxel that they reached elsewhere, without those toward targets.
+    pub bins: SumsByBin,
+    pub voxels: SumsByVoxel,
     /// Surprising lines, each with the number of its path and direction.
     pub lines: Vec<(Line, u64)>,
     /// Number of rays.
     pub rays: u64,
     guide: &'a TargetGuide,
+    places: &'a PilotPlaces,
     /// Light that is added to the light expected of a path, cd/m2.
     floor: f32,
     /// Number of the current path.
@@ -103,32 +117,32 @@ struct PilotDirection {
 }
 
 impl<'a> Pilot<'a> {
-    fn new(guide: &'a TargetGuide, floor: f32) -> Self {
-        let (sums, places) = (SumsByRegion::new(), SumsByPlace::new());
+    fn new(guide: &'a TargetGuide, places: &'a PilotPlaces, floor: f32) -> Self {
+        let (records, bins, voxels) = (Vec::new(), SumsByBin::new(), SumsByVoxel::new());
         let (lines, directions) = (Vec::new(), Vec::new());
-        Self { sums, places, lines, rays: 0, guide, floor, number: 0, directions }
+        Self { records, bins, voxels, places, lines, rays: 0, guide, floor, number: 0, directions }
     }
 
-    /// Returns the probabilities by sampler that it sampled a direction: targets, then the BSDF.
-    fn parts(&self, direction: &Direction) -> [f32; PACK_TARGETS + 1] {
-        let mut parts = [0.0; PACK_TARGETS + 1];
-        parts[PACK_TARGETS] = 1.0;
-        let Some(region) = self.guide.by_region().get(direction.expectation.region as usize) else { return parts };
-        let Some(pack) = self.guide.packs().get(region.pack as usize) else { return parts };
-        let Some(directions) = TargetDirections::new(pack, region, direction.position) else { return parts };
+    /// Returns the densities of a direction by sampler, targets, then the BSDF, relative to the density of all together; and the share
+    /// of a region's directions toward targets that the surface takes.
+    fn ratios(&self, direction: &Direction) -> ([f32; PACK_TARGETS + 1], f32) {
+        let mut ratios = [0.0; PACK_TARGETS + 1];
+        ratios[PACK_TARGETS] = 1.0 / direction.pdf_ratio;
+        let own =
+            self.guide.by_region().get(direction.expectation.region as usize).filter(|_| direction.guide_share > 0.0);
+        let Some(region) = own else { return (ratios, 1.0) };
+        let Some(pack) = self.guide.packs().get(region.pack as usize) else { return (ratios, 1.0) };
+        let Some(directions) = TargetDirections::new(pack, region, direction.position) else { return (ratios, 1.0) };
         let each = directions.each(direction.dir);
         let whole = each.iter().sum::<f32>();
         if whole > 0.0 {
-            let scale = (1.0 - direction.bsdf_share).max(0.0) / whole;
-            (0..PACK_TARGETS).for_each(|k| parts[k] = each[k] * scale);
-            parts[PACK_TARGETS] = direction.bsdf_share.min(1.0);
+            // What the guide brings to the density of all together.
+            let guided = (1.0 - (1.0 - direction.guide_share) * ratios[PACK_TARGETS]).max(0.0);
+            let scale = guided / (whole * direction.guide_share);
+            let weights = directions.weights();
+            (0..PACK_TARGETS).filter(|&k| each[k] > 0.0).for_each(|k| ratios[k] = each[k] / weights[k] * scale);
         }
-        parts
-    }
-
-    /// Returns the share of directions of a region that the BSDF samples.
-    fn bsdf_share(&self, region: u32) -> f32 {
-        1.0 - self.guide.by_region().get(region as usize).map_or(0.0, |region| region.share())
+        (ratios, direction.guide_share / region.share())
     }
 }
 
@@ -197,18 +211,22 @@ impl Recorder for Pilot<'_> {
             if !(value >= 0.0 && value.is_finite() && found.is_finite()) {
                 continue;
             }
-            let parts = self.parts(&it.direction);
-            self.sums.entry(region).or_default().add_direction(value, found, parts);
+            let (ratios, guided) = self.ratios(&it.direction);
+            let [value, found] = [value, found].map(|value| value.min(MAX_VALUE));
+            self.records.push(DirectionRecord { region, value, found, ratios, guided });
             let center = first + self.floor;
-            if let Some(end) = it.end_region
-                && parts[PACK_TARGETS] == 1.0
+            let chance = expected / (1.0 - it.direction.guide_share) / center;
+            if let Some(end) = it.end
+                && ratios[..PACK_TARGETS].iter().all(|ratio| *ratio == 0.0)
             {
-                // Without a guide, all directions are the BSDF's.
-                let chance = expected / self.bsdf_share(region);
-                self.places
-                    .entry(end)
-                    .or_default()
-                    .add_direction([light, it.found].map(|light| light / center), chance / center);
+                let light = [light, it.found].map(|light| light / center);
+                let leaf = it.end_region.and_then(|leaf| Some((leaf, self.places.bins.get(leaf as usize)?.as_ref()?)));
+                if let Some((leaf, bins)) = leaf {
+                    self.bins.entry((leaf, bins.bin(end))).or_default().add_direction(light, chance);
+                } else {
+                    let grid = &self.places.grid;
+                    self.voxels.entry(grid.voxel(end)).or_default().add_direction(grid, end, light, chance);
+                }
             }
             if value > SURPRISE
                 && let Some(end) = it.end

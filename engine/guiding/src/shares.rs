@@ -1,15 +1,17 @@
 //! Shares of the targets by region.
 //!
 //! The samplers of directions, which are the targets and the BSDF, form a mixture. Expectation maximization (\[dempster1977\]) finds
-//! its shares: the light that each direction found is divided among the samplers, and a sampler's new share is its part of the light.
-//! The shares of a region also depend on those of the larger part of the surface that contains the region, and the shares of a surface
-//! depend on those of the whole scene. The fewer directions a region has, the more they depend.
+//! its shares: the light of each direction is divided among the samplers by their densities, and a sampler's new share is its part of
+//! the light. Larger parts of the scene come first. The shares of a part are drawn toward those of the part around it, the more so the
+//! fewer directions it has.
 
-use crate::sums::{RegionSums, SumsByRegion};
 use femc_field::{Cell, Field, NONE, PACK_TARGETS, RegionTargets, Split};
+use femc_math::elementary::ln;
 use std::collections::BTreeMap;
 use std::ops::Range;
 
+/// Number of steps of the expectation maximization.
+const STEPS: u32 = 3;
 /// Number of directions whose weight the surroundings of a region have in its shares.
 const PRIOR: f64 = 64.0;
 /// Minimum number of directions of each half of a divided region, on average.
@@ -17,11 +19,15 @@ const MIN_DIRECTIONS: f64 = 128.0;
 /// Maximum share of the directions toward targets, and toward patches. What a patch brings is known less well than what a gap brings:
 /// pilot paths may have missed rare light from elsewhere, as of a caustic.
 const MAX_SHARE: f64 = 0.9;
-const MAX_PATCH_SHARE: f64 = 0.5;
+const MAX_PATCH_SHARE: f64 = 0.8;
 /// Share of the directions for each new target, and for all.
 const NEW_SHARES: [f64; 2] = [0.25, 0.5];
 /// Share of a target below which it is not sampled.
 const MIN_SHARE: f64 = 0.01;
+/// Gain of a region below which its directions are not guided, nats. Guiding costs about as much as a ray.
+const MIN_REGION_GAIN: f64 = 0.05;
+/// Gain of new targets. They must be tried.
+const NEW_GAIN: f64 = 1.0;
 /// Bounds of the ratio of the light of a region to that of the field.
 const LIGHT_SCALES: [f64; 2] = [1.0 / 64.0, 64.0];
 
@@ -29,12 +35,14 @@ const LIGHT_SCALES: [f64; 2] = [1.0 / 64.0, 64.0];
 #[derive(Clone, Copy)]
 struct Region {
     shares: [f64; PACK_TARGETS],
+    /// Mean logarithm of the ratio of the density of directions with these shares to that of the BSDF, by light.
+    gain: f64,
     light_scale: f64,
 }
 
 impl Default for Region {
     fn default() -> Self {
-        Self { shares: [0.0; PACK_TARGETS], light_scale: 1.0 }
+        Self { shares: [0.0; PACK_TARGETS], gain: 0.0, light_scale: 1.0 }
     }
 }
 
@@ -47,76 +55,137 @@ pub struct Shares {
     by_leaf: BTreeMap<u32, u32>,
 }
 
-/// Sums of a part of the scene.
-#[derive(Clone, Copy, Default)]
+/// A direction that a path took from a region.
+#[derive(Clone, Copy, Debug)]
+pub struct DirectionRecord {
+    /// Index of the region.
+    pub region: u32,
+    /// Estimate of the light along it, relative to the light expected along all directions.
+    pub value: f32,
+    /// Light that the path found along it, relative to the same.
+    pub found: f32,
+    /// Densities by sampler, targets, then the BSDF, relative to the density of all together.
+    pub ratios: [f32; PACK_TARGETS + 1],
+    /// Share of the region's directions toward targets that the surface takes: gloss is not guided.
+    pub guided: f32,
+}
+
+impl DirectionRecord {
+    /// Returns the density with other shares of targets, relative to the density of all together.
+    fn density(&self, shares: &[f64; PACK_TARGETS]) -> f64 {
+        let ratios = self.ratios.map(f64::from);
+        let guided = f64::from(self.guided);
+        let targets = shares.iter().zip(ratios).map(|(share, ratio)| share * ratio).sum::<f64>();
+        (1.0 - guided * shares.iter().sum::<f64>()) * ratios[PACK_TARGETS] + guided * targets
+    }
+}
+
+/// Directions of a part of the scene.
+#[derive(Clone, Default)]
 struct Part {
-    count: f64,
-    values: [f64; PACK_TARGETS + 1],
+    /// Indices of the directions.
+    records: Vec<u32>,
     /// Light that paths found, and the light of the field, both relative to the light expected.
     found: f64,
     field: f64,
 }
 
 impl Part {
-    /// - `scale`: ratio of the light expected to that of the field.
-    fn new(sums: &RegionSums, scale: f64) -> Self {
-        let count = sums.count as f64;
-        Self { count, values: sums.values(), found: sums.found(), field: count / scale }
-    }
-
     fn add(&mut self, other: &Self) {
-        self.count += other.count;
+        self.records.extend(&other.records);
         self.found += other.found;
         self.field += other.field;
-        self.values.iter_mut().zip(other.values).for_each(|(sum, value)| *sum += value);
     }
 
-    fn value(&self) -> f64 {
-        self.values.iter().sum()
-    }
-
-    fn mean(&self) -> f64 {
-        if self.count > 0.0 { self.value() / self.count } else { 0.0 }
+    fn count(&self) -> f64 {
+        self.records.len() as f64
     }
 
     /// Returns the shares of this part.
-    /// - `around`: shares of the part around it;
-    /// - `mean`: mean value of a direction there.
-    fn region(&self, around: &Region, mean: f64) -> Region {
-        let whole = PRIOR * mean + self.value();
-        let share = |k: usize| (PRIOR * mean * around.shares[k] + self.values[k]) / whole;
-        let shares = if whole > 0.0 { std::array::from_fn(share) } else { around.shares };
-        let field = self.field / self.count.max(1.0);
-        let light_scale = (PRIOR * field * around.light_scale + self.found) / ((PRIOR + self.count) * field);
-        let light_scale = if self.count > 0.0 && light_scale.is_finite() { light_scale } else { around.light_scale };
-        Region { shares, light_scale: light_scale.clamp(LIGHT_SCALES[0], LIGHT_SCALES[1]) }
+    /// - `around`: shares of the part around it.
+    fn region(&self, all: &[DirectionRecord], around: &Region) -> Region {
+        let count = self.count();
+        if count == 0.0 {
+            return *around;
+        }
+        let fitted = fit_shares(all, &self.records, &around.shares);
+        let own = count / (count + PRIOR);
+        let shares = std::array::from_fn(|k| around.shares[k] + own * (fitted[k] - around.shares[k]));
+        let field = self.field / count;
+        let light_scale = (PRIOR * field * around.light_scale + self.found) / ((PRIOR + count) * field);
+        let light_scale = if light_scale.is_finite() { light_scale } else { around.light_scale };
+        let gain = self.gain(all, &shares).map_or(around.gain, |gain| around.gain + own * (gain - around.gain));
+        Region { shares, gain, light_scale: light_scale.clamp(LIGHT_SCALES[0], LIGHT_SCALES[1]) }
+    }
+
+    /// Returns the gain of shares. `None`: no direction found light.
+    fn gain(&self, all: &[DirectionRecord], shares: &[f64; PACK_TARGETS]) -> Option<f64> {
+        let [mut light, mut sum] = [0.0; 2];
+        for record in self.records.iter().map(|&at| &all[at as usize]) {
+            let ratio = record.density(shares) / f64::from(record.ratios[PACK_TARGETS]);
+            if ratio > 0.0 && ratio.is_finite() {
+                light += f64::from(record.value);
+                sum += f64::from(record.value) * f64::from(ln(ratio as f32));
+            }
+        }
+        (light > 0.0).then(|| sum / light)
     }
 }
 
+/// Returns the shares of targets whose density follows the light of directions best.
+/// - `records`: indices of the directions among `all`;
+/// - `start`: shares from which the search begins.
+fn fit_shares(all: &[DirectionRecord], records: &[u32], start: &[f64; PACK_TARGETS]) -> [f64; PACK_TARGETS] {
+    let mut shares = *start;
+    for _ in 0..STEPS {
+        let mut sums = [0.0; PACK_TARGETS + 1];
+        for record in records.iter().map(|&at| &all[at as usize]) {
+            let weight = f64::from(record.value) / record.density(&shares) * f64::from(record.guided);
+            if weight > 0.0 && weight.is_finite() {
+                sums.iter_mut().zip(record.ratios).for_each(|(sum, ratio)| *sum += weight * f64::from(ratio));
+            }
+        }
+        sums[PACK_TARGETS] *= 1.0 - shares.iter().sum::<f64>();
+        sums.iter_mut().zip(shares).for_each(|(sum, share)| *sum *= share);
+        let whole = sums.iter().sum::<f64>();
+        if !(whole > 0.0 && whole.is_finite()) {
+            break;
+        }
+        shares = std::array::from_fn(|k| sums[k] / whole);
+    }
+    shares
+}
+
 impl Shares {
-    /// Computes the shares from the sums of a round.
+    /// Computes the shares from the directions of a round.
     /// - `before`: shares of the round.
-    pub fn new(field: &Field, sums: &SumsByRegion, before: &Self) -> Self {
-        let part = |(leaf, sums): (&u32, &RegionSums)| Part::new(sums, before.light_scale(*leaf));
+    pub fn new(field: &Field, records: &[DirectionRecord], before: &Self) -> Self {
+        let mut leaves: BTreeMap<u32, Part> = BTreeMap::new();
+        for (at, record) in records.iter().enumerate() {
+            let part = leaves.entry(record.region).or_default();
+            part.records.push(at as u32);
+            part.found += f64::from(record.found);
+            part.field += 1.0 / before.light_scale(record.region);
+        }
+        let mut whole = Part::default();
+        leaves.values().for_each(|part| whole.add(part));
         // Halves come after the cell that contains them.
         let mut cells = vec![Part::default(); field.cells.len()];
         for (at, cell) in field.cells.iter().enumerate().rev() {
             let next = cell.next as usize;
             cells[at] = if cell.split == Split::None {
-                sums.get_key_value(&cell.next).map_or(Part::default(), part)
+                leaves.remove(&cell.next).unwrap_or_default()
             } else {
-                let mut both = cells[next];
+                let mut both = cells[next].clone();
                 both.add(&cells[next + 1]);
                 both
             };
         }
-        let mut whole = Part::default();
-        sums.iter().for_each(|it| whole.add(&part(it)));
         let around = before.regions.first().copied().unwrap_or_default();
-        let scene = whole.region(&around, whole.mean());
+        let scene = whole.region(records, &around);
         let mut out = Self { regions: vec![scene], ..Self::default() };
         for &root in field.roots.iter().filter(|root| **root != NONE) {
-            out.descend(field, &cells, root, &scene, whole.mean());
+            out.descend(field, records, &cells, root, &scene);
         }
         out
     }
@@ -128,16 +197,16 @@ impl Shares {
     }
 
     /// Computes the shares of a cell and of its parts.
-    fn descend(&mut self, field: &Field, parts: &[Part], cell: u32, around: &Region, mean: f64) {
+    fn descend(&mut self, field: &Field, records: &[DirectionRecord], parts: &[Part], cell: u32, around: &Region) {
         let part = &parts[cell as usize];
-        if part.count == 0.0 {
+        if part.records.is_empty() {
             return;
         }
         let Cell { split, next, .. } = field.cells[cell as usize];
-        let own = part.region(around, mean);
-        if split != Split::None && part.count >= 2.0 * MIN_DIRECTIONS {
+        let own = part.region(records, around);
+        if split != Split::None && part.count() >= 2.0 * MIN_DIRECTIONS {
             for half in [next, next + 1] {
-                self.descend(field, parts, half, &own, part.mean());
+                self.descend(field, records, parts, half, &own);
             }
             return;
         }
@@ -161,6 +230,7 @@ impl Shares {
         let count = |opening: usize| after.iter().filter(|it| **it == opening).count() as f64;
         for region in &mut self.regions {
             let old = region.shares;
+            region.gain = NEW_GAIN;
             let scale = ((MAX_SHARE - whole) / old.iter().sum::<f64>().max(f64::MIN_POSITIVE)).min(1.0);
             let of_opening =
                 |opening: usize| before.iter().zip(old).filter(|it| *it.0 == opening).map(|it| it.1).sum::<f64>();
@@ -178,8 +248,9 @@ impl Shares {
     pub fn regions(&self, leaves: usize, is_patch: impl Fn(usize) -> bool) -> (Vec<RegionTargets>, Vec<u32>) {
         let mut by_leaf = vec![0; leaves];
         self.by_leaf.iter().for_each(|(&leaf, &region)| by_leaf[leaf as usize] = region);
-        let by_region = self.regions.iter().map(|Region { shares, light_scale }| {
-            let mut kept = shares.map(|share| if share < MIN_SHARE { 0.0 } else { share });
+        let by_region = self.regions.iter().map(|Region { shares, gain, light_scale }| {
+            let is_sampled = |share| share >= MIN_SHARE && *gain >= MIN_REGION_GAIN;
+            let mut kept = shares.map(|share| if is_sampled(share) { share } else { 0.0 });
             let patches: f64 = (0..PACK_TARGETS).filter(|&k| is_patch(k)).map(|k| kept[k]).sum();
             let scale = (MAX_PATCH_SHARE / patches.max(f64::MIN_POSITIVE)).min(1.0);
             (0..PACK_TARGETS).filter(|&k| is_patch(k)).for_each(|k| kept[k] *= scale);
@@ -198,7 +269,7 @@ mod tests {
 
     /// Shares with one region besides that of the scene.
     fn shares(of_region: [f64; PACK_TARGETS]) -> Shares {
-        let region = Region { shares: of_region, light_scale: 2.0 };
+        let region = Region { shares: of_region, light_scale: 2.0, gain: 1.0 };
         Shares { regions: vec![Region::default(), region], by_leaf: BTreeMap::from([(3, 1)]) }
     }
 
@@ -228,29 +299,30 @@ mod tests {
         assert_eq!(Shares::default().light_scale(3), 1.0);
         let openings = targets(|_| false);
         assert!((openings.share() - 0.9).abs() < 1e-6 && openings.shares[7] == 0.0, "{openings:?}");
-        let patches = targets(|k| k >= 2);
-        assert!((patches.shares[2] - 0.5 / 3.0).abs() < 1e-6 && (patches.shares[0] - 0.2).abs() < 1e-6, "{patches:?}");
+        let patches = targets(|_| true);
+        assert!(patches.shares[..5].iter().all(|share| (share - 0.16).abs() < 1e-6), "{patches:?}");
     }
 
     /// Half of the directions go to one target and find four times the light that the field expects. The other directions come from
     /// the BSDF and find no light.
     #[test]
     fn shares_and_light_follow_what_directions_found() {
-        let mut sums = RegionSums::default();
-        for k in 0..1000 {
-            let mut parts = [0.0; PACK_TARGETS + 1];
-            parts[if k % 2 == 0 { 1 } else { PACK_TARGETS }] = 1.0;
-            let light = if k % 2 == 0 { 4.0 } else { 0.0 };
-            sums.add_direction(light, light, parts);
-        }
-        let part = Part::new(&sums, 1.0);
-        let around = Region { shares: [0.1, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], light_scale: 1.0 };
-        let Region { shares, light_scale } = part.region(&around, part.mean());
+        let record = |k: u32| {
+            let mut ratios = [0.0; PACK_TARGETS + 1];
+            ratios[if k.is_multiple_of(2) { 1 } else { PACK_TARGETS }] = 2.0;
+            let light = if k.is_multiple_of(2) { 4.0 } else { 0.0 };
+            DirectionRecord { region: 3, value: light, found: light, ratios, guided: 1.0 }
+        };
+        let records: Vec<DirectionRecord> = (0..1000).map(record).collect();
+        let part = Part { records: (0..1000).collect(), found: 2000.0, field: 1000.0 };
+        let around = Region { shares: [0.1, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], ..Region::default() };
+        let Region { shares, light_scale, .. } = part.region(&records, &around);
         assert!((shares[1] - (64.0 * 0.1 + 1000.0) / 1064.0).abs() < 1e-6, "{shares:?}");
         assert!((light_scale - (64.0 + 2000.0) / 1064.0).abs() < 1e-6, "{light_scale}");
         // The light was expected with a factor of 4: the field has a quarter of the light expected.
-        let corrected = Part::new(&sums, 4.0).region(&Region { light_scale: 4.0, ..around }, 1.0);
+        let part = Part { field: 250.0, ..part };
+        let corrected = part.region(&records, &Region { light_scale: 4.0, ..around });
         assert!((corrected.light_scale - (64.0 * 0.25 * 4.0 + 2000.0) / (1064.0 * 0.25)).abs() < 1e-6);
-        assert_eq!(Part::default().region(&around, 1.0).shares, around.shares);
+        assert_eq!(Part::default().region(&records, &around).shares, around.shares);
     }
 }

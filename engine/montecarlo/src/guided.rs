@@ -6,8 +6,7 @@
 
 use crate::surface::SurfaceInteraction;
 use femc_field::{
-    Block, DirectionTable, Directions, Field, GuidedTargets, RegionTargets, Side, TargetDirections, TargetGuide,
-    TargetPack,
+    DirectionTable, Field, GuidedTargets, RegionTargets, Side, TargetDirections, TargetGuide, TargetPack,
 };
 use femc_math::color::luminance;
 use femc_math::glam::Vec3A;
@@ -27,11 +26,9 @@ pub struct DirectionSampler<'a> {
 /// Share of the directions at a surface or in fog that are sampled from a table.
 pub(crate) const TABLE_SHARE: f32 = 0.5;
 
-/// Guide of a leaf of a field.
+/// Guide of a part of a surface.
 #[derive(Clone, Copy)]
 pub enum LeafGuide<'a> {
-    /// Lobes, whose directions depend on the point.
-    Lobes(&'a Block),
     /// Table of directions.
     Table(&'a DirectionTable),
     /// Targets in space, and their shares.
@@ -43,7 +40,6 @@ impl<'a> LeafGuide<'a> {
     #[inline(always)]
     pub fn directions_at(self, point: Vec3A) -> Option<GuideDirections<'a>> {
         match self {
-            Self::Lobes(block) => Directions::new(block, point).non_empty().map(GuideDirections::Lobes),
             Self::Table(table) => Some(GuideDirections::Table(table)),
             Self::Targets(pack, region) => TargetDirections::new(pack, region, point).map(GuideDirections::Targets),
         }
@@ -52,8 +48,6 @@ impl<'a> LeafGuide<'a> {
 
 /// Directions of a guide at a point.
 pub enum GuideDirections<'a> {
-    /// Directions of lobes.
-    Lobes(Directions<'a>),
     /// Table of directions.
     Table(&'a DirectionTable),
     /// Directions toward targets.
@@ -65,7 +59,6 @@ impl GuideDirections<'_> {
     #[inline]
     pub fn pdf(&self, dir: Vec3A) -> f32 {
         match self {
-            Self::Lobes(directions) => directions.pdf(dir),
             Self::Table(table) => table.pdf(dir),
             Self::Targets(directions) => directions.pdf(dir),
         }
@@ -75,7 +68,6 @@ impl GuideDirections<'_> {
     #[inline]
     pub fn sample(&self, u: [f32; 2]) -> Vec3A {
         match self {
-            Self::Lobes(directions) => directions.sample_evenly(u),
             Self::Table(table) => table.sample(u),
             Self::Targets(directions) => directions.sample(u),
         }
@@ -95,11 +87,11 @@ pub struct SurfaceGuide<'a> {
 
 impl<'a> SurfaceGuide<'a> {
     /// Returns the guide of a field at a surface.
-    /// - `targets`: targets of the frame, in place of the guides of the field.
+    /// - `targets`: targets of the frame.
     #[inline(always)]
     pub fn new(field: &'a Field, targets: Option<&'a TargetGuide>, surface: &SurfaceInteraction<'_>) -> Self {
         let mut out = Self { leaf: None, radiance: Rgb::ZERO, region: None };
-        // The guide has no data about glossy lobes.
+        // A guide has no data about glossy lobes.
         let diffuse = luminance(surface.bsdf.lambertian(surface.wo).0);
         if diffuse <= 0.0 {
             return out;
@@ -112,19 +104,13 @@ impl<'a> SurfaceGuide<'a> {
             out.leaf = table.map(|table| (LeafGuide::Table(table), TABLE_SHARE * diffuse_share));
             return out;
         }
-        if let Some(targets) = targets {
-            let found = targets.at(field, &surface.hit, side, surface.point.position);
-            let Some(GuidedTargets { region, targets, light }) = found else { return out };
-            out.radiance = albedo * light * FRAC_1_PI;
-            out.region = Some(region);
-            let share = |region: &RegionTargets| region.share() * diffuse_share;
-            out.leaf = targets.map(|(pack, region)| (LeafGuide::Targets(pack, region), share(region)));
-            out.leaf = out.leaf.filter(|(_, share)| *share > 0.0);
-            return out;
-        }
-        let Some(guided) = field.guide_at(&surface.hit, side, surface.point.position) else { return out };
-        out.radiance = albedo * guided.light * FRAC_1_PI;
-        out.leaf = guided.lobes.map(|(block, share)| (LeafGuide::Lobes(block), share * diffuse_share));
+        let found = targets.and_then(|targets| targets.at(field, &surface.hit, side, surface.point.position));
+        let Some(GuidedTargets { region, targets, light }) = found else { return out };
+        out.radiance = albedo * light * FRAC_1_PI;
+        out.region = Some(region);
+        let share = |region: &RegionTargets| region.share() * diffuse_share;
+        out.leaf = targets.map(|(pack, region)| (LeafGuide::Targets(pack, region), share(region)));
+        out.leaf = out.leaf.filter(|(_, share)| *share > 0.0);
         out
     }
 }
@@ -152,9 +138,9 @@ impl<'a> DirectionSampler<'a> {
         self.guide = Some((directions, share));
     }
 
-    /// Returns the share of directions that the BSDF samples, in (0, 1].
-    pub fn bsdf_share(&self) -> f32 {
-        self.guide.map_or(1.0, |(_, share)| 1.0 - share)
+    /// Returns the share of directions that the guide samples, in [0, 1).
+    pub fn guide_share(&self) -> f32 {
+        self.guide.map_or(0.0, |(_, share)| share)
     }
 
     /// Returns the density of [`Self::sample`], 1/sr, without deltas.
@@ -169,7 +155,7 @@ impl<'a> DirectionSampler<'a> {
     }
 
     /// Samples a direction from `u` in [0, 1)^2. The first number also picks the sampler, so that evenly spread points stay so for
-    /// the guide's lobes and for the BSDF. `choice` in [0, 1) picks a lobe of the BSDF. `None`: the light is absorbed.
+    /// the guide and for the BSDF. `choice` in [0, 1) picks a lobe of the BSDF. `None`: the light is absorbed.
     #[inline]
     pub fn sample(&self, u: [f32; 2], choice: f32) -> Option<GuidedSample> {
         let Some((directions, share)) = self.guide else {
@@ -208,10 +194,10 @@ impl<'a> DirectionSampler<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use femc_field::Lobe;
+    use femc_field::{Ball, PACK_TARGETS};
     use femc_scattering::MaterialParameters;
 
-    /// Samples directions of a material with and without a guide, whose lobes are on both sides of the surface.
+    /// Samples directions of a material with a guide, whose targets are on both sides of the surface.
     fn samples(
         parameters: &MaterialParameters,
         share: f32,
@@ -220,10 +206,11 @@ mod tests {
         let bsdf = Bsdf::from_parameters(parameters);
         let frame = Frame::from_normal(Vec3A::new(0.48, 0.6, 0.64));
         let wo = Vec3A::new(0.8, 0.0, 0.6);
-        let lobe = |dir: Vec3A| Lobe::round(dir * 3.0, dir, 0.5, 0.45);
+        let ball = |dir: Vec3A| Ball { center: dir * 3.0, radius: 1.2 }.into();
         let (above, below) = (frame.to_world(Vec3A::new(0.2, 0.9, 0.1).normalize()), frame.to_world(Vec3A::NEG_Z));
-        let block = Block::new(&[lobe(above), lobe(below)]);
-        let directions = LeafGuide::Lobes(&block).directions_at(Vec3A::ZERO).expect("lobes in sight");
+        let pack = TargetPack::new(&[ball(above), ball(below)]);
+        let region = RegionTargets { shares: [0.1; PACK_TARGETS], ..Default::default() };
+        let directions = LeafGuide::Targets(&pack, &region).directions_at(Vec3A::ZERO).expect("targets in sight");
         let mut sampler = DirectionSampler::new(&bsdf, &frame, wo);
         sampler.add_guide(&directions, share);
         let grid = 24;

@@ -236,8 +236,10 @@ pub struct Direction {
     pub bounce: u32,
     /// Light that the field expects along all directions, after Russian roulette.
     pub expectation: Expectation,
-    /// Probability that the BSDF sampled the direction, rather than a guide, in 0..=1.
-    pub bsdf_share: f32,
+    /// Share of the directions at the surface that a guide samples, in 0..1.
+    pub guide_share: f32,
+    /// Ratio of the density of directions, of the BSDF and the guide together, to that of the BSDF.
+    pub pdf_ratio: f32,
 }
 
 /// Lobes that scatter light from one direction into another at a surface.

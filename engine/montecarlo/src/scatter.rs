@@ -211,7 +211,8 @@ impl<R: Recorder> Tracer<'_, R> {
                     dir: wi,
                     bounce: path.bounce,
                     expectation: expectation(expected, throughput),
-                    bsdf_share: directions.bsdf_share() / pdf_ratio,
+                    guide_share: directions.guide_share(),
+                    pdf_ratio,
                 }));
             }
             record!(self.recorder.lobe_split(|| LobeSplit::new(&surface.bsdf, surface.wo, scattered.wi)));

@@ -73,9 +73,9 @@ pub trait PixelFilter: Copy {
 pub struct Guidance<'a> {
     /// Field of the first pass.
     pub field: &'a Field,
-    /// Targets of the frame's directions, in place of the guides of the field.
+    /// Targets of the frame's directions.
     pub targets: Option<&'a TargetGuide>,
-    /// Whether the guides sample a share of the directions.
+    /// Whether targets and tables sample a share of the directions.
     pub samples_directions: bool,
     /// Weight window.
     pub window: WeightWindow,
@@ -98,7 +98,7 @@ impl<'a> Guidance<'a> {
         Self { field, targets, samples_directions: true, window, frame_light }
     }
 
-    /// Replaces the guides of the field by targets.
+    /// Replaces the targets.
     pub fn with_targets(self, scene: &Prepared, targets: &'a TargetGuide) -> Self {
         let targets = Some(targets);
         Self { targets, frame_light: frame_light(scene, self.field, targets), ..self }

@@ -55,7 +55,7 @@ impl FrameLight {
 ///   the solution also share the tasks that compute it.
 pub fn first_pass_key(frame_key: &FrameKey, method: Method, blocks: u32) -> [u8; 32] {
     let mut hasher = blake3::Hasher::new();
-    hasher.update(b"femc first pass 13");
+    hasher.update(b"femc first pass 14");
     hasher.update(&frame_key.light.0);
     hasher.update(&solver(method).key());
     if blocks > 1 {
@@ -97,7 +97,7 @@ pub fn encode_solution(solution: &Solution) -> Vec<u8> {
 }
 
 /// Assigns the light of the first pass to a frame. Tables of directions are kept for the leaves that its camera sees. For
-/// [`Method::Femc`], targets of its paths are learned if most light comes through openings.
+/// [`Method::Femc`], the targets of its paths are learned.
 /// - errors: the light belongs to other surfaces, or to lamps of another brightness.
 pub fn attach_first_pass(prepared: &mut Prepared, light: FrameLight, method: Method) -> Result<(), FieldMismatch> {
     let FrameLight { field, brightness } = light;
@@ -119,13 +119,12 @@ pub fn attach_first_pass(prepared: &mut Prepared, light: FrameLight, method: Met
     Ok(())
 }
 
-/// Learns the targets of a frame's paths for [`Method::Femc`], if most light comes through openings. Else the lobes of the field
-/// guide the paths. Nothing happens if the frame has no field.
+/// Learns the targets of a frame's paths for [`Method::Femc`]. Nothing happens if the frame has no field.
 pub(crate) fn learn_targets(prepared: &mut Prepared, method: Method) {
     if method == Method::Femc
         && let Some(field) = prepared.field()
-        && let Some(learned) = femc_guiding::learn_openings(prepared, field)
     {
+        let learned = femc_guiding::learn(prepared, field);
         prepared.set_targets(Arc::new(learned.guide));
     }
 }

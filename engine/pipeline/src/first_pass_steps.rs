@@ -1,11 +1,11 @@
 //! The first pass as many tasks: the stages of a solver's steps ([`Solver`](crate::Solver)), and the number
 //! of blocks.
 //!
-//! One task solves a small scene. For larger scenes, rays and guides are computed in blocks, which are separate tasks. One task
-//! does the steps between. The result is the same to the bit.
+//! One task solves a small scene. For larger scenes, rays are cast in blocks, which are separate tasks. One task does the steps
+//! between. The result is the same to the bit.
 
 use crate::settings::Method;
-use crate::solver::{SolverPhases, solver};
+use crate::solver::solver;
 use crate::stage::graph_of;
 use femc_graph::{Graph, Loop, Need, Reach, Role, Scope, StageKind, StageTemplate, TaskSizes};
 use femc_scene::Scene;
@@ -69,22 +69,18 @@ fn first_pass_stages(method: Method, blocks: u32) -> Vec<StageTemplate> {
     let read = |stage: StageTemplate, from: &[u16]| {
         from.iter().fold(stage, |stage, &number| stage.with_input(number, Role::SolverState, Reach::All))
     };
-    let SolverPhases { rounds, has_guides } = solver(method).phases();
+    let rounds = solver(method).rounds();
     let mut all = vec![one(StageKind::FirstPassStart)];
-    // Stages that made the latest elements, the links, the rays of this round, and the guides.
+    // Stages that made the latest elements, the links, and the rays of this round.
     let mut latest = vec![0];
     for round in 1..=rounds {
         let rays = all.len() as u16;
         all.push(read(block(StageKind::FirstPassRays), &latest));
         latest.push(rays);
-        if round == rounds && !has_guides {
-            break;
-        }
-        all.push(read(one(StageKind::FirstPassSolve), &latest));
-        latest = vec![rays + 1, 0];
-        if round == rounds {
-            all.push(read(block(StageKind::FirstPassGuides), &[rays + 1, 0, rays]));
-            latest.push(rays + 2);
+        // The last stage applies the last rays.
+        if round < rounds {
+            all.push(read(one(StageKind::FirstPassSolve), &latest));
+            latest = vec![rays + 1, 0];
         }
     }
     all.push(read(step(StageKind::FirstPassFinish, 1, Role::Field), &latest));
@@ -94,7 +90,7 @@ fn first_pass_stages(method: Method, blocks: u32) -> Vec<StageTemplate> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::solver::{BlockOutput, BlockPhase};
+    use crate::solver::BlockOutput;
     use crate::{StepDecodeError, job_graph, tiles_per_group};
     use femc_film::Tiling;
     use femc_graph::{Round, tag};
@@ -106,7 +102,7 @@ mod tests {
     #[test]
     fn blocks_are_leading_stages_and_tiles_read_the_last_output() {
         let tiling = Tiling { width: 272, height: 256, edge: 16 };
-        for (method, count) in [(Method::Fem, 7), (Method::Femc, 9), (Method::Femc1998, 7)] {
+        for (method, count) in [(Method::Fem, 7), (Method::Femc, 7), (Method::Femc1998, 7)] {
             for rounds in [&[4][..], &[4, 8]] {
                 let whole = job_graph(&tiling, rounds, tiles_per_group(&tiling), method);
                 assert_eq!(
@@ -178,30 +174,25 @@ m gray\nf a b c d\nf e f g h\nsph i 0.3\nm bright\nsph j 0.2\n";
         let begun = solver.begin(prepared, &CANCEL).unwrap();
         let (start, mut latest) = (begun.encode_start(), None::<Vec<u8>>);
         let linked = |latest: &Option<Vec<u8>>| solver.decode(prepared, &start, latest.as_deref()).unwrap();
-        let decode = |phase: BlockPhase, outputs: &[Vec<u8>]| -> Vec<BlockOutput> {
-            outputs.iter().map(|bytes| solver.decode_block(phase, bytes).unwrap()).collect()
-        };
-        let mut guides: Vec<Vec<u8>> = Vec::new();
-        let SolverPhases { rounds, has_guides } = solver.phases();
-        for round in 0..rounds {
+        let mut solution = None;
+        for round in 0..solver.rounds() {
             let aimed = || linked(&latest).before_rays(prepared);
             let before = aimed();
             let rays: Vec<Vec<u8>> = (0..blocks).map(|block| before.cast(prepared, block, blocks)).collect();
-            let hits = || decode(BlockPhase::Rays, &rays);
+            let hits = || -> Vec<BlockOutput> { rays.iter().map(|rays| solver.decode_rays(rays).unwrap()).collect() };
             let swapped = hits().into_iter().rev().collect();
             if round == 0 && blocks == 3 && begun.report().elements > 0 {
                 assert!(aimed().apply(prepared, swapped, &CANCEL).unwrap().is_none());
-                let guides = vec![BlockOutput::new(())];
-                assert!(linked(&latest).solution(prepared, guides).is_err(), "outputs of another solver");
+                let others = vec![BlockOutput::new(())];
+                assert!(aimed().apply(prepared, others, &CANCEL).unwrap().is_none(), "outputs of another solver");
             }
             let settled = aimed().apply(prepared, hits(), &CANCEL).unwrap().unwrap();
             latest = Some(settled.encode_elements());
-            if has_guides && round + 1 == rounds {
-                let after = linked(&latest).after_rays(hits()).unwrap();
-                guides = (0..blocks).map(|block| after.guides(prepared, block, blocks)).collect();
-            }
+            solution = Some(settled.solution(prepared));
         }
-        crate::encode_solution(&linked(&latest).solution(prepared, decode(BlockPhase::Guides, &guides)).unwrap())
+        let solution = crate::encode_solution(&solution.expect("a round"));
+        assert!(crate::encode_solution(&linked(&latest).solution(prepared)) == solution, "the state as bytes");
+        solution
     }
 
     #[test]
@@ -223,9 +214,9 @@ m gray\nf a b c d\nf e f g h\nsph i 0.3\nm bright\nsph j 0.2\n";
         let start = begun.encode_start();
         let aimed = begun.before_rays(&one);
         let rays = aimed.cast(&one, 0, 1);
-        let hits = |bytes: &[u8]| solver.decode_block(BlockPhase::Rays, bytes);
+        let hits = |bytes: &[u8]| solver.decode_rays(bytes);
         let settled = aimed.apply(&one, vec![hits(&rays).unwrap()], &CANCEL).unwrap().unwrap();
-        let (latest, guides) = (settled.encode_elements(), settled.guides(&one, 0, 1));
+        let latest = settled.encode_elements();
         let small = solver.begin(&other, &CANCEL).unwrap();
         let start_of_other = small.encode_start();
         let (elements, links) = SolverState::split_start(&start).unwrap();
@@ -237,16 +228,17 @@ m gray\nf a b c d\nf e f g h\nsph i 0.3\nm bright\nsph j 0.2\n";
         assert!(solver.decode(&other, &join(others, links), None).is_err());
         assert!(decode(&start_of_other, None).is_err() && decode(&join(elements, links_of_others), None).is_err());
         assert!(decode(&start, Some(others)).is_err() && decode(&start, Some(links)).is_err());
-        assert!(decode(&join(links, links), None).is_err() && hits(&guides).is_err());
-        assert!(small.after_rays(vec![hits(&rays).unwrap()]).is_err());
+        assert!(decode(&join(links, links), None).is_err() && hits(links).is_err());
+        let rays_of_one = vec![hits(&rays).unwrap()];
+        assert!(small.before_rays(&other).apply(&other, rays_of_one, &CANCEL).unwrap().is_none());
         for cut in [1, 2, 9, 101, usize::MAX] {
             let of = |bytes: &[u8]| bytes[..bytes.len().saturating_sub(cut)].to_vec();
             assert!(decode(&of(&start), None).is_err() && decode(&start, Some(&of(&latest))).is_err());
             assert!(decode(&join(&of(elements), links), None).is_err());
-            assert!(hits(&of(&rays)).is_err() && solver.decode_block(BlockPhase::Guides, &of(&guides)).is_err());
+            assert!(hits(&of(&rays)).is_err());
         }
         assert!(decode(&start[..7], None).is_err() && decode(&start[..99], None).is_err());
-        for bytes in [latest, rays, guides] {
+        for bytes in [latest, rays] {
             let mut other = bytes;
             other[8] += 1;
             let error = decode(&start, Some(&other)).unwrap_err();

@@ -53,7 +53,7 @@ pub const BUILD: &str = env!("FEMC_ENGINE");
 pub use femc_paths as paths;
 pub use round::{RoundVerdict, UNLIT_SPP};
 pub use settings::{Method, Settings, SettingsError, StopCondition};
-pub use solver::{BlockOutput, BlockPhase, GuideState, LinkedState, RayState, Solver, SolverPhases, solver};
+pub use solver::{BlockOutput, LinkedState, RayState, Solver, solver};
 pub use stage::{
     job_graph, tiles_per_group, with_geometry, with_layers, with_measurement, with_solution, with_statistics,
 };

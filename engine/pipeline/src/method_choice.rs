@@ -43,14 +43,16 @@ const MAX_PILOT_SHARE: f64 = 0.02;
 const MIN_PIXELS: f64 = 128.0;
 
 /// Work of a first pass, in rays of paths that take as long: a minimum, and an amount for each surface.
-const MIN_FIRST_PASS_RAYS: f64 = 4e6;
+const MIN_FIRST_PASS_RAYS: f64 = 1.5e6;
 const RAYS_PER_SURFACE: f64 = 1e3;
+/// Work of a ray of a pilot path that learns targets, in rays of a scene whose rays are fast: openings and shares also take time.
+const LEARNING_WORK: f64 = 2.0;
 /// Maximum work of a first pass that is tried, as a share of the work of path tracing. It is lost if the gain is small.
 const MAX_FIRST_PASS_SHARE: f64 = 0.3;
 /// Relative variance of a sample up to which two passes gain nothing, and the power of the variance beyond it that they gain. In
-/// fifteen scenes with variances of 0.1 to 600, the gain was 0.5 to 1.4 times the expected one (docs/two-passes.md).
-const GAINLESS_VARIANCE: f64 = 0.5;
-const GAIN_POWER: f64 = 0.25;
+/// fifteen scenes with variances of 0.1 to 600, the gain was 0.5 to 1.5 times the expected one (docs/two-passes.md).
+const GAINLESS_VARIANCE: f64 = 0.2;
+const GAIN_POWER: f64 = 0.22;
 /// Standard deviations of the logarithm of the expected gain, and of the gain that a pilot measures even with infinitely many pixels.
 /// A job has more samples in a pixel than the pilot. They are spread more evenly, which helps path tracing more than two passes.
 const EXPECTED_GAIN_DEVIATION: f64 = 0.3;
@@ -93,6 +95,9 @@ pub struct Pilot {
     pub rays: f64,
     /// Work of the first passes that the frames share, in the same rays.
     pub first_pass_rays: f64,
+    /// Work of learning the targets of all frames, in the same rays.
+    #[serde(default)]
+    pub learning_rays: f64,
 }
 
 /// Gain of two passes.
@@ -151,9 +156,9 @@ pub fn choose_method(
 }
 
 impl Pilot {
-    /// Returns the work of the first passes as a share of path tracing's.
+    /// Returns the work of the first passes, and of learning targets, as a share of path tracing's.
     fn first_pass_share(&self) -> f64 {
-        self.first_pass_rays / self.rays
+        (self.first_pass_rays + self.learning_rays) / self.rays
     }
 
     /// Returns the gain of two passes that scenes with this variance have on average.
@@ -265,6 +270,7 @@ fn run_pilot(
         untrusted: None,
         rays,
         first_pass_rays,
+        learning_rays: LEARNING_WORK * f64::from(femc_guiding::pilot_path_count(film)) * paths.rays_per_sample * frames,
     };
     let mut solved = None;
     if found.is_promising() {

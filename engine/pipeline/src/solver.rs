@@ -1,9 +1,8 @@
 //! Interface between the first pass as tasks and its solvers.
 //!
 //! A solver computes a [`Solution`] as a whole, or in steps that several machines share. Between steps only bytes travel, which the
-//! solver alone reads. All solvers have the same steps: one task begins, blocks cast rays, one task applies their results, and, for
-//! a field that guides paths, blocks compute guides. A solver with other phases has empty outputs for those that it lacks. A new
-//! solver implements the traits here, in a file beside [`radiosity`], and [`solver`] selects it.
+//! solver alone reads. All solvers have the same steps: one task begins, then, in rounds, blocks cast rays and one task applies their results.
+//! A new solver implements the traits here, in a file beside [`radiosity`], and [`solver`] selects it.
 
 mod radiosity;
 
@@ -21,22 +20,13 @@ pub fn solver(method: Method) -> Arc<dyn Solver> {
     Arc::new(radiosity::Radiosity::new(method))
 }
 
-/// Phases of a solution in steps.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct SolverPhases {
-    /// Number of times that blocks cast rays and one task applies the results.
-    pub rounds: u32,
-    /// Whether blocks compute guides after the last round.
-    pub has_guides: bool,
-}
-
 /// A solver of the first pass. Its results depend only on the prepared frame and on the solver, not on threads or blocks.
 pub trait Solver: Send + Sync {
     /// Returns bytes that identify the solver and its options, for the digest of a solution's inputs.
     fn key(&self) -> Vec<u8>;
 
-    /// Returns the phases of a solution in steps.
-    fn phases(&self) -> SolverPhases;
+    /// Returns the number of times that blocks cast rays and one task applies the results.
+    fn rounds(&self) -> u32;
 
     /// Returns the minimum number of bytes of memory for a prepared frame.
     fn min_bytes(&self, prepared: &Prepared) -> u64;
@@ -51,7 +41,7 @@ pub trait Solver: Send + Sync {
 
     /// Decodes the state between two rounds.
     /// - `start`: output of [`LinkedState::encode_start`];
-    /// - `latest`: output of [`GuideState::encode_elements`] after the latest round; `None` before the first;
+    /// - `latest`: output of [`LinkedState::encode_elements`] after the latest round; `None` before the first;
     /// - errors: the bytes are damaged, of another version, or belong to different frames.
     fn decode(
         &self,
@@ -60,18 +50,9 @@ pub trait Solver: Send + Sync {
         latest: Option<&[u8]>,
     ) -> Result<Box<dyn LinkedState>, StepDecodeError>;
 
-    /// Decodes the output of a block.
+    /// Decodes the output of [`RayState::cast`].
     /// - errors: the bytes are damaged.
-    fn decode_block(&self, phase: BlockPhase, bytes: &[u8]) -> Result<BlockOutput, StepDecodeError>;
-}
-
-/// Phase that blocks compute.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum BlockPhase {
-    /// Output of [`RayState::cast`].
-    Rays,
-    /// Output of [`GuideState::guides`].
-    Guides,
+    fn decode_rays(&self, bytes: &[u8]) -> Result<BlockOutput, StepDecodeError>;
 }
 
 /// Decoded output of a block, which only its solver can read.
@@ -84,7 +65,7 @@ impl BlockOutput {
     }
 
     /// Returns the contents of outputs, in order.
-    /// - errors: some output has another type: it is of another solver or phase.
+    /// - errors: some output has another type: it is of another solver.
     pub fn unwrap_all<T: Any>(outputs: Vec<Self>) -> Result<Vec<T>, StepDecodeError> {
         let unwrap = |output: Self| output.0.downcast::<T>().map(|output| *output);
         outputs
@@ -103,21 +84,19 @@ pub trait LinkedState: Debug + Send + Sync {
     /// Encodes the state of the first step.
     fn encode_start(&self) -> Vec<u8>;
 
+    /// Encodes what the latest round has changed in the state of the first step.
+    fn encode_elements(&self) -> Vec<u8>;
+
     /// Prepares the state for the rays of the next round.
     fn before_rays(self: Box<Self>, prepared: &Prepared) -> Arc<dyn RayState>;
 
-    /// Prepares the state for guides.
-    /// - `rays`: outputs of all blocks of this round, in order.
-    fn after_rays(self: Box<Self>, rays: Vec<BlockOutput>) -> Result<Arc<dyn GuideState>, StepDecodeError>;
-
     /// Creates the solution.
-    /// - `guides`: outputs of all blocks, in order; none for a field that does not guide paths.
-    fn solution(&self, prepared: &Prepared, guides: Vec<BlockOutput>) -> Result<Solution, StepDecodeError>;
+    fn solution(&self, prepared: &Prepared) -> Solution;
 }
 
 /// State of a solution before the rays of a round.
 pub trait RayState: Debug + Send + Sync {
-    /// Casts the rays of block `block` of `blocks` blocks. Returns an output of [`BlockPhase::Rays`].
+    /// Casts the rays of block `block` of `blocks` blocks. Returns an output for [`Solver::decode_rays`].
     fn cast(&self, prepared: &Prepared, block: u32, blocks: u32) -> Vec<u8>;
 
     /// Applies the outputs of all blocks, in order.
@@ -128,20 +107,5 @@ pub trait RayState: Debug + Send + Sync {
         prepared: &Prepared,
         rays: Vec<BlockOutput>,
         cancel: &AtomicBool,
-    ) -> Result<Option<Arc<dyn GuideState>>, RenderError>;
-}
-
-/// State of a solution after the rays of a round.
-pub trait GuideState: Debug + Send + Sync {
-    /// Computes the guides of block `block` of `blocks` blocks. Returns an output of [`BlockPhase::Guides`].
-    fn guides(&self, prepared: &Prepared, block: u32, blocks: u32) -> Vec<u8>;
-
-    /// Returns the statistics so far.
-    fn report(&self) -> SolveReport;
-
-    /// Encodes what this round has changed in the state of the first step.
-    fn encode_elements(&self) -> Vec<u8>;
-
-    /// Creates the solution of a field without lobes.
-    fn solution(&self, prepared: &Prepared) -> Solution;
+    ) -> Result<Option<Box<dyn LinkedState>>, RenderError>;
 }

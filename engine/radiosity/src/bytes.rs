@@ -4,7 +4,6 @@
 //! alike. All columns are compressed together. The numbers are exact, so the reader continues with the same bits.
 
 use femc_math::Rgb;
-use femc_math::glam::Vec3A;
 use std::io::Read as _;
 
 /// Level of zstd. It is fast, since everything is read only once or twice.
@@ -159,11 +158,6 @@ pub fn to_floats<const N: usize, const M: usize>(colors: &[Rgb; N]) -> [f32; M] 
 
 pub fn colors_from_floats<const N: usize>(numbers: &[f32]) -> [Rgb; N] {
     std::array::from_fn(|at| Rgb::from_array([0, 1, 2].map(|channel| numbers[3 * at + channel])))
-}
-
-/// Creates a position from its numbers.
-pub fn position_from_floats(numbers: &[f32]) -> Vec3A {
-    Vec3A::from_array([0, 1, 2].map(|axis| numbers[axis]))
 }
 
 #[cfg(test)]

@@ -6,29 +6,27 @@
 //! from each surface down its tree, as far as the rays of a part differ from the estimate of the part above by more than chance
 //! (James and Stein's estimator, \[efron1973\]). The boxes of fog are a tree of their own.
 
-mod aims;
 mod bytes;
 mod correct;
 mod exits;
 mod plan;
 mod trace;
 
-pub use aims::Aims;
-pub use plan::{RayPlan, are_complete, block_range, ray_leaves};
+pub use plan::RayPlan;
+#[cfg(test)]
+pub use plan::ray_leaves;
 pub use trace::{Landing, PathKind, fog_part, follow_path, leaf_part};
 
 use crate::arena::Arena;
 use crate::element::{Element, Shape};
 use crate::gather::{ElementLights, FROM_ELEMENTS, FROM_LAMPS};
-use crate::scene::Scene;
 use crate::tuning::DENSITY_RATIOS;
-use aims::Aim;
-use femc_field::{NONE, SurfaceSpot};
+use femc_field::NONE;
 use femc_math::Rgb;
 use femc_math::color::luminance;
 use femc_math::glam::Vec3A;
 use rayon::prelude::*;
-use trace::{generate_ray, unpack_normal};
+use trace::unpack_normal;
 
 /// Maximum number of parts of a leaf, which its nodes represent.
 const MAX_PARTS: usize = 4;
@@ -41,8 +39,6 @@ struct RayHit {
     /// Irradiance of the ray's origin, if all rays had this hit, relative to the leaf's radiosity; for fog, relative to its
     /// irradiance.
     share: f32,
-    /// Irradiance of the ray's origin by lamps that it sees through mirrors or refracting solids, if all rays had this hit, lx.
-    lamp: f32,
     /// Normal at the hit, in 127ths.
     normal: [i8; 3],
     /// Normal at the ray's origin, in 127ths.
@@ -51,8 +47,6 @@ struct RayHit {
     part: u8,
     /// Whether the leaf receives light through this ray: no mirror is between.
     is_two_way: bool,
-    /// Hit point, m; through a mirror, the mirrored point.
-    target: [f32; 3],
     /// Expected number of rays along such ways, from the ray's own leaf and from the leaf that was hit, over the density of ways
     /// from the ray's own leaf: the cosine distribution of directions from evenly distributed points. 1/m2, for fog 1/m3.
     density: [f32; 2],
@@ -60,33 +54,19 @@ struct RayHit {
     direct: [f32; 3],
 }
 
-/// Weights of samples of a pair of leaves, which rays from either leaf can find.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum MisHeuristic {
-    /// Balance heuristic over the rays of both leaves.
-    Balance,
-    /// Only the leaf's own rays count, unless the other leaf's rays are denser by [`min_density_ratio`]. Rays of the other leaf are
-    /// not stratified here and add noise.
-    Maximum,
-}
-
-impl MisHeuristic {
-    /// Returns the rays per area by which a way's light is divided; 0: the way does not count.
-    /// - `own`, `other`: densities from the leaf itself, and from the other end;
-    /// - `is_own`: whether the leaf's own ray found the way;
-    /// - `contrast`: light of the other leaf relative to the mean of what the leaf receives.
-    fn density(self, own: f32, other: f32, is_own: bool, contrast: impl FnOnce() -> f32) -> f32 {
-        match self {
-            Self::Balance => own + other,
-            Self::Maximum if is_own == (other <= min_density_ratio(contrast()) * own) => {
-                if is_own {
-                    own
-                } else {
-                    other
-                }
-            }
-            Self::Maximum => 0.0,
-        }
+/// Returns the rays per area by which a way's light is divided; 0: the way does not count. Only the leaf's own rays count, unless
+/// the other leaf's rays are denser by [`min_density_ratio`] (maximum heuristic). Rays of the other leaf are not stratified here and
+/// add noise.
+/// - `own`, `other`: densities from the leaf itself, and from the other end;
+/// - `is_own`: whether the leaf's own ray found the way;
+/// - `contrast`: light of the other leaf relative to the mean of what the leaf receives.
+fn counted_density([own, other]: [f32; 2], is_own: bool, contrast: f32) -> f32 {
+    if is_own != (other <= min_density_ratio(contrast) * own) {
+        0.0
+    } else if is_own {
+        own
+    } else {
+        other
     }
 }
 
@@ -98,33 +78,17 @@ fn min_density_ratio(contrast: f32) -> f32 {
     (most / contrast).clamp(least, most)
 }
 
-/// A way along which light reaches a leaf.
-#[derive(Clone, Copy, Debug)]
-pub struct IncidentSegment {
-    /// Point of the leaf, m.
-    pub origin: Vec3A,
-    /// Origin of the light, m; through a mirror, the mirrored point.
-    pub target: Vec3A,
-    /// Contribution to the leaf's mean irradiance, lx. The sum over all ways is an estimate of that.
-    pub irradiance: f32,
-    /// Number of ways in all directions, by the cosine distribution, if they were everywhere as dense as here.
-    pub ray_count: f32,
-}
-
 /// Rays from all leaves of surfaces and of fog. Each ray measures the light that its origin receives from its end, and, if its end is a leaf,
 /// the light that this leaf receives from the origin: light travels both ways. So the rays of either leaf may find a way between
 /// them. Its light is divided by the expected number of rays along it from both leaves, or from those that count (multiple
-/// importance sampling with the balance or the maximum heuristic, \[pharr2023\]). Leaves that send much light have more rays, which
-/// find the surfaces that they light through a small gap. A share of the later rays goes in the directions from which earlier rays
-/// have found light.
+/// importance sampling with the maximum heuristic, \[pharr2023\]). Leaves that send much light have more rays, which find the
+/// surfaces that they light through a small gap.
 #[derive(Debug)]
 pub struct Rays {
     /// Leaves by index.
     leaves: Vec<u32>,
     /// First ray by leaf, and the end.
     first: Vec<u32>,
-    /// Round, an argument of [`generate_ray`].
-    round: u32,
     /// Hits by leaf and part.
     hits: Vec<RayHit>,
     /// First incoming ray of each leaf, from other leaves, and the end; and for each such ray, the index of its leaf among the
@@ -138,26 +102,21 @@ pub struct Rays {
 /// Light along a way to a part of a leaf.
 #[derive(Clone, Copy, Debug)]
 struct RaySample {
-    /// Index of the ray, and of its leaf among the leaves. `None`: the leaf itself.
-    ray: usize,
-    origin: Option<usize>,
+    /// Whether it is a ray of the leaf itself.
+    is_own: bool,
     part: usize,
     /// Contribution to the leaf's mean irradiance, lx.
     irradiance: Rgb,
-    /// Number of ways if they were everywhere as dense as here; see [`IncidentSegment::ray_count`].
-    ray_count: f32,
 }
 
 impl RayHit {
     const MISS: Self = Self {
         leaf: NONE,
         share: 0.0,
-        lamp: 0.0,
         normal: [0; 3],
         origin_normal: [0; 3],
         part: 0,
         is_two_way: false,
-        target: [0.0; 3],
         density: [0.0; 2],
         direct: [0.0; 3],
     };
@@ -182,7 +141,7 @@ pub struct RayHits {
 
 impl Rays {
     /// Creates the rays from the hits of all leaves, in order.
-    pub fn new(leaves: Vec<u32>, round: u32, parts: Vec<RayHits>) -> Self {
+    pub fn new(leaves: Vec<u32>, parts: Vec<RayHits>) -> Self {
         let ends = parts.iter().flat_map(|part| &part.counts).scan(0, |end, count| {
             *end += count;
             Some(*end)
@@ -193,16 +152,9 @@ impl Rays {
         for part in parts {
             if sights.is_empty() { sights = part.hits } else { sights.extend(part.hits) }
         }
-        let mut out =
-            Self { leaves, first, round, hits: sights, incoming_start: Vec::new(), incoming: Vec::new(), traced };
+        let mut out = Self { leaves, first, hits: sights, incoming_start: Vec::new(), incoming: Vec::new(), traced };
         out.build_reverse_index();
         out
-    }
-
-    /// Returns the number of rays of a group of leaves.
-    pub fn ray_count(&self, leaves: &[u32]) -> u32 {
-        let of = |leaf: &u32| self.leaves.binary_search(leaf).map_or(0, |at| self.first[at + 1] - self.first[at]);
-        leaves.iter().map(of).sum()
     }
 
     /// Builds the reverse index: the incoming rays of each leaf.
@@ -242,34 +194,23 @@ impl Rays {
         let number = (end - first) as f32;
         for (ray, hit) in self.hits[first..end].iter().enumerate() {
             let irradiance = Rgb::from_array(hit.direct) * (1.0 / number);
-            each(RaySample { ray: first + ray, origin: None, part: ray % parts, irradiance, ray_count: number });
+            each(RaySample { is_own: true, part: ray % parts, irradiance });
         }
     }
 
     /// Visits the ways along which light reaches the leaf at this index: first the ways of its own rays, then the ways of rays that
     /// other leaves have cast and that hit this leaf.
-    fn visit_samples(
-        &self,
-        arena: &Arena,
-        light: &SentLight<'_>,
-        leaf_index: usize,
-        weights: MisHeuristic,
-        mut each: impl FnMut(RaySample),
-    ) {
+    fn visit_samples(&self, arena: &Arena, light: &SentLight<'_>, leaf_index: usize, mut each: impl FnMut(RaySample)) {
         let element = &arena.elements[self.leaves[leaf_index] as usize];
         let [first, end] = [self.first[leaf_index], self.first[leaf_index + 1]].map(|at| at as usize);
         let parts = part_count(element);
-        let mean = match weights {
-            MisHeuristic::Balance => 1.0,
-            MisHeuristic::Maximum => light.mean_irradiance(arena, self.leaves[leaf_index]),
-        };
+        let mean = light.mean_irradiance(arena, self.leaves[leaf_index]);
         let contrast = |other: u32| light.means.get(other as usize).map_or(1.0, |radiosity| radiosity / mean);
         for (ray, sight) in self.hits[first..end].iter().enumerate() {
-            let [own, other] = sight.density;
-            let number = weights.density(own, other, true, || contrast(sight.leaf)) * element.size();
+            let number = counted_density(sight.density, true, contrast(sight.leaf)) * element.size();
             if number > 0.0 {
                 let irradiance = light.received_irradiance(arena, sight) * (1.0 / number);
-                each(RaySample { ray: first + ray, origin: None, part: ray % parts, irradiance, ray_count: number });
+                each(RaySample { is_own: true, part: ray % parts, irradiance });
             }
         }
         for &[origin, ray] in
@@ -278,7 +219,7 @@ impl Rays {
             let (ray, origin) = (ray as usize, origin as usize);
             let sight = &self.hits[ray];
             let (leaf, [other, own]) = (self.leaves[origin], sight.density);
-            let number = weights.density(own, other, false, || contrast(leaf)) * element.size();
+            let number = counted_density([own, other], false, contrast(leaf)) * element.size();
             if number > 0.0 {
                 let origin_part = (ray - self.first[origin] as usize) % part_count(&arena.elements[leaf as usize]);
                 // Light in the other direction is scattered here instead of there.
@@ -286,72 +227,9 @@ impl Rays {
                     [element, &arena.elements[leaf as usize]].map(|end| luminance(end.received_share()));
                 let irradiance = light.radiosity(arena, leaf, origin_part, unpack_normal(sight.origin_normal))
                     * (sight.share * there / (here * number));
-                each(RaySample {
-                    ray,
-                    origin: Some(origin),
-                    part: usize::from(sight.part),
-                    irradiance,
-                    ray_count: number,
-                });
+                each(RaySample { is_own: false, part: usize::from(sight.part), irradiance });
             }
         }
-    }
-
-    /// Returns the origin of a ray.
-    fn ray_origin(&self, scene: &Scene<'_>, arena: &Arena, leaf_index: usize, ray: usize) -> SurfaceSpot {
-        let element = &arena.elements[self.leaves[leaf_index] as usize];
-        let [first, end] = [self.first[leaf_index], self.first[leaf_index + 1]].map(|at| at as usize);
-        generate_ray(scene, arena, element, &Aim::NONE, ray - first, (end - first) / part_count(element), self.round).0
-    }
-
-    /// Returns by leaf of a surface, in the order of their indices, the light of its ways, lm, and the sum of its squares.
-    pub fn leaf_light(&self, arena: &Arena, lights: &ElementLights) -> Vec<(u32, [f32; 2])> {
-        let light = SentLight::new(arena, lights, BentLamps::Included);
-        let of = |place: usize| {
-            let leaf = self.leaves[place];
-            let size = arena.elements[leaf as usize].size();
-            let mut sums = [0.0f32; 2];
-            self.visit_samples(arena, &light, place, MisHeuristic::Balance, |RaySample { irradiance, .. }| {
-                let light = luminance(irradiance) * size;
-                if light.is_finite() {
-                    sums = [sums[0] + light, sums[1] + light * light];
-                }
-            });
-            (leaf, sums)
-        };
-        let is_surface = |&place: &usize| !arena.elements[self.leaves[place] as usize].is_volume();
-        (0..self.leaves.len()).into_par_iter().filter(is_surface).map(of).collect()
-    }
-
-    /// Returns the ways along which light reaches a leaf, with the current light.
-    /// - `is_wanted`: filter on [`IncidentSegment::irradiance`] and [`IncidentSegment::ray_count`], applied before the ends of a
-    ///   way are computed.
-    pub fn incident_segments(
-        &self,
-        (scene, arena): (&Scene<'_>, &Arena),
-        light: &SentLight<'_>,
-        leaf: u32,
-        is_wanted: impl Fn(f32, f32) -> bool,
-    ) -> Vec<IncidentSegment> {
-        let Ok(place) = self.leaves.binary_search(&leaf) else { return Vec::new() };
-        let mut segments = Vec::new();
-        self.visit_samples(
-            arena,
-            light,
-            place,
-            MisHeuristic::Balance,
-            |RaySample { ray, origin, irradiance, ray_count: number, .. }| {
-                let irradiance = luminance(irradiance);
-                if !is_wanted(irradiance, number) {
-                    return;
-                }
-                let begin = self.ray_origin(scene, arena, origin.unwrap_or(place), ray).position;
-                let end = Vec3A::from_array(self.hits[ray].target);
-                let [origin, target] = if origin.is_none() { [begin, end] } else { [end, begin] };
-                segments.push(IncidentSegment { origin, target, irradiance, ray_count: number });
-            },
-        );
-        segments
     }
 }
 
@@ -359,25 +237,14 @@ impl Rays {
 #[derive(Debug)]
 pub struct SentLight<'a> {
     lights: &'a ElementLights,
-    /// Light of lamps behind mirrors and clear solids.
-    lamps: BentLamps,
     /// Output of [`ElementLights::part_radiosity`] by element; 0 for elements that are not leaves.
     parts: Vec<[Rgb; 4]>,
     /// Mean of these over the parts by luminance, by element, lx.
     means: Vec<f32>,
 }
 
-/// Light of lamps that rays see through mirrors and clear solids.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum BentLamps {
-    /// It counts: guides lead to such lamps.
-    Included,
-    /// It does not count: the particles of [`crate::caustics`] bring it.
-    Excluded,
-}
-
 impl<'a> SentLight<'a> {
-    pub fn new(arena: &Arena, lights: &'a ElementLights, lamps: BentLamps) -> Self {
+    pub fn new(arena: &Arena, lights: &'a ElementLights) -> Self {
         let of = |(index, element): (usize, &Element)| {
             if element.is_leaf() { lights.part_radiosity(element, index) } else { [Rgb::ZERO; 4] }
         };
@@ -387,7 +254,7 @@ impl<'a> SentLight<'a> {
             parts[..count].iter().copied().map(luminance).sum::<f32>() / count as f32
         };
         let means = arena.elements.iter().zip(&parts).map(mean).collect();
-        Self { lights, lamps, parts, means }
+        Self { lights, parts, means }
     }
 
     /// Returns the mean irradiance of a leaf from elements by luminance, lx; infinite for fog.
@@ -400,11 +267,10 @@ impl<'a> SentLight<'a> {
 
     /// Returns the irradiance of a ray's origin, if all rays had this hit, lx.
     fn received_irradiance(&self, arena: &Arena, hit: &RayHit) -> Rgb {
-        let of_lamps = if self.lamps == BentLamps::Included { Rgb::splat(hit.lamp) } else { Rgb::ZERO };
         if hit.leaf == NONE {
-            return of_lamps;
+            return Rgb::ZERO;
         }
-        self.radiosity(arena, hit.leaf, usize::from(hit.part), unpack_normal(hit.normal)) * hit.share + of_lamps
+        self.radiosity(arena, hit.leaf, usize::from(hit.part), unpack_normal(hit.normal)) * hit.share
     }
 
     /// Returns the radiosity of a part of a leaf, as [`ElementLights::part_radiosity`], lx. A leaf that is bright only in a place that few rays reach, such

@@ -14,7 +14,6 @@ use crate::element::Element;
 use crate::exits::ClusterWeights;
 use crate::gather::ElementLights;
 use crate::link::Link;
-use crate::portals::Portal;
 use crate::rays::{RayPlan, Rays};
 use crate::scene::Scene;
 use crate::tuning::{
@@ -33,18 +32,16 @@ pub struct SolveOptions {
     /// Limit for the bytes of elements and links. When it is reached, elements are not split further. When links alone reach it,
     /// links are not refined further.
     pub memory: usize,
-    /// Guides that the field must have: the directions from which light comes, for sampling.
+    /// Guides that the field must have.
     pub guides: GuideKind,
 }
 
 /// Kind of the guides of a field.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum GuideKind {
-    /// The field does not guide paths.
+    /// The field has only light.
     #[default]
     None,
-    /// Lobes of groups of leaves.
-    Lobes,
     /// Tables of directions of leaves, as in the method of 1998.
     Tables,
 }
@@ -109,10 +106,6 @@ pub struct SolverState {
     pub(crate) round: u32,
     /// Leaves to split before rays are cast again.
     pub(crate) uneven_leaves: Vec<u32>,
-    /// Whether more rays are worth casting, because some must measure the light through portals.
-    pub(crate) needs_more_rays: bool,
-    /// Portals found by the latest rays, for a field that guides paths.
-    pub(crate) portals: Vec<Portal>,
 }
 
 impl SolverState {
@@ -146,7 +139,7 @@ impl SolverState {
             return RayPlan::empty();
         }
         let room = memory.saturating_sub(self.bytes(self.links.len()));
-        RayPlan::new(&self.arena, &self.lights, self.round + 1, room, self.needs_more_rays)
+        RayPlan::new(&self.arena, &self.lights, self.round + 1, room)
     }
 
     /// Splits the leaves on which rays have found shadows.
@@ -180,18 +173,7 @@ impl<'a> Solver<'a> {
         let arena = Arena::new(scene);
         let lights = ElementLights::new(&arena);
         let (links, report) = (Vec::new(), SolveReport::default());
-        let (uneven_leaves, portals) = (Vec::new(), Vec::new());
-        let state = SolverState {
-            arena,
-            lights,
-            links,
-            report,
-            max_ray_bytes: 0,
-            round: 0,
-            uneven_leaves,
-            needs_more_rays: false,
-            portals,
-        };
+        let state = SolverState { arena, lights, links, report, max_ray_bytes: 0, round: 0, uneven_leaves: Vec::new() };
         let mut solver = Self::from_state(state, scene, options, cancel);
         let root = solver.state.arena.root;
         if root == NONE {
@@ -303,7 +285,7 @@ impl<'a> Solver<'a> {
             let both = contrast.into_iter().zip(lamp_contrast);
             let uneven_leaves = both.filter(is_uneven).map(|((leaf, _), _)| leaf).collect();
             self.state.uneven_leaves = uneven_leaves;
-            if self.options.guides != GuideKind::Lobes && self.state.uneven_leaves.is_empty() {
+            if self.state.uneven_leaves.is_empty() {
                 // Nothing is split, and new rays would go nowhere else, so they would bring no new information.
                 self.state.round = RAY_ROUNDS;
             }

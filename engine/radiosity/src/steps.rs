@@ -2,43 +2,35 @@
 //!
 //! [`SolverState::new`] links all elements on one machine. Then, three times, rays are cast and their results are applied. The rays
 //! are cast by blocks of leaves ([`CastingState::cast`]), the rest is done on one machine again ([`CastingState::apply_hits`]).
-//! At the end, if the field guides paths, the guides are computed by blocks of groups of leaves ([`CorrectedState::guides`]). The
-//! state between steps travels as bytes. The blocks depend only on the elements, so the distribution over machines changes no bit,
-//! and [`crate::solve`], which does all steps in one process, has the same result.
+//! The state between steps travels as bytes. The blocks depend only on the elements, so the distribution over machines changes no
+//! bit, and [`crate::solve`], which does all steps in one process, has the same result.
 
 use crate::arena::Arena;
-use crate::bytes::{Reader, StepDecodeError, Writer, colors_from_floats, position_from_floats, to_floats};
+use crate::bytes::{Reader, StepDecodeError, Writer, colors_from_floats, to_floats};
 use crate::element::Element;
 use crate::exits::ClusterWeights;
 use crate::gather::{ElementLight, ElementLights, FROM_ELEMENTS, FROM_LAMPS, IncidentLight};
-use crate::incoming;
 use crate::link::Link;
-use crate::portals::{self, Portal};
-use crate::rays::{Aims, RayHits, RayPlan, Rays, are_complete, block_range, ray_leaves};
+use crate::rays::{RayHits, RayPlan};
 use crate::scene::Scene;
-use crate::solve::{Cancelled, GuideKind, Solution, SolveOptions, SolveReport, Solver, SolverState, surface_leaves};
+use crate::solve::{Cancelled, GuideKind, Solution, SolveOptions, SolveReport, Solver, SolverState};
 use crate::tables::direction_tables;
-use femc_field::{Cell, Guide, Harmonics, Leaf, Lobe, NONE};
+use femc_field::{Cell, Harmonics, Leaf, NONE};
 use femc_math::Rgb;
 use femc_math::hash::mix64;
 use femc_prepared::Prepared;
-use std::sync::OnceLock;
 use std::sync::atomic::AtomicBool;
 
 /// Computes the light of a prepared frame. The result depends only on the frame and the options, not on threads.
 /// - errors: `cancel` was set.
 pub fn solve(prepared: &Prepared, options: &SolveOptions, cancel: &AtomicBool) -> Result<Solution, Cancelled> {
-    let (mut state, mut guides) = (SolverState::new(prepared, options, cancel)?, Vec::new());
+    let mut state = SolverState::new(prepared, options, cancel)?;
     while !state.is_finished() {
         let casting = state.plan_rays(prepared, options);
         let hits = vec![casting.cast(prepared, 0, 1)];
-        let corrected = correct_with_rays(casting.state, casting.plan, prepared, options, hits, cancel)?;
-        if options.guides == GuideKind::Lobes && corrected.state.is_finished() {
-            guides = vec![corrected.guides(prepared, 0, 1)];
-        }
-        state = corrected.state;
+        state = correct_with_rays(casting.state, casting.plan, prepared, options, hits, cancel)?;
     }
-    Ok(state.solution(prepared, options, guides))
+    Ok(state.solution(prepared, options))
 }
 
 /// Returns the minimum number of bytes of the first pass of a prepared frame: for the tree of clusters over all surfaces, and for
@@ -48,40 +40,15 @@ pub fn min_solve_bytes(prepared: &Prepared) -> u64 {
     (Scene::new(prepared).surfaces.len() * surface) as u64
 }
 
-/// A first pass before rays are cast, with the directions of some of them.
+/// A first pass before rays are cast.
 #[derive(Debug)]
 pub struct CastingState {
     state: SolverState,
-    aims: Aims,
     plan: RayPlan,
 }
 
-/// A first pass after the results of rays were applied.
-#[derive(Debug)]
-pub struct CorrectedState {
-    state: SolverState,
-    rays: Rays,
-    groups: OnceLock<GuideGroups>,
-}
-
-/// Groups of leaves that have one guide each.
-#[derive(Debug)]
-struct GuideGroups {
-    groups: Vec<(u32, Vec<u32>)>,
-    /// Total rays and leaves of the groups before each group, and at the end of all.
-    first: Vec<u32>,
-}
-
-/// Guides of some groups of leaves.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct BlockGuides {
-    pub(crate) groups: Vec<Vec<u32>>,
-    pub(crate) guides: Vec<(f32, Vec<Lobe>)>,
-}
-
-const ELEMENTS_MAGIC: &[u8; 8] = b"element6";
+const ELEMENTS_MAGIC: &[u8; 8] = b"element7";
 const LINKS_MAGIC: &[u8; 8] = b"links  1";
-const GUIDES_MAGIC: &[u8; 8] = b"guides 2";
 
 impl SolverState {
     /// Creates all elements and links of a prepared frame, before rays are cast.
@@ -108,26 +75,13 @@ impl SolverState {
         if self.arena.root != NONE && !self.is_finished() {
             self.split_uneven_leaves(&scene);
         }
-        let aims = Aims::new(&self.arena, &self.portals);
         let plan = self.ray_plan(options.memory);
-        CastingState { state: self, aims, plan }
-    }
-
-    /// Creates the state after rays from their hits, in order.
-    /// - errors: the hits belong to other elements.
-    pub fn with_hits(self, hits: Vec<RayHits>) -> Result<CorrectedState, StepDecodeError> {
-        let origins = ray_leaves(&self.arena);
-        if !are_complete(&self.arena, &hits, origins.len()) {
-            return Err(OTHER_ELEMENTS);
-        }
-        let rays = Rays::new(origins, self.round, hits);
-        Ok(CorrectedState::new(self, rays))
+        CastingState { state: self, plan }
     }
 
     /// Creates the solution.
-    /// - `guides`: guides of all groups, in order; none for a field without lobes.
-    pub fn solution(&self, prepared: &Prepared, options: &SolveOptions, guides: Vec<BlockGuides>) -> Solution {
-        let mut solution = self.finish(Scene::new(prepared), join_guides(guides, &surface_leaves(&self.arena)));
+    pub fn solution(&self, prepared: &Prepared, options: &SolveOptions) -> Solution {
+        let mut solution = self.finish(Scene::new(prepared));
         if options.guides == GuideKind::Tables && self.arena.root != NONE {
             solution.field.tables = direction_tables(&self.arena, &self.lights, &self.links);
         }
@@ -177,8 +131,8 @@ impl SolverState {
         } = self.report;
         writer.number(links_digest(&self.links));
         writer.number(u64::from(self.round));
-        let [measured, worth_more] = [self.lights.has_measured_shares, self.needs_more_rays].map(usize::from);
-        let numbers = [lamp_links, refused, iterations, measured, worth_more, self.max_ray_bytes];
+        let measured = usize::from(self.lights.has_measured_shares);
+        let numbers = [lamp_links, refused, iterations, measured, self.max_ray_bytes];
         numbers.into_iter().for_each(|number| writer.number(number as u64));
         writer.number(rays);
         writer.rows(&[[residual, row_sum, imbalance, checked, corrected]]);
@@ -186,7 +140,6 @@ impl SolverState {
         writer.rows(&[[r, g, b, self.lights.share_variance]]);
         writer.numbers(self.arena.splits.iter().copied());
         writer.numbers(self.uneven_leaves.iter().copied());
-        portals::write(&self.portals, &mut writer);
         let ElementLights {
             elements: lights,
             incident,
@@ -246,12 +199,11 @@ impl SolverState {
         let mut number =
             || usize::try_from(reader.number()?).map_err(|_| StepDecodeError::Damaged("a number is too large"));
         let round = number()?;
-        let [lamp_links, refused, iterations, measured, worth_more, max_ray_bytes] =
-            [number()?, number()?, number()?, number()?, number()?, number()?];
+        let [lamp_links, refused, iterations, measured, max_ray_bytes] =
+            [number()?, number()?, number()?, number()?, number()?];
         let rays = reader.number()?;
         let [residual, row_sum, imbalance, checked, corrected] = reader.rows::<5>(1)?[0];
         let [r, g, b, share_variance] = reader.rows::<4>(1)?[0];
-        let needs_more_rays = worth_more != 0;
         let report = SolveReport {
             lamp_links,
             inexact_links: refused,
@@ -281,7 +233,6 @@ impl SolverState {
         if !uneven_leaves.iter().all(is_surface) {
             return Err(OTHER_ELEMENTS);
         }
-        let portals = portals::read(&mut reader)?;
         let mut lights = ElementLights::new(&arena);
         let count = arena.elements.len();
         for (light, row) in lights.elements.iter_mut().zip(reader.rows::<7>(count)?) {
@@ -324,17 +275,7 @@ impl SolverState {
         if links_digest(&links) != digest {
             return Err(OTHER_ELEMENTS);
         }
-        Ok(Self {
-            arena,
-            lights,
-            links,
-            report,
-            max_ray_bytes,
-            round: round as u32,
-            uneven_leaves,
-            needs_more_rays,
-            portals,
-        })
+        Ok(Self { arena, lights, links, report, max_ray_bytes, round: round as u32, uneven_leaves })
     }
 }
 
@@ -367,7 +308,7 @@ impl CastingState {
     /// Casts the rays of block `block` of `blocks` blocks.
     pub fn cast(&self, prepared: &Prepared, block: u32, blocks: u32) -> RayHits {
         let scene = Scene::new(prepared);
-        self.plan.cast(&scene, &self.state.arena, &self.aims, self.plan.block_range(block, blocks))
+        self.plan.cast(&scene, &self.state.arena, self.plan.block_range(block, blocks))
     }
 
     /// Applies the results of the rays of all blocks, in order.
@@ -379,7 +320,7 @@ impl CastingState {
         options: &SolveOptions,
         hits: Vec<RayHits>,
         cancel: &AtomicBool,
-    ) -> Result<Option<CorrectedState>, Cancelled> {
+    ) -> Result<Option<SolverState>, Cancelled> {
         let fits = self.plan.matches_hits(&self.state.arena, &hits);
         let taken = || correct_with_rays(self.state.clone(), self.plan.clone(), prepared, options, hits, cancel);
         fits.then(taken).transpose()
@@ -394,117 +335,10 @@ fn correct_with_rays(
     options: &SolveOptions,
     hits: Vec<RayHits>,
     cancel: &AtomicBool,
-) -> Result<CorrectedState, Cancelled> {
+) -> Result<SolverState, Cancelled> {
     let scene = Scene::new(prepared);
     let rays = plan.into_rays(hits);
     let mut solver = Solver::from_state(state, &scene, options, cancel);
     solver.apply_rays(&rays)?;
-    let mut corrected = CorrectedState::new(solver.state, rays);
-    if options.guides == GuideKind::Lobes {
-        corrected.find_portals(&scene);
-    }
-    Ok(corrected)
-}
-
-impl CorrectedState {
-    fn new(state: SolverState, rays: Rays) -> Self {
-        Self { state, rays, groups: OnceLock::new() }
-    }
-
-    /// Returns the state after that.
-    pub fn state(&self) -> &SolverState {
-        &self.state
-    }
-
-    /// Computes the guides of block `block` of `blocks` blocks of groups of leaves.
-    pub fn guides(&self, prepared: &Prepared, block: u32, blocks: u32) -> BlockGuides {
-        let scene = Scene::new(prepared);
-        let SolverState { arena, lights, links, portals, .. } = &self.state;
-        let GuideGroups { groups, first } = self.groups.get_or_init(|| self.build_groups());
-        let groups = &groups[block_range(first, block, blocks)];
-        let guides = incoming::of_groups(&scene, arena, lights, (links, &self.rays), groups, portals);
-        let groups = groups.iter().map(|(_, leaves)| leaves.clone()).collect();
-        BlockGuides { groups, guides }
-    }
-
-    /// Finds the portals of the scene, which all blocks of groups of leaves need.
-    fn find_portals(&mut self, scene: &Scene<'_>) {
-        let SolverState { arena, lights, .. } = &self.state;
-        let portals = incoming::portals(scene, arena, lights, &self.rays, &parts_of_surfaces(arena));
-        self.state.needs_more_rays |= portals.iter().any(Portal::is_rare);
-        self.state.portals = portals;
-    }
-
-    fn build_groups(&self) -> GuideGroups {
-        let SolverState { arena, lights, .. } = &self.state;
-        let leaves = parts_of_surfaces(arena);
-        let groups = incoming::groups(arena, &leaves, &self.rays.leaf_light(arena, lights));
-        let numbers = groups.iter().scan(0, |sum, (_, leaves)| {
-            *sum += self.rays.ray_count(leaves) + leaves.len() as u32;
-            Some(*sum)
-        });
-        let first = [0].into_iter().chain(numbers).collect();
-        GuideGroups { groups, first }
-    }
-}
-
-/// Returns the leaves of surfaces that are parts of single surfaces, in the order of the field.
-fn parts_of_surfaces(arena: &Arena) -> Vec<u32> {
-    let mut leaves = surface_leaves(arena);
-    leaves.retain(|&leaf| !arena.elements[leaf as usize].is_cluster());
-    leaves
-}
-
-fn join_guides(guides: Vec<BlockGuides>, leaves: &[u32]) -> (Vec<Guide>, Vec<Lobe>) {
-    if guides.is_empty() {
-        return Default::default();
-    }
-    let (groups, found): (Vec<_>, Vec<_>) = guides.into_iter().map(|it| (it.groups, it.guides)).unzip();
-    let groups: Vec<Vec<u32>> = groups.into_iter().flatten().collect();
-    incoming::joined(groups.iter().map(|leaves| &**leaves).zip(found.into_iter().flatten()), leaves)
-}
-
-impl BlockGuides {
-    /// Encodes the guides.
-    pub fn encode(&self) -> Vec<u8> {
-        let mut writer = Writer::new(GUIDES_MAGIC);
-        writer.numbers(self.groups.iter().map(|leaves| leaves.len() as u32));
-        writer.numbers(self.groups.concat().into_iter());
-        writer.numbers(self.guides.iter().map(|(_, lobes)| lobes.len() as u32));
-        writer.rows(&self.guides.iter().map(|(share, _)| [*share]).collect::<Vec<_>>());
-        let lobe = |&Lobe { target, axes: [a, b], share }: &Lobe| {
-            [target.x, target.y, target.z, a.x, a.y, a.z, b.x, b.y, b.z, share]
-        };
-        let lobes: Vec<[f32; 10]> = self.guides.iter().flat_map(|(_, lobes)| lobes).map(lobe).collect();
-        writer.number(lobes.len() as u64);
-        writer.rows(&lobes);
-        writer.finish()
-    }
-
-    /// Decodes guides.
-    /// - errors: the bytes are not the output of [`BlockGuides::encode`].
-    pub fn decode(bytes: &[u8]) -> Result<Self, StepDecodeError> {
-        let mut reader = Reader::new(bytes, GUIDES_MAGIC)?;
-        let (sizes, mut leaves, counts) = (reader.numbers()?, reader.numbers()?, reader.numbers()?);
-        let shares = reader.rows::<1>(sizes.len())?;
-        let number = usize::try_from(reader.number()?).unwrap_or(usize::MAX);
-        let whole = |counts: &[u32]| counts.iter().map(|&count| u64::from(count)).sum::<u64>();
-        let is_whole =
-            counts.len() == sizes.len() && whole(&counts) == number as u64 && whole(&sizes) == leaves.len() as u64;
-        if !is_whole {
-            return Err(StepDecodeError::Damaged("its number of leaves or lobes is wrong"));
-        }
-        let lobe = |row: [f32; 10]| Lobe {
-            target: position_from_floats(&row),
-            axes: [position_from_floats(&row[3..]), position_from_floats(&row[6..])],
-            share: row[9],
-        };
-        let mut lobes = reader.rows::<10>(number)?.into_iter().map(lobe);
-        reader.expect_end()?;
-        let mut leaves = leaves.drain(..);
-        let groups = sizes.iter().map(|&size| leaves.by_ref().take(size as usize).collect()).collect();
-        let of = |(&count, [share]): (&u32, [f32; 1])| (share, lobes.by_ref().take(count as usize).collect());
-        let guides = counts.iter().zip(shares).map(of).collect();
-        Ok(Self { groups, guides })
-    }
+    Ok(solver.state)
 }

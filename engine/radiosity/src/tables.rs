@@ -4,11 +4,12 @@
 //! the table in which points of the link's source lie.
 
 use crate::arena::Arena;
+use crate::element::Element;
 use crate::gather::ElementLights;
-use crate::incoming::for_each_link;
 use crate::link::Link;
 use crate::solve::{fog_leaves, surface_leaves};
-use femc_field::{DirectionTable, DirectionTables, TABLE_CELLS, TableCells, TableExtent};
+use femc_field::{DirectionTable, DirectionTables, NONE, TABLE_CELLS, TableCells, TableExtent};
+use femc_math::color::luminance;
 use femc_math::glam::Vec3A;
 use femc_math::{Frame, warp};
 use rayon::prelude::*;
@@ -49,6 +50,38 @@ fn leaf_table(arena: &Arena, lights: &ElementLights, links: &[Link], leaf: u32) 
         }
     });
     DirectionTable::new(extent, &light)
+}
+
+/// Calls a function with the source of each link of a leaf and of all elements above it, and with the irradiance by the link,
+/// positive.
+fn for_each_link(arena: &Arena, lights: &ElementLights, links: &[Link], leaf: u32, mut receive: impl FnMut(u32, f32)) {
+    let receiver = &arena.elements[leaf as usize];
+    let mut at = leaf;
+    while at != NONE {
+        let p = &arena.elements[at as usize];
+        let first = links.partition_point(|link| link.receiver < at);
+        for link in links[first..].iter().take_while(|link| link.receiver == at) {
+            let q = &arena.elements[link.source as usize];
+            let dir = (q.center - p.center).normalize_or(Vec3A::Z);
+            let sent = luminance(lights.sent_toward(link.source as usize, q, p.center));
+            let factor = if p.is_directional() {
+                link.factors[0] * cosine(receiver, dir)
+            } else {
+                link.factors[..p.node_count()].iter().sum::<f32>() / p.node_count() as f32
+            };
+            let amount = sent * factor;
+            if amount > 0.0 && amount.is_finite() {
+                receive(link.source, amount);
+            }
+        }
+        at = p.parent;
+    }
+}
+
+/// Returns the cosine at a receiver; for a curved one its mean.
+fn cosine(receiver: &Element, dir: Vec3A) -> f32 {
+    let normal = receiver.normal();
+    if normal == Vec3A::ZERO { 0.25 } else { normal.dot(dir).max(0.0) }
 }
 
 /// A part of a source, as a disc across the view.

@@ -3,7 +3,7 @@
 //! They change the solution: a new value needs `first_pass errors` (an example of `tests`, scenes in closed form), `first_pass fog`
 //! and the references (`tests/all references`) measured again, and a new version in `first_pass_key`. "Not measured" means that no
 //! record of a measurement exists. Such a constant was chosen by what it trades, and its scenes in closed form pass with it.
-//! Constants of guides are beside their code (`incoming`, `lobes`, `portals`). Constants of views are in `mesh`.
+//! Constants of views are in `mesh`.
 
 // Shapes of elements.
 
@@ -223,8 +223,6 @@ pub const MIN_FOG_RAYS: usize = 16;
 /// are not split.
 pub const MIN_SMALL_RAYS: usize = 2;
 pub const SMALL_AREA_SHARE: f32 = 3e-5;
-/// Total number of rays if few rays have found portals, so that each leaf measures their light with its own rays. Not measured.
-pub const TOTAL_RAYS_FOR_PORTALS: usize = 4 * TOTAL_RAYS;
 /// Number of additional rays, distributed among the leaves by the light that they send, relative to the other rays if each
 /// surface were an element and no leaf were small. Not measured.
 pub const EXTRA_RAYS_RATIO: f32 = 1.0;

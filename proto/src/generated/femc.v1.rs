@@ -2302,7 +2302,7 @@ pub enum StageKind {
     FirstPassRays = 11,
     /// Solves a first pass again, corrected by the rays of all blocks.
     FirstPassSolve = 12,
-    /// Computes the guides of one block of a first pass: the directions from which its light comes.
+    /// Earlier versions computed guides of one block of a first pass. Workers of this version make an empty output.
     FirstPassGuides = 13,
     /// Makes the light of a first pass in blocks from its last state.
     FirstPassFinish = 14,

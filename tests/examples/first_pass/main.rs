@@ -4,7 +4,7 @@
 //!   light is known.
 //! - `first_pass growth [--error E] [--faces N,N..] [--kind room|terrain] [--memory MB]` solves scenes with increasing numbers of
 //!   faces, within a memory limit.
-//! - `first_pass solve SCENE [--error E,E..] [--memory MB] [--guides]` prints the cost of a solution, and a digest of its field.
+//! - `first_pass solve SCENE [--error E,E..] [--memory MB]` prints the cost of a solution, and a digest of its field.
 //! - `first_pass steps SCENE` prints the cost of each step of a first pass that guides paths.
 //! - `first_pass pictures SCENE..` compares pictures of the solution with path-traced ones, and prints the flux of the solution. Set
 //!   `SPP` for the samples a pixel of path tracing.
@@ -19,10 +19,8 @@
 mod laws;
 mod rooms;
 
-use femc_pipeline::radiosity::{Census, GuideKind, KindCounts, SolveOptions, solve};
-use femc_pipeline::{
-    BlockPhase, FirstPassStatistics, Method, SceneSource, Settings, first_pass_world, prepare_frame, solver,
-};
+use femc_pipeline::radiosity::{Census, KindCounts, SolveOptions, solve};
+use femc_pipeline::{FirstPassStatistics, Method, SceneSource, Settings, first_pass_world, prepare_frame, solver};
 use femc_tests::clock::processor_seconds;
 use femc_tests::closed_forms::{Case, SolvedScene, all_cases, relative_errors};
 use femc_tests::fog_light::{self, FogComparison, compare_points, compare_rays};
@@ -64,9 +62,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             let errors = numbers(option("--error").unwrap_or("2,1,0.3"))?;
             let memory = option("--memory").map(str::parse::<usize>).transpose()?.map(|megabytes| megabytes << 20);
             let memory = memory.unwrap_or(SolveOptions::default().memory);
-            let has_guides = args.iter().any(|arg| arg == "--guides");
-            let guides = if has_guides { GuideKind::Lobes } else { GuideKind::None };
-            cost(Path::new(scene), &errors, SolveOptions { memory, guides, ..SolveOptions::default() })?;
+            cost(Path::new(scene), &errors, SolveOptions { memory, ..SolveOptions::default() })?;
         }
         Some("steps") => steps(Path::new(args.get(1).ok_or("which scene?")?))?,
         Some("fog") => {
@@ -252,16 +248,14 @@ fn steps(path: &Path) -> Result<(), Box<dyn Error>> {
     let start = begun.encode_start();
     let mut casting = begun.before_rays(&world);
     took("elements and links");
-    let rounds = solver.phases().rounds;
+    let rounds = solver.rounds();
     for round in 1..=rounds {
         let rays = casting.cast(&world, 0, 1);
         took("rays");
-        let hits = vec![solver.decode_block(BlockPhase::Rays, &rays)?];
+        let hits = vec![solver.decode_rays(&rays)?];
         let corrected = casting.apply(&world, hits, &cancel)?.ok_or("rays of other elements")?;
-        took("what rays have met is taken in, and portals are found");
+        took("correction by rays");
         if round == rounds {
-            corrected.guides(&world, 0, 1);
-            took("where light comes from");
             break;
         }
         casting = solver.decode(&world, &start, Some(&corrected.encode_elements()))?.before_rays(&world);

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use bytes::Bytes;
-use femc_field::{DirectionTable, DirectionTables, FogCell, FogLine, FogTree, TABLE_CELLS, TableExtent};
+use femc_field::{DirectionTable, DirectionTables, FogCell, FogLine, FogTree, TABLE_CELLS, TableExtent, TargetGuide};
 use femc_film::tile::NONE_HELD;
 use femc_film::{
     AovPiece, AovTile, ErrorStatistics, FeatureLayout, FeatureSums, FeatureTile, Frame, ImagePiece, LayerPiece,
@@ -26,7 +26,7 @@ use femc_pipeline::measure::{
 };
 use femc_pipeline::paths::histogram::{Histograms, Table};
 use femc_pipeline::paths::{FrameStatistics, LightStatistics};
-use femc_pipeline::radiosity::{BlockGuides, GuideKind, RayHits, SolveOptions, SolverState};
+use femc_pipeline::radiosity::{GuideKind, RayHits, SolveOptions, SolverState};
 use femc_pipeline::{
     Field, Layer, LayerPlan, Outputs, Prepared, Preset, RenderTask, SceneSource, Settings, Side, StatisticsPlan,
     StopCondition, encode_solution, prepare_world, solve_first_pass,
@@ -388,15 +388,8 @@ fn first_pass() -> Vec<Target> {
                 if let Some(point) = line.sample(0.4) {
                     assert!(point.pdf == line.pdf(point.t));
                 }
-                if let Some(directions) = field
-                    .guide_at(&hit, Side::Front, test_point())
-                    .and_then(|guided| guided.lobes)
-                    .map(|(block, _)| femc_field::Directions::new(block, test_point()))
-                    .and_then(femc_field::Directions::non_empty)
-                {
-                    let dir = directions.sample(0.3, [0.4, 0.5]);
-                    let _ = directions.pdf(dir);
-                }
+                let targets = TargetGuide::without_targets(&field);
+                let _ = targets.at(&field, &hit, Side::Front, test_point());
             }
         }
         assert!(Field::decode(&field.encode(&statistics)).is_ok());
@@ -414,25 +407,22 @@ fn first_pass() -> Vec<Target> {
 /// Targets for data between the steps of a first pass in blocks. A memory limit of 0 keeps the elements few. There is one ray of
 /// each part.
 fn first_pass_steps(prepared: Prepared) -> Vec<Target> {
-    let (options, cancel) = (SolveOptions { error: 1.0, memory: 0, guides: GuideKind::Lobes }, AtomicBool::new(false));
+    let (options, cancel) = (SolveOptions { error: 1.0, memory: 0, guides: GuideKind::None }, AtomicBool::new(false));
     let state = SolverState::new(&prepared, &options, &cancel).expect("elements");
     let links = state.encode_links();
     let casting = state.plan_rays(&prepared, &options);
     let hits = casting.cast(&prepared, 0, 1);
     let corrected = casting.apply_hits(&prepared, &options, vec![hits.clone()], &cancel).expect("nobody cancels");
     let corrected = corrected.expect("its own rays");
-    let elements = corrected.state().encode_elements();
-    let guides = corrected.guides(&prepared, 0, 1).encode();
+    let elements = corrected.encode_elements();
     let (of_links, of_elements, prepared) = (links.clone(), elements.clone(), Arc::new(prepared));
-    let (of, twice) = (prepared.clone(), corrected.state().clone());
+    let (of, again) = (prepared.clone(), SolverState::new(&prepared, &options, &cancel).expect("elements"));
+    let casting = Arc::new(again.plan_rays(&prepared, &options));
     let is_state = move |elements: &[u8], links: &[u8]| {
         let Ok(read) = SolverState::decode(&prepared, elements, links) else { return false };
         // An accepted state must be able to continue, and must encode again.
         let again = SolverState::decode(&prepared, &read.encode_elements(), &read.encode_links());
-        assert!(
-            again
-                .is_ok_and(|again| again.solution(&prepared, &options, Vec::new()).report.links == read.report().links)
-        );
+        assert!(again.is_ok_and(|again| again.solution(&prepared, &options).report.links == read.report().links));
         true
     };
     let with_links = is_state.clone();
@@ -444,14 +434,7 @@ fn first_pass_steps(prepared: Prepared) -> Vec<Target> {
     let are_rays = move |bytes: &[u8]| {
         let Ok(sights) = RayHits::decode(bytes) else { return false };
         assert!(RayHits::decode(&sights.encode()).is_ok());
-        twice.clone().with_hits(vec![sights]).is_ok()
-    };
-    let end = corrected.state().clone();
-    let are_guides = move |bytes: &[u8]| {
-        let Ok(found) = BlockGuides::decode(bytes) else { return false };
-        assert!(BlockGuides::decode(&found.encode()).is_ok());
-        let _ = end.solution(&of, &options, vec![found]);
-        true
+        casting.apply_hits(&of, &options, vec![sights], &AtomicBool::new(false)).is_ok_and(|applied| applied.is_some())
     };
     let (rays, is_rays) = (hits.encode(), are_rays.clone());
     vec![
@@ -463,7 +446,6 @@ fn first_pass_steps(prepared: Prepared) -> Vec<Target> {
         }),
         Target::new("rays", vec![rays.clone()], is_rays),
         Target::with_envelope("rays, inside", vec![columns(&rays)], add_envelope, are_rays),
-        Target::with_envelope("guides", vec![columns(&guides)], add_envelope, are_guides),
     ]
 }
 
@@ -596,7 +578,7 @@ const FRAMES_FRONT: usize = 8 + 4 + 4 + 8;
 const PATHS_FRONT: usize = 28 + 4 + 8 + 7 * 4 + 6 * 8 + 8 + 7 * 4 + 8;
 
 /// Bytes of an encoded field before its tables.
-const FIELD_FRONT: usize = 28 + 8 * 8 + 4 + 14 * 4 + 8;
+const FIELD_FRONT: usize = 28 + 8 * 8 + 4 + 12 * 4 + 8;
 
 fn test_point() -> Vec3A {
     Vec3A::new(0.4, 0.3, 0.2)

@@ -2,7 +2,8 @@
 
 use crate::first_pass::{cube, furnace};
 use femc_field::{
-    DirectionTable, DirectionTables, Form, Leaf, RegionTargets, Surface, TableExtent, Target, TargetGuide, TargetPack,
+    Ball, DirectionTable, DirectionTables, Form, Leaf, Parallelogram, RegionTargets, Surface, TableExtent, Target,
+    TargetGuide, TargetPack,
 };
 use femc_film::Filter;
 use femc_math::color::luminance;
@@ -34,8 +35,8 @@ fn prepare_scene(scene: Arc<Scene>) -> Prepared {
     prepare_frame(&SceneSource::new(scene), &settings, 1, None).unwrap_or_else(|e| panic!("{e}"))
 }
 
-fn solve_guides(prepared: &Prepared) -> Field {
-    solve_with(prepared, GuideKind::Lobes)
+fn solve(prepared: &Prepared) -> Field {
+    solve_with(prepared, GuideKind::None)
 }
 
 fn solve_with(prepared: &Prepared, guides: GuideKind) -> Field {
@@ -46,6 +47,12 @@ fn solve_with(prepared: &Prepared, guides: GuideKind) -> Field {
 /// Renders the mean luminance of each block of pixels. Returns it with its variance.
 fn blocks(prepared: &Prepared, guide: Option<&Field>, seed: u64, spp: u32) -> Vec<[f64; 2]> {
     guided_blocks(prepared, guide.map(|field| Guidance::new(prepared, field)), seed, spp)
+}
+
+/// Renders blocks with paths that the light of a field ends and splits, and that no target guides.
+fn window_blocks(prepared: &Prepared, field: &Field, seed: u64, spp: u32) -> Vec<[f64; 2]> {
+    let targets = TargetGuide::without_targets(field);
+    guided_blocks(prepared, Some(Guidance::new(prepared, field).with_targets(prepared, &targets)), seed, spp)
 }
 
 /// Renders the mean luminance of each block of pixels with paths that are guided. Returns it with its variance.
@@ -88,16 +95,6 @@ fn assert_same_means(name: &str, a: &[[f64; 2]], b: &[[f64; 2]]) {
     assert!(rms < 1.35 && most < 4.5, "{name}: {rms} {most}");
 }
 
-#[test]
-fn what_guides_paths_changes_no_mean() {
-    for name in ["cornell", "glossy", "cornell-fog"] {
-        let prepared = prepare_scene_file(name);
-        let field = solve_guides(&prepared);
-        assert!(field.guides.by_leaf().iter().any(|guide| guide.count > 0), "{name}: nothing is guided");
-        assert_same_means(name, &blocks(&prepared, None, 1, 128), &blocks(&prepared, Some(&field), 2, 128));
-    }
-}
-
 /// Tables of directions, at the surfaces and in the fog that the camera sees, and at all.
 #[test]
 fn tables_of_directions_change_no_mean() {
@@ -128,7 +125,7 @@ fn tables_of_directions_change_no_mean() {
 fn targets_change_no_mean() {
     for (name, openings) in [("cornell", 0), ("glossy", 0), ("cornell-fog", 0), ("door-ajar", 2)] {
         let prepared = prepare_scene_file(name);
-        let field = solve_with(&prepared, GuideKind::None);
+        let field = solve(&prepared);
         let paths = blocks(&prepared, None, 1, 128);
         let check = |kind: &str, guide: &TargetGuide, seed| {
             let guidance = Guidance::new(&prepared, &field).with_targets(&prepared, guide);
@@ -140,7 +137,11 @@ fn targets_change_no_mean() {
         assert!(openings > 0 || !learned.patches.is_empty(), "{name}: nothing is guided");
         check("learned", &learned.guide, 2);
         // Targets in other places than those learned, and any targets with any light.
-        let moved = |target: &Target| Target { corner: target.corner + Vec3A::new(0.3, -0.2, 0.4), ..*target };
+        let away = Vec3A::new(0.3, -0.2, 0.4);
+        let moved = |target: &Target| match *target {
+            Target::Parallelogram(it) => Target::from(Parallelogram { corner: it.corner + away, ..it }),
+            Target::Ball(it) => Ball { center: it.center + away, ..it }.into(),
+        };
         let packs = learned.guide.packs().iter();
         let packs = packs.map(|pack| TargetPack::new(&pack.targets().iter().map(moved).collect::<Vec<_>>()));
         let mut displaced = learned.guide.clone();
@@ -150,7 +151,10 @@ fn targets_change_no_mean() {
             let number = |axis: u64| 4.0 * unit_f32((mix64(3 * k + axis) >> 32) as u32) - 2.0;
             Vec3A::new(number(0), number(1), number(2))
         };
-        let target = |k: u64| Target { corner: vector(3 * k), edges: [vector(3 * k + 1), vector(3 * k + 2)] };
+        let target = |k: u64| match k % 3 {
+            0 => Target::from(Ball { center: vector(3 * k), radius: vector(3 * k + 1).length() }),
+            _ => Parallelogram { corner: vector(3 * k), edges: [vector(3 * k + 1), vector(3 * k + 2)] }.into(),
+        };
         let packs = (0..3).map(|pack| TargetPack::new(&(0..8).map(|k| target(8 * pack + k)).collect::<Vec<_>>()));
         let region = |leaf: u32| {
             let share = |k: usize| if (leaf as usize + k).is_multiple_of(3) { 0.02 * (k + 1) as f32 } else { 0.0 };
@@ -163,7 +167,7 @@ fn targets_change_no_mean() {
         // Parts of the surfaces themselves, in whose planes many vertices are.
         let part = |surface: &Surface| match surface.form {
             Form::Parallelogram([corner, a, b]) => {
-                Some(Target { corner: corner + (a + b) * 0.25, edges: [a * 0.5, b * 0.5] })
+                Some(Target::from(Parallelogram { corner: corner + (a + b) * 0.25, edges: [a * 0.5, b * 0.5] }))
             }
             Form::Triangle(_) | Form::Curved { .. } => None,
         };
@@ -183,7 +187,7 @@ fn both_openings_of_the_door_are_found() {
     for view in 0..20 {
         let origin = format!("origin {} {} 1.7", -2.6 + 0.02 * f64::from(view), -1.4 + 0.11 * f64::from(view % 7));
         let prepared = prepare_scene(parse_scene(&text.replace("origin -2.6 -1.4 1.7", &origin)));
-        let field = solve_with(&prepared, GuideKind::None);
+        let field = solve(&prepared);
         let learned = femc_guiding::learn(&prepared, &field);
         let found = learned.openings.iter().map(|opening| {
             let corners = [[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 1.0]]
@@ -210,7 +214,7 @@ fn both_openings_of_the_door_are_found() {
 #[test]
 fn learning_has_the_same_bits_for_any_threads() {
     let prepared = prepare_scene_file("door-ajar");
-    let field = solve_with(&prepared, GuideKind::None);
+    let field = solve(&prepared);
     let [one, three] = [1, 3].map(|threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap_or_else(|e| panic!("{e}"));
         format!("{:?}", pool.install(|| femc_guiding::learn(&prepared, &field)))
@@ -218,37 +222,11 @@ fn learning_has_the_same_bits_for_any_threads() {
     assert!(one == three);
 }
 
-/// A wrong guide only costs time.
-#[test]
-fn a_guide_that_is_wrong_changes_no_mean() {
-    let prepared = prepare_scene_file("cornell");
-    let field = solve_guides(&prepared);
-    let paths = blocks(&prepared, None, 1, 128);
-    type Change = fn(usize, &mut femc_field::Lobe);
-    let wrong: [(&str, Change); 3] = [
-        ("elsewhere", |_, lobe| lobe.target = -lobe.target),
-        ("narrow", |_, lobe| lobe.axes = lobe.axes.map(|axis| axis * 0.1)),
-        ("at random", |k, lobe| {
-            let turn = k as f32 * 2.4;
-            lobe.target = Vec3A::new(turn.sin(), turn.cos(), (turn * 1.7).sin()) * 2.0;
-            lobe.share = (k % 5) as f32;
-        }),
-    ];
-    for (name, change) in wrong {
-        let mut lobes = field.guides.lobes().to_vec();
-        lobes.iter_mut().enumerate().for_each(|(k, lobe)| change(k, lobe));
-        let guides =
-            femc_field::Guides::new(field.guides.by_leaf().to_vec(), lobes, &field.roots, &field.cells, &field.leaves);
-        let changed = Field { guides, ..field.clone() };
-        assert_same_means(name, &paths, &blocks(&prepared, Some(&changed), 2, 128));
-    }
-}
-
 /// Wrong light in the field ends paths too early or too late, which only costs time.
 #[test]
 fn light_that_is_wrong_changes_no_mean() {
     let prepared = prepare_scene_file("cornell");
-    let field = solve_guides(&prepared);
+    let field = solve(&prepared);
     let paths = blocks(&prepared, None, 1, 128);
     type Scale = fn(usize) -> f32;
     let wrong: [(&str, Scale); 4] = [
@@ -259,7 +237,7 @@ fn light_that_is_wrong_changes_no_mean() {
     ];
     for (name, scale) in wrong {
         let changed = with_scaled_leaves(&field, scale);
-        assert_same_means(name, &paths, &blocks(&prepared, Some(&changed), 2, 128));
+        assert_same_means(name, &paths, &window_blocks(&prepared, &changed, 2, 128));
     }
 }
 
@@ -273,8 +251,7 @@ fn with_scaled_leaves(field: &Field, factor: impl Fn(usize) -> f32) -> Field {
             Leaf::Curved(light) => light.0.iter_mut().for_each(|value| *value *= factor(k)),
         }
     }
-    let (of, lobes) = (field.guides.by_leaf().to_vec(), field.guides.lobes().to_vec());
-    Field { guides: femc_field::Guides::new(of, lobes, &field.roots, &field.cells, &leaves), ..field.clone() }
+    Field { leaves, ..field.clone() }
 }
 
 /// In a closed box whose walls shine evenly, the luminance is 1 / (1 - albedo) everywhere. Fields that are wrong by wall split paths
@@ -289,7 +266,7 @@ fn pixels_of_a_furnace_have_its_light_if_paths_are_split() {
     ];
     for (albedo, fog) in [(0.5, ""), (0.8, ""), (0.5, "medium air =\n  sigma_s 1\nmbox air 0 0 0 1 1 1\n")] {
         let prepared = prepare_scene(parse_scene(&furnace(albedo, fog)));
-        let field = solve_guides(&prepared);
+        let field = solve(&prepared);
         for (name, scale) in scales {
             let changed = with_scaled_leaves(&field, scale);
             let name = format!("albedo {albedo}, {} bytes of fog, {name}", fog.len());
@@ -315,9 +292,9 @@ fn branches_weigh_lamps_as_at_the_vertex_they_left() {
     let wall = format!("m wall =\n  sides 2\n  c\n  rd .8\n{}", cube());
     let text = format!("{camera}{wall}m lamp =\n  sides 2\n  c\n  rd .5\n  ed 10\n{lamps}");
     let prepared = prepare_scene(parse_scene(&text));
-    let field = solve_guides(&prepared);
+    let field = solve(&prepared);
     let changed = with_scaled_leaves(&field, |leaf| 3f32.powi((leaf * 7 % 5) as i32 - 2));
-    assert_same_means("three lamps", &blocks(&prepared, None, 1, 256), &blocks(&prepared, Some(&changed), 2, 256));
+    assert_same_means("three lamps", &blocks(&prepared, None, 1, 256), &window_blocks(&prepared, &changed, 2, 256));
 }
 
 /// Checks the frame's mean at 4 standard errors (once in 16,000 times), each block's mean at 5, and each pixel's mean at 8, because
@@ -325,9 +302,11 @@ fn branches_weigh_lamps_as_at_the_vertex_they_left() {
 fn assert_pixels_have_light(name: &str, prepared: &Prepared, field: &Field, light: f64) {
     const SPP: u32 = 64;
     let (n, count) = (f64::from(SPP), REPLICATES as f64);
+    let targets = TargetGuide::without_targets(field);
     let pixel = |pixel: u32| {
         let path = PathSettings { seed: 3, max_depth: 0, single_technique: None };
-        let mut tracer = Tracer::new(prepared, path).with_guidance(Guidance::new(prepared, field));
+        let guidance = Guidance::new(prepared, field).with_targets(prepared, &targets);
+        let mut tracer = Tracer::new(prepared, path).with_guidance(guidance);
         let mut sums = [0.0; REPLICATES];
         for sample in 0..SPP {
             let drawn = tracer.sample(pixel, sample, FilterAdapter(Filter::Box));
@@ -364,13 +343,15 @@ fn paths_that_are_guided_have_less_variance() {
     let turned = text.replace("xf -t 0 0.1 3.98", "xf -rx 180 -t 0 0.1 3.2");
     assert_ne!(turned, text);
     let prepared = prepare_scene(parse_scene(&turned));
-    let (lobes, tables) = (solve_guides(&prepared), solve_with(&prepared, GuideKind::Tables));
+    let [field, tables] = [GuideKind::None, GuideKind::Tables].map(|guides| solve_with(&prepared, guides));
+    let learned = femc_guiding::learn(&prepared, &field);
     let variance = |blocks: Vec<[f64; 2]>| {
         blocks.iter().map(|[mean, variance]| variance / (mean * mean + 1e-2)).sum::<f64>() / blocks.len() as f64
     };
     let unguided = variance(blocks(&prepared, None, 1, 64));
-    for (name, field, least) in [("lobes", lobes, 1.4), ("tables", tables, 1.2)] {
-        let ratio = unguided / variance(blocks(&prepared, Some(&field), 2, 64));
+    let targets = Guidance::new(&prepared, &field).with_targets(&prepared, &learned.guide);
+    for (name, guidance, least) in [("targets", targets, 2.0), ("tables", Guidance::new(&prepared, &tables), 1.2)] {
+        let ratio = unguided / variance(guided_blocks(&prepared, Some(guidance), 2, 64));
         println!("{name}: variance without a guide over that with one: {ratio:.2}");
         assert!(ratio > least, "{name}: {ratio}");
     }

@@ -1,17 +1,12 @@
-//! The first-pass-guides task: computes the guides of one block of a first pass, the directions from which its light comes.
+//! The first-pass-guides task of earlier versions. Guides are no part of a first pass any more, so its output is empty.
 
 use femc_model::{Failure, Role, StageTemplate};
 
-use super::first_pass::World;
-use super::solver_state::state_after_rays;
 use super::{Product, Tools};
 use crate::task_table::Task;
 
-pub(super) fn first_pass_guides(task: &Task, stage: &StageTemplate, tools: &Tools) -> Result<Product, Failure> {
-    let world = World::prepare(task, tools)?;
-    let state = state_after_rays(task, tools, &world)?;
-    let (block, blocks) = (task.assignment.spec.item, stage.tasks());
+pub(super) fn first_pass_guides(_: &Task, stage: &StageTemplate, _: &Tools) -> Result<Product, Failure> {
     let mut product = Product::default();
-    product.put(stage, Role::SolverState, || tools.install(task, || state.guides(&world.prepared, block, blocks)));
-    world.finish(task, product)
+    product.put(stage, Role::SolverState, Vec::new);
+    Ok(product)
 }

@@ -1,31 +1,23 @@
 //! The first-pass-solve task: solves a first pass again, corrected by the ray hits of all blocks.
 
-use std::sync::Arc;
-
-use femc_model::{Artifact, Failure, Role, StageKind, StageTemplate};
-use femc_pipeline::GuideState;
+use femc_model::{Failure, Role, StageKind, StageTemplate};
+use femc_pipeline::LinkedState;
 
 use super::first_pass::{World, render_failure};
-use super::solver_state::{linked_artifacts, read_rays, state_before_rays, states_from};
+use super::solver_state::{read_rays, state_before_rays, states_from};
 use super::{Product, Tools};
 use crate::task_table::Task;
 
 pub(super) fn first_pass_solve(task: &Task, stage: &StageTemplate, tools: &Tools) -> Result<Product, Failure> {
     let world = World::prepare(task, tools)?;
     let corrected = solve_with_rays(task, tools, &world)?;
-    let bytes = tools.install(task, || corrected.encode_elements());
-    // Later steps on this worker continue with the cached state: theirs are these elements, the same links and the same rays.
-    let links = linked_artifacts(task).pop();
-    let rays = states_from(task, StageKind::FirstPassRays);
-    let inputs: Vec<Artifact> = [Artifact::from_bytes(&bytes)].into_iter().chain(links).chain(rays).collect();
-    tools.cache.state_after_rays(&inputs, || Ok(corrected))?;
     let mut product = Product::default();
-    product.put(stage, Role::SolverState, || bytes);
+    product.put(stage, Role::SolverState, || tools.install(task, || corrected.encode_elements()));
     world.finish(task, product)
 }
 
 /// Solves with the ray hits of all blocks.
-pub(super) fn solve_with_rays(task: &Task, tools: &Tools, world: &World) -> Result<Arc<dyn GuideState>, Failure> {
+pub(super) fn solve_with_rays(task: &Task, tools: &Tools, world: &World) -> Result<Box<dyn LinkedState>, Failure> {
     let state = state_before_rays(task, tools, world)?;
     let rays = read_rays(task, tools, world)?;
     let solve = || state.apply(&world.prepared, rays, &task.cancel);

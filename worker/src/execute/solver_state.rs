@@ -1,15 +1,14 @@
 //! Solver states of a first pass in blocks, as inputs of its steps.
 //!
 //! All steps make outputs of one role. The kind of the stage that made an input says what it holds: elements and links, elements
-//! alone, ray hits, or guides. A worker builds the state in which a step begins from these inputs once and caches it (`Cache`), so
-//! that the next block begins at once. The worker that has solved with the rays of all blocks continues with that state and
-//! downloads nothing.
+//! alone, or ray hits. A worker builds the state before the rays of a round once and caches it (`Cache`), so that the next block
+//! begins at once.
 
 use std::sync::Arc;
 
 use bytes::Bytes;
 use femc_model::{Artifact, Failure, Input, Role, StageKind};
-use femc_pipeline::{BlockOutput, BlockPhase, GuideState, LinkedState, RayState, StepDecodeError};
+use femc_pipeline::{BlockOutput, LinkedState, RayState, StepDecodeError};
 use rayon::prelude::*;
 
 use super::first_pass::World;
@@ -45,16 +44,6 @@ pub(super) fn state_before_rays(task: &Task, tools: &Tools, world: &World) -> Re
     })
 }
 
-/// Returns the state from which the guides start.
-pub(super) fn state_after_rays(task: &Task, tools: &Tools, world: &World) -> Result<Arc<dyn GuideState>, Failure> {
-    let rays = states_from(task, StageKind::FirstPassRays);
-    tools.cache.state_after_rays(&[linked_artifacts(task), rays.clone()].concat(), || {
-        let state = linked_state(task, tools, world)?;
-        let outputs = read_rays(task, tools, world)?;
-        tools.install(task, || state.after_rays(outputs)).map_err(|error| damaged(&rays, error))
-    })
-}
-
 /// Returns the latest elements, with their links.
 pub(super) fn linked_state(task: &Task, tools: &Tools, world: &World) -> Result<Box<dyn LinkedState>, Failure> {
     let [starts, solutions] =
@@ -78,25 +67,11 @@ pub(super) fn linked_state(task: &Task, tools: &Tools, world: &World) -> Result<
     decoded.map_err(|error| damaged(&read, error))
 }
 
-/// Returns the guides of all blocks, in order.
-pub(super) fn read_guides(task: &Task, tools: &Tools, world: &World) -> Result<Vec<BlockOutput>, Failure> {
-    read_blocks(task, tools, world, BlockPhase::Guides)
-}
-
-/// Returns the results of the rays of all blocks, in order.
+/// Downloads and decodes the results of the rays of all blocks, in order. The error names all lost outputs.
 pub(super) fn read_rays(task: &Task, tools: &Tools, world: &World) -> Result<Vec<BlockOutput>, Failure> {
-    read_blocks(task, tools, world, BlockPhase::Rays)
-}
-
-/// Downloads and decodes the outputs of all blocks, in order. The error names all lost outputs.
-fn read_blocks(task: &Task, tools: &Tools, world: &World, phase: BlockPhase) -> Result<Vec<BlockOutput>, Failure> {
-    let kind = match phase {
-        BlockPhase::Rays => StageKind::FirstPassRays,
-        BlockPhase::Guides => StageKind::FirstPassGuides,
-    };
     let mut lost = LostInputs::default();
-    let here = lost.fetch(task, &states_from(task, kind), tools)?;
-    let decode = |(_, bytes): &(Artifact, Bytes)| world.solver.decode_block(phase, bytes);
+    let here = lost.fetch(task, &states_from(task, StageKind::FirstPassRays), tools)?;
+    let decode = |(_, bytes): &(Artifact, Bytes)| world.solver.decode_rays(bytes);
     let decoded: Vec<Result<BlockOutput, StepDecodeError>> =
         tools.install(task, || here.par_iter().map(decode).collect());
     let mut out = Vec::with_capacity(here.len());

@@ -85,7 +85,7 @@ impl Change {
             Self::Method(Method::Pt) => "pt".to_owned(),
             Self::Method(Method::Fem) => "fem".to_owned(),
             Self::Method(Method::Femc) => "femc".to_owned(),
-            Self::Guide(Guide::Lobes) => "lobes".to_owned(),
+            Self::Guide(Guide::Targets) => "targets".to_owned(),
             Self::Guide(Guide::Tables1998) => "1998".to_owned(),
             Self::Filter(Filter::Box) => "box".to_owned(),
             Self::Filter(Filter::Triangle) => "triangle".to_owned(),

@@ -4,11 +4,11 @@
 //! | bytes | what |
 //! | --- | --- |
 //! | 8 | `FEMCFELD` |
-//! | 4 | format version, 7 |
+//! | 4 | format version, 8 |
 //! | 16 | BLAKE3 of everything after this field, first half |
 //! | 8 x 8 | [`SolveStatistics`]: elements, leaves, links, links with light sources, refused links, rays, iterations, bytes |
 //! | 4 | the residual |
-//! | 14 x 4 | numbers of instances, primitives of all of them, surfaces, cells, leaves, leaves with direct light (all or 0), errors of leaves, boxes that contain all fog (1 or 0), boxes of fog, guides, lobes, leaves with tables of directions (all or 0), boxes of fog with tables (all or 0), tables |
+//! | 12 x 4 | numbers of instances, primitives of all of them, surfaces, cells, leaves, leaves with direct light (all or 0), errors of leaves, boxes that contain all fog (1 or 0), boxes of fog, leaves with tables of directions (all or 0), boxes of fog with tables (all or 0), tables |
 //! | 8 | bytes of the tables below |
 //! | rest | zstd frame of the tables |
 //!
@@ -31,8 +31,6 @@
 //! | boxes of fog, halves in the order of the split boxes | 0, 1, 2: split across this axis, 3: leaf |
 //! | splits, in order | coordinate |
 //! | leaves of fog, in order | mean and its changes, anisotropy, scattering and extinction coefficient: 21 |
-//! | guides | first lobe, number of lobes, share |
-//! | lobes | target, half axes, share: 10 |
 //! | tables of leaves, of boxes of fog that are leaves | index |
 //! | tables | 0: hemisphere, 1: sphere; pole; sums of probabilities by cell: 516 |
 //!
@@ -41,8 +39,8 @@
 //! light and coefficients of fog are finite and not negative.
 
 use crate::{
-    Cell, DirectionTable, DirectionTables, Field, FogCell, FogLeaf, FogTree, Form, Guide, Guides, Harmonics, LOBES,
-    Leaf, Lobe, NONE, Outline, Side, Split, Surface, TABLE_CELLS, TableExtent,
+    Cell, DirectionTable, DirectionTables, Field, FogCell, FogLeaf, FogTree, Form, Harmonics, Leaf, NONE, Outline,
+    Side, Split, Surface, TABLE_CELLS, TableExtent,
 };
 use femc_geometry::{Facing, Quadric};
 use femc_math::Rgb;
@@ -51,7 +49,7 @@ use std::io::Read;
 use std::mem::discriminant;
 
 const MAGIC: &[u8; 8] = b"FEMCFELD";
-const VERSION: u32 = 7;
+const VERSION: u32 = 8;
 const CHECKSUM: usize = 16;
 const PREFIX: usize = MAGIC.len() + 4 + CHECKSUM;
 /// Maximum number of bytes of all tables: 4 GiB.
@@ -59,8 +57,6 @@ const MAX_TABLE_BYTES: u64 = 1 << 32;
 /// Maximum window of data that is read back. It bounds the memory of the decompressor.
 const WINDOW_LOG: u32 = 23;
 const COMPRESSION_LEVEL: i32 = 3;
-/// Maximum share of a guide's lobes in all directions.
-const MAX_GUIDED_SHARE: f32 = 0.99;
 
 /// Statistics of a first pass.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -138,8 +134,6 @@ impl Field {
             self.errors.len(),
             usize::from(!self.fog.is_empty()),
             self.fog.cells().count(),
-            self.guides.by_leaf().len(),
-            self.guides.lobes().len(),
             self.tables.parts().0.len(),
             self.tables.parts().1.len(),
             self.tables.parts().2.len(),
@@ -195,15 +189,6 @@ impl Field {
         write_leaves(&mut out, &self.direct);
         write_table(&mut out, self.errors.iter().map(|error| [error.to_bits()]));
         self.encode_fog_tables(&mut out);
-        write_table(
-            &mut out,
-            self.guides.by_leaf().iter().map(|guide| [guide.first, guide.count, guide.share.to_bits()]),
-        );
-        let lobe = |&Lobe { target, axes: [a, b], share }: &Lobe| {
-            let values: [u32; 9] = color_words(&[target, a, b]);
-            std::array::from_fn::<u32, 10, _>(|at| if at < 9 { values[at] } else { share.to_bits() })
-        };
-        write_table(&mut out, self.guides.lobes().iter().map(lobe));
         self.encode_direction_tables(&mut out);
         out
     }
@@ -269,7 +254,7 @@ impl Field {
             bytes: front.read_u64()?,
             residual: f32::from_bits(front.read_u32()?),
         };
-        let mut lengths = [0; 14];
+        let mut lengths = [0; 12];
         for length in &mut lengths {
             *length = front.read_u32()?;
         }
@@ -298,21 +283,8 @@ fn decompress(bytes: &[u8], plain: u64) -> Result<Vec<u8>, FieldError> {
     if tables.len() as u64 == plain { Ok(tables) } else { Err(LENGTH) }
 }
 
-fn read_tables(mut tables: TableReader<'_>, lengths: [u32; 14]) -> Result<Field, FieldError> {
-    let [
-        instances,
-        primitives,
-        surfaces,
-        cells,
-        leaves,
-        direct,
-        errors,
-        roots_of_fog,
-        boxes,
-        guides,
-        lobes,
-        counts @ ..,
-    ] = lengths;
+fn read_tables(mut tables: TableReader<'_>, lengths: [u32; 12]) -> Result<Field, FieldError> {
+    let [instances, primitives, surfaces, cells, leaves, direct, errors, roots_of_fog, boxes, counts @ ..] = lengths;
     let instances: Vec<[u32; 1]> = tables.read_table(instances)?;
     if instances.iter().map(|[count]| u64::from(*count)).sum::<u64>() != u64::from(primitives) {
         return Err(FieldError::Corrupt("wrong number of primitives"));
@@ -374,9 +346,6 @@ fn read_tables(mut tables: TableReader<'_>, lengths: [u32; 14]) -> Result<Field,
         let outline = Outline { corner: Vec2::new(x, y), edges: [Vec2::new(ax, ay), Vec2::new(bx, by)] };
         all.push(Cell { outline, split, next });
     }
-    if guides != 0 && guides != leaves {
-        return Err(FieldError::Corrupt("wrong number of guides"));
-    }
     if direct != 0 && direct != leaves {
         return Err(FieldError::Corrupt("wrong number of leaves with direct light"));
     }
@@ -394,39 +363,11 @@ fn read_tables(mut tables: TableReader<'_>, lengths: [u32; 14]) -> Result<Field,
         return Err(FieldError::Corrupt("an error is not a number of at least 0"));
     }
     let fog = read_fog(&mut tables, roots_of_fog, boxes)?;
-    let (guides, lobes) = read_guides(&mut tables, [guides, lobes])?;
     let direction_tables = read_direction_tables(&mut tables, counts, [leaves.len(), fog.leaves().count()])?;
     if !tables.0.is_empty() {
         return Err(FieldError::Corrupt("extra bytes follow the tables"));
     }
-    let guides = Guides::new(guides, lobes, &roots, &all, &leaves);
-    Ok(Field { surfaces, roots, leaves, direct, errors, guides, tables: direction_tables, cells: all, sides, fog })
-}
-
-/// Reads guides and their lobes.
-/// - `lengths`: numbers of guides and of lobes.
-fn read_guides(tables: &mut TableReader<'_>, [guides, lobes]: [u32; 2]) -> Result<(Vec<Guide>, Vec<Lobe>), FieldError> {
-    let records: Vec<[u32; 3]> = tables.read_table(guides)?;
-    if records
-        .iter()
-        .any(|&[first, count, _]| count as usize > LOBES || first.checked_add(count).is_none_or(|end| end > lobes))
-    {
-        return Err(INDEX);
-    }
-    let guides = records.into_iter().map(|[first, count, share]| Guide { first, count, share: decode_share(share) });
-    let lobe = |words: [u32; 10]| {
-        let [target, a, b] = vectors_from_words::<3, 9>(&std::array::from_fn(|at| words[at]));
-        Lobe { target, axes: [a, b], share: f32::from_bits(words[9]) }
-    };
-    let read: Vec<Lobe> = tables.read_table::<10>(lobes)?.into_iter().map(lobe).collect();
-    let is_sound = |lobe: &Lobe| {
-        let is_axis = |axis: &Vec3A| axis.is_finite() && axis.length_squared() > 0.0;
-        lobe.target.is_finite() && lobe.axes.iter().all(is_axis) && (0.0..f32::INFINITY).contains(&lobe.share)
-    };
-    if !read.iter().all(is_sound) {
-        return Err(FieldError::Corrupt("invalid lobe"));
-    }
-    Ok((guides.collect(), read))
+    Ok(Field { surfaces, roots, leaves, direct, errors, tables: direction_tables, cells: all, sides, fog })
 }
 
 /// Reads tables of directions.
@@ -457,12 +398,6 @@ fn read_direction_tables(
         all.ok_or(INVALID)?,
     )
     .ok_or(INVALID)
-}
-
-/// Decodes a share of directions, in [0, 1). The rest is for directions that no lobe covers.
-fn decode_share(bits: u32) -> f32 {
-    let share = f32::from_bits(bits);
-    if (0.0..MAX_GUIDED_SHARE).contains(&share) { share } else { 0.0 }
 }
 
 /// Writes the kinds of leaves, and the values of each kind.

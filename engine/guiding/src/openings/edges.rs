@@ -1,7 +1,7 @@
 //! Openings in thin sheets: edges that surround a line as seen from its start.
 
 use super::{Blockers, Line, MIN_OPEN_SHARE, NARROW, open_share};
-use femc_field::Target;
+use femc_field::Parallelogram;
 use femc_math::elementary::sin_cos;
 use femc_math::glam::Vec3A;
 use femc_math::{Frame, cross};
@@ -25,7 +25,7 @@ const MAX_COSINE: f32 = 0.8;
 const REFINEMENTS: u32 = 16;
 
 /// Returns the opening of a thin sheet through which a line passes. `None` if too few edges surround it.
-pub fn find_by_edges(blockers: &impl Blockers, line: &Line) -> Option<Target> {
+pub fn find_by_edges(blockers: &impl Blockers, line: &Line) -> Option<Parallelogram> {
     let length = line.length();
     let along = (line.ends[1] - line.ends[0]) / length;
     if !along.is_finite() {
@@ -126,7 +126,7 @@ impl<B: Blockers> View<'_, B> {
 
 /// Returns the parallelogram of least area in a plane that contains the projections of points. Its edges are parallel to lines
 /// between adjacent points.
-fn least_parallelogram(points: &[Vec3A], normal: Vec3A) -> Target {
+fn least_parallelogram(points: &[Vec3A], normal: Vec3A) -> Parallelogram {
     let middle = points.iter().sum::<Vec3A>() / points.len() as f32;
     let sides = (0..points.len()).map(|k| {
         let side = points[(k + 1) % points.len()] - points[k];
@@ -147,15 +147,15 @@ fn least_parallelogram(points: &[Vec3A], normal: Vec3A) -> Target {
                 (low[k], high[k]) = (low[k].min(place), high[k].max(place));
             }
         }
-        Target {
+        Parallelogram {
             corner: middle + axes[0] * low[0] + axes[1] * low[1],
             edges: [0, 1].map(|k| axes[k] * (high[k] - low[k])),
         }
     });
     // Another one must be smaller by more than rounding.
-    let smaller = |best: Option<Target>, it: Target| match best {
+    let smaller = |best: Option<Parallelogram>, it: Parallelogram| match best {
         Some(best) if 0.999 * best.area() <= it.area() => Some(best),
         _ => Some(it),
     };
-    targets.fold(None, smaller).unwrap_or(Target { corner: middle, edges: [Vec3A::ZERO; 2] })
+    targets.fold(None, smaller).unwrap_or(Parallelogram { corner: middle, edges: [Vec3A::ZERO; 2] })
 }

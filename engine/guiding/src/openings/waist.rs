@@ -1,7 +1,7 @@
 //! Openings between two blockers that squeeze a line.
 
 use super::{Blockers, Line, MIN_OPEN_SHARE, NARROW, open_share};
-use femc_field::Target;
+use femc_field::Parallelogram;
 use femc_math::elementary::sin_cos;
 use femc_math::glam::Vec3A;
 use femc_math::{Frame, cross};
@@ -54,7 +54,7 @@ impl Waist {
 
 /// Returns openings between the blockers that squeeze a line most: the gap as found in several directions. It is empty if nothing
 /// squeezes the line.
-pub fn find_by_waist(blockers: &impl Blockers, line: &Line) -> Vec<Target> {
+pub fn find_by_waist(blockers: &impl Blockers, line: &Line) -> Vec<Parallelogram> {
     let Some((waist, along)) = find_waist(blockers, line) else { return Vec::new() };
     let normal = (along - waist.across * along.dot(waist.across)).normalize_or_zero();
     let third = cross(waist.across, normal);
@@ -70,7 +70,7 @@ pub fn find_by_waist(blockers: &impl Blockers, line: &Line) -> Vec<Target> {
 
 /// Gap along which a search has walked.
 struct Gap {
-    target: Target,
+    target: Parallelogram,
     /// Length between its blockers, m, without margins.
     length: f32,
 }
@@ -161,7 +161,7 @@ fn grow(blockers: &impl Blockers, waist: &Waist, way: Vec3A) -> Option<Gap> {
     });
     let [low, high] =
         sides.fold([f32::INFINITY, f32::NEG_INFINITY], |[low, high], side| [low.min(side[0]), high.max(side[1])]);
-    let target = Target { corner: start + across * low, edges: [across * (high - low), long] };
+    let target = Parallelogram { corner: start + across * low, edges: [across * (high - low), long] };
     Some(Gap { target, length })
 }
 

@@ -7,14 +7,15 @@
 use super::*;
 use crate::dimensions as dim;
 use crate::fog::{Collision, FogSampler, FoggyRay};
+use crate::guided::GuideDirections;
 use crate::technique::MisTechnique;
 use crate::test_scene::{path_along, prepare};
 use crate::tracer::{Guidance, PathSettings};
 use crate::window::WeightWindow;
 use femc_emission::{DeltaKind, LightSample, LightWeights};
 use femc_field::{
-    Cell, DirectionTable, DirectionTables, Form, Guide, Guides, Leaf, Lobe, Outline, Split, Surface, TABLE_CELLS,
-    TableCells, TableExtent,
+    Ball, Cell, DirectionTable, DirectionTables, Form, Leaf, Outline, Parallelogram, RegionTargets, Split, Surface,
+    TABLE_CELLS, TableCells, TableExtent, TargetGuide, TargetPack,
 };
 use femc_math::glam::Vec3A;
 use femc_math::hash::{mix64, unit_f32};
@@ -77,37 +78,53 @@ const MATERIALS: [(&str, &str); 4] = [
     ("sheet", " c\n rd .3\n td .3\n rs .1 .4\n"),
 ];
 
-/// Returns a field with one guide for all surfaces, which samples most of the directions from two lobes: one toward a lamp, one
-/// toward nothing.
-fn guiding_field() -> Field {
-    let lobe = |target: Vec3A, spread, share| Lobe::round(target, target.normalize(), spread, share);
-    let lobes = vec![lobe(Vec3A::new(0.6, 0.3, 1.2), 0.05, 0.4), lobe(Vec3A::new(-1.5, 0.8, 0.6), 0.5, 0.3)];
-    let by_leaf = vec![Guide { first: 0, count: 2, share: 0.8 }];
+/// A field over the floor, and its guide.
+struct Guide {
+    field: Field,
+    targets: Option<TargetGuide>,
+}
+
+impl Guide {
+    /// Returns the guide at a point of the floor, and its share of directions.
+    fn at(&self, surface: &SurfaceInteraction<'_>) -> Option<(GuideDirections<'_>, f32)> {
+        let (guide, share) = SurfaceGuide::new(&self.field, self.targets.as_ref(), surface).leaf?;
+        Some((guide.directions_at(surface.point.position)?, share))
+    }
+}
+
+fn field() -> Field {
     let form = Form::Parallelogram([Vec3A::new(-2.0, -2.0, 0.0), Vec3A::X * 4.0, Vec3A::Y * 4.0]);
     let surface = Surface { instance: 0, primitives: [0; 2], material: 0, side: Side::Front, form };
-    let (roots, cells) = (vec![0], vec![Cell { outline: Outline::WHOLE, split: Split::None, next: 0 }]);
-    let leaves = vec![Leaf::Rectangle([Rgb::splat(5.0); 4])];
-    let guides = Guides::new(by_leaf, lobes, &roots, &cells, &leaves);
     Field {
         surfaces: vec![surface],
-        roots,
-        cells,
-        leaves,
-        guides,
+        roots: vec![0],
+        cells: vec![Cell { outline: Outline::WHOLE, split: Split::None, next: 0 }],
+        leaves: vec![Leaf::Rectangle([Rgb::splat(5.0); 4])],
         sides: vec![vec![[0; 2]; 64]; 4],
         ..Field::default()
     }
 }
 
-/// Returns a field over the same floor with a table of directions, mostly toward the lamps.
-fn table_field() -> Field {
+/// Returns a guide that samples most of the directions toward two targets: a ball around a lamp, and a parallelogram beside the lamps.
+fn target_guide() -> Guide {
+    let field = field();
+    let ball = Ball { center: Vec3A::new(0.6, 0.3, 1.2), radius: 0.4 };
+    let beside = Parallelogram { corner: Vec3A::new(-1.9, 0.4, 0.2), edges: [Vec3A::Y, Vec3A::new(0.3, 0.0, 0.9)] };
+    let region = RegionTargets { shares: [0.4, 0.3, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], ..Default::default() };
+    let pack = TargetPack::new(&[ball.into(), beside.into()]);
+    let targets = Some(TargetGuide::new(&field, vec![pack], vec![region], &[0]));
+    Guide { field, targets }
+}
+
+/// Returns a guide with a table of directions, mostly toward the lamps.
+fn table_guide() -> Guide {
     let extent = TableExtent::Hemisphere(Vec3A::Z);
     let mut light = [0.2; TABLE_CELLS];
     for dir in [Vec3A::new(0.6, 0.3, 1.2), Vec3A::new(-0.6, 0.0, 1.1)] {
         light[TableCells::new(extent).find(dir.normalize()).expect("above the floor")] = 30.0;
     }
     let tables = DirectionTables::new(vec![DirectionTable::new(extent, &light)], Vec::new());
-    Field { guides: Guides::default(), tables, ..guiding_field() }
+    Guide { field: Field { tables, ..field() }, targets: None }
 }
 
 fn settings(single_technique: Option<MisTechnique>) -> PathSettings {
@@ -188,16 +205,16 @@ struct Tally {
 
 impl Tally {
     /// Adds the sums of the weights at one vertex. Each way to sample the direction of the lamp's point gives a sum.
-    fn add(&mut self, name: &str, scene: &Prepared, field: Option<&Field>, number: u32) {
+    fn add(&mut self, name: &str, scene: &Prepared, guide: Option<&Guide>, number: u32) {
         let ray = ray_to_floor(scene, number);
         let surface = &interaction(scene, &ray);
         let path = path_along(scene, ray, number.into());
         let Some((light, sample)) = repeat_lamp_sample(scene, &path, surface) else { return };
         let tracer = |technique| {
             let tracer = Tracer::new(scene, settings(technique));
-            let Some(field) = field else { return tracer };
-            let window = WeightWindow::OPEN;
-            tracer.with_guidance(Guidance { field, targets: None, samples_directions: true, window, frame_light: 1.0 })
+            let Some(Guide { field, targets }) = guide else { return tracer };
+            let (targets, window) = (targets.as_ref(), WeightWindow::OPEN);
+            tracer.with_guidance(Guidance { field, targets, samples_directions: true, window, frame_light: 1.0 })
         };
         let sampled = |technique| {
             let (mut tracer, mut out) =
@@ -214,8 +231,7 @@ impl Tally {
         }
         let weight_of_light = luminance(light_of_all) / luminance(light_alone);
         assert_ne!(sample.delta, DeltaKind::Position);
-        let guide = field.and_then(|field| SurfaceGuide::new(field, None, surface).leaf);
-        let guide = guide.and_then(|(guide, share)| Some((guide.directions_at(surface.point.position)?, share)));
+        let guide = guide.and_then(|guide| guide.at(surface));
         let mut directions = DirectionSampler::new(&surface.bsdf, &surface.frame, surface.wo);
         let mut parts = vec![];
         let mut first = 0.0;
@@ -268,16 +284,16 @@ fn light_of_waiting_branch(scene: &Prepared, mut branch: PathState) -> f32 {
 
 #[test]
 fn weights_of_lamps_and_scattering_sum_to_one() {
-    let [lobes, table] = [guiding_field(), table_field()];
+    let [targets, table] = [target_guide(), table_guide()];
     for (name, material) in MATERIALS {
         let scene = floor(material);
-        for field in [None, Some(&lobes), Some(&table)] {
+        for guide in [None, Some(&targets), Some(&table)] {
             let mut tally = Tally::default();
-            (0..120).for_each(|number| tally.add(name, &scene, field, number));
+            (0..120).for_each(|number| tally.add(name, &scene, guide, number));
             let Tally { sums, by_guide, balanced } = tally;
-            println!("{name}, guided {}: {sums} sums, {by_guide} from the guide, {balanced} balanced", field.is_some());
+            println!("{name}, guided {}: {sums} sums, {by_guide} from the guide, {balanced} balanced", guide.is_some());
             assert!(sums > 60 && balanced > 20, "{name}: {sums} sums, {balanced} balanced");
-            assert_eq!(by_guide > 20, field.is_some(), "{name}: {by_guide}");
+            assert_eq!(by_guide > 10, guide.is_some(), "{name}: {by_guide}");
         }
     }
 }
@@ -289,20 +305,19 @@ fn weights_sum_to_one_for_more_lamps_than_are_weighed() {
     let corners = "v e =\n p -2 -2 0\nv f =\n p 2 -2 0\nv g =\n p 2 2 0\nv h =\n p -2 2 0\n";
     let scene = prepare(&format!("{lamps}m floor =\n sides 2\n c\n rd .3\n rs .3 .1\nm floor\n{corners}f e f g h\n"));
     assert_eq!(scene.lights.len(), 169);
-    let (field, mut tally) = (guiding_field(), Tally::default());
-    (0..150).for_each(|number| tally.add("many lamps", &scene, Some(&field), number));
+    let (guide, mut tally) = (target_guide(), Tally::default());
+    (0..150).for_each(|number| tally.add("many lamps", &scene, Some(&guide), number));
     assert!(tally.sums > 40, "{} sums", tally.sums);
 }
 
 /// Density of each sampled direction, asked again.
 #[test]
 fn the_density_of_a_sample_is_the_one_asked_later() {
-    let fields = [guiding_field(), table_field()];
-    for ((name, material), field) in MATERIALS.into_iter().flat_map(|it| fields.iter().map(move |field| (it, field))) {
+    let guides = [target_guide(), table_guide()];
+    for ((name, material), guide) in MATERIALS.into_iter().flat_map(|it| guides.iter().map(move |guide| (it, guide))) {
         let scene = floor(material);
         let surface = &interaction(&scene, &ray_to_floor(&scene, 1));
-        let (guide, share) = SurfaceGuide::new(field, None, surface).leaf.expect("a guide");
-        let guide = guide.directions_at(surface.point.position).expect("lobes in sight");
+        let (guide, share) = guide.at(surface).expect("a guide");
         let mut directions = DirectionSampler::new(&surface.bsdf, &surface.frame, surface.wo);
         directions.add_guide(&guide, share);
         let found: Vec<_> = (0..20_000).filter_map(|at| draw(&directions, at)).collect();
@@ -322,10 +337,8 @@ fn directions_follow_the_density_that_weighs_lamps() {
     const NUMBER: u64 = 60_000;
     let scene = floor(" c\n rd .4\n td .4\n");
     let surface = &interaction(&scene, &ray_to_floor(&scene, 1));
-    // The density of a table is discontinuous, so the test of densities does not apply. Its own tests have one.
-    for (name, field, is_continuous) in [("lobes", guiding_field(), true), ("table", table_field(), false)] {
-        let (guide, share) = SurfaceGuide::new(&field, None, surface).leaf.expect("a guide");
-        let guide = guide.directions_at(surface.point.position).expect("lobes in sight");
+    for (name, guide) in [("targets", target_guide()), ("table", table_guide())] {
+        let (guide, share) = guide.at(surface).expect("a guide");
         let mut directions = DirectionSampler::new(&surface.bsdf, &surface.frame, surface.wo);
         directions.add_guide(&guide, share);
         let pdf = |wi: [f64; 3]| {
@@ -339,10 +352,8 @@ fn directions_follow_the_density_that_weighs_lamps() {
             found.map(|found| found.sample.wi.to_array().map(f64::from))
         };
         let chi = sphere_test(pdf, sample, Cells::default(), NUMBER);
-        assert!((chi.integral - 1.0).abs() < if is_continuous { 1e-3 } else { 2e-2 }, "{name}: {chi:?}");
-        if is_continuous {
-            chi.expect(1e-4, name);
-        }
+        // The densities are discontinuous, so the test of densities does not apply. Their own tests have one.
+        assert!((chi.integral - 1.0).abs() < 2e-2, "{name}: {chi:?}");
         assert!(weights.p_value(0.8) > 1e-4, "{name}: {weights:?}");
     }
 }

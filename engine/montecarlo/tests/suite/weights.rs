@@ -5,7 +5,9 @@
 //! ignores them is wrong by much more than the errors of the means.
 
 use crate::analytic::{CENTER, prepare, root_of_squares};
-use femc_field::{Cell, Field, Form, Guide, Guides, Leaf, Lobe, Outline, Side, Split, Surface};
+use femc_field::{
+    Ball, Cell, Field, Form, Leaf, Outline, Parallelogram, RegionTargets, Side, Split, Surface, TargetGuide, TargetPack,
+};
 use femc_geometry::Ray;
 use femc_math::Rgb;
 use femc_math::color::luminance;
@@ -78,18 +80,14 @@ fn room(media: &str, floor: &str) -> Prepared {
     prepare(&format!("{CAMERA}{media}{LAMPS}{wall}m floor =\n sides 2\n{floor}{ROOM}"), "main")
 }
 
-/// Returns a field with equal guides for all surfaces. Half of the guides' directions go toward the ball, the others beside the
+/// Returns a field and a guide with equal targets for all surfaces. Half of their directions go toward the ball, the others beside the
 /// lamps. The wall is forty times as bright as the rest, so that paths split there.
-fn field(scene: &Prepared) -> Field {
+fn guide(scene: &Prepared) -> (Field, TargetGuide) {
     let shift = scene.origin.as_vec3a();
-    let lobe = |target: Vec3A, spread, share| Lobe::round(target - shift, target.normalize(), spread, share);
-    let lobes = vec![lobe(Vec3A::new(0.6, 0.3, 1.2), 0.06, 0.5), lobe(Vec3A::new(-1.5, 0.7, 0.9), 0.4, 0.3)];
     let form = Form::Parallelogram([Vec3A::ZERO, Vec3A::X, Vec3A::Y]);
     let surface = Surface { instance: 0, primitives: [0; 2], material: 0, side: Side::Front, form };
     let cells: Vec<Cell> = (0..2).map(|next| Cell { outline: Outline::WHOLE, split: Split::None, next }).collect();
     let leaves = [1.0, 40.0].map(|light| Leaf::Rectangle([Rgb::splat(light); 4])).to_vec();
-    let (roots, by_leaf) = (vec![0, 1], vec![Guide { first: 0, count: 2, share: 0.85 }; 2]);
-    let guides = Guides::new(by_leaf, lobes, &roots, &cells, &leaves);
     let mut sides = vec![vec![[0; 2]; 64]; 4];
     for x in [-1.8, 1.8] {
         let origin = Vec3A::new(x, -1.8, 1.0) - shift;
@@ -97,7 +95,13 @@ fn field(scene: &Prepared) -> Field {
         let hit = scene.world.intersect(&ray).expect("the wall");
         sides[hit.instance as usize][hit.primitive as usize] = [1; 2];
     }
-    Field { surfaces: vec![surface; 2], roots, cells, leaves, guides, sides, ..Field::default() }
+    let field = Field { surfaces: vec![surface; 2], roots: vec![0, 1], cells, leaves, sides, ..Field::default() };
+    let ball = Ball { center: Vec3A::new(0.6, 0.3, 1.2) - shift, radius: 0.35 };
+    let corner = Vec3A::new(-1.8, 0.3, 0.4) - shift;
+    let beside = Parallelogram { corner, edges: [Vec3A::Y * 0.6, Vec3A::new(0.5, 0.0, 0.8)] };
+    let region = RegionTargets { shares: [0.5, 0.35, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], ..Default::default() };
+    let targets = TargetGuide::new(&field, vec![TargetPack::new(&[ball.into(), beside.into()])], vec![region], &[0, 0]);
+    (field, targets)
 }
 
 /// Guidance of one run.
@@ -112,6 +116,7 @@ enum Guided {
 struct Run<'a> {
     scene: &'a Prepared,
     field: &'a Field,
+    targets: &'a TargetGuide,
     max_depth: u32,
     samples: u64,
 }
@@ -130,8 +135,8 @@ impl Run<'_> {
                     _ => WeightWindow::default(),
                 };
                 let samples_directions = guided != Guided::Window;
-                let guidance =
-                    Guidance { field: self.field, targets: None, samples_directions, window, frame_light: 0.1 };
+                let (field, targets) = (self.field, Some(self.targets));
+                let guidance = Guidance { field, targets, samples_directions, window, frame_light: 0.1 };
                 tracer = tracer.with_guidance(guidance);
             }
             let color = tracer.sample(0, 0, CENTER).color;
@@ -178,34 +183,34 @@ impl Run<'_> {
 #[test]
 fn guides_and_windows_change_no_mean_on_matte_floors() {
     let scene = &room("", " c\n rd .7\n");
-    let field = &field(scene);
-    Run { scene, field, max_depth: 4, samples: 100_000 }.assert_equal_means("matte floors", 0.008);
+    let (field, targets) = &guide(scene);
+    Run { scene, field, targets, max_depth: 4, samples: 100_000 }.assert_equal_means("matte floors", 0.008);
 }
 
 #[test]
 fn guides_and_windows_change_no_mean_on_rough_floors() {
     let scene = &room("", " c\n rd .3\n rs .5 .2\n");
-    let field = &field(scene);
-    Run { scene, field, max_depth: 3, samples: 100_000 }.assert_equal_means("rough floors", 0.008);
+    let (field, targets) = &guide(scene);
+    Run { scene, field, targets, max_depth: 3, samples: 100_000 }.assert_equal_means("rough floors", 0.008);
 }
 
 #[test]
 fn guides_and_windows_change_no_mean_on_coated_floors() {
     let scene = &room("", " c\n crgb .6 .3 .1\n rd .5\n c\n rs .3 .1\n");
-    let field = &field(scene);
-    Run { scene, field, max_depth: 3, samples: 100_000 }.assert_equal_means("coated floors", 0.008);
+    let (field, targets) = &guide(scene);
+    Run { scene, field, targets, max_depth: 3, samples: 100_000 }.assert_equal_means("coated floors", 0.008);
 }
 
 #[test]
 fn guides_and_windows_change_no_mean_on_polished_floors() {
     let scene = &room("", " c\n rd .4\n rs .4 0\n");
-    let field = &field(scene);
-    Run { scene, field, max_depth: 3, samples: 100_000 }.assert_equal_means("polished floors", 0.008);
+    let (field, targets) = &guide(scene);
+    Run { scene, field, targets, max_depth: 3, samples: 100_000 }.assert_equal_means("polished floors", 0.008);
 }
 
 #[test]
 fn guides_and_windows_change_no_mean_in_fog() {
     let scene = &room("medium haze =\n c\n cxy .4 .45\n sigma_s .15\n phase hg .4\nmglobal haze\n", " c\n rd .7\n");
-    let field = &field(scene);
-    Run { scene, field, max_depth: 4, samples: 80_000 }.assert_equal_means("fog", 0.01);
+    let (field, targets) = &guide(scene);
+    Run { scene, field, targets, max_depth: 4, samples: 80_000 }.assert_equal_means("fog", 0.01);
 }

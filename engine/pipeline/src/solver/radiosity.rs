@@ -1,12 +1,11 @@
 //! Hierarchical radiosity as a solver.
 
-use super::{BlockOutput, BlockPhase, GuideState, LinkedState, RayState, Solver, SolverPhases};
+use super::{BlockOutput, LinkedState, RayState, Solver};
 use crate::render::RenderError;
 use crate::settings::Method;
 use femc_prepared::Prepared;
 use femc_radiosity::{
-    BlockGuides, CastingState, CorrectedState, GuideKind, RAY_ROUNDS, RayHits, Solution, SolveOptions, SolveReport,
-    SolverState, StepDecodeError,
+    CastingState, GuideKind, RAY_ROUNDS, RayHits, Solution, SolveOptions, SolveReport, SolverState, StepDecodeError,
 };
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -21,7 +20,7 @@ pub(super) struct Radiosity(SolveOptions);
 impl Radiosity {
     pub(super) fn new(method: Method) -> Self {
         Self(match method {
-            Method::Femc => SolveOptions { error: GUIDING_ERROR, guides: GuideKind::Lobes, ..SolveOptions::default() },
+            Method::Femc => SolveOptions { error: GUIDING_ERROR, ..SolveOptions::default() },
             Method::Femc1998 => {
                 SolveOptions { error: GUIDING_ERROR, guides: GuideKind::Tables, ..SolveOptions::default() }
             }
@@ -37,8 +36,8 @@ impl Solver for Radiosity {
         error.into_iter().chain(memory).chain([guides as u8]).collect()
     }
 
-    fn phases(&self) -> SolverPhases {
-        SolverPhases { rounds: RAY_ROUNDS, has_guides: self.0.guides == GuideKind::Lobes }
+    fn rounds(&self) -> u32 {
+        RAY_ROUNDS
     }
 
     fn min_bytes(&self, prepared: &Prepared) -> u64 {
@@ -64,11 +63,8 @@ impl Solver for Radiosity {
         Ok(Box::new(Linked(SolverState::decode(prepared, latest.unwrap_or(elements), links)?, self.0)))
     }
 
-    fn decode_block(&self, phase: BlockPhase, bytes: &[u8]) -> Result<BlockOutput, StepDecodeError> {
-        Ok(match phase {
-            BlockPhase::Rays => BlockOutput::new(RayHits::decode(bytes)?),
-            BlockPhase::Guides => BlockOutput::new(BlockGuides::decode(bytes)?),
-        })
+    fn decode_rays(&self, bytes: &[u8]) -> Result<BlockOutput, StepDecodeError> {
+        Ok(BlockOutput::new(RayHits::decode(bytes)?))
     }
 }
 
@@ -84,17 +80,17 @@ impl LinkedState for Linked {
         self.0.encode_start()
     }
 
+    fn encode_elements(&self) -> Vec<u8> {
+        self.0.encode_elements()
+    }
+
     fn before_rays(self: Box<Self>, prepared: &Prepared) -> Arc<dyn RayState> {
         let Self(state, options) = *self;
         Arc::new(Casting(state.plan_rays(prepared, &options), options))
     }
 
-    fn after_rays(self: Box<Self>, rays: Vec<BlockOutput>) -> Result<Arc<dyn GuideState>, StepDecodeError> {
-        Ok(Arc::new(Corrected(self.0.with_hits(BlockOutput::unwrap_all(rays)?)?, self.1)))
-    }
-
-    fn solution(&self, prepared: &Prepared, guides: Vec<BlockOutput>) -> Result<Solution, StepDecodeError> {
-        Ok(self.0.solution(prepared, &self.1, BlockOutput::unwrap_all(guides)?))
+    fn solution(&self, prepared: &Prepared) -> Solution {
+        self.0.solution(prepared, &self.1)
     }
 }
 
@@ -111,30 +107,9 @@ impl RayState for Casting {
         prepared: &Prepared,
         rays: Vec<BlockOutput>,
         cancel: &AtomicBool,
-    ) -> Result<Option<Arc<dyn GuideState>>, RenderError> {
+    ) -> Result<Option<Box<dyn LinkedState>>, RenderError> {
         let Ok(hits) = BlockOutput::unwrap_all(rays) else { return Ok(None) };
         let applied = self.0.apply_hits(prepared, &self.1, hits, cancel).map_err(|_| RenderError::Cancelled)?;
-        Ok(applied.map(|corrected| -> Arc<dyn GuideState> { Arc::new(Corrected(corrected, self.1)) }))
-    }
-}
-
-#[derive(Debug)]
-struct Corrected(CorrectedState, SolveOptions);
-
-impl GuideState for Corrected {
-    fn guides(&self, prepared: &Prepared, block: u32, blocks: u32) -> Vec<u8> {
-        self.0.guides(prepared, block, blocks).encode()
-    }
-
-    fn report(&self) -> SolveReport {
-        self.0.state().report()
-    }
-
-    fn encode_elements(&self) -> Vec<u8> {
-        self.0.state().encode_elements()
-    }
-
-    fn solution(&self, prepared: &Prepared) -> Solution {
-        self.0.state().solution(prepared, &self.1, Vec::new())
+        Ok(applied.map(|state| -> Box<dyn LinkedState> { Box::new(Linked(state, self.1)) }))
     }
 }

@@ -2,12 +2,13 @@
 //! exponents, so they are exact.
 
 use crate::layers::scene;
+use femc_field::TargetGuide;
 use femc_film::Rect;
 use femc_geometry::{Hit, Ray};
 use femc_math::Rgb;
 use femc_math::glam::{Vec2, Vec3A};
 use femc_montecarlo::Guidance;
-use femc_pipeline::radiosity::{GuideKind, SolveOptions, solve};
+use femc_pipeline::radiosity::{SolveOptions, solve};
 use femc_pipeline::{
     Field, FrameLight, Method, Outputs, Prepared, RenderTask, SceneSource, Settings, Side, StopCondition,
     attach_first_pass, first_pass_world, frame_key, plan_job, prepare_frame, prepare_world, render_frame,
@@ -98,6 +99,7 @@ impl Answers {
     fn new(prepared: &Prepared, field: &Field) -> Self {
         let (mut light, mut shape) = (Vec::new(), Vec::new());
         let mut add = |value: Rgb| light.push(value.to_array());
+        let targets = TargetGuide::without_targets(field);
         for (number, surface) in field.surfaces.iter().enumerate() {
             for uv in [[0.2, 0.3], [0.6, 0.2], [0.3, 0.6]] {
                 let spot = surface.point_at(Vec2::from(uv));
@@ -105,9 +107,9 @@ impl Answers {
                     Hit { t: 1.0, instance: surface.instance, primitive: surface.primitives[0], u: uv[0], v: uv[1] };
                 add(field.irradiance(&hit, surface.side, spot.position, spot.normal));
                 add(Rgb::splat(field.irradiance_error(&hit, surface.side, spot.position)));
-                let guided = field.guide_at(&hit, surface.side, spot.position);
+                let guided = targets.at(field, &hit, surface.side, spot.position);
                 add(guided.map_or(Rgb::ZERO, |guided| guided.light));
-                shape.push(guided.and_then(|guided| guided.lobes).map_or(0.0, |lobes| lobes.1));
+                shape.push(guided.map_or(0.0, |guided| guided.region as f32));
                 shape.push(number as f32 + f32::from(u8::from(surface.side == Side::Back)));
             }
         }
@@ -121,24 +123,17 @@ impl Answers {
             add(field.fog.mean_radiance(point));
             add(field.fog.scattered_radiance(point, Vec3A::new(0.6, 0.0, 0.8)));
         }
-        add(Rgb::splat(Guidance::new(prepared, field).frame_light));
-        for guide in field.guides.by_leaf() {
-            shape.extend([guide.first as f32, guide.count as f32, guide.share]);
-        }
-        for lobe in field.guides.lobes() {
-            let points = [lobe.target, lobe.axes[0], lobe.axes[1]];
-            shape.extend(points.iter().flat_map(|point| point.to_array()));
-            shape.push(lobe.share);
-        }
+        add(Rgb::splat(Guidance::new(prepared, field).with_targets(prepared, &targets).frame_light));
         Self { light, shape }
     }
 
     /// Checks that all light is another's, times a factor by channel.
     fn assert_exact(&self, name: &str, one: &Self, factor: [f32; 3]) {
-        assert_eq!(self.shape, one.shape, "{name}: guides");
+        assert_eq!(self.shape, one.shape, "{name}: regions");
         assert_light(name, &self.light, &one.light, factor);
         assert!(one.light.iter().filter(|light| light[1] > 0.0).count() > 200, "{name}: too dark");
-        assert!(one.shape.iter().filter(|it| **it > 0.0).count() > 200, "{name}: no guides");
+        let regions = one.shape.iter().filter(|it| **it > 0.0).count();
+        assert!(regions > 60, "{name}: {regions} regions");
     }
 }
 
@@ -163,7 +158,7 @@ fn assert_mean(name: &str, got: &[[f32; 3]], one: &[[f32; 3]], factor: [f32; 3],
 }
 
 fn options() -> SolveOptions {
-    SolveOptions { error: 1.0, guides: GuideKind::Lobes, ..SolveOptions::default() }
+    SolveOptions { error: 1.0, ..SolveOptions::default() }
 }
 
 fn solved(prepared: &Prepared) -> (Field, Vec<[f32; 3]>) {

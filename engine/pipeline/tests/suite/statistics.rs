@@ -164,7 +164,8 @@ fn records_are_the_samples_themselves_and_their_lights_add_up() {
             let sum = |lights: &mut dyn Iterator<Item = f64>| lights.sum::<f64>();
             let is_near = |a: f64, b: f32| (a - f64::from(b)).abs() <= 1e-4 * a.abs() + 1e-6;
             let lights = sum(&mut path.lights.iter().map(|light| f64::from(light.radiance[1])));
-            assert!(is_near(lights, path.radiance[1]), "{path:?}");
+            let has_all_lights = path.lights.len() < femc_pipeline::paths::record::MAX_LIGHTS;
+            assert!(!has_all_lights || is_near(lights, path.radiance[1]), "{path:?}");
             // The light at the camera is the radiance that leaves the first vertex plus the light found before it.
             if let Some(first) = path.intersections.first() {
                 let early = path.lights.iter().filter(|light| light.vertex == 0);

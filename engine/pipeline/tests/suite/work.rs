@@ -82,7 +82,9 @@ fn a_pilot_counts_the_first_passes_that_its_job_solves() {
             assert_eq!(solved_worlds(&source, &settings, frames), worlds, "{name}: different solutions");
         }
         assert_eq!(all.first_pass_rays, one.first_pass_rays * worlds as f64, "{name}: work of the first passes");
-        assert!(one.first_pass_rays > 0.0);
+        let ratio = all.learning_rays / one.learning_rays / frames.len() as f64;
+        assert!((ratio - 1.0).abs() < 0.1, "{name}: each frame learns its targets: {ratio}");
+        assert!(one.first_pass_rays > 0.0 && one.learning_rays > 0.0);
         let samples = 64.0 * 64.0 * f64::from(SPP) * frames.len() as f64;
         assert_eq!(all.samples_a_pixel, f64::from(SPP), "{name}");
         assert!((all.rays / (all.rays_a_sample * samples) - 1.0).abs() < 1e-12, "{name}: {}", all.rays);

@@ -3,7 +3,7 @@
 use super::{MAX_PARTS, RayHit, RayHits};
 use crate::bytes::{Reader, StepDecodeError, Writer};
 
-const MAGIC: &[u8; 8] = b"sights 4";
+const MAGIC: &[u8; 8] = b"sights 5";
 
 impl RayHits {
     /// Encodes the hits.
@@ -19,10 +19,8 @@ impl RayHits {
         for axis in 0..3 {
             writer.bytes(hits.iter().map(|sight| sight.normal[axis] as u8));
             writer.bytes(hits.iter().map(|sight| sight.origin_normal[axis] as u8));
-            writer.numbers(hits.iter().map(|sight| sight.target[axis].to_bits()));
         }
         writer.numbers(hits.iter().map(|sight| sight.share.to_bits()));
-        writer.numbers(hits.iter().map(|sight| sight.lamp.to_bits()));
         (0..3).for_each(|channel| writer.numbers(hits.iter().map(|sight| sight.direct[channel].to_bits())));
         (0..2).for_each(|end| writer.numbers(hits.iter().map(|sight| sight.density[end].to_bits())));
         writer.finish()
@@ -50,10 +48,8 @@ impl RayHits {
         for axis in 0..3 {
             fill(&mut hits, reader.bytes()?, |sight, normal| sight.normal[axis] = normal as i8)?;
             fill(&mut hits, reader.bytes()?, |sight, start| sight.origin_normal[axis] = start as i8)?;
-            fill(&mut hits, reader.numbers()?, |sight, bits| sight.target[axis] = f32::from_bits(bits))?;
         }
         fill(&mut hits, reader.numbers()?, |sight, bits| sight.share = f32::from_bits(bits))?;
-        fill(&mut hits, reader.numbers()?, |sight, bits| sight.lamp = f32::from_bits(bits))?;
         for channel in 0..3 {
             fill(&mut hits, reader.numbers()?, |sight, bits| sight.direct[channel] = f32::from_bits(bits))?;
         }

@@ -1,7 +1,7 @@
 //! Scaling of the links' light to that of the rays.
 
 use super::trace::unpack_normal;
-use super::{BentLamps, MAX_PARTS, MisHeuristic, RaySample, Rays, SentLight, part_count};
+use super::{MAX_PARTS, RaySample, Rays, SentLight, part_count};
 use crate::arena::Arena;
 use crate::element::Element;
 use crate::exits::is_root;
@@ -414,7 +414,7 @@ impl Rays {
         };
         let chance = chance * (ROUGH_ERROR / error).max(1.0);
         let noise = Noise { chance, estimator };
-        let sent = (kind == FROM_ELEMENTS).then(|| SentLight::new(arena, lights, BentLamps::Excluded));
+        let sent = (kind == FROM_ELEMENTS).then(|| SentLight::new(arena, lights));
         let by_leaf: Vec<[PartSums; MAX_PARTS]> = (0..self.leaves.len())
             .into_par_iter()
             .map(|place| {
@@ -426,12 +426,12 @@ impl Rays {
                 let (area, number) = (element.size() / parts as f32, (own / parts) as f32);
                 let mut sums = [0, 1, 2, 3]
                     .map(|k| if k < parts { PartSums::new(area, number, links[k]) } else { PartSums::default() });
-                let add = |RaySample { part, irradiance, origin, .. }: RaySample| {
+                let add = |RaySample { is_own, part, irradiance }: RaySample| {
                     let bright = luminance(irradiance) * own as f32;
-                    sums[part.min(parts - 1)].add_sample(irradiance * element.size(), bright, origin.is_none());
+                    sums[part.min(parts - 1)].add_sample(irradiance * element.size(), bright, is_own);
                 };
                 match &sent {
-                    Some(light) => self.visit_samples(arena, light, place, MisHeuristic::Maximum, add),
+                    Some(light) => self.visit_samples(arena, light, place, add),
                     None => self.visit_shadow_rays(arena, place, add),
                 }
                 if estimator == VarianceEstimator::Measured {

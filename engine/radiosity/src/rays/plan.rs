@@ -1,18 +1,16 @@
 //! Number of rays from each leaf, and blocks of leaves whose rays are cast together.
 
-use super::trace::{direct_irradiance, generate_ray, pack_normal, trace_ray, unpack_normal};
-use super::{Aims, MAX_PARTS, RayHit, RayHits, Rays, part_count};
+use super::trace::{direct_irradiance, generate_ray, pack_normal, trace_ray};
+use super::{MAX_PARTS, RayHit, RayHits, Rays, part_count};
 use crate::arena::Arena;
 use crate::gather::ElementLights;
 use crate::scene::Scene;
 use crate::tuning::{
     EXTRA_RAYS_RATIO, MAX_EXTRA_RAYS, MIN_FOG_RAYS, MIN_SMALL_RAYS, RAYS_PER_PART, SMALL_AREA_SHARE, TOTAL_RAYS,
-    TOTAL_RAYS_FOR_PORTALS,
 };
 use crate::visibility::VisibilityTester;
-use femc_field::{NONE, SurfaceSpot};
+use femc_field::NONE;
 use femc_math::color::luminance;
-use femc_math::glam::Vec3A;
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -38,19 +36,17 @@ impl RayPlan {
     /// Plans the rays from all leaves.
     /// - `max_bytes`: maximum number of bytes of the rays. If it is too small, there are fewer rays, at least one from each part.
     /// - `round`: number of the round; each has different rays.
-    /// - `needs_more_rays`: whether more rays are worth casting, because some must measure the light through portals.
-    pub fn new(arena: &Arena, lights: &ElementLights, round: u32, max_bytes: usize, needs_more_rays: bool) -> Self {
+    pub fn new(arena: &Arena, lights: &ElementLights, round: u32, max_bytes: usize) -> Self {
         let leaves = ray_leaves(arena);
         let is_fog = |leaf: u32| arena.elements[leaf as usize].is_volume();
         let of_fog = MAX_PARTS * leaves.iter().filter(|&&leaf| is_fog(leaf)).count();
         let of_surfaces = MAX_PARTS * leaves.len() - of_fog;
         let fit = (max_bytes / ((size_of::<RayHit>() + size_of::<[u32; 2]>()) * (of_surfaces + of_fog).max(1))).max(1);
-        let all = if needs_more_rays { TOTAL_RAYS_FOR_PORTALS } else { TOTAL_RAYS };
         // The many boxes of fog leave the surfaces their rays.
         let rays_per_part =
             |all: usize, parts: usize, least: usize| (all / parts.max(1)).clamp(least, RAYS_PER_PART[1]).min(fit);
         let [of_surface, of_small] =
-            [RAYS_PER_PART[0], MIN_SMALL_RAYS].map(|least| rays_per_part(all, of_surfaces, least));
+            [RAYS_PER_PART[0], MIN_SMALL_RAYS].map(|least| rays_per_part(TOTAL_RAYS, of_surfaces, least));
         let of_box = rays_per_part(TOTAL_RAYS, of_fog, MIN_FOG_RAYS);
         let small = arena.elements.get(arena.surfaces as usize).map_or(0.0, |all| SMALL_AREA_SHARE * all.size());
         let each = |leaf: u32| match &arena.elements[leaf as usize] {
@@ -90,7 +86,7 @@ impl RayPlan {
 
     /// Creates the rays from the hits of all leaves in order.
     pub fn into_rays(self, parts: Vec<RayHits>) -> Rays {
-        Rays::new(self.leaves, self.round, parts)
+        Rays::new(self.leaves, parts)
     }
 
     /// Checks that these are the hits of all leaves, in order.
@@ -100,8 +96,7 @@ impl RayPlan {
     }
 
     /// Casts the rays of these leaves.
-    /// - `aims`: directions of a share of the rays.
-    pub fn cast(&self, scene: &Scene<'_>, arena: &Arena, aims: &Aims, part: Range<usize>) -> RayHits {
+    pub fn cast(&self, scene: &Scene<'_>, arena: &Arena, part: Range<usize>) -> RayHits {
         let density = &self.density;
         let counts: Vec<u32> = self.first[part.start..=part.end].windows(2).map(|ends| ends[1] - ends[0]).collect();
         let chunks: Vec<(Vec<RayHit>, u64)> = self.leaves[part.clone()]
@@ -114,7 +109,7 @@ impl RayPlan {
                     let element = &arena.elements[leaf as usize];
                     let each = count as usize / part_count(element);
                     let sight = |ray: usize| {
-                        let (spot, dir, u) = generate_ray(scene, arena, element, aims.get(leaf), ray, each, self.round);
+                        let (spot, dir, u) = generate_ray(scene, arena, element, ray, each, self.round);
                         let direct = direct_irradiance(
                             scene,
                             &spot,
@@ -127,7 +122,7 @@ impl RayPlan {
                         }
                         let mut hit = trace_ray(scene, arena, &spot, dir, u, &mut tester);
                         (hit.direct, hit.origin_normal) = (direct, origin_normal);
-                        hit.density[0] = density[leaf as usize] * aims.get(leaf).ratio(&spot, dir, each);
+                        hit.density[0] = density[leaf as usize];
                         // A ray may hit fog in a box that has none at its nodes, and so none in the mean.
                         hit.is_two_way &= arena.elements.get(hit.leaf as usize).is_some_and(|other| {
                             other.stopped_share() > 0.0 && luminance(other.received_share()) > 0.0
@@ -135,11 +130,8 @@ impl RayPlan {
                         if hit.is_two_way {
                             let number = density[hit.leaf as usize];
                             let other = &arena.elements[hit.leaf as usize];
-                            let normal = unpack_normal(hit.normal);
-                            let spot = SurfaceSpot { position: Vec3A::from_array(hit.target), normal, ..spot };
-                            let each = (number * other.size() / part_count(other) as f32).round() as usize;
                             let stopped = element.stopped_share() / other.stopped_share();
-                            hit.density[1] = number * stopped * aims.get(hit.leaf).ratio(&spot, -dir, each);
+                            hit.density[1] = number * stopped;
                         }
                         hit
                     };

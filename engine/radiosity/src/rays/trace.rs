@@ -1,6 +1,5 @@
 //! Generation of rays on leaves, and their hits.
 
-use super::aims::Aim;
 use super::{RayHit, part_count};
 use crate::arena::Arena;
 use crate::element::{Element, FOG_NODES, Shape};
@@ -12,11 +11,9 @@ use femc_geometry::{Ray, offset_origin};
 use femc_math::color::luminance;
 use femc_math::glam::{Vec2, Vec3A};
 use femc_math::{Frame, Rgb, warp};
-use femc_prepared::lights::EmitterPoint;
 use femc_prepared::media::{DistanceSample, MediumStack};
 use femc_prepared::{Crossing, Orientation, Prepared};
 use femc_scattering::{LobeKind, Transmitted};
-use std::f32::consts::PI;
 
 /// Packs a unit vector in 127ths.
 pub(super) fn pack_normal(normal: Vec3A) -> [i8; 3] {
@@ -60,7 +57,6 @@ pub(super) fn generate_ray(
     scene: &Scene<'_>,
     arena: &Arena,
     element: &Element,
-    aim: &Aim,
     ray: usize,
     rays_per_part: usize,
     round: u32,
@@ -97,14 +93,7 @@ pub(super) fn generate_ray(
     } else {
         element.point_at(scene, local)
     };
-    let aimed = aim.number(rays_per_part);
-    let (turn, of) = if turn < aimed { (turn, aimed) } else { (turn - aimed, rays_per_part - aimed) };
-    let u = lattice(turn, of);
-    if ray / parts < aimed
-        && let Some(dir) = aim.sample(spot.position, numbers.next(), u)
-    {
-        return (spot, dir, [numbers.next(), numbers.next()]);
-    }
+    let u = lattice(turn, rays_per_part);
     let dir = (warp::direction(1.0 - 2.0 * u[0], u[1]) + spot.normal).normalize_or(spot.normal);
     (spot, dir, [numbers.next(), numbers.next()])
 }
@@ -151,14 +140,10 @@ pub enum PathKind {
 #[derive(Clone, Copy, Debug)]
 pub struct PathEnd {
     pub at: Landing,
-    /// Luminance of lamps, for [`PathKind::Radiance`], that arrives at the path's origin, cd/m2.
-    pub lamp: f32,
     /// Share of the radiance, by luminance, that arrives at the path's origin.
     pub share: f32,
     /// Share of the flux from the origin that arrives here, divided by the probability of the path.
     pub flux: Rgb,
-    /// Length, m.
-    pub length: f32,
     /// Whether a mirror or a refracting surface has changed the direction.
     pub is_bent: bool,
     /// Whether the path has left a surface by its specular lobes.
@@ -189,20 +174,18 @@ pub(super) fn trace_ray(
     let mut numbers = RandomNumbers::new(&[u64::from(u[0].to_bits()), u64::from(u[1].to_bits())]);
     let end = follow_path(scene, arena, from, dir, PathKind::Radiance, &mut numbers, tester);
     let PathEnd { share, is_turned, .. } = end;
-    let way = RayHit { lamp: PI * end.lamp, target: (from.position + dir * end.length).to_array(), ..RayHit::MISS };
-    let nothing = if end.lamp > 0.0 { way } else { RayHit::MISS };
     match end.at {
         Landing::Surface { surface, place, normal } => {
             let (leaf, local) = arena.element_at(arena.roots[surface as usize], place, 0.0);
             let part = leaf_part(&arena.elements[leaf as usize], local) as u8;
-            RayHit { leaf, share, normal: pack_normal(normal), part, is_two_way: !is_turned, ..way }
+            RayHit { leaf, share, normal: pack_normal(normal), part, is_two_way: !is_turned, ..RayHit::MISS }
         }
         Landing::Fog(point) => {
-            let Some(leaf) = arena.fog_at(point) else { return nothing };
+            let Some(leaf) = arena.fog_at(point) else { return RayHit::MISS };
             let part = fog_part(&arena.elements[leaf as usize], point) as u8;
-            RayHit { leaf, share, part, is_two_way: !is_turned, ..way }
+            RayHit { leaf, share, part, is_two_way: !is_turned, ..RayHit::MISS }
         }
-        Landing::Nowhere => nothing,
+        Landing::Nowhere => RayHit::MISS,
     }
 }
 
@@ -223,15 +206,7 @@ pub fn follow_path(
         t_max: f32::INFINITY,
         time: SHUTTER_TIME,
     };
-    let mut end = PathEnd {
-        at: Landing::Nowhere,
-        lamp: 0.0,
-        share: 1.0,
-        flux: Rgb::ONE,
-        length: 0.0,
-        is_bent: false,
-        is_turned: false,
-    };
+    let mut end = PathEnd { at: Landing::Nowhere, share: 1.0, flux: Rgb::ONE, is_bent: false, is_turned: false };
     let mut is_inside = false;
     for _ in 0..=MAX_CLEAR_SURFACES {
         tester.rays += 1;
@@ -255,7 +230,6 @@ pub fn follow_path(
                     end.at = Landing::Fog(ray.origin + ray.dir * event.t);
                     end.share *= luminance(event.weight);
                     end.flux *= event.weight;
-                    end.length += event.t;
                     return end;
                 }
                 DistanceSample::Through { weight } => {
@@ -265,16 +239,8 @@ pub fn follow_path(
             }
         }
         let Some(hit) = hit else { return end };
-        end.length += length;
         let point = prepared.shading_point(&ray, &hit);
         let is_back = point.normal.dot(ray.dir) > 0.0;
-        if kind == PathKind::Radiance && end.is_bent && point.light != NONE {
-            // Light that arrives without a change of direction is covered by the links with lamps.
-            let (lights, world, textures) = (&prepared.lights, &prepared.world, &prepared.textures);
-            let lamp = EmitterPoint { light: point.light, normal: point.normal, parametric: point.parametric };
-            let radiance = lights.radiance(world, textures, &lamp, -ray.dir, SHUTTER_TIME);
-            end.lamp += end.share * luminance(radiance);
-        }
         let material = &prepared.materials[point.material as usize];
         let crossing = material.crossing[usize::from(is_back)];
         let straight_through = luminance(crossing.straight_through());

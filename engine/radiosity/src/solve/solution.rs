@@ -7,7 +7,7 @@ use crate::element::{Cluster, Element, Shape};
 use crate::gather::{ElementLights, FROM_ELEMENTS, FROM_LAMPS};
 use crate::link::Link;
 use crate::scene::Scene;
-use femc_field::{Cell, Field, Form, Guide, Guides, Harmonics, Leaf, Lobe, NONE, Split};
+use femc_field::{Cell, Field, Form, Harmonics, Leaf, NONE, Split};
 use femc_math::glam::Vec2;
 
 /// Light of a scene, with a report.
@@ -21,8 +21,7 @@ pub struct Solution {
 
 impl SolverState {
     /// Creates the solution.
-    /// - `guides`: guides by leaf, and their lobes.
-    pub(crate) fn finish(&self, scene: Scene<'_>, (guides, lobes): (Vec<Guide>, Vec<Lobe>)) -> Solution {
+    pub(crate) fn finish(&self, scene: Scene<'_>) -> Solution {
         let elements = &self.arena.elements;
         let report = if self.arena.root == NONE {
             SolveReport::default()
@@ -40,7 +39,6 @@ impl SolverState {
         // `Solution::verify` rejects NaN.
         let residual = if fog == FogLight::Valid { report.residual } else { f32::NAN };
         let report = SolveReport { residual, ..report };
-        let field = Field { guides: Guides::new(guides, lobes, &field.roots, &field.cells, &field.leaves), ..field };
         Solution { field, report }
     }
 }
@@ -81,7 +79,7 @@ enum FogLight {
     Invalid,
 }
 
-/// Creates the field of a solution, without guides.
+/// Creates the field of a solution, without tables.
 fn build_field(scene: Scene<'_>, arena: &Arena, lights: &ElementLights, links: &[Link]) -> (Field, FogLight) {
     let mut field = Field { roots: vec![NONE; scene.surfaces.len()], ..Field::default() };
     for (surface, &root) in arena.roots.iter().enumerate() {

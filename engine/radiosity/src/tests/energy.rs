@@ -2,7 +2,7 @@
 
 use super::{face, outward_box, prepare};
 use crate::gather::{ElementLights, FROM_ELEMENTS, FROM_LAMPS};
-use crate::rays::{Aims, Rays, ray_leaves};
+use crate::rays::{Rays, ray_leaves};
 use crate::scene::Scene;
 use crate::solve::SolverState;
 use crate::{GuideKind, SolveOptions, solve};
@@ -65,8 +65,7 @@ fn light_does_not_grow_whatever_the_links_bring() {
 /// Casts rays from all leaves.
 fn cast(scene: &Scene<'_>, state: &SolverState) -> Rays {
     let plan = state.ray_plan(OPTIONS.memory);
-    let aims = Aims::default();
-    let hits = plan.cast(scene, &state.arena, &aims, 0..ray_leaves(&state.arena).len());
+    let hits = plan.cast(scene, &state.arena, 0..ray_leaves(&state.arena).len());
     plan.into_rays(vec![hits])
 }
 

@@ -2,14 +2,12 @@
 
 use super::{face, prepare};
 use crate::solve::SolverState;
-use crate::{BlockGuides, CastingState, GuideKind, RAY_ROUNDS, RayHits, Solution, SolveOptions, solve};
-use femc_field::Lobe;
-use femc_math::glam::Vec3A;
+use crate::{CastingState, GuideKind, RAY_ROUNDS, RayHits, Solution, SolveOptions, solve};
 use femc_prepared::Prepared;
 use std::sync::atomic::AtomicBool;
 
 static CANCEL: AtomicBool = AtomicBool::new(false);
-const OPTIONS: SolveOptions = SolveOptions { error: 2.0, memory: 1 << 22, guides: GuideKind::Lobes };
+const OPTIONS: SolveOptions = SolveOptions { error: 2.0, memory: 1 << 22, guides: GuideKind::None };
 
 /// A floor, a screen, a ball, a lamp in glass and fog: elements of all shapes.
 fn world() -> Prepared {
@@ -53,7 +51,7 @@ fn the_state_is_encoded_without_loss() {
 }
 
 #[test]
-fn hits_and_guides_of_blocks_are_encoded_without_loss() {
+fn hits_of_blocks_are_encoded_without_loss() {
     let world = world();
     let before = casting(&world);
     let whole = format!("{:?}", before.cast(&world, 0, 1));
@@ -73,16 +71,7 @@ fn hits_and_guides_of_blocks_are_encoded_without_loss() {
         "a block is missing"
     );
     let after = before.apply_hits(&world, &OPTIONS, decoded, &CANCEL).unwrap().expect("all hits");
-    let lobe = |x: f32| Lobe { target: Vec3A::new(x, 2.0, 3.0), axes: [Vec3A::X * x, Vec3A::Y], share: 0.1 * x };
-    let BlockGuides { mut groups, mut guides } = after.guides(&world, 0, 1);
-    assert!(!groups.is_empty() && groups.len() == guides.len());
-    groups.extend([vec![3, 5], vec![8]]);
-    guides.extend([(0.75, vec![lobe(1.0), lobe(2.0)]), (0.0, Vec::new())]);
-    let guides = BlockGuides { groups, guides };
-    let bytes = guides.encode();
-    assert_eq!(BlockGuides::decode(&bytes).unwrap(), guides);
-    assert!((0..bytes.len()).all(|end| BlockGuides::decode(&bytes[..end]).is_err()));
-    assert!(RayHits::decode(&bytes).is_err() && BlockGuides::decode(&after.state().encode_links()).is_err());
+    assert!(RayHits::decode(&after.encode_links()).is_err());
 }
 
 /// A foggy room with a lamp and a mirror.
@@ -106,28 +95,22 @@ fn room() -> Prepared {
 #[test]
 fn steps_through_bytes_have_the_solution_of_one_process() {
     let world = room();
-    for guides in [GuideKind::None, GuideKind::Lobes, GuideKind::Tables] {
+    for guides in [GuideKind::None, GuideKind::Tables] {
         let options = SolveOptions { error: 1.0, memory: 1 << 24, guides };
         let whole = solve(&world, &options, &CANCEL).unwrap();
         let start = SolverState::new(&world, &options, &CANCEL).unwrap();
         let (mut elements, links) = (start.encode_elements(), start.encode_links());
-        let mut of_blocks = Vec::new();
         for _ in 0..RAY_ROUNDS {
             let state = SolverState::decode(&world, &elements, &links).unwrap();
             let casting = state.plan_rays(&world, &options);
             let cast = |block: u32| RayHits::decode(&casting.cast(&world, block, 3).encode()).unwrap();
             let hits: Vec<RayHits> = (0..3).map(cast).collect();
-            let corrected = casting.apply_hits(&world, &options, hits.clone(), &CANCEL).unwrap().expect("all hits");
-            elements = corrected.state().encode_elements();
-            if guides == GuideKind::Lobes && corrected.state().is_finished() {
-                let again = SolverState::decode(&world, &elements, &links).unwrap().with_hits(hits).unwrap();
-                of_blocks = (0..3).map(|block| again.guides(&world, block, 3)).collect();
-            }
+            let corrected = casting.apply_hits(&world, &options, hits, &CANCEL).unwrap().expect("all hits");
+            elements = corrected.encode_elements();
         }
-        let found = SolverState::decode(&world, &elements, &links).unwrap().solution(&world, &options, of_blocks);
+        let found = SolverState::decode(&world, &elements, &links).unwrap().solution(&world, &options);
         let text = |solution: &Solution| format!("{:?}", solution.field);
         assert!(text(&found) == text(&whole), "guides: {guides:?}");
         assert_eq!(found.field.tables.is_empty(), guides != GuideKind::Tables);
-        assert_eq!(found.field.guides.by_leaf().is_empty(), guides != GuideKind::Lobes);
     }
 }

@@ -4,8 +4,9 @@
 //! a binary tree over the parameters. A leaf has the irradiance from other surfaces and from fog, linear over the leaf, or, if the
 //! leaf is too curved for one normal, by direction ([`Harmonics`]). In fog, the leaves of a tree of boxes have the mean radiance
 //! from all directions ([`FogTree`]). With the fog's coefficients, they give the light sent along a [`FogLine`]. A
-//! [`TargetGuide`] tells paths toward which parts of the scene to sample directions. Direct light from light sources is not in the field: the
-//! caller computes it from the sources. [`Field::encode`] converts the field to bytes that a farm can store and send.
+//! [`TargetGuide`] tells paths toward which parts of the scene to sample directions. Direct light from light sources is not in
+//! the field: the caller computes it from the sources. [`Field::encode`] converts the field to bytes that a farm can store and
+//! send.
 #![deny(missing_docs)]
 
 mod cell;

@@ -1,5 +1,5 @@
-//! Targets: parallelograms and balls in space from which, or through which, much light comes. A region of the field has a pack of targets and the
-//! share of its directions to sample toward each of them.
+//! Targets: parallelograms and balls in space from which, or through which, much light comes. A region of the field has a pack of
+//! targets and the share of its directions to sample toward each of them.
 //!
 //! All regions share few packs, so what a path reads at a vertex is small.
 
@@ -98,8 +98,8 @@ impl Parallelogram {
 #[derive(Clone, Debug, Default)]
 pub struct TargetPack {
     targets: Vec<Target>,
-    /// Values by axis and target: the corner, or the center of a ball; the unit normal; the vectors whose dot products with an offset from the corner are its
-    /// coordinates along the edges.
+    /// Values by axis and target: the corner, or the center of a ball; the unit normal; the vectors whose dot products with an offset
+    /// from the corner are its coordinates along the edges.
     corners: [[f32; PACK_TARGETS]; 3],
     normals: [[f32; PACK_TARGETS]; 3],
     across: [[[f32; PACK_TARGETS]; 3]; 2],
@@ -430,8 +430,8 @@ mod tests {
         RegionTargets { shares: [a, b, c, d, 0.0, 0.0, 0.0, 0.0], ..Default::default() }
     }
 
-    /// Shares of samples in boxes of directions match the density of each target and of all (chi-square with at most 191 degrees of freedom: 280
-    /// at a level of 3e-5).
+    /// Shares of samples in boxes of directions match the density of each target and of all (chi-square with at most 191 degrees of
+    /// freedom: 280 at a level of 3e-5).
     #[test]
     fn samples_of_targets_have_the_density() {
         const N: usize = 100_000;

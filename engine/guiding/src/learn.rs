@@ -2,8 +2,8 @@
 //!
 //! Pilot paths belong to no image. Their numbers depend only on the frame's scene and view, so all tasks and restarts of a frame
 //! have the same targets. They run in rounds. After each round but the last, openings are searched where directions lead to more
-//! light than the field expects ([`find_openings`]). After each round, the shares of the targets follow the light that directions
-//! toward them found.
+//! light than the field expects ([`find_openings`]). After the second round, bright patches are searched ([`find_patches`]). After
+//! each round, the shares of the targets are fitted to the light that directions found ([`Shares`]).
 
 use crate::openings::{Line, Opening, find_openings};
 use crate::patches::{Patch, Reached, find_patches, leaf_bins};

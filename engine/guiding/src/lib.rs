@@ -1,5 +1,5 @@
 //! Guides of a frame's paths, learned from pilot paths that are part of no image: openings through which light comes
-//! ([`openings`]), and shares of directions to sample toward each target.
+//! ([`openings`]), bright patches ([`patches`]), and shares of directions to sample toward each target.
 #![deny(missing_docs)]
 
 mod bins;

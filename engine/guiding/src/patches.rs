@@ -50,7 +50,7 @@ impl Reached {
 
 /// A place of the tree in which patches are searched.
 struct Place {
-    /// Sums without those of patches within.
+    /// Sums over the directions that reached the place, except for those that reached patches within it.
     sums: PlaceSums,
     /// Index of the place around this one, or NONE.
     parent: u32,

@@ -2,8 +2,8 @@
 //!
 //! The samplers of directions, which are the targets and the BSDF, form a mixture. Expectation maximization (\[dempster1977\]) finds
 //! its shares: the light of each direction is divided among the samplers by their densities, and a sampler's new share is its part of
-//! the light. Larger parts of the scene come first. The shares of a part are drawn toward those of the part around it, the more so the
-//! fewer directions it has.
+//! the light. The shares of the whole scene are computed first, then those of surfaces, then those of their parts. The result for a
+//! part is averaged with the shares of the part that contains it. The latter count as much as 64 directions.
 
 use femc_field::{Cell, Field, NONE, PACK_TARGETS, RegionTargets, Split};
 use femc_math::elementary::ln;

@@ -1,8 +1,8 @@
 //! Interface between the first pass as tasks and its solvers.
 //!
 //! A solver computes a [`Solution`] as a whole, or in steps that several machines share. Between steps only bytes travel, which the
-//! solver alone reads. All solvers have the same steps: one task begins, then, in rounds, blocks cast rays and one task applies their results.
-//! A new solver implements the traits here, in a file beside [`radiosity`], and [`solver`] selects it.
+//! solver alone reads. All solvers have the same steps: one task begins, then, in rounds, blocks cast rays and one task applies their
+//! results. A new solver implements the traits here, in a file beside [`radiosity`], and [`solver`] selects it.
 
 mod radiosity;
 

@@ -213,7 +213,7 @@ pub const RAY_CHECK_CHANGE: f32 = 1e-3;
 /// decisions may alternate without end. Soda (docs/first-pass.md) took 8 comparisons instead of 3.
 pub const MAX_RAY_CHECK_RATIO: f32 = 0.9;
 /// Minimum and maximum number of rays from each part of a leaf, and the total number of rays if the number per part is between
-/// these. Rays take 26 % of the time of the roundabout (docs/first-pass.md).
+/// these. Rays take 24 % of the time of the roundabout (docs/first-pass.md).
 pub const RAYS_PER_PART: [usize; 2] = [8, 1024];
 pub const TOTAL_RAYS: usize = 1 << 16;
 /// Minimum number of rays from each part of a box of fog. With 8 and as many other rays, the fog of the roundabout has 2 % less light

@@ -58,6 +58,8 @@ pub enum StageKind {
     Measure,
     /// Joins the measurements of a frame.
     JoinReadings,
+    /// Learns the targets of a frame's paths, before its samples.
+    Learn,
 }
 
 /// Lane of a task. A worker runs tasks of one lane one after another, and tasks of different lanes in parallel.
@@ -121,7 +123,7 @@ pub struct StageKindProperties {
 
 impl StageKind {
     /// All variants, in the order of the table.
-    pub const ALL: [Self; 25] = [
+    pub const ALL: [Self; 26] = [
         Self::Render,
         Self::Reduce,
         Self::Image,
@@ -147,6 +149,7 @@ impl StageKind {
         Self::Solution,
         Self::Measure,
         Self::JoinReadings,
+        Self::Learn,
     ];
 
     /// Returns the kind's row of the table.
@@ -200,6 +203,7 @@ impl StageKind {
             Self::JoinReadings => {
                 row("join-readings", "inputs", Join, false, Affinity::Inputs, Report, &[tag::MEASUREMENTS])
             }
+            Self::Learn => row("learn", "frames", Compute, false, Affinity::Frame, Report, &[tag::TARGETS]),
         }
     }
 

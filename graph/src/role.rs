@@ -71,6 +71,8 @@ pub enum Role {
     ReadingBlock,
     /// All readings of a frame, as JSON.
     Readings,
+    /// The targets of a frame's paths, as JSON.
+    Targets,
 }
 
 /// Row of the table of roles.
@@ -88,7 +90,7 @@ pub struct RoleProperties {
 
 impl Role {
     /// All variants, in the order of the table.
-    pub const ALL: [Self; 32] = [
+    pub const ALL: [Self; 33] = [
         Self::Tile,
         Self::Sums,
         Self::Pixels,
@@ -121,6 +123,7 @@ impl Role {
         Self::Solution,
         Self::ReadingBlock,
         Self::Readings,
+        Self::Targets,
     ];
 
     /// Returns the role's row of the table.
@@ -162,6 +165,7 @@ impl Role {
             Self::Solution => row("solution", true, false),
             Self::ReadingBlock => row("reading-block", false, false),
             Self::Readings => row("readings", true, false),
+            Self::Targets => row("targets", true, false),
         }
     }
 

@@ -35,8 +35,11 @@ pub const MEASUREMENTS: &str = "measurements";
 /// Tag of workers that support paths guided as in the method of 1998. It is required by the settings, not by a kind or a role.
 pub const GUIDE_1998: &str = "guide-1998";
 
+/// Tag of workers that know stages that learn the targets of a frame's paths.
+pub const TARGETS: &str = "targets";
+
 /// All these tags. A worker of this version offers them.
-pub const ALL: [&str; 11] = [
+pub const ALL: [&str; 12] = [
     FIRST_PASS,
     FIRST_PASS_BLOCKS,
     STATISTICS,
@@ -48,4 +51,5 @@ pub const ALL: [&str; 11] = [
     SOLUTION,
     MEASUREMENTS,
     GUIDE_1998,
+    TARGETS,
 ];

@@ -56,8 +56,9 @@ impl CountedResult<'_> {
     pub(crate) fn finishes(&self, spec: &JobSpec) -> bool {
         let Stage { number, .. } = self.task.stage;
         let is_over = !matches!(self.result.decision, Some(Decision::Continue | Decision::Steps(_)));
-        let is_result = self.result.outputs.iter().any(|output| output.role.properties().is_result);
-        is_over && if self.task.job.is_shared() { is_read_by_frames(spec, number) } else { is_result }
+        // The last stage of a frame makes its image.
+        let is_last = || spec.graph.stages_of(Scope::Frame).next_back().is_some_and(|(last, _)| last == number);
+        is_over && if self.task.job.is_shared() { is_read_by_frames(spec, number) } else { is_last() }
     }
 }
 
@@ -96,7 +97,8 @@ fn inputs_of(spec: &JobSpec, stage: &Stage, item: u32, last: u32) -> Vec<(Need, 
         let round = match need.round {
             Round::Previous if stage.round == 0 => continue,
             Round::Previous => stage.round - 1,
-            Round::Same if !spec.graph.is_looped(stage.number) && spec.graph.is_looped(need.stage) => last,
+            Round::Same if !spec.graph.is_looped(need.stage) => 0,
+            Round::Same if !spec.graph.is_looped(stage.number) => last,
             Round::Same | Round::Every => stage.round,
         };
         let from = Stage { round, number: need.stage, kind: made.kind, ..*stage };
@@ -228,8 +230,13 @@ impl Tally {
         if need.round == Round::Previous && !is_over && round <= made.round + 1 {
             return true;
         }
-        let readers = spec.graph.readers(made.number).filter(|(_, other)| other.role == need.role);
-        let mut tasks = readers.flat_map(|(number, other)| {
+        let readers = || spec.graph.readers(made.number).filter(|(_, other)| other.role == need.role);
+        let is_before = !spec.graph.is_looped(made.number);
+        if is_before && !is_over && readers().any(|(number, _)| spec.graph.is_looped(number)) {
+            // Each round reads a stage before the loop.
+            return true;
+        }
+        let mut tasks = readers().flat_map(|(number, other)| {
             let template = spec.graph.stage(number);
             // A stage behind the loop reads the loop's last round and has a single round itself.
             let is_behind = spec.graph.is_looped(made.number) && !spec.graph.is_looped(number);

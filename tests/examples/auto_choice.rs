@@ -48,9 +48,10 @@ fn main() -> Result<(), Box<dyn Error>> {
         let options = SolveOptions { error: 1.0, ..SolveOptions::default() };
         let start = processor_seconds().unwrap_or(0.0);
         let solution = radiosity::solve(&prepared, &options, &AtomicBool::new(false)).map_err(|_| "cancelled")?;
-        let learned = femc_guiding::learn(&prepared, &solution.field);
+        let learned = femc_guiding::learn(&prepared, &solution.field, &AtomicBool::new(false)).ok_or("cancelled")?;
+        let guide = learned.guide(&solution.field);
         let first_pass_seconds = processor_seconds().unwrap_or(0.0) - start;
-        let guidance = Guidance::new(&prepared, &solution.field).with_targets(&prepared, &learned.guide);
+        let guidance = Guidance::new(&prepared, &solution.field).with_targets(&prepared, &guide);
         let methods = [None, Some(guidance)];
         let measured_spp = spp.min(256);
         let measured = measure(&methods, &prepared, size, measured_spp, 2);

@@ -86,7 +86,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         let solution = radiosity::solve(&prepared, &options, &AtomicBool::new(false)).map_err(|_| "cancelled")?;
         let first = processor_seconds().unwrap_or(0.0) - start;
         let start = processor_seconds().unwrap_or(0.0);
-        let learned = femc_guiding::learn(&prepared, &solution.field);
+        let learned = femc_guiding::learn(&prepared, &solution.field, &AtomicBool::new(false)).ok_or("cancelled")?;
+        let guide = learned.guide(&solution.field);
         let learning = processor_seconds().unwrap_or(0.0) - start;
         println!("{name}\tlearning {learning:.2} s, {} paths, {} rays", learned.paths, learned.rays);
         for Opening { target, share } in &learned.openings {
@@ -104,7 +105,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         }
         let field = &solution.field;
         let guidances: Result<Vec<_>, _> =
-            methods.iter().map(|method| guidance(method, &prepared, field, &learned.guide)).collect();
+            methods.iter().map(|method| guidance(method, &prepared, field, &guide)).collect();
         let guidances = guidances?;
         let measured = measure(&guidances, &prepared, size, spp, turns);
         let base = &measured[0];

@@ -4,7 +4,10 @@ use crate::clock::processor_seconds;
 use crate::flux::SolutionFlux;
 use femc_film::Tiling;
 use femc_pipeline::radiosity::{SolveOptions, SolveReport, VerifyError, solve};
-use femc_pipeline::{FrameLight, Method, SceneSource, Settings, StopCondition, attach_first_pass, first_pass_world};
+use femc_pipeline::{
+    FrameLight, Method, SceneSource, Settings, StopCondition, attach_first_pass, attach_learned_targets,
+    first_pass_world,
+};
 use femc_scene::Scene;
 use std::error::Error;
 use std::sync::Arc;
@@ -124,7 +127,8 @@ impl PictureComparison {
 fn render(source: &SceneSource, settings: &Settings, light: Option<FrameLight>) -> Result<Vec<f64>, Box<dyn Error>> {
     let mut prepared = femc_pipeline::prepare_world(source, settings, 1, None)?;
     if let Some(light) = light {
-        attach_first_pass(&mut prepared, light, settings.method)?;
+        attach_first_pass(&mut prepared, light)?;
+        attach_learned_targets(&mut prepared, settings.method)?;
     }
     let [width, height] = settings.size.unwrap_or_default();
     let tiling = Tiling::new(width, height, 24)?;

@@ -20,7 +20,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use femc_metrics::{Counter, Page};
 use femc_model::{Artifact, Digest, Failure, JobSpec};
 use femc_pipeline::{
-    Field, FrameKey, FrameLight, Layer, LayerPlan, Prepared, RayState, SceneSource, Settings, Solution,
+    Field, FrameKey, FrameLight, Layer, LayerPlan, Prepared, RayState, SceneSource, Settings, Solution, TargetDocument,
 };
 use femc_proto::Client;
 use femc_scene::Scene;
@@ -28,6 +28,27 @@ use femc_scene::Scene;
 use crate::PieceCache;
 use crate::bundle::fetch_bundle;
 use crate::fetch::Fetcher;
+
+/// Outputs of other tasks that a prepared frame depends on.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub(crate) struct FrameInputs {
+    /// Light of the first pass of the frame's world; `None` without a first pass.
+    pub(crate) light: Option<Artifact>,
+    /// Targets of its paths.
+    pub(crate) targets: TargetSource,
+}
+
+/// Source of the targets of a frame's paths.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub(crate) enum TargetSource {
+    /// No paths are traced in the frame.
+    #[default]
+    None,
+    /// The worker learns them when it prepares the frame, if its method has targets. Graphs of earlier versions have no task for it.
+    Frame,
+    /// Output of a learn task.
+    Stored(Artifact),
+}
 
 /// A scene with the job's overrides applied.
 #[derive(Debug)]
@@ -68,8 +89,8 @@ struct CacheInner {
     sources: LruCache<Digest, SceneSource>,
     /// Scenes with a job's overrides.
     scenes: LruCache<Digest, Arc<LoadedScene>>,
-    /// Prepared frames, by frame key and by the digest of the first pass's light (`None` without a first pass).
-    frames: LruCache<(FrameKey, Option<Digest>), Arc<Prepared>>,
+    /// Prepared frames.
+    frames: LruCache<(FrameKey, FrameInputs), Arc<Prepared>>,
     /// Compiled layers of frames. The tiles of a frame share them.
     layers: LruCache<(FrameKey, Vec<Layer>), Arc<LayerPlan>>,
     /// Lights of first passes: `fields` for lamps of brightness 1, `frame_lights` for the brightness of the frames' lamps.
@@ -164,22 +185,22 @@ impl Cache {
     }
 
     /// Returns the frame, ready to render.
-    /// - `light`: output of the first pass of the frame's world; required exactly if the job's method has a first pass.
+    /// - `inputs`: the light of a first pass is required exactly if the job's method has one.
     pub(crate) fn frame(
         &self,
         spec: &JobSpec,
         frame: u32,
-        light: Option<Artifact>,
+        inputs: FrameInputs,
         client: &Client,
         fetch: &Fetcher,
     ) -> Result<(Arc<LoadedScene>, Arc<Prepared>), Failure> {
         let loaded = self.scene(spec, client, fetch)?;
-        if loaded.settings.method.has_first_pass() != light.is_some() {
+        if loaded.settings.method.has_first_pass() != inputs.light.is_some() {
             let message =
                 "invalid job graph: it must have a first-pass stage if, and only if, the method has a first pass";
             return Err(Failure::Settings { message: message.into() });
         }
-        self.prepared(loaded, frame, light, client, fetch)
+        self.prepared(loaded, frame, inputs, client, fetch)
     }
 
     /// Returns the frame, ready for all that does not depend on the light of a first pass.
@@ -194,7 +215,7 @@ impl Cache {
         let frame_key = loaded.frame_key(frame)?;
         match self.0.frames.latest(|(other, _)| *other == frame_key) {
             Some(prepared) => Ok((loaded, prepared)),
-            None => self.prepared(loaded, frame, None, client, fetch),
+            None => self.prepared(loaded, frame, FrameInputs::default(), client, fetch),
         }
     }
 
@@ -211,7 +232,7 @@ impl Cache {
         let settings = loaded.settings.of_measurement();
         let frame_key =
             femc_pipeline::frame_key(&loaded.source, &settings, frame).map_err(|error| scene_fault(&error))?;
-        let prepared = self.0.frames.get_or((frame_key, None), || {
+        let prepared = self.0.frames.get_or((frame_key, FrameInputs::default()), || {
             let previous = self
                 .0
                 .frames
@@ -255,7 +276,7 @@ impl Cache {
         let frame_key = loaded.frame_key(frame)?;
         // No frame's world has this digest, so the key is free for the first pass's world.
         let key = FrameKey { world: frame_key.light, ..frame_key };
-        self.0.frames.get_or((key, None), || {
+        self.0.frames.get_or((key, FrameInputs::default()), || {
             let previous = self.0.frames.latest(|(other, _)| other.static_digest == frame_key.static_digest);
             let world = fetch.prepare(|| {
                 femc_pipeline::first_pass_world(&loaded.source, &loaded.settings, frame, previous.as_deref())
@@ -270,24 +291,39 @@ impl Cache {
         &self,
         loaded: Arc<LoadedScene>,
         frame: u32,
-        light: Option<Artifact>,
+        inputs: FrameInputs,
         client: &Client,
         fetch: &Fetcher,
     ) -> Result<(Arc<LoadedScene>, Arc<Prepared>), Failure> {
-        let frame_key = loaded.frame_key(frame)?;
+        let (frame_key, method) = (loaded.frame_key(frame)?, loaded.settings.method);
         let same_world = || self.0.frames.latest(|(other, _)| other.world == frame_key.world);
         let same_surfaces = || self.0.frames.latest(|(other, _)| other.static_digest == frame_key.static_digest);
-        let prepared = self.0.frames.get_or((frame_key, light.map(|light| light.digest)), || {
+        let prepared = self.0.frames.get_or((frame_key, inputs), || {
             let previous = same_world().or_else(same_surfaces);
             let prepared = fetch
                 .prepare(|| femc_pipeline::prepare_world(&loaded.source, &loaded.settings, frame, previous.as_deref()));
             let mut prepared = prepared.map_err(|error| Failure::Scene { message: error.to_string() })?;
             prepared.set_field(None);
-            if let Some(light) = light {
+            if let Some(light) = inputs.light {
                 let frame_light = self.frame_light(light, prepared.brightness, client, fetch)?;
                 fetch
-                    .prepare(|| femc_pipeline::attach_first_pass(&mut prepared, frame_light, loaded.settings.method))
-                    .map_err(|error| lost_field_failure(light, &error))?;
+                    .prepare(|| femc_pipeline::attach_first_pass(&mut prepared, frame_light))
+                    .map_err(|error| lost_input_failure(light, &error))?;
+            }
+            match inputs.targets {
+                TargetSource::None => {}
+                TargetSource::Frame => {
+                    let learned = fetch.prepare(|| femc_pipeline::attach_learned_targets(&mut prepared, method));
+                    learned.map_err(|error| Failure::Scene { message: error.to_string() })?;
+                }
+                TargetSource::Stored(targets) => {
+                    let bytes = fetch.fetch_all(client, &[targets]).pop().unwrap_or(Err(Failure::Cancelled))?;
+                    let attach = || {
+                        let document = TargetDocument::decode(&bytes)?;
+                        femc_pipeline::attach_targets(&mut prepared, &document)
+                    };
+                    fetch.prepare(attach).map_err(|error| lost_input_failure(targets, &error))?;
+                }
             }
             Ok(Arc::new(prepared))
         })?;
@@ -314,7 +350,7 @@ impl Cache {
             self.drop_solver_states();
             let bytes = fetch.fetch_all(client, &[light]).pop().unwrap_or(Err(Failure::Cancelled))?;
             let (field, _) =
-                fetch.prepare(|| Field::decode(&bytes)).map_err(|error| lost_field_failure(light, &error))?;
+                fetch.prepare(|| Field::decode(&bytes)).map_err(|error| lost_input_failure(light, &error))?;
             Ok(Arc::new(field))
         })
     }
@@ -379,9 +415,9 @@ impl Cache {
     }
 }
 
-/// Reports an unusable light, so that the farm computes it again.
-fn lost_field_failure(light: Artifact, error: &dyn std::fmt::Display) -> Failure {
-    Failure::LostInputs { digests: vec![light.digest], message: error.to_string() }
+/// Reports an unusable input, so that the farm computes it again.
+fn lost_input_failure(input: Artifact, error: &dyn std::fmt::Display) -> Failure {
+    Failure::LostInputs { digests: vec![input.digest], message: error.to_string() }
 }
 
 fn combined_digest(artifacts: &[Artifact]) -> Digest {

@@ -5,13 +5,14 @@ use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError};
 
 use femc_model::{
-    Artifact, Assignment, Digest, Epoch, Failure, HeldLease, JobSpec, Lane, LogDestination, Phase, ResourceUsage, Role,
-    StageKindProperties, TaskKey, TaskProgress,
+    Assignment, Digest, Epoch, Failure, HeldLease, JobSpec, Lane, LogDestination, Phase, ResourceUsage, Role,
+    StageKind, StageKindProperties, TaskKey, TaskProgress,
 };
 use femc_proto::Client;
 use tokio::sync::Notify;
 use tokio::time::Instant;
 
+use crate::cache::{FrameInputs, TargetSource};
 use crate::clock::Stopwatch;
 use crate::execute::Product;
 use crate::log::TaskLog;
@@ -97,9 +98,14 @@ impl Task {
         self.assignment.task.stage.kind.properties()
     }
 
-    /// Returns the light of the first pass of its frame's world, if the task reads one.
-    pub(crate) fn light(&self) -> Option<Artifact> {
-        self.assignment.spec.inputs_of_role(Role::Field).next().map(|input| input.output.artifact)
+    /// Returns the outputs of other tasks that the task's frame depends on.
+    pub(crate) fn frame_inputs(&self) -> FrameInputs {
+        let artifact = |role| self.assignment.spec.inputs_of_role(role).next().map(|input| input.output.artifact);
+        let targets = match self.assignment.task.stage.kind {
+            StageKind::Render => artifact(Role::Targets).map_or(TargetSource::Frame, TargetSource::Stored),
+            _ => TargetSource::None,
+        };
+        FrameInputs { light: artifact(Role::Field), targets }
     }
 
     /// Returns the place for the log of an attempt with this outcome.

@@ -60,7 +60,7 @@ pub(crate) fn start(
             let Some(task) = table.get(&task).filter(|_| memory.has_room_ahead()) else { continue };
             let fetch = fetch.for_task(&task);
             // Errors are ignored here: the task itself fails in the same way and reports it.
-            let prepare = || drop(cache.frame(&spec, frame, task.light(), &client, &fetch));
+            let prepare = || drop(cache.frame(&spec, frame, task.frame_inputs(), &client, &fetch));
             let _ = std::panic::catch_unwind(std::panic::AssertUnwindSafe(prepare));
         }
     })?;

@@ -12,7 +12,7 @@ use crate::threads;
 use clap::Args;
 use femc_model::{Graph, Hint, Need, Reach, Round, Scope, StageTemplate};
 use femc_pipeline::method_choice::MethodChoice;
-use femc_pipeline::{OmittedFeature, PrepareError, Prepared, StopCondition};
+use femc_pipeline::{OmittedFeature, PrepareError, Prepared, StopCondition, TargetKind, TargetRecord, TargetShape};
 use femc_worker::ExtraOutputs;
 use serde::Serialize;
 use std::collections::BTreeSet;
@@ -60,6 +60,8 @@ const TRIAL_DURATION: Duration = Duration::from_millis(300);
 const PILOT_DURATION: Duration = Duration::from_millis(1500);
 /// Edge of the blocks of a trial, pixels.
 const TRIAL_BLOCK: u32 = 8;
+/// Minimum share of the indirect light that a target brings to be printed.
+const MIN_LIGHT: f32 = 0.005;
 
 #[derive(Serialize)]
 struct PlanReport {
@@ -102,8 +104,12 @@ struct PlanReport {
 pub struct PlanCost {
     /// Time to prepare a frame, s.
     pub prepare_seconds: f64,
-    /// Time to solve a first pass, s; 0 if the method has none.
+    /// Time to solve a first pass and to learn targets, s; 0 if the method has none.
     pub first_pass_seconds: f64,
+    /// Targets of the first frame's paths: openings and bright patches.
+    targets: Vec<TargetRecord>,
+    /// World position of the origin of the targets' positions, m.
+    origin: [f64; 3],
     /// Camera samples per second.
     pub samples_per_second: f64,
     seconds_least: f64,
@@ -221,13 +227,15 @@ fn run_trial(
     let mut prepared =
         femc_pipeline::prepare_world(&resolved.source, &resolved.settings, frame, None).map_err(failed)?;
     let prepare_seconds = clock.since(begun).as_secs_f64();
-    let mut first_pass_seconds = 0.0;
+    let (mut first_pass_seconds, mut targets) = (0.0, Vec::new());
     if plan.method.has_first_pass() {
         let world = femc_pipeline::first_pass_world(&resolved.source, &resolved.settings, frame, Some(&prepared));
         let (world, begun) = (world.map_err(failed)?, clock.now());
         let solution = femc_pipeline::solve_first_pass(&world, plan.method, &AtomicBool::new(false)).map_err(failed)?;
         let light = femc_pipeline::FrameLight::new(Arc::new(solution.field), prepared.brightness);
-        femc_pipeline::attach_first_pass(&mut prepared, light, plan.method).map_err(failed)?;
+        femc_pipeline::attach_first_pass(&mut prepared, light).map_err(failed)?;
+        let learned = femc_pipeline::attach_learned_targets(&mut prepared, plan.method).map_err(failed)?;
+        targets = learned.map_or(Vec::new(), |learned| learned.targets);
         first_pass_seconds = clock.since(begun).as_secs_f64();
     }
     let begun = clock.now();
@@ -252,7 +260,17 @@ fn run_trial(
         let samples = samples_a_pixel * width * height * plan.frames.len() as f64;
         PilotEstimate { samples_a_pixel, seconds: seconds(samples as u64).clamp(seconds_least, seconds_most) }
     });
-    Ok(PlanCost { prepare_seconds, first_pass_seconds, samples_per_second, seconds_least, seconds_most, likely })
+    let origin = prepared.origin.into();
+    Ok(PlanCost {
+        prepare_seconds,
+        first_pass_seconds,
+        targets,
+        origin,
+        samples_per_second,
+        seconds_least,
+        seconds_most,
+        likely,
+    })
 }
 
 /// Returns the samples per pixel that a frame is likely to need to reach its error; `None` if it does not stop by error.
@@ -330,6 +348,9 @@ fn print(printer: Printer, report: &PlanReport) {
         });
     }
     if let Some(cost) = &report.cost {
+        for target in cost.targets.iter().filter(|target| target.light >= MIN_LIGHT) {
+            printer.result(target_text(target, cost.origin));
+        }
         let range = match (report.stop, &cost.likely) {
             (StopCondition::Error(_), likely) => {
                 let (least, most) = (human::seconds(cost.seconds_least), human::seconds(cost.seconds_most));
@@ -354,6 +375,28 @@ fn print(printer: Printer, report: &PlanReport) {
             printer.result(format!("  {}: {}", left.what, left.reason));
         }
     }
+}
+
+/// Returns text like `paths are guided through an opening of 0.05 m x 2.06 m at (0.98, -0.3, 1): 31 % of the indirect light`.
+/// - `origin`: world position of the origin of the target's positions, m.
+fn target_text(target: &TargetRecord, origin: [f64; 3]) -> String {
+    let meters = |value: f32| format!("{} m", (f64::from(value) * 100.0).round() / 100.0);
+    let size = match target.shape {
+        TargetShape::Parallelogram { edges, .. } => {
+            let [a, b] = edges.map(|edge| meters(edge.iter().map(|at| at * at).sum::<f32>().sqrt()));
+            format!("{a} x {b}")
+        }
+        TargetShape::Ball { radius, .. } => format!("radius {}", meters(radius)),
+    };
+    let position = origin.iter().zip(target.shape.center()).map(|(origin, at)| origin + f64::from(at));
+    // The sum makes 0 of -0.
+    let position: Vec<String> = position.map(|at| ((at * 100.0).round() / 100.0 + 0.0).to_string()).collect();
+    let kind = match target.kind {
+        TargetKind::Opening => "through an opening",
+        TargetKind::Patch => "to a bright patch",
+    };
+    let light = human::percent(f64::from(target.light));
+    format!("paths are guided {kind} of {size} at ({}): {light} of the indirect light", position.join(", "))
 }
 
 /// Returns a table with a line for each stage.

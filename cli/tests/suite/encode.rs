@@ -121,7 +121,7 @@ fn clip_waits_for_a_worker_with_ffmpeg_and_has_every_frame() {
     dir.run(&format!("watch {job} --server {url}")).exits(0);
     assert!(
         workers(&dir, &url).to_string().contains(
-            r#""tags":["ffmpeg","first-pass","first-pass-blocks","statistics","layers","features","painting","task-kinds","geometry","solution","measurements","guide-1998"]"#
+            r#""tags":["ffmpeg","first-pass","first-pass-blocks","statistics","layers","features","painting","task-kinds","geometry","solution","measurements","guide-1998","targets"]"#
         ),
         "{}",
         workers(&dir, &url)

@@ -7,13 +7,14 @@
 
 use crate::openings::{Line, Opening, find_openings};
 use crate::patches::{Patch, Reached, find_patches, leaf_bins};
-use crate::pilot::{Pilot, PilotPlaces, keep_heaviest, trace_block};
+use crate::pilot::{MAX_DIRECTIONS, Passing, Pilot, PilotPlaces, keep_heaviest, trace_block};
 use crate::shares::Shares;
 use crate::sums::PositionGrid;
-use femc_field::{Field, PACK_TARGETS, Parallelogram, Target, TargetGuide, TargetPack};
+use femc_field::{Field, PACK_TARGETS, Parallelogram, RegionTargets, Target, TargetGuide, TargetPack};
 use femc_montecarlo::Guidance;
 use femc_prepared::Prepared;
 use rayon::prelude::*;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Number of pilot paths by round, for films that are not small.
 const PATHS: [u32; 3] = [1 << 14, 1 << 15, 1 << 16];
@@ -29,61 +30,73 @@ const MAX_LINES: usize = 96;
 /// Ratio of the edges of a target from which on it is divided.
 const LONG: f32 = 2.0;
 
+/// Upper bound of the memory of learning, bytes: that of the directions of the longest round, and of the sums of as many places. Rooms
+/// take a tenth of it.
+pub const MAX_BYTES: u64 = BLOCKS as u64 * MAX_DIRECTIONS as u64 * 256;
+
 /// Targets of a frame, and how they were found.
 #[derive(Clone, Debug, Default)]
 pub struct Learned {
-    /// Targets and shares.
-    pub guide: TargetGuide,
     /// Openings in the order in which they were found.
     pub openings: Vec<Opening>,
     /// Bright patches in the order in which they were found.
     pub patches: Vec<Patch>,
+    /// Share of the indirect light of the picture that passes through each opening, then that which comes from each patch, in 0..1.
+    pub light: Vec<f32>,
+    /// Openings and patches, or parts of them: the pack that paths sample.
+    pub parts: Vec<Target>,
+    /// Targets by region.
+    pub by_region: Vec<RegionTargets>,
+    /// Index of the region by leaf of the field.
+    pub region_by_leaf: Vec<u32>,
     /// Number of pilot paths.
     pub paths: u32,
     /// Number of rays of pilot paths.
     pub rays: u64,
 }
 
-/// Learns the targets of a frame. If the first rounds find no targets, the last one is left out.
+/// Learns the targets of a frame. If the first rounds find no targets, the last one is left out. `None`: `cancel` was set.
 /// - `field`: field of the frame, scaled to its brightness.
-pub fn learn(scene: &Prepared, field: &Field) -> Learned {
+pub fn learn(scene: &Prepared, field: &Field, cancel: &AtomicBool) -> Option<Learned> {
     let mut out = Learned::default();
     if field.leaves.is_empty() {
-        return out;
+        return Some(out);
     }
     // During learning, each leaf is a region.
-    out.guide = TargetGuide::without_targets(field);
+    let mut guide = TargetGuide::without_targets(field);
     let grid = PositionGrid::new(scene.world.bounds());
     let places = PilotPlaces { bins: leaf_bins(field, &grid), grid };
     let mut pieces = Pieces::default();
     let mut shares = Shares::default();
     let round_paths = paths_by_round(scene.camera.film);
     for (round, &paths) in round_paths.iter().enumerate() {
-        let guidance = Guidance::new(scene, field).with_targets(scene, &out.guide);
+        let guidance = Guidance::new(scene, field).with_targets(scene, &guide);
+        let targets = out.targets();
         let blocks = (0..BLOCKS).into_par_iter().map(|block| {
             let first = round_paths[..round].iter().sum::<u32>();
             let [low, high] = [block, block + 1].map(|at| first + paths / BLOCKS * at);
-            trace_block(scene, guidance, &out.guide, &places, low..high, paths)
+            let pilot = Pilot::new(&guide, &places, &targets);
+            (!cancel.load(Ordering::Relaxed)).then(|| trace_block(scene, guidance, pilot, low..high, paths))
         });
-        let blocks: Vec<Pilot<'_>> = blocks.collect();
+        let blocks: Option<Vec<Pilot<'_>>> = blocks.collect();
         let (mut records, mut reached) = (Vec::new(), Reached::default());
-        let mut lines = Vec::new();
-        for block in blocks {
+        let (mut lines, mut passing) = (Vec::new(), Passing::default());
+        for block in blocks? {
             records.extend(block.records);
+            passing.add(&block.passing);
             reached.add(&block.bins, &block.voxels);
             lines.extend(block.lines);
             out.rays += block.rays;
         }
         out.paths += paths;
         let mut is_last = round + 1 == PATHS.len();
-        let targets = out.targets();
         if !is_last && lines.len() >= MIN_LINES {
             keep_heaviest(&mut lines, MAX_LINES);
             let lines: Vec<Line> = lines.into_iter().map(|(line, _)| line).collect();
             let known: Vec<Parallelogram> = out.openings.iter().map(|opening| opening.target).collect();
             out.openings.extend(find_openings(scene, &lines, &known, PACK_TARGETS - targets.len()));
         }
-        shares = Shares::new(field, &records, &shares);
+        shares = Shares::new(field, records, &shares);
         if !is_last {
             // Light through openings must not count as light of patches, so openings come first.
             if round > 0 {
@@ -98,17 +111,22 @@ pub fn learn(scene: &Prepared, field: &Field) -> Learned {
                 pieces = divided;
             }
         }
-        let packs = if pieces.targets.is_empty() { Vec::new() } else { vec![TargetPack::new(&pieces.targets)] };
         let is_patch = |k: usize| pieces.wholes.get(k).is_some_and(|whole| *whole >= out.openings.len());
         let (by_region, region_by_leaf) = shares.regions(field.leaves.len(), is_patch);
         if is_last {
-            out.guide = TargetGuide::new(field, packs, by_region, &region_by_leaf);
+            (out.light, out.parts) = (passing.shares(targets.len()), pieces.targets);
+            (out.by_region, out.region_by_leaf) = (by_region, region_by_leaf);
             break;
         }
         let by_leaf = region_by_leaf.iter().map(|&region| by_region[region as usize]).collect();
-        out.guide.set_targets(packs, by_leaf);
+        guide.set_targets(packs(&pieces.targets), by_leaf);
     }
-    out
+    Some(out)
+}
+
+/// Returns the packs of all targets: one or none.
+fn packs(targets: &[Target]) -> Vec<TargetPack> {
+    if targets.is_empty() { Vec::new() } else { vec![TargetPack::new(targets)] }
 }
 
 /// Returns the number of pilot paths of a frame with targets, for a film of this size in pixels.
@@ -124,8 +142,14 @@ fn paths_by_round(film: [u32; 2]) -> [u32; 3] {
 }
 
 impl Learned {
+    /// Returns the guide of paths by these targets.
+    /// - `field`: field of the frame.
+    pub fn guide(&self, field: &Field) -> TargetGuide {
+        TargetGuide::new(field, packs(&self.parts), self.by_region.clone(), &self.region_by_leaf)
+    }
+
     /// Returns the targets: openings, then patches.
-    fn targets(&self) -> Vec<Target> {
+    pub fn targets(&self) -> Vec<Target> {
         let openings = self.openings.iter().map(|opening| opening.target.into());
         openings.chain(self.patches.iter().map(|patch| patch.target)).collect()
     }

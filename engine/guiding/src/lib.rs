@@ -1,8 +1,9 @@
 //! Guides of a frame's paths, learned from pilot paths that are part of no image: openings through which light comes
-//! ([`openings`]), bright patches ([`patches`]), and shares of directions to sample toward each target.
+//! ([`openings`]), bright patches ([`patches`]), and shares of directions to sample toward each target. A JSON document stores them ([`document`]).
 #![deny(missing_docs)]
 
 mod bins;
+pub mod document;
 mod learn;
 pub mod openings;
 pub mod patches;
@@ -10,7 +11,7 @@ mod pilot;
 mod shares;
 mod sums;
 
-pub use learn::{Learned, learn, pilot_path_count};
+pub use learn::{Learned, MAX_BYTES, learn, pilot_path_count};
 
 use femc_geometry::Ray;
 use femc_math::glam::Vec3A;

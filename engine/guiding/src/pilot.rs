@@ -4,7 +4,7 @@ use crate::bins::LeafBins;
 use crate::openings::Line;
 use crate::shares::DirectionRecord;
 use crate::sums::{MAX_VALUE, PositionGrid, SumsByBin, SumsByVoxel};
-use femc_field::{PACK_TARGETS, TargetDirections, TargetGuide};
+use femc_field::{PACK_TARGETS, Target, TargetDirections, TargetGuide};
 use femc_geometry::Ray;
 use femc_math::Rgb;
 use femc_math::color::luminance;
@@ -23,6 +23,12 @@ const SEED: u64 = 0x706f_696e_7465_7273;
 const SURPRISE: f32 = 8.0;
 /// Maximum number of surprising lines of a block.
 const MAX_LINES: usize = 1024;
+/// Maximum number of directions of a block. Those of later paths are not recorded.
+pub const MAX_DIRECTIONS: usize = 1 << 16;
+/// Reach of a direction that leaves the scene, m.
+const FAR: f32 = 1e6;
+/// Margin by which a segment that ends on a target is extended, relative to its length. Positions are rounded.
+const MARGIN: f32 = 1e-3;
 
 /// Filter of pilot paths: the square of a pixel.
 #[derive(Clone, Copy)]
@@ -39,21 +45,19 @@ impl PixelFilter for SquareFilter {
 }
 
 /// Traces the pilot paths with numbers in a range.
-/// - `guidance`: guidance of the paths by a field and by `guide`;
-/// - `places`: places that directions can reach;
+/// - `guidance`: guidance of the paths by a field and by the guide of `pilot`;
 /// - `count`: number of paths of the round, which are spread evenly over the film.
 pub fn trace_block<'a>(
     scene: &Prepared,
     guidance: Guidance<'_>,
-    guide: &'a TargetGuide,
-    places: &'a PilotPlaces,
+    mut pilot: Pilot<'a>,
     paths: Range<u32>,
     count: u32,
 ) -> Pilot<'a> {
     // A path without branches has one direction at each vertex.
     let window = WeightWindow { upper: f32::INFINITY, ..guidance.window };
     let settings = PathSettings { seed: SEED, max_depth: 0, single_technique: None };
-    let pilot = Pilot::new(guide, places, FRAME_SHARE * guidance.frame_light);
+    pilot.floor = FRAME_SHARE * guidance.frame_light;
     let mut tracer = Tracer::with_recorder(scene, settings, pilot).with_guidance(Guidance { window, ..guidance });
     let pixels = scene.camera.film.map(u64::from).iter().product::<u64>();
     for path in paths {
@@ -89,16 +93,42 @@ pub struct Pilot<'a> {
     pub voxels: SumsByVoxel,
     /// Surprising lines, each with the number of its path and direction.
     pub lines: Vec<(Line, u64)>,
+    /// Light by target.
+    pub passing: Passing,
     /// Number of rays.
     pub rays: u64,
     guide: &'a TargetGuide,
     places: &'a PilotPlaces,
+    /// Targets whose light is measured, at most [`PACK_TARGETS`].
+    targets: &'a [Target],
     /// Light that is added to the light expected of a path, cd/m2.
     floor: f32,
     /// Number of the current path.
     number: u32,
     /// Directions that the current path took.
     directions: Vec<PilotDirection>,
+}
+
+/// Indirect light of pilot paths, relative to the light expected of each.
+#[derive(Default)]
+pub struct Passing {
+    all: f64,
+    /// Light that passed through an opening or came from a patch.
+    by_target: [f64; PACK_TARGETS],
+}
+
+impl Passing {
+    /// Adds the light of a block.
+    pub fn add(&mut self, other: &Self) {
+        self.all += other.all;
+        self.by_target.iter_mut().zip(other.by_target).for_each(|(sum, more)| *sum += more);
+    }
+
+    /// Returns the shares of the first targets in the light, in 0..1. The sum can exceed 1, since light can pass through several.
+    pub fn shares(&self, count: usize) -> Vec<f32> {
+        let share = |light: f64| if self.all > 0.0 { (light / self.all).min(1.0) as f32 } else { 0.0 };
+        self.by_target.into_iter().map(share).take(count).collect()
+    }
 }
 
 /// A direction of a pilot path.
@@ -116,11 +146,54 @@ struct PilotDirection {
     end_region: Option<u32>,
 }
 
+impl PilotDirection {
+    /// Returns whether the path passed through a target, or reached it, along the direction.
+    fn reaches(&self, target: &Target) -> bool {
+        let Direction { position: from, dir, .. } = self.direction;
+        match (target, self.end) {
+            (Target::Parallelogram(target), end) => {
+                let to = end.map_or(from + dir * FAR, |end| end + (end - from) * MARGIN);
+                target.crossing(from, to).is_some()
+            }
+            (Target::Ball(ball), end) => {
+                end.is_some_and(|end| end.distance(ball.center) <= ball.radius * (1.0 + MARGIN))
+            }
+        }
+    }
+}
+
 impl<'a> Pilot<'a> {
-    fn new(guide: &'a TargetGuide, places: &'a PilotPlaces, floor: f32) -> Self {
+    /// - `places`: places that directions can reach;
+    /// - `targets`: targets whose light is measured.
+    pub fn new(guide: &'a TargetGuide, places: &'a PilotPlaces, targets: &'a [Target]) -> Self {
         let (records, bins, voxels) = (Vec::new(), SumsByBin::new(), SumsByVoxel::new());
-        let (lines, directions) = (Vec::new(), Vec::new());
-        Self { records, bins, voxels, places, lines, rays: 0, guide, floor, number: 0, directions }
+        let (lines, directions, passing) = (Vec::new(), Vec::new(), Passing::default());
+        Self {
+            records,
+            bins,
+            voxels,
+            lines,
+            passing,
+            rays: 0,
+            guide,
+            places,
+            targets,
+            floor: 0.0,
+            number: 0,
+            directions,
+        }
+    }
+
+    /// Measures how much of the light of the current path came through or from each target.
+    /// - `center`: light expected of the path.
+    fn measure_passing(&mut self, center: f32) {
+        let light = |it: &PilotDirection| f64::from((it.found / center).clamp(0.0, MAX_VALUE));
+        let Some(first) = self.directions.first() else { return };
+        self.passing.all += light(first);
+        for (target, sum) in self.targets.iter().zip(&mut self.passing.by_target) {
+            // What a later direction finds, the first one has counted.
+            *sum += self.directions.iter().find(|it| it.reaches(target)).map_or(0.0, light);
+        }
     }
 
     /// Returns the densities of a direction by sampler, targets, then the BSDF, relative to the density of all together; and the share
@@ -204,7 +277,9 @@ impl Recorder for Pilot<'_> {
     fn end_sample(&mut self, _: Option<Rgb>) {
         let directions = std::mem::take(&mut self.directions);
         let first = directions.first().map_or(0.0, |first| first.direction.expectation.light);
-        for (at, it) in directions.iter().enumerate() {
+        let center = first + self.floor;
+        let room = MAX_DIRECTIONS - self.records.len();
+        for (at, it) in directions.iter().enumerate().take(room) {
             let Expectation { region, light: expected } = it.direction.expectation;
             let light = if it.end_region.is_some() { it.estimate } else { it.found };
             let [value, found] = [light, it.found].map(|light| light / expected);
@@ -214,7 +289,6 @@ impl Recorder for Pilot<'_> {
             let (ratios, guided) = self.ratios(&it.direction);
             let [value, found] = [value, found].map(|value| value.min(MAX_VALUE));
             self.records.push(DirectionRecord { region, value, found, ratios, guided });
-            let center = first + self.floor;
             let chance = expected / (1.0 - it.direction.guide_share) / center;
             if let Some(end) = it.end
                 && ratios[..PACK_TARGETS].iter().all(|ratio| *ratio == 0.0)
@@ -240,5 +314,8 @@ impl Recorder for Pilot<'_> {
             keep_heaviest(&mut self.lines, MAX_LINES);
         }
         self.directions = directions;
+        if !self.targets.is_empty() && center > 0.0 {
+            self.measure_passing(center);
+        }
     }
 }

@@ -80,25 +80,28 @@ impl DirectionRecord {
     }
 }
 
-/// Directions of a part of the scene.
+/// Directions of a part of the scene: neighbors among all directions in the order of leaves ([`leaf_ranks`]).
 #[derive(Clone, Default)]
 struct Part {
-    /// Indices of the directions.
-    records: Vec<u32>,
+    range: Range<usize>,
     /// Light that paths found, and the light of the field, both relative to the light expected.
     found: f64,
     field: f64,
 }
 
 impl Part {
-    fn add(&mut self, other: &Self) {
-        self.records.extend(&other.records);
-        self.found += other.found;
-        self.field += other.field;
+    /// Returns the part that consists of this part and the next one.
+    fn with_next(&self, next: &Self) -> Self {
+        let range = match (self.range.is_empty(), next.range.is_empty()) {
+            (true, _) => next.range.clone(),
+            (false, true) => self.range.clone(),
+            (false, false) => self.range.start..next.range.end,
+        };
+        Self { range, found: self.found + next.found, field: self.field + next.field }
     }
 
     fn count(&self) -> f64 {
-        self.records.len() as f64
+        self.range.len() as f64
     }
 
     /// Returns the shares of this part.
@@ -108,38 +111,38 @@ impl Part {
         if count == 0.0 {
             return *around;
         }
-        let fitted = fit_shares(all, &self.records, &around.shares);
+        let own_records = &all[self.range.clone()];
+        let fitted = fit_shares(own_records, &around.shares);
         let own = count / (count + PRIOR);
         let shares = std::array::from_fn(|k| around.shares[k] + own * (fitted[k] - around.shares[k]));
         let field = self.field / count;
         let light_scale = (PRIOR * field * around.light_scale + self.found) / ((PRIOR + count) * field);
         let light_scale = if light_scale.is_finite() { light_scale } else { around.light_scale };
-        let gain = self.gain(all, &shares).map_or(around.gain, |gain| around.gain + own * (gain - around.gain));
+        let gain = gain(own_records, &shares).map_or(around.gain, |gain| around.gain + own * (gain - around.gain));
         Region { shares, gain, light_scale: light_scale.clamp(LIGHT_SCALES[0], LIGHT_SCALES[1]) }
-    }
-
-    /// Returns the gain of shares. `None`: no direction found light.
-    fn gain(&self, all: &[DirectionRecord], shares: &[f64; PACK_TARGETS]) -> Option<f64> {
-        let [mut light, mut sum] = [0.0; 2];
-        for record in self.records.iter().map(|&at| &all[at as usize]) {
-            let ratio = record.density(shares) / f64::from(record.ratios[PACK_TARGETS]);
-            if ratio > 0.0 && ratio.is_finite() {
-                light += f64::from(record.value);
-                sum += f64::from(record.value) * f64::from(ln(ratio as f32));
-            }
-        }
-        (light > 0.0).then(|| sum / light)
     }
 }
 
+/// Returns the gain of shares for directions. `None`: no direction found light.
+fn gain(records: &[DirectionRecord], shares: &[f64; PACK_TARGETS]) -> Option<f64> {
+    let [mut light, mut sum] = [0.0; 2];
+    for record in records {
+        let ratio = record.density(shares) / f64::from(record.ratios[PACK_TARGETS]);
+        if ratio > 0.0 && ratio.is_finite() {
+            light += f64::from(record.value);
+            sum += f64::from(record.value) * f64::from(ln(ratio as f32));
+        }
+    }
+    (light > 0.0).then(|| sum / light)
+}
+
 /// Returns the shares of targets whose density follows the light of directions best.
-/// - `records`: indices of the directions among `all`;
 /// - `start`: shares from which the search begins.
-fn fit_shares(all: &[DirectionRecord], records: &[u32], start: &[f64; PACK_TARGETS]) -> [f64; PACK_TARGETS] {
+fn fit_shares(records: &[DirectionRecord], start: &[f64; PACK_TARGETS]) -> [f64; PACK_TARGETS] {
     let mut shares = *start;
     for _ in 0..STEPS {
         let mut sums = [0.0; PACK_TARGETS + 1];
-        for record in records.iter().map(|&at| &all[at as usize]) {
+        for record in records {
             let weight = f64::from(record.value) / record.density(&shares) * f64::from(record.guided);
             if weight > 0.0 && weight.is_finite() {
                 sums.iter_mut().zip(record.ratios).for_each(|(sum, ratio)| *sum += weight * f64::from(ratio));
@@ -156,19 +159,47 @@ fn fit_shares(all: &[DirectionRecord], records: &[u32], start: &[f64; PACK_TARGE
     shares
 }
 
-impl Shares {
-    /// Computes the shares from the directions of a round.
-    /// - `before`: shares of the round.
-    pub fn new(field: &Field, records: &[DirectionRecord], before: &Self) -> Self {
-        let mut leaves: BTreeMap<u32, Part> = BTreeMap::new();
-        for (at, record) in records.iter().enumerate() {
-            let part = leaves.entry(record.region).or_default();
-            part.records.push(at as u32);
-            part.found += f64::from(record.found);
-            part.field += 1.0 / before.light_scale(record.region);
+/// Visits the leaves of a cell in order.
+fn visit_leaves(field: &Field, cell: u32, visit: &mut impl FnMut(u32)) {
+    let mut below = vec![cell];
+    while let Some(cell) = below.pop() {
+        let Cell { split, next, .. } = field.cells[cell as usize];
+        match split {
+            Split::None => visit(next),
+            _ => below.extend([next + 1, next]),
         }
+    }
+}
+
+/// Returns the rank of each leaf. The leaves of a cell have successive ranks.
+fn leaf_ranks(field: &Field) -> Vec<u32> {
+    let mut ranks = vec![u32::MAX; field.leaves.len()];
+    let mut rank = 0;
+    for &root in field.roots.iter().filter(|root| **root != NONE) {
+        visit_leaves(field, root, &mut |leaf| {
+            ranks[leaf as usize] = rank;
+            rank += 1;
+        });
+    }
+    ranks
+}
+
+impl Shares {
+    /// Computes the shares from the directions of a round, each of which began in the region of a leaf.
+    /// - `before`: shares of the round.
+    pub fn new(field: &Field, mut records: Vec<DirectionRecord>, before: &Self) -> Self {
+        let ranks = leaf_ranks(field);
+        records.sort_by_key(|record| ranks[record.region as usize]);
+        let mut leaves: BTreeMap<u32, Part> = BTreeMap::new();
         let mut whole = Part::default();
-        leaves.values().for_each(|part| whole.add(part));
+        for own in records.chunk_by(|a, b| a.region == b.region) {
+            let region = own[0].region;
+            let range = whole.range.end..whole.range.end + own.len();
+            let found = own.iter().map(|record| f64::from(record.found)).sum();
+            let part = Part { range, found, field: own.len() as f64 / before.light_scale(region) };
+            whole = whole.with_next(&part);
+            leaves.insert(region, part);
+        }
         // Halves come after the cell that contains them.
         let mut cells = vec![Part::default(); field.cells.len()];
         for (at, cell) in field.cells.iter().enumerate().rev() {
@@ -176,16 +207,14 @@ impl Shares {
             cells[at] = if cell.split == Split::None {
                 leaves.remove(&cell.next).unwrap_or_default()
             } else {
-                let mut both = cells[next].clone();
-                both.add(&cells[next + 1]);
-                both
+                cells[next].with_next(&cells[next + 1])
             };
         }
         let around = before.regions.first().copied().unwrap_or_default();
-        let scene = whole.region(records, &around);
+        let scene = whole.region(&records, &around);
         let mut out = Self { regions: vec![scene], ..Self::default() };
         for &root in field.roots.iter().filter(|root| **root != NONE) {
-            out.descend(field, records, &cells, root, &scene);
+            out.descend(field, &records, &cells, root, &scene);
         }
         out
     }
@@ -199,7 +228,7 @@ impl Shares {
     /// Computes the shares of a cell and of its parts.
     fn descend(&mut self, field: &Field, records: &[DirectionRecord], parts: &[Part], cell: u32, around: &Region) {
         let part = &parts[cell as usize];
-        if part.records.is_empty() {
+        if part.range.is_empty() {
             return;
         }
         let Cell { split, next, .. } = field.cells[cell as usize];
@@ -212,14 +241,7 @@ impl Shares {
         }
         let region = self.regions.len() as u32;
         self.regions.push(own);
-        let mut below = vec![cell];
-        while let Some(cell) = below.pop() {
-            let Cell { split, next, .. } = field.cells[cell as usize];
-            match split {
-                Split::None => _ = self.by_leaf.insert(next, region),
-                _ => below.extend([next, next + 1]),
-            }
-        }
+        visit_leaves(field, cell, &mut |leaf| _ = self.by_leaf.insert(leaf, region));
     }
 
     /// Replaces the targets by others.
@@ -314,7 +336,7 @@ mod tests {
             DirectionRecord { region: 3, value: light, found: light, ratios, guided: 1.0 }
         };
         let records: Vec<DirectionRecord> = (0..1000).map(record).collect();
-        let part = Part { records: (0..1000).collect(), found: 2000.0, field: 1000.0 };
+        let part = Part { range: 0..1000, found: 2000.0, field: 1000.0 };
         let around = Region { shares: [0.1, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], ..Region::default() };
         let Region { shares, light_scale, .. } = part.region(&records, &around);
         assert!((shares[1] - (64.0 * 0.1 + 1000.0) / 1064.0).abs() < 1e-6, "{shares:?}");

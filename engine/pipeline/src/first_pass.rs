@@ -5,6 +5,7 @@ use crate::render::RenderError;
 use crate::settings::{Method, Settings};
 use crate::solver::solver;
 use femc_field::{Field, SolveStatistics};
+use femc_guiding::document::{TargetDocument, TargetError};
 use femc_prepared::{PrepareError, Prepared, SceneSource};
 use femc_radiosity::{Solution, SolveReport};
 use femc_scene::FrameKey;
@@ -97,9 +98,9 @@ pub fn encode_solution(solution: &Solution) -> Vec<u8> {
 }
 
 /// Assigns the light of the first pass to a frame. Tables of directions are kept for the leaves that its camera sees. For
-/// [`Method::Femc`], the targets of its paths are learned.
+/// [`Method::Femc`], targets must follow ([`learn_targets`], [`attach_targets`]).
 /// - errors: the light belongs to other surfaces, or to lamps of another brightness.
-pub fn attach_first_pass(prepared: &mut Prepared, light: FrameLight, method: Method) -> Result<(), FieldMismatch> {
+pub fn attach_first_pass(prepared: &mut Prepared, light: FrameLight) -> Result<(), FieldMismatch> {
     let FrameLight { field, brightness } = light;
     if brightness != prepared.brightness {
         return Err(FieldMismatch::Brightness);
@@ -115,18 +116,28 @@ pub fn attach_first_pass(prepared: &mut Prepared, light: FrameLight, method: Met
         Arc::new(seen)
     };
     prepared.set_field(Some(field));
-    learn_targets(prepared, method);
     Ok(())
 }
 
-/// Learns the targets of a frame's paths for [`Method::Femc`]. Nothing happens if the frame has no field.
-pub(crate) fn learn_targets(prepared: &mut Prepared, method: Method) {
-    if method == Method::Femc
-        && let Some(field) = prepared.field()
-    {
-        let learned = femc_guiding::learn(prepared, field);
-        prepared.set_targets(Arc::new(learned.guide));
-    }
+/// Learns the targets of a frame's paths. `None`: the method has no targets, or the frame has no field.
+/// - errors: `cancel` was set.
+pub fn learn_targets(
+    prepared: &Prepared,
+    method: Method,
+    cancel: &AtomicBool,
+) -> Result<Option<TargetDocument>, RenderError> {
+    let Some(field) = prepared.field().filter(|_| method == Method::Femc) else { return Ok(None) };
+    let learned = femc_guiding::learn(prepared, field, cancel).ok_or(RenderError::Cancelled)?;
+    Ok(Some(TargetDocument::new(&learned, prepared.origin)))
+}
+
+/// Assigns the targets of a frame's paths.
+/// - errors: the targets belong to another first pass, or the frame has none.
+pub fn attach_targets(prepared: &mut Prepared, targets: &TargetDocument) -> Result<(), TargetError> {
+    let field = prepared.field().ok_or(TargetError::NoFirstPass)?;
+    let guide = targets.guide(field)?;
+    prepared.set_targets(Arc::new(guide));
+    Ok(())
 }
 
 /// Reason why the light of a first pass does not match a frame.

@@ -113,6 +113,7 @@ mod tests {
                 assert_eq!((planned_first_pass_blocks(&cut), cut.stages.len()), (7, whole.stages.len() - 1 + count));
                 let tags: BTreeSet<&str> = match method {
                     Method::Femc1998 => [tag::FIRST_PASS, tag::TASK_KINDS, tag::GUIDE_1998].into(),
+                    Method::Femc => [tag::FIRST_PASS, tag::TARGETS, tag::TASK_KINDS].into(),
                     _ => [tag::FIRST_PASS, tag::TASK_KINDS].into(),
                 };
                 let tags_of = |stage: &StageTemplate| stage.tags.iter().cloned().collect::<BTreeSet<String>>();
@@ -138,7 +139,9 @@ mod tests {
                 let field = cut.iter().position(|stage| stage.outputs == [Role::Field]).unwrap();
                 assert_eq!(field, count - 1);
                 let readers = cut.iter().filter(|stage| stage.needs.iter().any(|need| need.role == Role::Field));
-                assert_eq!(readers.map(|stage| stage.kind).collect::<Vec<_>>(), [StageKind::Render]);
+                let kinds = readers.map(|stage| stage.kind).collect::<Vec<_>>();
+                let learn: &[StageKind] = if method == Method::Femc { &[StageKind::Learn] } else { &[] };
+                assert_eq!(kinds, [learn, &[StageKind::Render]].concat());
             }
         }
         let paths = job_graph(&tiling, &[4], tiles_per_group(&tiling), Method::Pt);

@@ -29,12 +29,15 @@ pub mod variance_by_decision;
 pub use allocation::{AllocationError, SampleAllocation};
 pub use femc_field::{Field, FieldError, Form, Side, SolveStatistics as FirstPassStatistics};
 pub use femc_gltf as gltf;
+pub use femc_guiding::MAX_BYTES as MAX_LEARNING_BYTES;
+pub use femc_guiding::document::{TargetDocument, TargetError, TargetKind, TargetRecord, TargetShape};
 pub use femc_layers::{Feature, Layer, LayerError, Preset, cryptomatte};
 pub use femc_prepared::{PrepareError, Prepared, SceneSource};
 pub use femc_radiosity::{self as radiosity, Solution, SolveReport as FirstPassReport, StepDecodeError};
 pub use femc_scene::FrameKey;
 pub use first_pass::{
-    FieldMismatch, FrameLight, attach_first_pass, encode_solution, first_pass_key, first_pass_world, solve_first_pass,
+    FieldMismatch, FrameLight, attach_first_pass, attach_targets, encode_solution, first_pass_key, first_pass_world,
+    learn_targets, solve_first_pass,
 };
 pub use first_pass_steps::{count_surfaces, first_pass_blocks, planned_first_pass_blocks, split_first_pass};
 pub use in_process::{RenderedFrame, RoundEnd, render_frame, render_rounds};
@@ -44,7 +47,7 @@ pub use layers::{
 };
 pub use outputs::Outputs;
 pub use plan::{FIRST_PASS_FEATURE, OmittedFeature, Plan, PlanError, plan_job};
-pub use preparation::{frame_key, prepare_frame, prepare_world};
+pub use preparation::{attach_learned_targets, frame_key, prepare_frame, prepare_world};
 pub use render::{FilterAdapter, RenderError, RenderTask, RenderedTile};
 /// Name of the engine build. Two programs with the same name compute the same bits for the same job (`build.rs` defines the name,
 /// `tests/builds` compares).

@@ -13,7 +13,7 @@ use crate::first_pass::{
 use crate::first_pass_steps::{count_surfaces, first_pass_blocks};
 use crate::pilot;
 use crate::plan::Plan;
-use crate::preparation::{frame_key, prepare_frame, prepare_world};
+use crate::preparation::{attach_learned_targets, frame_key, prepare_frame, prepare_world};
 use crate::render::{RenderError, RenderTask};
 use crate::settings::{Method, Settings, StopCondition};
 use femc_film::Rect;
@@ -292,7 +292,8 @@ fn run_pilot(
         match solve_first_pass(&world, Method::Femc, &AtomicBool::new(false)) {
             Ok(solution) => {
                 let light = FrameLight::new(Arc::new(solution.field.clone()), prepared.brightness);
-                attach_first_pass(&mut prepared, light, settings.method)?;
+                attach_first_pass(&mut prepared, light)?;
+                attach_learned_targets(&mut prepared, settings.method)?;
                 let guided = PilotSamples::trace(&prepared, &settings)?;
                 found.samples += guided.samples;
                 let (measured, error) = paths.gain(&guided);

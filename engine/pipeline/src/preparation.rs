@@ -1,10 +1,14 @@
 //! Preparation of frames.
 
-use crate::first_pass::{FrameLight, attach_first_pass, first_pass_world, learn_targets, solve_first_pass};
-use crate::settings::Settings;
+use crate::first_pass::{
+    FrameLight, attach_first_pass, attach_targets, first_pass_world, learn_targets, solve_first_pass,
+};
+use crate::settings::{Method, Settings};
+use femc_guiding::document::TargetDocument;
 use femc_layers::Feature;
 use femc_prepared::{FrameSpec, PrepareError, Prepared, SceneSource};
 use femc_scene::FrameKey;
+use std::fmt::Display;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
@@ -20,15 +24,26 @@ pub fn prepare_frame(
     if settings.method.has_first_pass() && prepared.field().is_none() {
         let world = first_pass_world(source, settings, frame, Some(&prepared))?;
         let solution = solve_first_pass(&world, settings.method, &AtomicBool::new(false));
-        let solution = solution.map_err(|error| PrepareError::FirstPass { reason: error.to_string() })?;
+        let solution = solution.map_err(first_pass_error)?;
         let light = FrameLight::new(Arc::new(solution.field), prepared.brightness);
-        attach_first_pass(&mut prepared, light, settings.method)
-            .map_err(|error| PrepareError::FirstPass { reason: error.to_string() })?;
-    } else {
-        // The field of another frame of the same world has no targets of this frame's view.
-        learn_targets(&mut prepared, settings.method);
+        attach_first_pass(&mut prepared, light).map_err(first_pass_error)?;
     }
+    // The field of another frame of the same world has no targets of this frame's view.
+    attach_learned_targets(&mut prepared, settings.method)?;
     Ok(prepared)
+}
+
+/// Learns the targets of a frame's paths, and assigns them. Returns them, if the method has targets and the frame has a field.
+pub fn attach_learned_targets(prepared: &mut Prepared, method: Method) -> Result<Option<TargetDocument>, PrepareError> {
+    let targets = learn_targets(prepared, method, &AtomicBool::new(false)).map_err(first_pass_error)?;
+    if let Some(targets) = &targets {
+        attach_targets(prepared, targets).map_err(first_pass_error)?;
+    }
+    Ok(targets)
+}
+
+fn first_pass_error(error: impl Display) -> PrepareError {
+    PrepareError::FirstPass { reason: error.to_string() }
 }
 
 /// Prepares a frame as [`prepare_frame`] does, but without the first pass: [`solve_first_pass`](crate::solve_first_pass()) solves

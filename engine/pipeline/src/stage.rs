@@ -7,7 +7,8 @@
 //! tiles, some kilobytes, and determines how many samples each tile gets in the next round. The image is made once, after the loop.
 //!
 //! A method with a first pass runs it before all other stages, once for all frames of one world. Each tile reads its light. The
-//! first pass is one task, or many tasks ([`split_first_pass`](crate::split_first_pass)).
+//! first pass is one task, or many tasks ([`split_first_pass`](crate::split_first_pass)). With [`Method::Femc`], one task then learns the
+//! targets of a frame's paths, which its tiles read.
 //!
 //! With light statistics, each tile outputs, in addition to its sums, the statistics of its samples' paths. When it is known which
 //! samples count, the image task unites those of all rounds, for many tiles by groups.
@@ -42,7 +43,7 @@ pub fn tiles_per_group(tiling: &Tiling) -> NonZeroU32 {
     NonZeroU32::new(tiles).unwrap_or(NonZeroU32::MIN)
 }
 
-/// Returns the graph of a job of frames: the first pass if the method has one; tiles; groups of `fan` tiles if there
+/// Returns the graph of a job of frames: the first pass and the learning of targets if the method has them; tiles; groups of `fan` tiles if there
 /// are more tiles or several rounds; a decision if there are several rounds; the image.
 /// - `rounds`: samples a pixel at the end of each round, ascending.
 pub fn job_graph(tiling: &Tiling, rounds: &[u32], fan: NonZeroU32, method: Method) -> Graph {
@@ -54,6 +55,10 @@ pub fn job_graph(tiling: &Tiling, rounds: &[u32], fan: NonZeroU32, method: Metho
         let sizes = TaskSizes::even(1, 1);
         all.push(StageTemplate::new(StageKind::FirstPass, Scope::Content, sizes, &[Role::Field]));
         render = render.with_input(0, Role::Field, Reach::All);
+    }
+    if method == Method::Femc {
+        all.push(per_frame(StageKind::Learn, 1, &[Role::Targets]).with_input(0, Role::Field, Reach::All));
+        render = render.with_input(1, Role::Targets, Reach::All);
     }
     let first = all.len() as u16;
     all.push(render);
@@ -255,6 +260,23 @@ mod tests {
                     assert!(with[usize::from(paths.stage)].outputs.contains(&Role::Paths));
                 }
             }
+        }
+    }
+
+    #[test]
+    fn targets_of_a_frame_are_learned_before_its_tiles() {
+        let tiling = tiling([272, 256], 16);
+        for (blocks, rounds) in [(1, &[4][..]), (7, &[4, 8])] {
+            let graph = job_graph(&tiling, rounds, tiles_per_group(&tiling), Method::Femc);
+            let graph = split_first_pass(graph, Method::Femc, blocks);
+            let (number, learn) = graph.stage_of_kind(StageKind::Learn).expect("a stage");
+            assert_eq!((learn.scope, learn.tasks(), &learn.outputs[..]), (Scope::Frame, 1, &[Role::Targets][..]));
+            let (_, render) = graph.stage_of_kind(StageKind::Render).expect("a stage");
+            assert_eq!(render.needs.iter().map(|need| need.role).collect::<Vec<_>>(), [Role::Field, Role::Targets]);
+            assert_eq!((render.needs[0], render.needs[1].stage), (learn.needs[0], number));
+            assert!(graph.stages.iter().all(|stage| stage.tags.iter().any(|own| own == tag::TARGETS)));
+            let rounds = graph.rounds(number);
+            assert_eq!(rounds, 1, "targets stay the same in all rounds");
         }
     }
 

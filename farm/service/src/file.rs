@@ -35,11 +35,13 @@ pub(crate) enum FrameFile {
     Solution,
     /// Readings of light as JSON.
     Readings,
+    /// Targets of paths as JSON.
+    Targets,
 }
 
 impl FrameFile {
     /// Every kind.
-    pub(crate) const ALL: [Self; 9] = [
+    pub(crate) const ALL: [Self; 10] = [
         Self::Image,
         Self::Preview,
         Self::Still,
@@ -49,6 +51,7 @@ impl FrameFile {
         Self::Geometry,
         Self::Solution,
         Self::Readings,
+        Self::Targets,
     ];
 
     /// Returns the last segment of the result's HTTP path.
@@ -63,6 +66,7 @@ impl FrameFile {
             Self::Geometry => "geometry.glb",
             Self::Solution => "solution.glb",
             Self::Readings => "readings.json",
+            Self::Targets => "targets.json",
         }
     }
 
@@ -78,6 +82,7 @@ impl FrameFile {
             Self::Geometry => "glb",
             Self::Solution => "solution.glb",
             Self::Readings => "readings.json",
+            Self::Targets => "targets.json",
         }
     }
 
@@ -92,17 +97,20 @@ impl FrameFile {
             Self::Geometry => Role::Geometry,
             Self::Solution => Role::Solution,
             Self::Readings => Role::Readings,
+            Self::Targets => Role::Targets,
         }
     }
 }
 
-/// A frame as triangles, for viewers.
+/// Data of a frame for the scene view.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum FrameModel {
-    /// The surfaces.
+    /// The surfaces as triangles.
     Geometry,
-    /// The finite-element solution.
+    /// The finite-element solution as triangles.
     Solution,
+    /// The targets of its paths.
+    Targets,
 }
 
 impl FrameModel {
@@ -111,6 +119,7 @@ impl FrameModel {
         match self {
             Self::Geometry => FrameFile::Geometry,
             Self::Solution => FrameFile::Solution,
+            Self::Targets => FrameFile::Targets,
         }
     }
 }

@@ -57,6 +57,7 @@ fn spec(name: &str) -> JobSpec {
         .with_options(options);
     let geometry = StageTemplate::new(StageKind::Geometry, Scope::Frame, TaskSizes::even(1, 1), &[Role::Geometry]);
     let solution = StageTemplate::new(StageKind::Solution, Scope::Frame, TaskSizes::even(1, 1), &[Role::Solution]);
+    let learn = StageTemplate::new(StageKind::Learn, Scope::Frame, TaskSizes::even(1, 1), &[Role::Targets]);
     JobSpec {
         name: name.into(),
         bundle: Digest::compute(b"bundle"),
@@ -64,7 +65,7 @@ fn spec(name: &str) -> JobSpec {
         settings: "{}".into(),
         frames: vec![3, 4],
         grid: Grid { film: [8, 8], tile: 8 },
-        graph: Graph { stages: vec![encode, geometry, solution] },
+        graph: Graph { stages: vec![encode, geometry, solution, learn] },
         contents: Vec::new(),
         priority: 50,
         owner: "me".into(),
@@ -125,6 +126,7 @@ impl TestServer {
             ("layers", Bytes::from_static(b"layers")),
             ("geometry", Bytes::from_static(b"geometry")),
             ("solution", Bytes::from_static(b"solution")),
+            ("targets", Bytes::from_static(b"{}")),
             ("readings", Bytes::from_static(b"{}")),
             ("still 3", Bytes::from_static(b"still of 3")),
             ("still 4", Bytes::from_static(b"still of 4")),
@@ -143,6 +145,7 @@ impl TestServer {
             (Role::LayerImage, "layers"),
             (Role::Geometry, "geometry"),
             (Role::Solution, "solution"),
+            (Role::Targets, "targets"),
             (Role::Readings, "readings"),
         ];
         let mut records = vec![record(0, all(&whole)), record(3, all(&frame))];
@@ -224,6 +227,8 @@ async fn every_result_has_path_media_type_and_name_used_by_fetch() {
         ("7/geometry", "geometry", "model/gltf-binary", "drive.0003.glb"),
         ("7/frames/3/solution.glb", "solution", "model/gltf-binary", "drive.0003.solution.glb"),
         ("7/solution?frame=4", "solution", "model/gltf-binary", "drive.0003.solution.glb"),
+        ("7/frames/3/targets.json", "targets", "application/json", "drive.0003.targets.json"),
+        ("7/targets?frame=4", "targets", "application/json", "drive.0003.targets.json"),
         ("7/frames/3/still.png", "still 3", "image/png", "drive.0003.png"),
         ("7/frames/4/still.png", "still 4", "image/png", "drive.0004.png"),
         ("7/clip", "clip", "video/webm", "drive.webm"),
@@ -251,7 +256,7 @@ async fn every_result_has_path_media_type_and_name_used_by_fetch() {
 #[tokio::test]
 async fn geometry_that_is_not_made_yet_is_an_empty_answer() {
     let server = TestServer::start(UNFINISHED, None).await;
-    for path in ["7/geometry", "7/geometry?frame=3", "7/solution", "7/solution?frame=3"] {
+    for path in ["7/geometry", "7/geometry?frame=3", "7/solution", "7/solution?frame=3", "7/targets"] {
         let answer = server.get(path, &[]).await;
         assert_eq!((answer.status, answer.body.len()), (204, 0), "{path}");
     }

@@ -2064,6 +2064,8 @@ pub enum Role {
     ReadingBlock = 31,
     /// All readings of a frame, as JSON.
     Readings = 32,
+    /// The targets of a frame's paths, as JSON. A worker that knows this role offers the tag `targets`.
+    Targets = 33,
 }
 impl Role {
     /// String value of the enum field names used in the ProtoBuf definition.
@@ -2105,6 +2107,7 @@ impl Role {
             Self::Solution => "ROLE_SOLUTION",
             Self::ReadingBlock => "ROLE_READING_BLOCK",
             Self::Readings => "ROLE_READINGS",
+            Self::Targets => "ROLE_TARGETS",
         }
     }
     /// Creates an enum from field names used in the ProtoBuf definition.
@@ -2143,6 +2146,7 @@ impl Role {
             "ROLE_SOLUTION" => Some(Self::Solution),
             "ROLE_READING_BLOCK" => Some(Self::ReadingBlock),
             "ROLE_READINGS" => Some(Self::Readings),
+            "ROLE_TARGETS" => Some(Self::Targets),
             _ => None,
         }
     }
@@ -2328,6 +2332,8 @@ pub enum StageKind {
     Measure = 24,
     /// Joins the measurements of a frame.
     JoinReadings = 25,
+    /// Learns the targets of a frame's paths, before its samples. A worker that knows this kind offers the tag `targets`.
+    Learn = 26,
 }
 impl StageKind {
     /// String value of the enum field names used in the ProtoBuf definition.
@@ -2362,6 +2368,7 @@ impl StageKind {
             Self::Solution => "STAGE_KIND_SOLUTION",
             Self::Measure => "STAGE_KIND_MEASURE",
             Self::JoinReadings => "STAGE_KIND_JOIN_READINGS",
+            Self::Learn => "STAGE_KIND_LEARN",
         }
     }
     /// Creates an enum from field names used in the ProtoBuf definition.
@@ -2393,6 +2400,7 @@ impl StageKind {
             "STAGE_KIND_SOLUTION" => Some(Self::Solution),
             "STAGE_KIND_MEASURE" => Some(Self::Measure),
             "STAGE_KIND_JOIN_READINGS" => Some(Self::JoinReadings),
+            "STAGE_KIND_LEARN" => Some(Self::Learn),
             _ => None,
         }
     }

@@ -340,19 +340,13 @@ fn decoded_solution_is_bit_identical_and_lights_frame_equally() {
     let mut world = prepare_world(&source, &Settings::default(), 1, None).unwrap_or_else(|e| panic!("{e}"));
     let brightness = world.brightness;
     let light = |field: &Field, brightness: f32| FrameLight::new(Arc::new(field.clone()), brightness);
-    assert_eq!(
-        attach_first_pass(&mut world, light(&field, 1.5 * brightness), Method::Femc),
-        Err(FieldMismatch::Brightness)
-    );
+    assert_eq!(attach_first_pass(&mut world, light(&field, 1.5 * brightness)), Err(FieldMismatch::Brightness));
     assert!(world.field().is_none());
-    assert_eq!(attach_first_pass(&mut world, light(&field, brightness), Method::Femc), Ok(()));
+    assert_eq!(attach_first_pass(&mut world, light(&field, brightness)), Ok(()));
     let other = SceneSource::new(parse_scene(&furnace(0.4, "")));
     let mut other = prepare_world(&other, &Settings::default(), 1, None).unwrap_or_else(|e| panic!("{e}"));
     let other_brightness = other.brightness;
-    assert_eq!(
-        attach_first_pass(&mut other, light(&field, other_brightness), Method::Femc),
-        Err(FieldMismatch::Surfaces)
-    );
+    assert_eq!(attach_first_pass(&mut other, light(&field, other_brightness)), Err(FieldMismatch::Surfaces));
     assert!(other.field().is_none());
 }
 

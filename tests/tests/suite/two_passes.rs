@@ -12,7 +12,9 @@ use femc_math::hash::{mix64, unit_f32};
 use femc_math::sampler::{REPLICATES, replicate_of};
 use femc_montecarlo::{Guidance, PathSettings, Tracer, keep_seen_tables};
 use femc_pipeline::radiosity::{self, GuideKind, SolveOptions};
-use femc_pipeline::{Field, FilterAdapter, SceneSource, Settings, prepare_frame};
+use femc_pipeline::{
+    Field, FilterAdapter, SceneSource, Settings, TargetDocument, TargetError, TargetKind, prepare_frame,
+};
 use femc_prepared::Prepared;
 use femc_scene::Scene;
 use femc_tests::parse_scene;
@@ -131,21 +133,22 @@ fn targets_change_no_mean() {
             let guidance = Guidance::new(&prepared, &field).with_targets(&prepared, guide);
             assert_same_means(&format!("{name}, {kind}"), &paths, &guided_blocks(&prepared, Some(guidance), seed, 128));
         };
-        let learned = femc_guiding::learn(&prepared, &field);
+        let learned = femc_guiding::learn(&prepared, &field, &AtomicBool::new(false)).expect("not cancelled");
         let found = learned.openings.len();
         assert!((openings..=2 * openings).contains(&found), "{name}: {:?}", learned.openings);
         assert!(openings > 0 || !learned.patches.is_empty(), "{name}: nothing is guided");
-        check("learned", &learned.guide, 2);
+        let guide = learned.guide(&field);
+        check("learned", &guide, 2);
         // Targets in other places than those learned, and any targets with any light.
         let away = Vec3A::new(0.3, -0.2, 0.4);
         let moved = |target: &Target| match *target {
             Target::Parallelogram(it) => Target::from(Parallelogram { corner: it.corner + away, ..it }),
             Target::Ball(it) => Ball { center: it.center + away, ..it }.into(),
         };
-        let packs = learned.guide.packs().iter();
+        let packs = guide.packs().iter();
         let packs = packs.map(|pack| TargetPack::new(&pack.targets().iter().map(moved).collect::<Vec<_>>()));
-        let mut displaced = learned.guide.clone();
-        displaced.set_targets(packs.collect(), learned.guide.by_region().to_vec());
+        let mut displaced = guide.clone();
+        displaced.set_targets(packs.collect(), guide.by_region().to_vec());
         check("displaced", &displaced, 3);
         let vector = |k: u64| {
             let number = |axis: u64| 4.0 * unit_f32((mix64(3 * k + axis) >> 32) as u32) - 2.0;
@@ -188,7 +191,7 @@ fn both_openings_of_the_door_are_found() {
         let origin = format!("origin {} {} 1.7", -2.6 + 0.02 * f64::from(view), -1.4 + 0.11 * f64::from(view % 7));
         let prepared = prepare_scene(parse_scene(&text.replace("origin -2.6 -1.4 1.7", &origin)));
         let field = solve(&prepared);
-        let learned = femc_guiding::learn(&prepared, &field);
+        let learned = femc_guiding::learn(&prepared, &field, &AtomicBool::new(false)).expect("not cancelled");
         let found = learned.openings.iter().map(|opening| {
             let corners = [[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 1.0]]
                 .map(|at| opening.target.point_at(at) + prepared.origin.as_vec3a());
@@ -217,9 +220,66 @@ fn learning_has_the_same_bits_for_any_threads() {
     let field = solve(&prepared);
     let [one, three] = [1, 3].map(|threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap_or_else(|e| panic!("{e}"));
-        format!("{:?}", pool.install(|| femc_guiding::learn(&prepared, &field)))
+        format!("{:?}", pool.install(|| femc_guiding::learn(&prepared, &field, &AtomicBool::new(false))))
     });
     assert!(one == three);
+}
+
+#[test]
+fn learning_ends_when_it_is_cancelled() {
+    let prepared = prepare_scene_file("door-ajar");
+    let field = solve(&prepared);
+    assert!(femc_guiding::learn(&prepared, &field, &AtomicBool::new(true)).is_none());
+}
+
+/// The document of targets gives the same guide to the bit, and says how much of the light comes through the openings.
+#[test]
+fn targets_come_back_from_their_document() {
+    for name in ["door-ajar", "cornell-fog", "ball"] {
+        let prepared = prepare_scene_file(name);
+        let field = solve(&prepared);
+        let learned = femc_guiding::learn(&prepared, &field, &AtomicBool::new(false)).expect("not cancelled");
+        let document = TargetDocument::new(&learned, prepared.origin);
+        let bytes = document.encode().expect("a document");
+        let decoded = TargetDocument::decode(&bytes).expect("the document");
+        assert_eq!(decoded, document);
+        let guide = decoded.guide(&field).expect("targets of the field");
+        assert_eq!(format!("{guide:?}"), format!("{:?}", learned.guide(&field)), "{name}");
+        println!("{name}: {} bytes, {:?}", bytes.len(), document.targets);
+        assert!(document.targets.iter().all(|target| (0.0..=1.0).contains(&target.light)));
+        if name == "door-ajar" {
+            // All light of the room comes through gaps around the door.
+            let openings = document.targets.iter().filter(|target| target.kind == TargetKind::Opening);
+            let light: f32 = openings.map(|target| target.light).sum();
+            assert!((0.9..1.1).contains(&light), "{light}");
+            let other = solve(&prepare_scene_file("cornell"));
+            assert!(matches!(decoded.guide(&other), Err(TargetError::Leaves)));
+        }
+    }
+}
+
+#[test]
+fn damaged_targets_are_refused() {
+    let sound = r#"{"format":"femc targets 1","origin":[0,0,0],"paths":1,"rays":2,"targets":
+        [{"kind":"opening","light":0.5,"shape":"parallelogram","corner":[0,0,0],"edges":[[1,0,0],[0,1,0]]}],"parts":
+        [{"shape":"ball","center":[0,0,1],"radius":2}],"regions":[{"shares":[0.5,0,0,0,0,0,0,0],"light_scale":1}],
+        "leaf_regions":[[7,0]]}"#;
+    assert!(TargetDocument::decode(sound.as_bytes()).is_ok());
+    for (from, to, error) in [
+        ("targets 1", "targets 2", "format \"femc targets 2\""),
+        ("\"center\":[0,0,1]", "\"center\":[0,0,1e39]", "a shape is not finite"),
+        ("[0.5,0", "[0.5,0.6", "shares"),
+        ("[0.5,0", "[-0.5,0", "shares"),
+        ("\"light_scale\":1", "\"light_scale\":0", "light of a region"),
+        ("[7,0]", "[7,1]", "a leaf has no region"),
+        ("\"opening\"", "\"door\"", "damaged targets"),
+        ("[0,1,0]]", "[0,1]]", "damaged targets"),
+    ] {
+        let damaged = sound.replace(from, to);
+        assert_ne!(damaged, sound);
+        let refusal = TargetDocument::decode(damaged.as_bytes()).expect_err(to).to_string();
+        assert!(refusal.contains(error), "{to}: {refusal}");
+    }
 }
 
 /// Wrong light in the field ends paths too early or too late, which only costs time.
@@ -344,12 +404,13 @@ fn paths_that_are_guided_have_less_variance() {
     assert_ne!(turned, text);
     let prepared = prepare_scene(parse_scene(&turned));
     let [field, tables] = [GuideKind::None, GuideKind::Tables].map(|guides| solve_with(&prepared, guides));
-    let learned = femc_guiding::learn(&prepared, &field);
+    let learned = femc_guiding::learn(&prepared, &field, &AtomicBool::new(false)).expect("not cancelled");
     let variance = |blocks: Vec<[f64; 2]>| {
         blocks.iter().map(|[mean, variance]| variance / (mean * mean + 1e-2)).sum::<f64>() / blocks.len() as f64
     };
     let unguided = variance(blocks(&prepared, None, 1, 64));
-    let targets = Guidance::new(&prepared, &field).with_targets(&prepared, &learned.guide);
+    let guide = learned.guide(&field);
+    let targets = Guidance::new(&prepared, &field).with_targets(&prepared, &guide);
     for (name, guidance, least) in [("targets", targets, 2.0), ("tables", Guidance::new(&prepared, &tables), 1.2)] {
         let ratio = unguided / variance(guided_blocks(&prepared, Some(guidance), 2, 64));
         println!("{name}: variance without a guide over that with one: {ratio:.2}");

@@ -584,6 +584,40 @@ export async function scene({ step, open, claim, equal, accessible, current, sho
     await page.context().close();
   });
 
+  await step('scene: the openings that guide paths, as outlines and in a list', async () => {
+    await begin();
+    const guided = farm.submit('door-ajar.mgf', '--size', '64x48', '--spp', '2', '--stats', '--method', 'femc');
+    await until(() => farm.job(guided).state === 'done', 'the job of two passes is done', 240);
+    const page = current(await open(farm, { by: browser }));
+    await page.goto(`/jobs/${guided}/light?layers=surfaces`);
+    await page.locator('[data-totals]').waitFor({ timeout: 60_000 });
+    await page.getByRole('button', { name: 'Scene', exact: true }).click();
+    const it = new Scene(page, `/api/v1/jobs/${guided}/light`, '1');
+    await it.ready();
+    const without = await it.picture();
+    const box = it.section.getByLabel('openings and patches', { exact: true });
+    await box.check();
+    const list = page.locator('[data-targets=shown]');
+    await list.waitFor({ timeout: 30_000 });
+    await until(async () => (await it.picture()) !== without, 'the openings are drawn', 10);
+    equal(it.query('layers'), 'surfaces,targets', 'the address');
+    const answer = await (await page.request.get(`/api/v1/jobs/${guided}/targets`)).json();
+    const rows = await list.locator('tbody tr').allInnerTexts();
+    equal(rows.length, answer.targets.length, 'rows');
+    // The gap of the door is 5 cm wide, and 2 m high.
+    const gap = rows.filter((row) => /^opening\s+0\.0\d+ m x [12](\.\d)? m/.test(row));
+    claim(gap.length > 0, `the gap of the door is an opening: ${rows.join('; ')}`);
+    if (shotsAt) await it.section.screenshot({ path: join(shotsAt, 'scene-openings.png') });
+    await accessible('openings and patches', page);
+    await box.uncheck();
+    await until(async () => (await it.picture()) === without, 'the openings are hidden', 10);
+    await page.goto(`/jobs/${job}/light?layers=targets`);
+    await page.locator('[data-totals]').waitFor({ timeout: 60_000 });
+    await page.getByRole('button', { name: 'Scene', exact: true }).click();
+    await page.getByText('The job has no targets').waitFor({ timeout: 30_000 });
+    await page.context().close();
+  });
+
   await step('scene: a browser without WebGL2 says so, and its list of objects works', async () => {
     await begin();
     const page = current(await open({ url: server.url }, { by: browser }));

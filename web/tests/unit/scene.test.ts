@@ -20,6 +20,7 @@ import {
 import { IDENTITY, parseGlb, type Geometry } from '../../src/lib/light/scene/glb';
 import { differenceOf, parseLayers } from '../../src/lib/light/scene/loads.svelte';
 import { findBox, roundBox, termOf, withBox, withPick } from '../../src/lib/light/scene/pick';
+import { parseTargets, sizeText } from '../../src/lib/light/scene/targets';
 import { colorsOf, parseSolution, solutionScale, valuesOf } from '../../src/lib/light/scene/solution';
 import { viridis } from '../../src/lib/color';
 import {
@@ -353,6 +354,46 @@ describe('picks', () => {
     expect(findBox(withBox(next, null))).toBeNull();
     expect(findBox(withBox(chipsOrNull('depth >= 3')!, [1, 1, 1, 2, 2, 2]))!.at).toBe(1);
     expect(roundBox([0.12345, 0, 0, 1, 1, 1], 5)).toEqual([0.123, 0, 0, 1, 1, 1]);
+  });
+});
+
+describe('targets of paths', () => {
+  const document = {
+    format: 'femc targets 1',
+    origin: [10, 0, 0],
+    targets: [
+      { kind: 'opening', light: 0.31, shape: 'parallelogram', corner: [1, 2, 0], edges: [[0.05, 0, 0], [0, 0, 2]] },
+      { kind: 'patch', light: 0.1, shape: 'ball', center: [0, 0, 3], radius: 0.25 },
+    ],
+  };
+  const file = (change: (it: typeof document) => void = () => {}) => {
+    const copy = structuredClone(document);
+    change(copy);
+    return new TextEncoder().encode(JSON.stringify(copy)).buffer as ArrayBuffer;
+  };
+
+  test('have outlines around the origin, and centers in the scene', () => {
+    const { origin, targets, ends } = parseTargets(file());
+    expect(origin).toEqual([10, 0, 0]);
+    expect(targets.map(({ kind, light, center }) => ({ kind, light, center }))).toEqual([
+      { kind: 'opening', light: 0.31, center: [11.025, 2, 1] },
+      { kind: 'patch', light: 0.1, center: [10, 0, 3] },
+    ]);
+    expect(targets.map(sizeText)).toEqual(['0.05 m x 2 m', 'radius 0.25 m']);
+    expect(ends.length).toBe(6 * (4 + 3 * 24));
+    expect([...ends.slice(0, 6)]).toEqual([1, 2, 0, Math.fround(1.05), 2, 0]);
+    const circles = ends.slice(24);
+    for (let i = 0; i < circles.length; i += 3) {
+      expect(Math.hypot(circles[i]!, circles[i + 1]!, circles[i + 2]! - 3)).toBeCloseTo(0.25, 5);
+    }
+  });
+
+  test('are refused if they are invalid', () => {
+    expect(() => parseTargets(file((it) => (it.format = 'femc targets 2')))).toThrow('unknown format of targets: femc targets 2');
+    expect(() => parseTargets(file((it) => (it.targets[0]!.edges = [[0, 1, 0]])))).toThrow('no edges');
+    expect(() => parseTargets(file((it) => (it.targets[1]!.center = [0, 1])))).toThrow('a position of a target is invalid');
+    expect(() => parseTargets(file((it) => (it.targets[0]!.kind = 'door')))).toThrow('invalid target');
+    expect(() => parseTargets(file((it) => delete it.targets[1]!.radius))).toThrow('no radius');
   });
 });
 

@@ -17,6 +17,7 @@ mod image;
 mod inputs;
 mod join_readings;
 mod layers;
+mod learn;
 mod measure;
 mod paint;
 mod pictures;
@@ -152,6 +153,7 @@ fn attempt(task: &Task, tools: &Tools) -> Result<Product, Failure> {
             StageKind::Solution => solution::solution(task, stage, tools),
             StageKind::Measure => measure::measure(task, stage, tools),
             StageKind::JoinReadings => join_readings::join_readings(task, stage, tools),
+            StageKind::Learn => learn::learn(task, stage, tools),
             kind @ (StageKind::FirstPassBlock | StageKind::Encode) => {
                 let name = kind.name();
                 Err(settings_failure(format!("invalid job graph: a stage of kind {name} has outputs of no known task")))

@@ -14,8 +14,8 @@ pub(crate) fn render(task: &Task, stage: &StageTemplate, tools: &Tools) -> Resul
     let (key, TaskSpec { item, steps: samples, .. }) = (task.assignment.task, &task.assignment.spec);
     task.set_phase(Phase::Preparing);
     let preparing = Stopwatch::start();
-    let light = task.light();
-    let (loaded, prepared) = tools.cache.frame(&task.spec, key.stage.frame, light, &task.client, &tools.fetch)?;
+    let inputs = task.frame_inputs();
+    let (loaded, prepared) = tools.cache.frame(&task.spec, key.stage.frame, inputs, &task.client, &tools.fetch)?;
     task.account.set_preparation(preparing.elapsed());
     tracing::debug!(frame = key.stage.frame, seconds = preparing.seconds(), "the frame is ready");
     let grid = task.spec.grid;

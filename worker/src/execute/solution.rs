@@ -13,7 +13,7 @@ pub(super) fn solution(task: &Task, stage: &StageTemplate, tools: &Tools) -> Res
     let frame = task.assignment.task.stage.frame;
     task.set_phase(Phase::Preparing);
     let watch = Stopwatch::start();
-    let (_, prepared) = tools.cache.frame(&task.spec, frame, task.light(), &task.client, &tools.fetch)?;
+    let (_, prepared) = tools.cache.frame(&task.spec, frame, task.frame_inputs(), &task.client, &tools.fetch)?;
     task.account.set_preparation(watch.elapsed());
     let field = prepared
         .field()

@@ -107,7 +107,10 @@ async fn a_job_of_an_earlier_client_runs_and_has_the_same_bytes() {
     let last =
         without_guides.iter().rposition(|(kind, _)| *kind == StageKind::FirstPassSolve).expect("a last solution");
     without_guides.remove(last);
-    assert_eq!(without_guides, kinds(&present));
+    // Its tiles did not read targets. The worker learns them when it prepares the frame.
+    let mut without_learning = kinds(&present);
+    without_learning.retain(|(kind, _)| *kind != StageKind::Learn);
+    assert_eq!(without_guides, without_learning);
     let has_tag = |stage: &StageTemplate| stage.tags.iter().any(|own| own == tag::TASK_KINDS);
     assert!(earlier.graph.stages.iter().all(has_tag));
     assert_eq!(earlier.bundle, present.bundle);

@@ -25,7 +25,11 @@ fn planned_graphs_are_valid_and_have_the_tags_of_their_kinds() {
                     let (number, main) = graph.main_stage().unwrap();
                     assert_eq!((&main.sizes, &main.steps[..]), (&Grid { film, tile: 16 }.sizes(), rounds));
                     assert_eq!(graph.reads_content(number), method.has_first_pass());
-                    let tags: &[&str] = if method.has_first_pass() { &[tag::FIRST_PASS] } else { &[] };
+                    let tags: &[&str] = match method {
+                        Method::Femc => &[tag::FIRST_PASS, tag::TARGETS],
+                        _ if method.has_first_pass() => &[tag::FIRST_PASS],
+                        _ => &[],
+                    };
                     assert!(graph.stages.iter().all(|stage| stage.tags == tags), "{case}");
                     let recorded = with_statistics(graph.clone());
                     check(&recorded);

@@ -121,7 +121,8 @@ impl PreparedScene<'_> {
             .install(|| femc_pipeline::solve_first_pass(&world, method, self.cancel))
             .map_err(map_render_error)?;
         let light = femc_pipeline::FrameLight::new(Arc::new(solution.field), prepared.brightness);
-        self.pool.install(|| femc_pipeline::attach_first_pass(&mut prepared, light, method)).map_err(failed)?;
+        self.pool.install(|| femc_pipeline::attach_first_pass(&mut prepared, light)).map_err(failed)?;
+        self.pool.install(|| femc_pipeline::attach_learned_targets(&mut prepared, method)).map_err(failed)?;
         let (seconds, cpu) = (clock.since(begun), femc_worker::process_time().saturating_sub(cpu));
         self.first_passes.push((method, FirstPassFrame { prepared, seconds, cpu }));
         Ok(self.first_passes.len() - 1)

@@ -11,7 +11,8 @@ use femc_montecarlo::Guidance;
 use femc_pipeline::radiosity::{SolveOptions, solve};
 use femc_pipeline::{
     Field, FrameLight, Method, Outputs, Prepared, RenderTask, SceneSource, Settings, Side, StopCondition,
-    attach_first_pass, first_pass_world, frame_key, plan_job, prepare_frame, prepare_world, render_frame,
+    attach_first_pass, attach_learned_targets, first_pass_world, frame_key, plan_job, prepare_frame, prepare_world,
+    render_frame,
 };
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64};
@@ -195,7 +196,8 @@ fn frames_that_share_a_solution_are_proportional_to_their_lamps() {
             let mut prepared =
                 prepare_world(&source(Factors { light, ..ONE }), &settings(method), 1, None).expect("a frame");
             let light = FrameLight::new(unit.clone(), prepared.brightness);
-            attach_first_pass(&mut prepared, light, method).expect("a field of the frame");
+            attach_first_pass(&mut prepared, light).expect("a field of the frame");
+            attach_learned_targets(&mut prepared, method).expect("targets");
             let answers = Answers::new(&prepared, prepared.field().expect("a field"));
             (answers, colors(&prepared, &settings(method)))
         };

@@ -69,6 +69,7 @@ impl<S: Send + 'static> Http<S> {
             return Err(match model {
                 FrameModel::Geometry => HttpError::NoGeometry { job },
                 FrameModel::Solution => HttpError::NoSolution { job },
+                FrameModel::Targets => HttpError::NoTargets { job },
             });
         }
         let finished = self.0.farm.call(|reply| Call::Frames { job, reply }).await?;
@@ -172,7 +173,7 @@ impl<S: Send + 'static> Http<S> {
             ResultFile::Frame(_, FrameFile::Image | FrameFile::Layers) => Ok(("image/x-exr", "exr")),
             ResultFile::Frame(_, FrameFile::Statistics) => Ok(("application/octet-stream", "paths")),
             ResultFile::Frame(_, FrameFile::Geometry | FrameFile::Solution) => Ok(("model/gltf-binary", "glb")),
-            ResultFile::Frame(_, FrameFile::Readings) => Ok(("application/json", "json")),
+            ResultFile::Frame(_, FrameFile::Readings | FrameFile::Targets) => Ok(("application/json", "json")),
             ResultFile::Sheet | ResultFile::Frame(..) => Ok(("image/png", "png")),
             ResultFile::Clip => {
                 let head = self.0.store.read_range(&artifact.digest, 0..artifact.bytes.min(HEAD)).await;

@@ -80,6 +80,14 @@ pub(super) enum HttpError {
         /// The job.
         job: JobId,
     },
+    /// The job learns no targets.
+    #[error(
+        "job {job} learns no targets: its method does not guide paths by targets, or an earlier version of femc submitted it"
+    )]
+    NoTargets {
+        /// The job.
+        job: JobId,
+    },
     /// A file with light statistics contains no scene.
     #[error("file {file} contains recorded paths but no scene, so it has no geometry and no finite-element solution")]
     NoFileModel {
@@ -162,6 +170,7 @@ impl HttpError {
             | Self::NoResult { .. }
             | Self::NoGeometry { .. }
             | Self::NoSolution { .. }
+            | Self::NoTargets { .. }
             | Self::NoFileModel { .. }
             | Self::ResultLost { .. }
             | Self::LightLost { .. } => StatusCode::NOT_FOUND,
@@ -186,6 +195,7 @@ impl HttpError {
             | Self::NoResult { .. }
             | Self::NoGeometry { .. }
             | Self::NoSolution { .. }
+            | Self::NoTargets { .. }
             | Self::NoFileModel { .. } => "not_found",
             Self::ResultLost { .. } | Self::LightLost { .. } => "lost",
             Self::UnreadableLight { .. } => "unreadable",
@@ -238,6 +248,7 @@ impl HttpError {
             }
             Self::NoGeometry { .. } => "submit the job again with `--stats`; the recorded light has voxels",
             Self::NoSolution { .. } => "submit the job again with `--stats` and `--method femc`",
+            Self::NoTargets { .. } => "submit the job again with `--method femc`",
             Self::NoFileModel { .. } => "open the job of the scene in a farm; the recorded light has voxels",
             Self::ResultLost { .. } | Self::LightLost { .. } => {
                 "the farm makes the result again (if the job failed or was cancelled: after a retry); \
@@ -270,6 +281,7 @@ impl HttpError {
             | Self::NoResult { .. }
             | Self::NoGeometry { .. }
             | Self::NoSolution { .. }
+            | Self::NoTargets { .. }
             | Self::NoFileModel { .. }
             | Self::ResultLost { .. }
             | Self::LightLost { .. }

@@ -126,8 +126,12 @@ impl Route {
             ["jobs", job, "sheet.png"] => {
                 return Self::Download(number("job", job)?, ResultFile::Sheet).require_get_or_head(request_head, path);
             }
-            ["jobs", job, model @ ("geometry" | "solution")] => {
-                let model = if model == "geometry" { FrameModel::Geometry } else { FrameModel::Solution };
+            ["jobs", job, model @ ("geometry" | "solution" | "targets")] => {
+                let model = match model {
+                    "geometry" => FrameModel::Geometry,
+                    "solution" => FrameModel::Solution,
+                    _ => FrameModel::Targets,
+                };
                 let route = Self::Model(number("job", job)?, model, query.number("frame")?);
                 return route.require_get_or_head(request_head, path);
             }
@@ -305,7 +309,7 @@ mod tests {
                 *seen.entry(route.operation()).or_default() += 1;
             }
         }
-        assert_eq!(seen.values().sum::<usize>(), 41);
+        assert_eq!(seen.values().sum::<usize>(), 43);
         // The page itself has no row in the table, and neither have requests without an operation.
         let documented = seen.into_keys().chain([Operation::Page, Operation::Other]);
         assert_eq!(documented.collect::<BTreeSet<_>>(), BTreeSet::from(Operation::HTTP));

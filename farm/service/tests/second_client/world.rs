@@ -139,7 +139,8 @@ impl World {
         let mut day_spec = spec("day", "ann");
         let geometry = StageTemplate::new(StageKind::Geometry, Scope::Frame, TaskSizes::even(1, 1), &[Role::Geometry]);
         let solution = StageTemplate::new(StageKind::Solution, Scope::Frame, TaskSizes::even(1, 1), &[Role::Solution]);
-        day_spec.graph.stages.extend([geometry, solution]);
+        let learn = StageTemplate::new(StageKind::Learn, Scope::Frame, TaskSizes::even(1, 1), &[Role::Targets]);
+        day_spec.graph.stages.extend([geometry, solution, learn]);
         let day = TestJob {
             spec: day_spec,
             records: vec![
@@ -154,6 +155,7 @@ impl World {
                         (Role::Geometry, "geometry 7.3"),
                         (Role::Solution, "solution 7.3"),
                         (Role::Readings, "readings 7.3"),
+                        (Role::Targets, "targets 7.3"),
                     ],
                 ),
             ],
@@ -271,6 +273,7 @@ impl World {
             "solution 7.3",
             "geometry 7.4",
             "readings 7.3",
+            "targets 7.3",
             "light 7.3",
             "tile a",
             "tile b",

@@ -209,7 +209,7 @@ export interface SchemaAnswer {
 }
 
 /** Surfaces of a frame, or its finite-element solution. */
-export type Model = 'geometry' | 'solution';
+export type Model = 'geometry' | 'solution' | 'targets';
 
 export const light = {
   async files(signal?: AbortSignal): Promise<ServedFile[]> {
@@ -292,7 +292,7 @@ export const light = {
     return answer.status === 204 ? null : ((await answer.json()) as PictureComparison);
   },
 
-  /** Returns a model of the scene as binary glTF; `null`: not made yet, `undefined`: there is none. */
+  /** Returns a model of the scene as binary glTF, or targets as JSON; `null`: not made yet, `undefined`: there is none. */
   async model(source: Source, model: Model, signal?: AbortSignal): Promise<ArrayBuffer | null | undefined> {
     const path = 'file' in source ? `files/${source.file}/${model}` : `jobs/${source.job}/${model}?frame=${source.frames[0]}`;
     const answer = await fetch(`/api/v1/${path}`, { credentials: 'same-origin', signal: signal ?? null, cache: 'no-cache' });

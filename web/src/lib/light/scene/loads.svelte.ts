@@ -1,4 +1,4 @@
-/** Data of the scene view that the plots do not need: geometry, the finite-element solution and voxels. */
+/** Data of the scene view that the plots do not need: geometry, the finite-element solution, targets of paths and voxels. */
 
 import { explain } from '../../api';
 import type { Rgb } from '../../color';
@@ -9,9 +9,10 @@ import { Newest, type DataSet } from '../state.svelte';
 import { parseGlb, type Vec3 } from './glb';
 import { energyScale, voxelsOf, type VoxelAnswer, type Voxels } from './records';
 import { parseSolution } from './solution';
+import { parseTargets } from './targets';
 
-export type Layer = 'surfaces' | 'points' | 'paths' | 'lights' | 'voxels';
-export const LAYERS: readonly Layer[] = ['surfaces', 'points', 'paths', 'lights', 'voxels'];
+export type Layer = 'surfaces' | 'points' | 'paths' | 'lights' | 'voxels' | 'targets';
+export const LAYERS: readonly Layer[] = ['surfaces', 'points', 'paths', 'lights', 'voxels', 'targets'];
 const FIRST_LAYERS: readonly Layer[] = ['surfaces', 'points', 'paths'];
 
 /** Parses the visible layers from the address. */
@@ -79,6 +80,7 @@ export class LoadedModel<T> {
 export class SceneData {
   readonly geometry = new LoadedModel('geometry', parseGlb);
   readonly solution = new LoadedModel('solution', parseSolution);
+  readonly targets = new LoadedModel('targets', parseTargets);
   voxelFault = $state.raw<string | null>(null);
   voxels = $state.raw<LoadedVoxels | null>(null);
 
@@ -130,6 +132,7 @@ export class SceneData {
   stop() {
     this.geometry.stop();
     this.solution.stop();
+    this.targets.stop();
     this.voxelRequests.stop();
   }
 }

@@ -63,11 +63,20 @@ export interface ShownSolution {
   parts: readonly { positions: Float32Array; indices: Uint32Array; colors: Uint8Array; values: Float32Array }[];
 }
 
+/** Lines that are drawn over all else. */
+export interface ShownLines {
+  /** Subtracted from all positions, m. */
+  origin: Vec3;
+  /** Ends of the lines: six numbers for each, m. */
+  ends: Float32Array;
+}
+
 /** A handle of the box: 0 to 5 are its faces (lower and upper x, y, z), 6 is its middle. */
 export type Handle = number;
 
 const BACKGROUNDS = { light: 0xaab1ba, dark: 0x4d545d };
 const BOX_COLOR = 0x00c2a8;
+const TARGET_COLOR = 0xff8c1a;
 const HANDLE_PIXELS = 9;
 /** Light that a highlighted object adds. */
 const HIGHLIGHT = new Color(0, 0.13, 0.2);
@@ -84,6 +93,10 @@ export class Stage {
   private readonly headlight = new DirectionalLight(0xffffff, 1.7);
   private readonly surfaces = new Group();
   private readonly solution = new Group();
+  private readonly targets = new LineSegments(
+    new BufferGeometry(),
+    new LineBasicMaterial({ color: TARGET_COLOR, depthTest: false, transparent: true }),
+  );
   private readonly plane = new Plane();
   private readonly cut = { value: NO_CUT.clone() };
   private readonly resolution = { value: new Vector2(1, 1) };
@@ -138,7 +151,10 @@ export class Stage {
     this.box.visible = false;
     this.makeBox();
     this.scene.add(new AmbientLight(0xffffff, 1.3), this.headlight, this.headlight.target);
-    this.scene.add(this.surfaces, this.solution, this.voxels, this.points, this.rays, this.paths, this.box, this.outlines);
+    this.scene.add(this.surfaces, this.solution, this.voxels, this.points, this.rays, this.paths, this.box, this.outlines, this.targets);
+    this.targets.frustumCulled = false;
+    this.targets.renderOrder = 2;
+    this.setTargets(null);
     canvas.addEventListener('webglcontextrestored', this.invalidate);
   }
 
@@ -148,6 +164,8 @@ export class Stage {
     this.clearSurfaces();
     this.setSolution(null);
     this.clearOutlines();
+    this.targets.geometry.dispose();
+    this.targets.material.dispose();
     for (const it of [this.points, this.paths, this.rays, this.voxels]) {
       it.geometry.dispose();
       it.material.dispose();
@@ -316,6 +334,18 @@ export class Stage {
     this.invalidate();
   }
 
+  /** Draws the targets of paths. */
+  setTargets(shown: ShownLines | null) {
+    this.targets.visible = shown !== null;
+    if (shown) {
+      this.targets.position.set(...this.local(shown.origin));
+      this.targets.geometry.dispose();
+      this.targets.geometry = new BufferGeometry();
+      this.targets.geometry.setAttribute('position', new BufferAttribute(shown.ends, 3));
+    }
+    this.invalidate();
+  }
+
   /** Returns the value of the solution at a place of the canvas; null: no element is there. */
   valueAt(x: number, y: number): number | null {
     if (!this.solution.visible) return null;
@@ -465,7 +495,7 @@ export class Stage {
    * - `without`: what else is invisible.
    */
   private drawPixel(x: number, y: number, without: readonly Object3D[]): Uint8Array {
-    const others: Object3D[] = [this.points, this.paths, this.rays, this.voxels, this.box, this.outlines, ...without];
+    const others: Object3D[] = [this.points, this.paths, this.rays, this.voxels, this.box, this.outlines, this.targets, ...without];
     const shown = others.map((it) => it.visible);
     for (const it of others) it.visible = false;
     const bytes = new Uint8Array(4);

@@ -1,5 +1,6 @@
 //! Guides of a frame's paths, learned from pilot paths that are part of no image: openings through which light comes
-//! ([`openings`]), bright patches ([`patches`]), and shares of directions to sample toward each target. A JSON document stores them ([`document`]).
+//! ([`openings`]), bright patches ([`patches`]), and shares of directions to sample toward each target. A JSON document stores them
+//! ([`document`]).
 #![deny(missing_docs)]
 
 mod bins;

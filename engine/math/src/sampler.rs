@@ -22,7 +22,8 @@ pub const fn replicate_of(sample: u32) -> usize {
 #[derive(Clone, Copy, Debug)]
 pub struct SampleStream {
     key: u64,
-    index: u32,
+    /// Index in the replicate, with its digits reversed.
+    reversed_index: u32,
     dimension: u32,
 }
 
@@ -57,7 +58,7 @@ impl SampleStream {
     pub fn new(seed: u64, frame: u32, pixel: u32, sample: u32) -> Self {
         let pixel_key = mix64(mix64(seed ^ 0x6a09_e667_f3bc_c908) ^ ((u64::from(frame) << 32) | u64::from(pixel)));
         let key = mix64(pixel_key.wrapping_add(1 + replicate_of(sample) as u64));
-        Self { key, index: sample / REPLICATES as u32, dimension: 0 }
+        Self { key, reversed_index: (sample / REPLICATES as u32).reverse_bits(), dimension: 0 }
     }
 
     /// Returns a stream that is independent of this one and of the streams of other branches.
@@ -83,7 +84,7 @@ impl SampleStream {
     pub fn next_1d(&mut self) -> f32 {
         let h = mix64(self.key.wrapping_add(u64::from(self.dimension).wrapping_mul(0x9e37_79b9_7f4a_7c15)));
         self.dimension += 1;
-        let shuffled = scramble_reversed(self.index.reverse_bits(), h as u32);
+        let shuffled = scramble_reversed(self.reversed_index, h as u32);
         // `shuffled` already is the digit-reversed form of its radical inverse.
         unit_f32(scramble_reversed(shuffled, (h >> 32) as u32))
     }
@@ -93,7 +94,7 @@ impl SampleStream {
     pub fn next_2d(&mut self) -> [f32; 2] {
         let h = mix64(self.key.wrapping_add(u64::from(self.dimension).wrapping_mul(0x9e37_79b9_7f4a_7c15)));
         self.dimension += 2;
-        let shuffled = scramble_reversed(self.index.reverse_bits(), h as u32);
+        let shuffled = scramble_reversed(self.reversed_index, h as u32);
         let high = (h >> 32) as u32;
         [
             unit_f32(scramble_reversed(shuffled, high)),

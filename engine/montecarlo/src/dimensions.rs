@@ -1,5 +1,7 @@
 //! Fixed dimensions of the random numbers of a path, so that one decision does not shift the numbers of another.
 
+use femc_math::sampler::SampleStream;
+
 /// Position in the pixel (2).
 pub const FILM: u32 = 0;
 /// Position on the lens (2).
@@ -50,7 +52,13 @@ pub const LIGHT_DIRECTION: u32 = 20;
 /// Weight window (1).
 pub const WINDOW: u32 = 22;
 
-/// Combines two numbers of 24 bits to one in [0, 1) of 48 bits, for choices among very many items.
+/// Draws a number in [0, 1) of 48 bits, for choices among very many items. Takes two dimensions.
+pub fn draw_48(stream: &mut SampleStream, dimension: u32) -> f64 {
+    stream.seek(dimension);
+    uniform_48(stream.next_2d())
+}
+
+/// Combines two numbers of 24 bits to one in [0, 1) of 48 bits.
 pub fn uniform_48([coarse, finer]: [f32; 2]) -> f64 {
     f64::from(coarse) + f64::from(finer) / f64::from(1u32 << 24)
 }

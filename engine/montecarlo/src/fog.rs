@@ -185,8 +185,7 @@ impl FogSampler<'_> {
         let scene = self.scene;
         let light_context = self.ray.light_context?;
         decide(Decision::AirlightLamp, path);
-        path.stream.seek(path.base + dim::AIRLIGHT_LIGHT);
-        let choice = dim::uniform_48(path.stream.next_2d());
+        let choice = || dim::draw_48(&mut path.stream, path.base + dim::AIRLIGHT_LIGHT);
         let (light, probability) = scene.lights.choose(&self.ray.light_weights, &light_context, choice)?;
         let distances = airlight_distances(scene, self.ray, &light_context, light, path.ray.time)?;
         decide(Decision::AirlightDistance, path);

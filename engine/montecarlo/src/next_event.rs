@@ -30,8 +30,7 @@ impl<R: Recorder> Tracer<'_, R> {
         }
         lights.weigh(light_context, &mut self.surface_weights);
         record!(self.recorder.decide(Decision::Lamp, path.bounce, &mut path.stream));
-        path.stream.seek(path.base + dim::LIGHT);
-        let number = dim::uniform_48(path.stream.next_2d());
+        let number = || dim::draw_48(&mut path.stream, path.base + dim::LIGHT);
         let Some(chosen) = lights.choose(&self.surface_weights, light_context, number) else { return };
         let light = self.sample_next_event::<MEDIA, RECORD_ALL>(path, surface, directions, chosen);
         let color = path.throughput * light;

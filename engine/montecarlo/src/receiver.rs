@@ -156,8 +156,7 @@ impl<R: Recorder> Tracer<'_, R> {
         }
         lights.weigh(context, &mut self.surface_weights);
         record!(self.recorder.decide(Decision::Lamp, path.bounce, &mut path.stream));
-        path.stream.seek(path.base + dim::LIGHT);
-        let number = dim::uniform_48(path.stream.next_2d());
+        let number = || dim::draw_48(&mut path.stream, path.base + dim::LIGHT);
         let Some((lamp, probability)) = lights.choose(&self.surface_weights, context, number) else { return Rgb::ZERO };
         record!(self.recorder.decide(Decision::LampPoint, path.bounce, &mut path.stream));
         path.stream.seek(path.base + dim::LIGHT_POINT);

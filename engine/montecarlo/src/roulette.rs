@@ -56,6 +56,9 @@ impl PathState {
         let Some(q) = survival_probability::<MEDIA>(self.rays, most * self.roulette_scale, rule) else {
             return true;
         };
+        if q >= 1.0 {
+            return true;
+        }
         self.stream.seek(self.base + dim::ROULETTE);
         let Some(throughput) = survivor_throughput(self.throughput, q, self.stream.next_1d()) else { return false };
         self.throughput = throughput;

@@ -118,7 +118,7 @@ impl<R: Recorder> Tracer<'_, R> {
             }
         }
         record!(self.recorder.decide(Decision::Direction, path.bounce, &mut path.stream));
-        let numbers = DirectionNumbers::draw(path);
+        let numbers = DirectionNumbers::draw(path, &from.surface.bsdf);
         if let WindowDecision::Copies(copies) = decision {
             let copies = copies.min(1 + MAX_BRANCHES - self.branches);
             if copies > 1 {

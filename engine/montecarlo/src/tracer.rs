@@ -112,6 +112,9 @@ impl<'a> Guidance<'a> {
     }
 }
 
+/// Position in the middle of the lens.
+const LENS_CENTER: [f32; 2] = [0.5; 2];
+
 /// Tracer of the samples of one frame on one thread.
 /// - `R`: recorder of the paths; `()` records nothing.
 pub struct Tracer<'a, R = ()> {
@@ -193,7 +196,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
         stream.seek(dim::FILM);
         let offset = filter.sample(stream.next_2d());
         stream.seek(dim::LENS);
-        let lens = stream.next_2d();
+        let lens = if self.scene.camera.has_lens() { stream.next_2d() } else { LENS_CENTER };
         stream.seek(dim::TIME);
         let time = stream.next_1d();
         let view = self.scene.camera.view(lens, time);

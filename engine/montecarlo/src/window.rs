@@ -15,6 +15,7 @@ use femc_field::{Field, TargetGuide};
 use femc_math::Rgb;
 use femc_math::color::luminance;
 use femc_prepared::Prepared;
+use femc_scattering::Bsdf;
 
 /// Bounds of the light expected of a path, relative to the light expected at its first vertex.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -142,11 +143,11 @@ pub(crate) struct DirectionNumbers {
 }
 
 impl DirectionNumbers {
-    /// Draws the numbers of the current ray's end.
+    /// Draws the numbers of the current ray's end. The choice is 0 if the BSDF has a single lobe.
     #[inline(always)]
-    pub fn draw(path: &mut PathState) -> Self {
+    pub fn draw(path: &mut PathState, bsdf: &Bsdf) -> Self {
         path.stream.seek(path.base + dim::LOBE);
-        let choice = path.stream.next_1d();
+        let choice = if bsdf.has_choice() { path.stream.next_1d() } else { 0.0 };
         path.stream.seek(path.base + dim::DIRECTION);
         Self { u: path.stream.next_2d(), choice }
     }

@@ -148,7 +148,7 @@ impl KernelCamera {
             middle: self.film.map(|size| 0.5 * size as f32),
             time,
         };
-        if self.lens_radius > 0.0 {
+        if self.has_lens() {
             let d = warp::disc(lens) * self.lens_radius;
             let shift = pose.lens[0] * d.x + pose.lens[1] * d.y;
             view.origin += shift;
@@ -156,6 +156,12 @@ impl KernelCamera {
             view.steps = view.steps.map(|step| step * self.focus);
         }
         view
+    }
+
+    /// Checks whether the views depend on the position on the lens.
+    #[inline]
+    pub fn has_lens(&self) -> bool {
+        self.lens_radius > 0.0
     }
 
     /// Iterates over the views through the middle of the lens at all poses.

@@ -155,10 +155,15 @@ impl Lights {
         self.sampler.weigh(context, weights);
     }
 
-    /// Chooses a light for a weighed point or segment, with `u` in [0, 1). Returns (index, probability), or `None` if no light can
-    /// reach it.
+    /// Chooses a light for a weighed point or segment. Returns (index, probability), or `None` if no light can reach it.
+    /// - `u`: draws a number in [0, 1). A sole light needs none.
     #[inline]
-    pub fn choose(&self, weights: &LightWeights, context: &impl LightSampleContext, u: f64) -> Option<(u32, f32)> {
+    pub fn choose(
+        &self,
+        weights: &LightWeights,
+        context: &impl LightSampleContext,
+        u: impl FnOnce() -> f64,
+    ) -> Option<(u32, f32)> {
         self.sampler.choose(weights, context, u)
     }
 

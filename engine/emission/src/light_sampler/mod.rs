@@ -85,16 +85,22 @@ impl LightSampler {
         }
     }
 
-    /// Chooses a light with `u` in [0, 1): its index and probability > 0. `None`: no light can send anything.
-    /// - `weights`: from [`Self::weigh`] for the same place.
+    /// Chooses a light: its index and probability > 0. `None`: no light can send anything.
+    /// - `weights`: from [`Self::weigh`] for the same place;
+    /// - `u`: draws a number in [0, 1). A sole light needs none.
     #[inline]
-    pub fn choose(&self, weights: &LightWeights, context: &impl LightSampleContext, u: f64) -> Option<(u32, f32)> {
+    pub fn choose(
+        &self,
+        weights: &LightWeights,
+        context: &impl LightSampleContext,
+        u: impl FnOnce() -> f64,
+    ) -> Option<(u32, f32)> {
         if let Some(sole) = self.sole {
             return Some((sole, 1.0));
         }
         match &self.lights {
-            Some(lights) => weights.weights.choose(u).map(|(lane, probability, _)| (lights[lane], probability)),
-            None => self.tree.choose_from(weights.cut.as_ref()?, context, u),
+            Some(lights) => weights.weights.choose(u()).map(|(lane, probability, _)| (lights[lane], probability)),
+            None => self.tree.choose_from(weights.cut.as_ref()?, context, u()),
         }
     }
 

@@ -70,7 +70,7 @@ impl<'a, P: LightSampleContext> LightChoice<'a, P> {
     }
 
     fn choose(&self, u: f64) -> Option<(u32, f32)> {
-        self.lights.choose(&self.weights, self.context, u)
+        self.lights.choose(&self.weights, self.context, || u)
     }
 
     fn probability(&self, light: u32) -> f32 {

@@ -155,8 +155,8 @@ fn repeat_lamp_sample(
     let context = scene.lights.point_context(surface.point.position, surface.lit_side(), surface.lobes(path.ray.dir));
     let (mut weights, mut stream) = (LightWeights::default(), path.stream);
     scene.lights.weigh(&context, &mut weights);
-    stream.seek(path.base + dim::LIGHT);
-    let (light, _) = scene.lights.choose(&weights, &context, dim::uniform_48(stream.next_2d()))?;
+    let number = || dim::draw_48(&mut stream, path.base + dim::LIGHT);
+    let (light, _) = scene.lights.choose(&weights, &context, number)?;
     stream.seek(path.base + dim::LIGHT_POINT);
     let (position, u) = (surface.point.position, stream.next_2d());
     let sample = scene.lights.sample_light(&scene.world, &scene.textures, light, position, path.ray.time, u)?;

@@ -129,7 +129,7 @@ fn probabilities_of_the_lights_add_up_to_one() {
     assert!((probabilities.iter().sum::<f64>() - 1.0).abs() < 1e-5, "{probabilities:?}");
     let mut counts = [0u32; 4];
     for u in midpoints(4000) {
-        let (light, probability) = lights.choose(&weights, &context, u).expect("a light");
+        let (light, probability) = lights.choose(&weights, &context, || u).expect("a light");
         assert!((f64::from(probability) - probabilities[light as usize]).abs() < 1e-5);
         counts[light as usize] += 1;
     }

@@ -111,7 +111,8 @@ pub(super) fn direct_irradiance(
     let mut numbers = RandomNumbers::new(&[element, 13, round, ray]);
     let context = lights.point_context(from.position, from.normal, None);
     lights.weigh(&context, &mut tester.lamps);
-    let Some((lamp, probability)) = lights.choose(&tester.lamps, &context, f64::from(numbers.next())) else {
+    let number = f64::from(numbers.next());
+    let Some((lamp, probability)) = lights.choose(&tester.lamps, &context, || number) else {
         return Rgb::ZERO;
     };
     let u = [numbers.next(), numbers.next()];

@@ -318,6 +318,15 @@ impl Bsdf {
         }
     }
 
+    /// Checks whether [`Self::sample`] depends on its number `choice`.
+    #[inline]
+    pub fn has_choice(&self) -> bool {
+        match self {
+            Self::Black | Self::Diffuse(_) | Self::Mirror(_) => false,
+            Self::Opaque(_) | Self::Sheet(_) | Self::Dielectric(_) => true,
+        }
+    }
+
     /// Checks whether every sample is a delta (or there is none). Light sampling is then useless.
     #[inline]
     pub fn is_delta_only(&self) -> bool {

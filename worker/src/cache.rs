@@ -200,6 +200,8 @@ impl Cache {
                 "invalid job graph: it must have a first-pass stage if, and only if, the method has a first pass";
             return Err(Failure::Settings { message: message.into() });
         }
+        let targets = if loaded.settings.method.has_targets() { inputs.targets } else { TargetSource::None };
+        let inputs = FrameInputs { targets, ..inputs };
         self.prepared(loaded, frame, inputs, client, fetch)
     }
 

@@ -2,8 +2,8 @@
 //!
 //! Positions are relative to the origin of the prepared frame. Numbers come back to the bit.
 
-use crate::learn::Learned;
-use femc_field::{Ball, Field, PACK_TARGETS, Parallelogram, RegionTargets, Target, TargetGuide, TargetPack};
+use crate::learn::{Learned, packs};
+use femc_field::{Ball, Field, PACK_TARGETS, Parallelogram, RegionTargets, Target, TargetGuide};
 use femc_math::glam::{DVec3, Vec3A};
 use serde::{Deserialize, Serialize};
 
@@ -188,8 +188,7 @@ impl TargetDocument {
         let by_leaf = self.leaf_regions.iter().flat_map(|&[count, region]| std::iter::repeat_n(region, count as usize));
         let by_leaf: Vec<u32> = by_leaf.collect();
         let by_region = self.regions.iter().map(RegionTargets::from).collect();
-        let packs = if parts.is_empty() { Vec::new() } else { vec![TargetPack::new(&parts)] };
-        Ok(TargetGuide::new(field, packs, by_region, &by_leaf))
+        Ok(TargetGuide::new(field, packs(&parts), by_region, &by_leaf))
     }
 }
 

@@ -30,8 +30,8 @@ const MAX_LINES: usize = 96;
 /// Ratio of the edges of a target from which on it is divided.
 const LONG: f32 = 2.0;
 
-/// Upper bound of the memory of learning, bytes: that of the directions of the longest round, and of the sums of as many places. Rooms
-/// take a tenth of it.
+/// Estimate of the most memory that learning takes, bytes: that of the directions of a round, if all blocks have as many as they can,
+/// and of the sums of as many places.
 pub const MAX_BYTES: u64 = BLOCKS as u64 * MAX_DIRECTIONS as u64 * 256;
 
 /// Targets of a frame, and how they were found.
@@ -125,7 +125,7 @@ pub fn learn(scene: &Prepared, field: &Field, cancel: &AtomicBool) -> Option<Lea
 }
 
 /// Returns the packs of all targets: one or none.
-fn packs(targets: &[Target]) -> Vec<TargetPack> {
+pub(crate) fn packs(targets: &[Target]) -> Vec<TargetPack> {
     if targets.is_empty() { Vec::new() } else { vec![TargetPack::new(targets)] }
 }
 
@@ -149,7 +149,7 @@ impl Learned {
     }
 
     /// Returns the targets: openings, then patches.
-    pub fn targets(&self) -> Vec<Target> {
+    fn targets(&self) -> Vec<Target> {
         let openings = self.openings.iter().map(|opening| opening.target.into());
         openings.chain(self.patches.iter().map(|patch| patch.target)).collect()
     }

@@ -23,7 +23,7 @@ const SEED: u64 = 0x706f_696e_7465_7273;
 const SURPRISE: f32 = 8.0;
 /// Maximum number of surprising lines of a block.
 const MAX_LINES: usize = 1024;
-/// Maximum number of directions of a block. Those of later paths are not recorded.
+/// Maximum number of directions that a block records. Paths after that add no directions.
 pub const MAX_DIRECTIONS: usize = 1 << 16;
 /// Reach of a direction that leaves the scene, m.
 const FAR: f32 = 1e6;

@@ -185,8 +185,9 @@ fn leaf_ranks(field: &Field) -> Vec<u32> {
 }
 
 impl Shares {
-    /// Computes the shares from the directions of a round, each of which began in the region of a leaf.
-    /// - `before`: shares of the round.
+    /// Computes the shares from the directions of a round.
+    /// - `records`: the directions; each region is a leaf of the field;
+    /// - `before`: shares with which the round sampled.
     pub fn new(field: &Field, mut records: Vec<DirectionRecord>, before: &Self) -> Self {
         let ranks = leaf_ranks(field);
         records.sort_by_key(|record| ranks[record.region as usize]);

@@ -126,7 +126,7 @@ pub fn learn_targets(
     method: Method,
     cancel: &AtomicBool,
 ) -> Result<Option<TargetDocument>, RenderError> {
-    let Some(field) = prepared.field().filter(|_| method == Method::Femc) else { return Ok(None) };
+    let Some(field) = prepared.field().filter(|_| method.has_targets()) else { return Ok(None) };
     let learned = femc_guiding::learn(prepared, field, cancel).ok_or(RenderError::Cancelled)?;
     Ok(Some(TargetDocument::new(&learned, prepared.origin)))
 }

@@ -104,6 +104,11 @@ pub enum Method {
 }
 
 impl Method {
+    /// Returns whether the paths of a frame are guided by learned targets.
+    pub fn has_targets(self) -> bool {
+        self == Self::Femc
+    }
+
     /// Checks whether frames have a finite-element first pass.
     pub fn has_first_pass(self) -> bool {
         matches!(self, Self::Fem | Self::Femc | Self::Femc1998)

@@ -56,7 +56,7 @@ pub fn job_graph(tiling: &Tiling, rounds: &[u32], fan: NonZeroU32, method: Metho
         all.push(StageTemplate::new(StageKind::FirstPass, Scope::Content, sizes, &[Role::Field]));
         render = render.with_input(0, Role::Field, Reach::All);
     }
-    if method == Method::Femc {
+    if method.has_targets() {
         all.push(per_frame(StageKind::Learn, 1, &[Role::Targets]).with_input(0, Role::Field, Reach::All));
         render = render.with_input(1, Role::Targets, Reach::All);
     }

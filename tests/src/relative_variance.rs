@@ -4,7 +4,7 @@ use crate::clock::processor_seconds;
 use femc_film::Filter;
 use femc_math::glam::DVec3;
 use femc_math::sampler::{REPLICATES, replicate_of};
-use femc_montecarlo::{Guidance, PathSettings, Tracer};
+use femc_montecarlo::{Guidance, Packet, PathSettings, Tracer};
 use femc_pipeline::FilterAdapter;
 use femc_prepared::Prepared;
 use rayon::prelude::*;
@@ -60,20 +60,21 @@ pub fn measure(
                 .map(|(row, sums)| {
                     // Each method has its own seed, so that their errors are independent.
                     let path = PathSettings { seed: 1 + method as u64, max_depth: 0, single_technique: None };
-                    let mut tracer = Tracer::new(prepared, path);
-                    if let Some(guidance) = guidances[method] {
-                        tracer = tracer.with_guidance(guidance);
-                    }
-                    for (column, sums) in sums.iter_mut().enumerate() {
-                        for sample in samples.clone() {
-                            let pixel = row as u32 * size + column as u32;
-                            let drawn = tracer.sample(pixel, sample, FilterAdapter(Filter::Box));
-                            let value = drawn.color.as_dvec3();
-                            sums.replicates[replicate_of(sample)] += value;
-                            sums.squares += value * value;
-                        }
-                    }
-                    let counters = tracer.counters;
+                    let tracer = || match guidances[method] {
+                        Some(guidance) => Tracer::new(prepared, path).with_guidance(guidance),
+                        None => Tracer::new(prepared, path),
+                    };
+                    let mut packet = Packet::new(tracer);
+                    let first = row as u32 * size;
+                    let numbers =
+                        (first..first + size).flat_map(|pixel| samples.clone().map(move |sample| (pixel, sample)));
+                    packet.trace(numbers, FilterAdapter(Filter::Box), |(pixel, sample), drawn| {
+                        let sums = &mut sums[(pixel - first) as usize];
+                        let value = drawn.color.as_dvec3();
+                        sums.replicates[replicate_of(sample)] += value;
+                        sums.squares += value * value;
+                    });
+                    let counters = packet.counters();
                     [counters.rays + counters.shadow_rays, counters.guided]
                 })
                 .collect();

@@ -1,9 +1,11 @@
 //! Triangles and rectangles seen from a point: solid angle, and uniform points over it.
 //!
-//! Computations use double precision, with the reference point already subtracted. One arc tangent gives the solid angle. Sines and
-//! cosines of the spherical angles come from the edges' plane normals, so a sample costs only one more sine-cosine.
+//! The reference point is already subtracted. One arc tangent gives the solid angle. Sines and cosines of the spherical angles come
+//! from the edges' plane normals, so a sample costs only one more sine-cosine. Computations use double precision, except those of
+//! [`RectangleView`].
 
 use femc_math::elementary::double::{atan2, sin_cos};
+use femc_math::elementary::{fast_atan2, sin_cos_of_turns};
 use femc_math::glam::DVec3;
 use std::f64::consts::TAU;
 
@@ -11,13 +13,13 @@ use std::f64::consts::TAU;
 pub const MIN_SOLID_ANGLE: f64 = 1e-8;
 /// Square of (radius / distance) below which a light counts as far. The density over solid angle of a point sampled by area then
 /// varies little, and sampling by area costs a tenth.
-const FAR_RATIO2: f64 = 0.05;
+pub const FAR_RATIO2: f32 = 0.05;
 
-/// Checks whether a flat light is far: `center` is its middle relative to the reference, `reach2` the square of its radius about
-/// it.
+/// Checks whether a flat light is far.
+/// - `reach2`: square of its radius about its middle, m2; `distance2`: squared distance of its middle from the reference, m2.
 #[inline]
-pub fn is_far(center: DVec3, reach2: f64) -> bool {
-    reach2 < FAR_RATIO2 * center.length_squared()
+pub fn is_far(reach2: f32, distance2: f32) -> bool {
+    reach2 < FAR_RATIO2 * distance2
 }
 
 /// Solid angle above which directions are sampled over the hemisphere and tested: the spherical angles degenerate toward 2 pi.
@@ -93,6 +95,90 @@ pub fn sample_triangle(a: DVec3, b: DVec3, c: DVec3, solid_angle: f64, u: [f32; 
     let away = c_new - b * c_new.dot(b);
     let w = b * (1.0 - versine) + away.normalize_or_zero() * (versine * (2.0 - versine)).max(0.0).sqrt();
     w.is_finite().then_some(w)
+}
+
+/// Solid angle, sr, above which a [`RectangleView`] is precise. Below, at grazing directions, points are sampled by area.
+pub const MIN_RECTANGLE_SOLID_ANGLE: f32 = 0.03;
+
+/// A rectangle as seen from a point, in single precision, with the axes x and y along its sides and the point at the origin.
+/// Coordinates are in units of the rectangle's extent, the sum of its sides.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RectangleView {
+    x: [f32; 2],
+    y: [f32; 2],
+    z: f32,
+    solid_angle: f32,
+    /// Unit complex number with the angle g2 + g3 of \[urena2013\].
+    far_angles: [f32; 2],
+}
+
+impl RectangleView {
+    /// Creates the view.
+    /// - `corner`: coordinates of the corner with the least x and y, m, z > 0; `size`: extents, m.
+    #[inline]
+    pub fn new(corner: [f32; 3], size: [f32; 2]) -> Self {
+        // In units of the extent, products of coordinates neither overflow nor vanish.
+        let unit = 1.0 / (size[0] + size[1]);
+        let [x0, y0, z] = corner.map(|x| x * unit);
+        let (x1, y1) = (x0 + size[0] * unit, y0 + size[1] * unit);
+        let (z2, x00, x11, y00, y11) = (z * z, x0 * x0, x1 * x1, y0 * y0, y1 * y1);
+        // The spherical angle at a corner (x, y) has cosine +- x y and sine z |corner|, over a common factor.
+        let near = product([x1 * y0, z * (x11 + y00 + z2).sqrt()], [-x1 * y1, z * (x11 + y11 + z2).sqrt()]);
+        let far = product([x0 * y1, z * (x00 + y11 + z2).sqrt()], [-x0 * y0, z * (x00 + y00 + z2).sqrt()]);
+        let all = product(near, far);
+        // The four angles sum to 2 pi + S. Only inside the rectangle, S can be above pi.
+        let sum = fast_atan2(all[1], all[0]);
+        let is_inside = x0 * x1 < 0.0 && y0 * y1 < 0.0;
+        let beyond = if is_inside { sum + TAU as f32 } else { 0.0 };
+        let scale = 1.0 / (far[0] * far[0] + far[1] * far[1]).sqrt();
+        Self {
+            x: [x0, x1],
+            y: [y0, y1],
+            z,
+            solid_angle: if sum < 0.0 { beyond } else { sum },
+            far_angles: far.map(|part| part * scale),
+        }
+    }
+
+    /// Returns the solid angle, sr in [0, 2 pi). The relative error is below 1e-5.
+    #[inline]
+    pub fn solid_angle(&self) -> f32 {
+        self.solid_angle
+    }
+
+    /// Returns the density of [`Self::sample`], 1/sr.
+    #[inline]
+    pub fn density(&self) -> f32 {
+        1.0 / self.solid_angle
+    }
+
+    /// Samples a point uniformly over the solid angle, as coordinates (s, t) in [0, 1]^2 along the two axes (\[urena2013\]).
+    #[inline]
+    pub fn sample(&self, u: [f32; 2]) -> [f32; 2] {
+        let Self { x: [x0, x1], y: [y0, y1], z, .. } = *self;
+        let z2 = z * z;
+        let (r0, r1) = (1.0 / (y0 * y0 + z2), 1.0 / (y1 * y1 + z2));
+        let (b0, b1) = (-y0 * r0.sqrt(), y1 * r1.sqrt());
+        let (sin, cos) = sin_cos_of_turns(u[0] * self.solid_angle * (1.0 / TAU as f32));
+        let [cos, sin] = product([cos, sin], [self.far_angles[0], -self.far_angles[1]]);
+        // See `SphericalRectangle::sample`.
+        let f = cos * b0 - b1;
+        let below = f * f - z2 * r0 * sin * sin;
+        let numerator = (z * sin).copysign(if f < 0.0 { -sin } else { sin });
+        let xu = if below > 0.0 { numerator / below.sqrt() } else { f32::INFINITY.copysign(numerator) };
+        let xu = xu.max(x0).min(x1);
+        let d2 = xu * xu + z2;
+        let (h0, h1) = (y0 / (d2 + y0 * y0).sqrt(), y1 / (d2 + y1 * y1).sqrt());
+        let h = h0 + u[1] * (h1 - h0);
+        let h2 = h * h;
+        let yv = if h2 < 1.0 { (h * (d2 / (1.0 - h2)).sqrt()).max(y0).min(y1) } else { y1 };
+        [(xu - x0) / (x1 - x0), (yv - y0) / (y1 - y0)]
+    }
+}
+
+#[inline]
+fn product(a: [f32; 2], b: [f32; 2]) -> [f32; 2] {
+    [a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0]]
 }
 
 /// A rectangle as seen from the origin: corner at (`x0`, `y0`) in its own axes, plane at distance `z0` > 0.
@@ -216,6 +302,40 @@ mod tests {
                 let left = SphericalRectangle::new(corner, DVec3::X, DVec3::Y, DVec3::Z, [size[0] * s, size[1]]);
                 let fraction = left.solid_angle() / r.solid_angle();
                 assert!((fraction - f64::from(u)).abs() < 1e-7, "{corner}: {fraction} against {u}");
+            }
+        }
+    }
+
+    #[test]
+    fn single_precision_view_of_a_rectangle_is_near_the_exact_one() {
+        let corners = [
+            [-1.0, -2.0, 0.5],
+            [0.3, -4.0, 0.2],
+            [-1.0, -1.0, 0.05],
+            [5.0, 5.0, 2.0],
+            [0.01, -1.5, 0.02],
+            [0.01, -1.5, 2e-3],
+            [1.5, -3.0, 0.02],
+        ];
+        let sizes = [[2.0, 3.0], [1.0, 20.0]];
+        let scales = [1.0, 1e9, 1e-9];
+        for (corner, size, scale) in
+            corners.iter().flat_map(|it| sizes.map(|size| (it, size))).flat_map(|it| scales.map(|by| (it.0, it.1, by)))
+        {
+            let (corner, size) = (DVec3::from(*corner) * scale, size.map(|x| x * scale));
+            let exact = SphericalRectangle::new(corner, DVec3::X, DVec3::Y, DVec3::Z, size);
+            let view = RectangleView::new(corner.to_array().map(|x| x as f32), size.map(|x| x as f32));
+            let ratio = f64::from(view.solid_angle()) / exact.solid_angle();
+            assert!((ratio - 1.0).abs() < 1e-5, "{corner} {size:?}: {ratio}");
+            if view.solid_angle() < MIN_RECTANGLE_SOLID_ANGLE {
+                continue;
+            }
+            // The part left of a sampled point has the share u of the solid angle.
+            for u in [0.01, 0.3, 0.7, 0.999] {
+                let x = f64::from(view.sample([u, 0.6])[0]) * size[0];
+                let left = SphericalRectangle::new(corner, DVec3::X, DVec3::Y, DVec3::Z, [x, size[1]]);
+                let error = (left.solid_angle() / exact.solid_angle() - f64::from(u)).abs();
+                assert!(error < 1e-4, "{corner} {size:?} {u}: {error}");
             }
         }
     }

@@ -12,16 +12,9 @@ pub fn offset_origin(position: Vec3A, error: Vec3A, normal: Vec3A, dir: Vec3A) -
     let distance = normal.abs().dot(error);
     let offset = normal * if dir.dot(normal) < 0.0 { -distance } else { distance };
     let moved = position + offset;
-    let away = |x: f32, o: f32| {
-        if o > 0.0 {
-            x.next_up()
-        } else if o < 0.0 {
-            x.next_down()
-        } else {
-            x
-        }
-    };
-    Vec3A::new(away(moved.x, offset.x), away(moved.y, offset.y), away(moved.z, offset.z))
+    // The sum may be rounded toward the surface, so it is moved on to the next float or the one after it.
+    let step = moved.abs() * f32::EPSILON + Vec3A::splat(f32::MIN_POSITIVE);
+    moved + Vec3A::select(offset.cmpeq(Vec3A::ZERO), Vec3A::ZERO, step.copysign(offset))
 }
 
 /// Returns the open segment between two surface points, each given by (position, error bound, normal), for shadow rays. It hits the

@@ -44,6 +44,8 @@ pub struct World {
     instances: Vec<Instance>,
     /// Tree over the instances; its leaves are instance indices.
     top: Tree,
+    /// Whether an instance moves during the shutter.
+    moves: bool,
     level: Level,
 }
 
@@ -72,7 +74,8 @@ impl World {
             }
         }
         let top = collapse(&boxes, &mut OneInstance(&indices));
-        Self { instances, top, level: Level::detect() }
+        let moves = instances.iter().any(|instance| matches!(instance.transform, InstanceTransform::Moving(_)));
+        Self { instances, top, moves, level: Level::detect() }
     }
 
     /// Returns the world with the portable kernels, for any processor, to test that both kinds of kernels agree.
@@ -80,6 +83,12 @@ impl World {
     pub(crate) fn portable(mut self) -> Self {
         self.level = Level::PORTABLE;
         self
+    }
+
+    /// Returns whether an instance moves during the shutter.
+    #[inline]
+    pub fn moves(&self) -> bool {
+        self.moves
     }
 
     /// Returns the bounds of all surfaces that can be hit during the shutter; empty if there are none.
@@ -114,7 +123,19 @@ impl World {
     }
 
     /// Returns the surface point of `hit`, which `intersect` returned for `ray`.
+    #[inline]
     pub fn interaction(&self, ray: &Ray, hit: &Hit) -> Interaction {
+        let Instance { blas, transform } = &self.instances[hit.instance as usize];
+        match (transform, blas.triangles.get(hit.primitive as usize)) {
+            (InstanceTransform::Identity, Some(vertices)) => {
+                triangle_interaction(&vertices.map(Vec3A::from_array), hit.u, hit.v)
+            }
+            _ => self.placed_interaction(ray, hit),
+        }
+    }
+
+    #[inline(never)]
+    fn placed_interaction(&self, ray: &Ray, hit: &Hit) -> Interaction {
         let blas = &self.instances[hit.instance as usize].blas;
         let place = self.placement(hit.instance, ray.time);
         let local = match blas.triangles.get(hit.primitive as usize) {

@@ -1,13 +1,15 @@
 //! Integer hashes: the source of all randomness except for Sobol points.
 
+use femc_simd::Integers;
+
 /// Mixes 32 bits bijectively (\[wellons2018\], `lowbias32`).
-#[inline]
-pub fn mix32(mut x: u32) -> u32 {
-    x ^= x >> 16;
-    x = x.wrapping_mul(0x7feb_352d);
-    x ^= x >> 15;
-    x = x.wrapping_mul(0x846c_a68b);
-    x ^ (x >> 16)
+#[inline(always)]
+pub fn mix32<I: Integers>(x: I) -> I {
+    let x = x.xor(x.shifted_down::<16>());
+    let x = x.times(x.constant(0x7feb_352d));
+    let x = x.xor(x.shifted_down::<15>());
+    let x = x.times(x.constant(0x846c_a68b));
+    x.xor(x.shifted_down::<16>())
 }
 
 /// Mixes 64 bits bijectively (the finalizer of SplitMix64, \[steele2014\]).

@@ -8,6 +8,7 @@
 //! no state but its dimension counter, so any sample of any pixel can be redrawn anywhere.
 
 use crate::hash::{mix32, mix64, unit_f32};
+use femc_simd::{Integers, Simd, WIDTH};
 
 /// Number of independent parts of a pixel's samples.
 pub const REPLICATES: usize = 4;
@@ -27,29 +28,87 @@ pub struct SampleStream {
     dimension: u32,
 }
 
-/// Reverses the digit order, scrambles each binary digit by the digits above it, and reverses back. `scramble_reversed` skips the
-/// first reversal: its input already has the digits reversed (\[laine2011\], constants of \[vegdahl2021\]).
-#[inline]
-fn scramble_reversed(mut x: u32, seed: u32) -> u32 {
-    x ^= x.wrapping_mul(0x3d20_adea);
-    x = x.wrapping_add(seed);
-    x = x.wrapping_mul((seed >> 16) | 1);
-    x ^= x.wrapping_mul(0x0552_6c56);
-    x ^= x.wrapping_mul(0x53a2_2864);
-    x.reverse_bits()
+/// Scrambles each binary digit of a fraction by the digits above it. The fraction has its digits reversed, before and after
+/// (\[laine2011\], constants of \[vegdahl2021\]).
+#[inline(always)]
+fn scramble_reversed<I: Integers>(x: I, seed: I) -> I {
+    let x = x.xor(x.times(x.constant(0x3d20_adea)));
+    let x = x.plus(seed).times(seed.shifted_down::<16>().or(x.constant(1)));
+    let x = x.xor(x.times(x.constant(0x0552_6c56)));
+    x.xor(x.times(x.constant(0x53a2_2864)))
 }
 
 /// Computes the second Sobol dimension (Pascal's triangle modulo 2) of `index`, as the digit-reversed 32-bit fraction.
-#[inline]
-fn pascal_reversed(index: u32) -> u32 {
+#[inline(always)]
+fn pascal_reversed<I: Integers>(x: I) -> I {
     // Five shift-and-xor steps apply the generator matrix C[i][j] = binomial(j, i) mod 2, least significant digit first.
-    let mut x = index;
-    x ^= (x & 0xaaaa_aaaa) >> 1;
-    x ^= (x & 0xcccc_cccc) >> 2;
-    x ^= (x & 0xf0f0_f0f0) >> 4;
-    x ^= (x & 0xff00_ff00) >> 8;
-    x ^= (x & 0xffff_0000) >> 16;
-    x
+    let x = x.xor(x.and(x.constant(0xaaaa_aaaa)).shifted_down::<1>());
+    let x = x.xor(x.and(x.constant(0xcccc_cccc)).shifted_down::<2>());
+    let x = x.xor(x.and(x.constant(0xf0f0_f0f0)).shifted_down::<4>());
+    let x = x.xor(x.and(x.constant(0xff00_ff00)).shifted_down::<8>());
+    x.xor(x.and(x.constant(0xffff_0000)).shifted_down::<16>())
+}
+
+/// Returns the digit-reversed 32-bit fraction of a number.
+/// - `reversed_index`: index in the replicate with its digits reversed;
+/// - `shuffle`, `seed`: the halves of the dimension's hash.
+#[inline(always)]
+fn scrambled_1d<I: Integers>(reversed_index: I, shuffle: I, seed: I) -> I {
+    // The shuffled index is the digit-reversed form of its radical inverse.
+    scramble_reversed(scramble_reversed(reversed_index, shuffle).reversed(), seed)
+}
+
+/// Returns the digit-reversed 32-bit fractions of a point, as [`scrambled_1d`] does.
+#[inline(always)]
+fn scrambled_2d<I: Integers>(reversed_index: I, shuffle: I, seed: I) -> [I; 2] {
+    let shuffled = scramble_reversed(reversed_index, shuffle).reversed();
+    let other = mix32(seed.xor(seed.constant(0x5bd1_e995)));
+    [scramble_reversed(shuffled, seed), scramble_reversed(pascal_reversed(shuffled), other)]
+}
+
+/// The next number of several streams.
+#[derive(Clone, Debug, Default)]
+pub struct StreamLanes {
+    reversed_index: [u32; WIDTH],
+    shuffle: [u32; WIDTH],
+    seed: [u32; WIDTH],
+}
+
+impl StreamLanes {
+    /// Replaces a stream.
+    /// - `dimension`: dimension of the number.
+    #[inline(always)]
+    pub fn set(&mut self, lane: usize, stream: &SampleStream, dimension: u32) {
+        let hash = stream.hash(dimension);
+        self.reversed_index[lane] = stream.reversed_index;
+        self.shuffle[lane] = hash as u32;
+        self.seed[lane] = (hash >> 32) as u32;
+    }
+
+    #[inline(always)]
+    fn load<S: Simd>(&self, simd: S) -> [S::I; 3] {
+        [simd.integers(&self.reversed_index), simd.integers(&self.shuffle), simd.integers(&self.seed)]
+    }
+
+    /// Draws a number for each stream: [`SampleStream::next_1d`].
+    #[inline(always)]
+    pub fn next_1d<S: Simd>(&self, simd: S) -> S::V {
+        let [reversed_index, shuffle, seed] = self.load(simd);
+        unit_floats(simd, scrambled_1d(reversed_index, shuffle, seed))
+    }
+
+    /// Draws a point for each stream: [`SampleStream::next_2d`].
+    #[inline(always)]
+    pub fn next_2d<S: Simd>(&self, simd: S) -> [S::V; 2] {
+        let [reversed_index, shuffle, seed] = self.load(simd);
+        let [x, y] = scrambled_2d(reversed_index, shuffle, seed);
+        [unit_floats(simd, x), unit_floats(simd, y)]
+    }
+}
+
+#[inline(always)]
+fn unit_floats<S: Simd>(simd: S, reversed: S::I) -> S::V {
+    simd.to_floats(reversed.reversed().shifted_down::<8>()) * simd.splat(1.0 / 16_777_216.0)
 }
 
 impl SampleStream {
@@ -82,24 +141,25 @@ impl SampleStream {
     /// Draws the next number in [0, 1). Takes one dimension.
     #[inline]
     pub fn next_1d(&mut self) -> f32 {
-        let h = mix64(self.key.wrapping_add(u64::from(self.dimension).wrapping_mul(0x9e37_79b9_7f4a_7c15)));
+        let h = self.hash(self.dimension);
         self.dimension += 1;
-        let shuffled = scramble_reversed(self.reversed_index, h as u32);
-        // `shuffled` already is the digit-reversed form of its radical inverse.
-        unit_f32(scramble_reversed(shuffled, (h >> 32) as u32))
+        unit_f32(scrambled_1d(self.reversed_index, h as u32, (h >> 32) as u32).reverse_bits())
     }
 
     /// Draws the next point in [0, 1)^2. Takes two dimensions.
     #[inline]
     pub fn next_2d(&mut self) -> [f32; 2] {
-        let h = mix64(self.key.wrapping_add(u64::from(self.dimension).wrapping_mul(0x9e37_79b9_7f4a_7c15)));
+        let h = self.hash(self.dimension);
         self.dimension += 2;
-        let shuffled = scramble_reversed(self.reversed_index, h as u32);
-        let high = (h >> 32) as u32;
-        [
-            unit_f32(scramble_reversed(shuffled, high)),
-            unit_f32(scramble_reversed(pascal_reversed(shuffled), mix32(high ^ 0x5bd1_e995))),
-        ]
+        let [x, y] = scrambled_2d(self.reversed_index, h as u32, (h >> 32) as u32);
+        // One reversal of 64 digits costs as much as one of 32.
+        let both = (u64::from(x) << 32 | u64::from(y)).reverse_bits();
+        [unit_f32(both as u32), unit_f32((both >> 32) as u32)]
+    }
+
+    #[inline(always)]
+    fn hash(&self, dimension: u32) -> u64 {
+        mix64(self.key.wrapping_add(u64::from(dimension).wrapping_mul(0x9e37_79b9_7f4a_7c15)))
     }
 }
 

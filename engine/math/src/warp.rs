@@ -1,19 +1,20 @@
 //! Maps from the unit square to directions and discs. All densities are per steradian or per unit area.
 
-use crate::elementary::sin_cos;
+use crate::elementary::{sin_cos_of_octant, sin_cos_of_turns};
 use glam::{Vec2, Vec3A};
-use std::f32::consts::{FRAC_1_PI, FRAC_PI_2, FRAC_PI_4, TAU};
+use std::f32::consts::{FRAC_1_PI, FRAC_PI_4};
 
 /// Maps to a uniform point in the unit disc, concentric map (\[shirley1997\]); density 1/pi.
 #[inline]
 pub fn disc(u: [f32; 2]) -> Vec2 {
     let (a, b) = (2.0 * u[0] - 1.0, 2.0 * u[1] - 1.0);
-    if a == 0.0 && b == 0.0 {
-        return Vec2::ZERO;
-    }
-    let (r, phi) = if a.abs() > b.abs() { (a, FRAC_PI_4 * (b / a)) } else { (b, FRAC_PI_2 - FRAC_PI_4 * (a / b)) };
-    let (sin, cos) = sin_cos(phi);
-    Vec2::new(r * cos, r * sin)
+    // The angle is measured from the nearer axis.
+    let along_x = a.abs() > b.abs();
+    let (most, least) = if along_x { (a, b) } else { (b, a) };
+    let ratio = if most == 0.0 { 0.0 } else { least / most };
+    let (sin, cos) = sin_cos_of_octant(FRAC_PI_4 * ratio);
+    let (along, across) = (most * cos, most * sin);
+    if along_x { Vec2::new(along, across) } else { Vec2::new(across, along) }
 }
 
 /// Maps to a cosine-distributed direction about +z; density `cos / pi`.
@@ -39,7 +40,7 @@ pub fn sphere(u: [f32; 2]) -> Vec3A {
 #[inline]
 pub fn direction(cos: f32, u: f32) -> Vec3A {
     let sin = ((1.0 - cos) * (1.0 + cos)).max(0.0).sqrt();
-    let (s, c) = sin_cos(TAU * u);
+    let (s, c) = sin_cos_of_turns(u);
     Vec3A::new(sin * c, sin * s, cos)
 }
 
@@ -48,7 +49,7 @@ pub fn direction(cos: f32, u: f32) -> Vec3A {
 pub fn direction_from_versine(versine: f64, u: f32) -> Vec3A {
     let versine = versine.clamp(0.0, 2.0);
     let sin = (versine * (2.0 - versine)).sqrt() as f32;
-    let (s, c) = sin_cos(TAU * u);
+    let (s, c) = sin_cos_of_turns(u);
     Vec3A::new(sin * c, sin * s, (1.0 - versine) as f32)
 }
 

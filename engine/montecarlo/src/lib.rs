@@ -2,7 +2,7 @@
 //!
 //! Direct light combines two samplers with multiple importance sampling: a light and a point on it, in fog together with a distance
 //! by the scattered amount of that light, and scattering that hits the light. The kernel is monomorphized over the scene's needs
-//! (media or none) and chosen once per tile.
+//! (media or none) and chosen once per tile. A [`Packet`] traces several samples side by side, with the same bits.
 #![deny(missing_docs)]
 
 #[macro_use]
@@ -16,6 +16,7 @@ mod fog;
 mod guided;
 mod medium;
 mod next_event;
+mod packet;
 mod path_state;
 mod receiver;
 mod roulette;
@@ -30,6 +31,7 @@ mod tracer;
 mod window;
 
 pub use first_hit::{FirstSurface, first_surface};
+pub use packet::{Packet, SampleNumber};
 pub use receiver::{Receiver, Sensitivity};
 pub use record::{Recorder, Recording};
 pub use seen_tables::keep_seen_tables;

@@ -102,6 +102,8 @@ pub trait Recorder {
     const WANTS_ZERO_LIGHT: bool = true;
     /// Whether the recorder wants camera rays ([`Self::camera_ray`]).
     const WANTS_CAMERA_RAYS: bool = false;
+    /// Whether the recorder ignores everything. Then samples need not be traced one after the other.
+    const IGNORES_ALL: bool = false;
 
     /// Begins a camera sample and returns the events to report for it.
     /// - `pixel`: row-major index in the whole film;
@@ -140,6 +142,8 @@ pub trait Recorder {
 }
 
 impl Recorder for () {
+    const IGNORES_ALL: bool = true;
+
     #[inline(always)]
     fn begin_sample(&mut self, _: u32, _: u32) -> RecordLevel {
         RecordLevel::End

@@ -8,15 +8,15 @@ use femc_math::Rgb;
 use std::ops::ControlFlow;
 
 /// Number of rays after which Russian roulette may end a path.
-const RR_MIN_RAYS: u32 = 4;
+pub(crate) const RR_MIN_RAYS: u32 = 4;
 /// Threshold of Russian roulette in a scene without media. A path survives with certainty while its weight is at least this. A
 /// threshold of 1 would end paths earlier: on Cornell boxes that costs a quarter more variance and saves 15 % of the work.
-const RR_THRESHOLD: f32 = 0.25;
+pub(crate) const RR_THRESHOLD: f32 = 0.25;
 /// Threshold of Russian roulette in a scene with media. There, later vertices of a path cost more (each also has a segment of fog)
 /// and contribute less.
 const RR_THRESHOLD_IN_MEDIA: f32 = 0.8;
 /// Number of rays after which a path may end even without loss of throughput.
-const LONG_PATH: u32 = 128;
+pub(crate) const LONG_PATH: u32 = 128;
 /// Number of rays after which a long path ends with a higher probability.
 const VERY_LONG_PATH: u32 = 1 << 16;
 

@@ -1,10 +1,10 @@
 //! Scattering of a path at a surface.
 
-use crate::guided::{DirectionSampler, GuidedSample, SurfaceGuide};
+use crate::guided::{DirectionSampler, GuideDirections, GuidedSample, SurfaceGuide};
 use crate::path_state::{PathState, PreviousVertex, SegmentOrigin};
 use crate::record::{
-    BranchEvent, Continuation, Contribution, Decision, Direction, Expectation, InteractionKind, LobeSplit, PathEnd,
-    Recorder, Termination, Vertex, VertexLocation,
+    self, BranchEvent, Continuation, Contribution, Decision, Direction, Expectation, InteractionKind, LobeSplit,
+    PathEnd, Recorder, Termination, VertexLocation,
 };
 use crate::roulette::RouletteRule;
 use crate::surface::SurfaceInteraction;
@@ -41,19 +41,60 @@ impl PathState {
     }
 }
 
-impl<R: Recorder> Tracer<'_, R> {
+/// A vertex of a path at a surface, from its arrival to its departure.
+pub(crate) struct Vertex<'a> {
+    /// The surface.
+    pub surface: SurfaceInteraction<'a>,
+    /// Directions of the guide, and the share of directions to sample from them.
+    guide: Option<(GuideDirections<'a>, f32)>,
+    /// Decision of the weight window.
+    decision: WindowDecision,
+    /// Region of the targets, and the radiance that the field expects to be scattered toward the previous vertex, cd/m2.
+    expected: Option<(u32, Rgb)>,
+    /// Context for which the lamps are weighed.
+    pub light_context: PointContext,
+}
+
+impl Vertex<'_> {
+    /// Returns the sampler of directions.
+    #[inline(always)]
+    pub fn directions(&self) -> DirectionSampler<'_> {
+        let surface = &self.surface;
+        let mut directions = DirectionSampler::new(&surface.bsdf, &surface.frame, surface.wo);
+        if let Some((guide, share)) = &self.guide {
+            directions.add_guide(guide, *share);
+        }
+        directions
+    }
+}
+
+impl<'a, R: Recorder> Tracer<'a, R> {
     /// Adds the direct light on a surface, and the light of the field if paths end there. Then samples the direction in which the
     /// path continues.
     #[inline(always)]
     pub(crate) fn scatter_at_surface<const MEDIA: bool, const RECORD_ALL: bool>(
         &mut self,
         path: &mut PathState,
-        surface: &SurfaceInteraction<'_>,
+        surface: SurfaceInteraction<'a>,
         out: &mut PathSample,
     ) -> ControlFlow<Termination> {
-        let &SurfaceInteraction { hit, ref point, ref bsdf, ref frame, wo, .. } = surface;
+        let vertex = self.begin_vertex::<RECORD_ALL>(path, surface);
+        if let Some(event) = self.sample_next_event::<RECORD_ALL>(path, &vertex) {
+            self.add_next_event::<MEDIA, RECORD_ALL>(path, &vertex, &event, out);
+        }
+        self.leave_vertex::<MEDIA, RECORD_ALL>(path, &vertex, out)
+    }
+
+    /// Creates the vertex of a path at a surface: finds its guide, and decides by the weight window.
+    #[inline(always)]
+    pub(crate) fn begin_vertex<const RECORD_ALL: bool>(
+        &mut self,
+        path: &mut PathState,
+        surface: SurfaceInteraction<'a>,
+    ) -> Vertex<'a> {
+        let SurfaceInteraction { hit, ref point, .. } = surface;
         path.vertices += 1;
-        record!(self.recorder.vertex(|| Vertex {
+        record!(self.recorder.vertex(|| record::Vertex {
             location: VertexLocation::Surface {
                 instance: hit.instance,
                 primitive: hit.primitive,
@@ -63,29 +104,39 @@ impl<R: Recorder> Tracer<'_, R> {
             bounce: path.bounce,
             throughput: path.throughput,
         }));
-        let mut directions = DirectionSampler::new(bsdf, frame, wo);
-        let guide_directions;
+        let mut guide = None;
         let mut decision = WindowDecision::Unknown;
         let mut expected = None;
-        if let Some(guidance) = &self.guidance {
-            let SurfaceGuide { leaf, radiance, region } = SurfaceGuide::new(guidance.field, guidance.targets, surface);
+        if let Some(guidance) = self.guidance {
+            let SurfaceGuide { leaf, radiance, region } = SurfaceGuide::new(guidance.field, guidance.targets, &surface);
             decision = guidance.decide(path, radiance);
             expected = region.map(|region| (region, radiance));
             if let Some(expected) = expected {
                 record!(self.recorder.expectation(|| expectation(expected, path.throughput)));
             }
             if guidance.samples_directions
-                && let Some((guide, share)) = leaf
-                && let Some(found) = guide.directions_at(point.position)
+                && let Some((leaf, share)) = leaf
+                && let Some(found) = leaf.directions_at(point.position)
             {
-                guide_directions = found;
-                directions.add_guide(&guide_directions, share);
+                guide = Some((found, share));
                 self.counters.guided += 1;
             }
         }
         let light_context =
             self.scene.lights.point_context(point.position, surface.lit_side(), surface.lobes(path.ray.dir));
-        self.add_next_event::<MEDIA, RECORD_ALL>(path, surface, &directions, &light_context, out);
+        Vertex { surface, guide, decision, expected, light_context }
+    }
+
+    /// Adds the light of the field if paths end there. Then samples the direction in which the path continues.
+    #[inline(always)]
+    pub(crate) fn leave_vertex<const MEDIA: bool, const RECORD_ALL: bool>(
+        &mut self,
+        path: &mut PathState,
+        vertex: &Vertex<'a>,
+        out: &mut PathSample,
+    ) -> ControlFlow<Termination> {
+        let Vertex { surface, light_context, expected, decision, .. } = vertex;
+        let mut directions = vertex.directions();
         let rest;
         if let Some(field) = self.field {
             let color = path.throughput * field_light(field, surface) * FRAC_1_PI;
@@ -94,13 +145,13 @@ impl<R: Recorder> Tracer<'_, R> {
                 color,
                 path.throughput,
                 path.bounce,
-                point.position
+                surface.point.position
             )));
-            rest = bsdf.without_lambertian();
-            directions = DirectionSampler::new(&rest, frame, wo);
+            rest = surface.bsdf.without_lambertian();
+            directions = DirectionSampler::new(&rest, &surface.frame, surface.wo);
         }
-        let continuing = Continuing { surface, directions: &directions, light_context: &light_context, expected };
-        self.apply_window::<MEDIA, RECORD_ALL>(path, decision, continuing)
+        let continuing = Continuing { surface, directions: &directions, light_context, expected: *expected };
+        self.apply_window::<MEDIA, RECORD_ALL>(path, *decision, continuing)
     }
 
     /// Continues a path from a surface as the weight window has decided: ends it, or splits it into branches.

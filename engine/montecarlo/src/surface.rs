@@ -7,8 +7,10 @@ use femc_math::glam::Vec3A;
 use femc_prepared::media::MediumStack;
 use femc_prepared::{Crossing, KernelMaterial, Orientation, Prepared, ShadingPoint};
 use femc_scattering::Bsdf;
+use std::borrow::Cow;
 
 /// A point that a ray hit, with its BSDF and shading frame.
+#[derive(Clone)]
 pub(crate) struct SurfaceInteraction<'s> {
     /// Instance and primitive.
     pub hit: Hit,
@@ -21,7 +23,7 @@ pub(crate) struct SurfaceInteraction<'s> {
     /// Passage of light straight through the surface.
     pub crossing: Crossing,
     /// BSDF with the texture's color.
-    pub bsdf: Bsdf,
+    pub bsdf: Cow<'s, Bsdf>,
     /// Shading frame.
     pub frame: Frame,
     /// Outgoing direction, toward the ray's origin, local frame.
@@ -36,8 +38,8 @@ impl<'s> SurfaceInteraction<'s> {
         let back = point.normal.dot(ray.dir) > 0.0;
         let crossing = material.crossing[usize::from(back)];
         let bsdf = match material.map_rd {
-            None => material.bsdf,
-            Some(map) => material.textured_bsdf(scene.textures[map as usize].lookup(point.uv)),
+            None => Cow::Borrowed(&material.bsdf),
+            Some(map) => Cow::Owned(material.textured_bsdf(scene.textures[map as usize].lookup(point.uv))),
         };
         let (frame, wo) = local_wo(material, &point, ray.dir);
         Self { hit, point, material, back, crossing, bsdf, frame, wo }

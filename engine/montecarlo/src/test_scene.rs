@@ -12,7 +12,13 @@ const CAMERA: &str = "camera main =\n origin 0 -2.5 0\n target 0 0 0\n up 0 0 1\
 
 /// Prepares a scene. It gets a camera at (0, -2.5, 0) that looks along y.
 pub(crate) fn prepare(text: &str) -> Prepared {
-    let files = [("test.mgf".to_owned(), format!("{CAMERA}{text}").into_bytes())];
+    prepare_with_camera(CAMERA, text)
+}
+
+/// Prepares a scene.
+/// - `camera`: lines of its camera.
+pub(crate) fn prepare_with_camera(camera: &str, text: &str) -> Prepared {
+    let files = [("test.mgf".to_owned(), format!("{camera}{text}").into_bytes())];
     let scene = load_scene(&Bundle(files.into()), "test.mgf").unwrap_or_else(|error| panic!("{error}")).scene;
     let spec = FrameSpec { camera: None, size: None, frame: 1, filter_radius: 0.5 };
     prepare_frame(&SceneSource::new(Arc::new(scene)), &spec, None).unwrap_or_else(|error| panic!("{error}"))

@@ -12,9 +12,10 @@ use crate::technique::MisTechnique;
 use crate::window::{WeightWindow, WindowDecision, frame_light};
 use femc_emission::LightWeights;
 use femc_field::{Field, TargetGuide};
+use femc_geometry::Hit;
 use femc_math::{Rgb, SampleStream};
 use femc_prepared::compile::NONE;
-use femc_prepared::{Crossing, Prepared};
+use femc_prepared::{Crossing, Prepared, ShadingPoint};
 use std::ops::ControlFlow;
 
 /// Settings of paths.
@@ -49,6 +50,17 @@ pub struct TracerCounters {
     pub guided: u64,
 }
 
+impl std::iter::Sum for TracerCounters {
+    fn sum<I: Iterator<Item = Self>>(counters: I) -> Self {
+        counters.fold(Self::default(), |sum, counters| Self {
+            rays: sum.rays + counters.rays,
+            shadow_rays: sum.shadow_rays + counters.shadow_rays,
+            segments: sum.segments + counters.segments,
+            guided: sum.guided + counters.guided,
+        })
+    }
+}
+
 /// The result of one camera sample.
 #[derive(Clone, Copy, Debug)]
 pub struct PathSample {
@@ -58,6 +70,11 @@ pub struct PathSample {
     pub albedo: Rgb,
     /// Distance of the first surface along the view axis, m; infinite if there is none.
     pub depth: f32,
+}
+
+impl PathSample {
+    /// A path that has found no light and no surface.
+    pub(crate) const NOTHING: Self = Self { color: Rgb::ZERO, albedo: Rgb::ZERO, depth: f32::INFINITY };
 }
 
 /// Distribution of the samples of a pixel on the film.
@@ -114,6 +131,9 @@ impl<'a> Guidance<'a> {
 
 /// Position in the middle of the lens.
 const LENS_CENTER: [f32; 2] = [0.5; 2];
+
+/// Time in the middle of the shutter.
+const SHUTTER_CENTER: f32 = 0.5;
 
 /// Tracer of the samples of one frame on one thread.
 /// - `R`: recorder of the paths; `()` records nothing.
@@ -187,6 +207,27 @@ impl<'a, R: Recorder> Tracer<'a, R> {
     #[inline(always)]
     pub fn sample(&mut self, pixel: u32, sample: u32, filter: impl PixelFilter) -> PathSample {
         let record_level = self.recorder.begin_sample(pixel, sample);
+        let (path, camera_light) = self.begin_path(pixel, sample, filter, record_level);
+        // Recorders that only receive the end do not slow the path down.
+        let mut out = match (self.scene.media.is_empty(), record_level) {
+            (true, RecordLevel::End) => self.trace::<false, false>(path),
+            (false, RecordLevel::End) => self.trace::<true, false>(path),
+            (true, RecordLevel::All) => self.trace::<false, true>(path),
+            (false, RecordLevel::All) => self.trace::<true, true>(path),
+        };
+        out.color += camera_light;
+        out
+    }
+
+    /// Creates the path of a sample. Returns it with the light of small emitters that the camera sees, cd/m2.
+    #[inline(always)]
+    pub(crate) fn begin_path(
+        &mut self,
+        pixel: u32,
+        sample: u32,
+        filter: impl PixelFilter,
+        record_level: RecordLevel,
+    ) -> (PathState, Rgb) {
         let mut stream = SampleStream::new(self.settings.seed, self.scene.frame, pixel, sample);
         // A constant for recorders of only the ends of paths.
         let records_all = record_level == RecordLevel::All;
@@ -198,7 +239,8 @@ impl<'a, R: Recorder> Tracer<'a, R> {
         stream.seek(dim::LENS);
         let lens = if self.scene.camera.has_lens() { stream.next_2d() } else { LENS_CENTER };
         stream.seek(dim::TIME);
-        let time = stream.next_1d();
+        let moves = self.scene.camera.moves() || self.scene.world.moves();
+        let time = if moves { stream.next_1d() } else { SHUTTER_CENTER };
         let view = self.scene.camera.view(lens, time);
         let center = self.scene.camera.center(pixel);
         let film_position = [center[0] + offset[0], center[1] + offset[1]];
@@ -230,42 +272,45 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                 camera_light += self.sample_camera_emitter(&from, number, point);
             }
         }
-        let path = PathState::new(ray, origin, self.scene.camera_medium_stack, stream);
-        // Recorders that only receive the end do not slow the path down.
-        let mut out = match (self.scene.media.is_empty(), record_level) {
-            (true, RecordLevel::End) => self.trace::<false, false>(path),
-            (false, RecordLevel::End) => self.trace::<true, false>(path),
-            (true, RecordLevel::All) => self.trace::<false, true>(path),
-            (false, RecordLevel::All) => self.trace::<true, true>(path),
-        };
-        out.color += camera_light;
-        out
+        self.branches = 1;
+        (PathState::new(ray, origin, self.scene.camera_medium_stack, stream), camera_light)
     }
 
     /// Traces a path and all its branches to their ends.
     /// - `MEDIA`: whether the scene has media;
     /// - `RECORD_ALL`: whether the recorder receives all events of this sample ([`RecordLevel::All`]).
     pub(crate) fn trace<const MEDIA: bool, const RECORD_ALL: bool>(&mut self, mut path: PathState) -> PathSample {
-        let mut out = PathSample { color: Rgb::ZERO, albedo: Rgb::ZERO, depth: f32::INFINITY };
-        self.branches = 1;
+        let mut out = PathSample::NOTHING;
         loop {
-            if let ControlFlow::Break(termination) = self.trace_ray::<MEDIA, RECORD_ALL>(&mut path, &mut out) {
-                self.recorder.terminate(termination);
-                // A path with an invalid throughput that found no light afterwards would look dark. The film must count it as a
-                // bad sample.
-                if !path.throughput.is_finite() {
-                    out.color = Rgb::NAN;
-                }
-                let Some(branch) = self.pending.pop() else { break };
-                path = branch;
-                record!(self.recorder.branch(BranchEvent::Resume));
-                // Light that the branch hits with its next ray is weighted against the lights at its latest vertex.
-                if let SegmentOrigin::Surface { light_context, .. } = &path.previous.origin {
-                    self.scene.lights.weigh(light_context, &mut self.surface_weights);
-                }
+            if let ControlFlow::Break(termination) = self.trace_ray::<MEDIA, RECORD_ALL>(&mut path, &mut out)
+                && self.end_path::<RECORD_ALL>(&mut path, termination, &mut out).is_break()
+            {
+                return out;
             }
         }
-        out
+    }
+
+    /// Ends a path, and continues with a branch of its sample. `Break`: there is none.
+    #[inline(always)]
+    pub(crate) fn end_path<const RECORD_ALL: bool>(
+        &mut self,
+        path: &mut PathState,
+        termination: Termination,
+        out: &mut PathSample,
+    ) -> ControlFlow<()> {
+        self.recorder.terminate(termination);
+        // A path with an invalid throughput that found no light afterwards would look dark. The film must count it as a bad sample.
+        if !path.throughput.is_finite() {
+            out.color = Rgb::NAN;
+        }
+        let Some(branch) = self.pending.pop() else { return ControlFlow::Break(()) };
+        *path = branch;
+        record!(self.recorder.branch(BranchEvent::Resume));
+        // Light that the branch hits with its next ray is weighted against the lights at its latest vertex.
+        if let SegmentOrigin::Surface { light_context, .. } = &path.previous.origin {
+            self.scene.lights.weigh(light_context, &mut self.surface_weights);
+        }
+        ControlFlow::Continue(())
     }
 
     /// Traces the next ray of a path to a collision or a surface, and scatters it there.
@@ -275,18 +320,53 @@ impl<'a, R: Recorder> Tracer<'a, R> {
         path: &mut PathState,
         out: &mut PathSample,
     ) -> ControlFlow<Termination> {
-        let scene = self.scene;
+        let hit = self.find_hit(path);
+        match self.reach::<MEDIA, RECORD_ALL>(path, hit, out) {
+            ControlFlow::Continue(at) => self.continue_at::<MEDIA, RECORD_ALL>(path, at, out),
+            ControlFlow::Break(flow) => flow,
+        }
+    }
+
+    /// Scatters a path at a surface that it has reached.
+    #[inline(always)]
+    pub(crate) fn continue_at<const MEDIA: bool, const RECORD_ALL: bool>(
+        &mut self,
+        path: &mut PathState,
+        at: (Hit, ShadingPoint),
+        out: &mut PathSample,
+    ) -> ControlFlow<Termination> {
+        match self.arrive::<MEDIA, RECORD_ALL>(path, at, out) {
+            ControlFlow::Continue(surface) => self.scatter_at_surface::<MEDIA, RECORD_ALL>(path, surface, out),
+            ControlFlow::Break(flow) => flow,
+        }
+    }
+
+    /// Traces the next ray of a path to the closest surface.
+    #[inline(always)]
+    pub(crate) fn find_hit(&mut self, path: &mut PathState) -> Option<Hit> {
         path.begin_ray();
         self.counters.rays += 1;
         self.counters.segments += 1;
-        let hit = scene.world.intersect(&path.ray);
+        self.scene.world.intersect(&path.ray)
+    }
+
+    /// Brings a path to the end of its ray: scatters it in a medium before that, or adds the emission of the surface there. `Break`:
+    /// the path does not reach a surface.
+    #[inline(always)]
+    pub(crate) fn reach<const MEDIA: bool, const RECORD_ALL: bool>(
+        &mut self,
+        path: &mut PathState,
+        hit: Option<Hit>,
+        out: &mut PathSample,
+    ) -> ControlFlow<ControlFlow<Termination>, (Hit, ShadingPoint)> {
+        let scene = self.scene;
         if MEDIA {
             let t_hit = hit.as_ref().map_or(f32::INFINITY, |hit| hit.t);
             if let Some(collision) = self.cross_media::<RECORD_ALL>(path, t_hit, out) {
-                return self.scatter_in_medium::<RECORD_ALL>(path, &collision, out);
+                return ControlFlow::Break(self.scatter_in_medium::<RECORD_ALL>(path, &collision, out));
             }
         }
-        let Some(hit) = hit else { return ControlFlow::Break(path.end(PathEnd::Escaped)) };
+        let Some(hit) = hit else { return ControlFlow::Break(ControlFlow::Break(path.end(PathEnd::Escaped))) };
         let point = scene.shading_point(&path.ray, &hit);
         if point.light != NONE {
             let color = path.throughput * self.emitter_hit(&path.ray, &point, &path.previous);
@@ -301,11 +381,23 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                 position: point.position,
             }));
         }
+        ControlFlow::Continue((hit, point))
+    }
+
+    /// Brings a path to a surface. `Break`: it goes straight through the surface, or ends there.
+    #[inline(always)]
+    pub(crate) fn arrive<const MEDIA: bool, const RECORD_ALL: bool>(
+        &mut self,
+        path: &mut PathState,
+        (hit, point): (Hit, ShadingPoint),
+        out: &mut PathSample,
+    ) -> ControlFlow<ControlFlow<Termination>, SurfaceInteraction<'a>> {
+        let scene = self.scene;
         let surface = SurfaceInteraction::new(scene, &path.ray, hit, point);
         let is_null = matches!(surface.crossing, Crossing::Null { .. });
         if path.awaits_first_surface && !is_null {
             path.awaits_first_surface = false;
-            out.depth = scene.camera.depth(point.position, path.ray.time);
+            out.depth = scene.camera.depth(surface.point.position, path.ray.time);
             out.albedo = path.throughput * surface.bsdf.albedo(surface.wo);
         }
         let is_last = self.settings.is_last(path.bounce);
@@ -314,12 +406,13 @@ impl<'a, R: Recorder> Tracer<'a, R> {
             path.throughput *= surface.crossing.straight_through();
             path.continue_straight(&surface);
             record!(self.recorder.decide(Decision::Roulette, path.bounce, &mut path.stream));
-            return path.roulette::<MEDIA>(RouletteRule::ByWeight).map_break(|termination| Termination {
+            let flow = path.roulette::<MEDIA>(RouletteRule::ByWeight).map_break(|termination| Termination {
                 end: if is_last { PathEnd::Depth } else { termination.end },
                 throughput: before,
                 ..termination
             });
+            return ControlFlow::Break(flow);
         }
-        self.scatter_at_surface::<MEDIA, RECORD_ALL>(path, &surface, out)
+        ControlFlow::Continue(surface)
     }
 }

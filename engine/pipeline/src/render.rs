@@ -2,7 +2,7 @@
 
 use crate::settings::{Method, Settings};
 use femc_film::{AovTile, FilmError, Filter, Rect, Sample, Tile};
-use femc_montecarlo::{Guidance, PathSample, PathSettings, PixelFilter, Recorder, Tracer};
+use femc_montecarlo::{Guidance, Packet, PathSample, PathSettings, PixelFilter, Recorder, Tracer, TracerCounters};
 use femc_paths::LightStatistics;
 use femc_prepared::Prepared;
 use femc_radiosity::VerifyError;
@@ -59,7 +59,34 @@ pub enum RenderError {
 }
 
 /// Rows of pixels rendered by one thread, one after the other, and its tracer.
-type TracedRows<'a, R> = (Vec<Tile>, Tracer<'a, R>);
+type TracedRows<'a, R> = (Vec<Tile>, RowTracer<'a, R>);
+
+/// Tracer of one thread.
+enum RowTracer<'a, R> {
+    /// Traces samples one after the other, with a recorder.
+    Recorded(Box<Tracer<'a, R>>),
+    /// Traces several samples side by side. The recorder ignores everything.
+    Packet(Box<Packet<'a>>, R),
+}
+
+impl<'a, R: Recorder> RowTracer<'a, R> {
+    fn new(task: &RenderTask<'a>, recorder: R) -> Self {
+        let RenderTask { prepared, settings, .. } = *task;
+        if R::IGNORES_ALL {
+            Self::Packet(Box::new(Packet::new(|| frame_tracer(prepared, settings, ()))), recorder)
+        } else {
+            Self::Recorded(Box::new(frame_tracer(prepared, settings, recorder)))
+        }
+    }
+
+    /// Returns the work done, and the recorder.
+    fn finish(self) -> (TracerCounters, R) {
+        match self {
+            Self::Recorded(tracer) => (tracer.counters, tracer.recorder),
+            Self::Packet(packet, recorder) => (packet.counters(), recorder),
+        }
+    }
+}
 
 /// Number of samples of a pixel between two progress updates.
 const STEP: usize = 256;
@@ -77,7 +104,7 @@ impl<'a> RenderTask<'a> {
     ) -> Result<(RenderedTile, Vec<R>), RenderError> {
         // Adjacent rows share a tracer while the same thread renders them.
         let rows = (0..self.rect.height).into_par_iter().try_fold(
-            || (Vec::new(), frame_tracer(self.prepared, self.settings, recorder())),
+            || (Vec::new(), RowTracer::new(self, recorder())),
             |(mut strips, mut tracer), row| {
                 strips.push(self.render_row(&mut tracer, row)?);
                 Ok((strips, tracer))
@@ -89,11 +116,12 @@ impl<'a> RenderTask<'a> {
         let mut recorders = Vec::with_capacity(runs.len());
         for run in runs {
             let (strips, tracer) = run?;
+            let (counters, recorder) = tracer.finish();
             tiles.extend(strips);
-            rays += tracer.counters.rays;
-            shadow_rays += tracer.counters.shadow_rays;
-            guided_vertices += tracer.counters.guided;
-            recorders.push(tracer.recorder);
+            rays += counters.rays;
+            shadow_rays += counters.shadow_rays;
+            guided_vertices += counters.guided;
+            recorders.push(recorder);
         }
         let mut tile = Tile::from_strips(self.rect, self.samples.clone(), tiles)?;
         tile.add_rays(rays + shadow_rays);
@@ -101,21 +129,56 @@ impl<'a> RenderTask<'a> {
         Ok((RenderedTile { tile, aovs, statistics: None, rays, shadow_rays, guided_vertices }, recorders))
     }
 
-    fn render_row<R: Recorder>(&self, tracer: &mut Tracer<'_, R>, row: u32) -> Result<Tile, RenderError> {
+    fn render_row<R: Recorder>(&self, tracer: &mut RowTracer<'a, R>, row: u32) -> Result<Tile, RenderError> {
         let strip = Rect { y: self.rect.y + row, height: 1, ..self.rect };
         let mut tile = Tile::new(strip, self.samples.clone())?;
-        for x in strip.x..strip.x + strip.width {
-            // Reports progress also within a pixel of very many samples.
-            for begin in self.samples.clone().step_by(STEP) {
-                let step = begin..self.samples.end.min(begin.saturating_add(STEP as u32));
-                let count = u64::from(step.end - step.start);
-                self.render_pixel(tracer, &mut tile, [x, strip.y], step)?;
-                if let Some(progress) = self.progress {
-                    progress.fetch_add(count, Ordering::Relaxed);
+        match tracer {
+            RowTracer::Packet(packet, _) => self.render_packets(packet, &mut tile, strip)?,
+            RowTracer::Recorded(tracer) => {
+                for x in strip.x..strip.x + strip.width {
+                    // Reports progress also within a pixel of very many samples.
+                    for begin in self.samples.clone().step_by(STEP) {
+                        let step = begin..self.samples.end.min(begin.saturating_add(STEP as u32));
+                        let count = u64::from(step.end - step.start);
+                        self.render_pixel(tracer, &mut tile, [x, strip.y], step)?;
+                        self.report(count);
+                    }
                 }
             }
         }
         Ok(tile)
+    }
+
+    /// Counts finished samples.
+    fn report(&self, count: u64) {
+        if let Some(progress) = self.progress {
+            progress.fetch_add(count, Ordering::Relaxed);
+        }
+    }
+
+    fn is_cancelled(&self) -> bool {
+        self.cancel.is_some_and(|cancel| cancel.load(Ordering::Relaxed))
+    }
+
+    /// Renders the samples of a row of pixels.
+    fn render_packets(&self, packet: &mut Packet<'a>, tile: &mut Tile, strip: Rect) -> Result<(), RenderError> {
+        let first = strip.y * self.prepared.camera.film[0];
+        let pixels = first + strip.x..first + strip.x + strip.width;
+        let samples = pixels.flat_map(|pixel| self.samples.clone().map(move |sample| (pixel, sample)));
+        let mut finished = 0;
+        packet.trace(
+            samples.take_while(|_| !self.is_cancelled()),
+            FilterAdapter(self.settings.filter),
+            |(pixel, index), drawn| {
+                tile.add(pixel - first, strip.y, index, &film_sample(&drawn));
+                finished += 1;
+                if finished == STEP as u64 {
+                    self.report(std::mem::take(&mut finished));
+                }
+            },
+        );
+        self.report(finished);
+        if self.is_cancelled() { Err(RenderError::Cancelled) } else { Ok(()) }
     }
 
     fn render_pixel<R: Recorder>(
@@ -127,7 +190,7 @@ impl<'a> RenderTask<'a> {
     ) -> Result<(), RenderError> {
         let pixel = y * self.prepared.camera.film[0] + x;
         for index in samples {
-            if self.cancel.is_some_and(|cancel| cancel.load(Ordering::Relaxed)) {
+            if self.is_cancelled() {
                 return Err(RenderError::Cancelled);
             }
             let drawn = tracer.sample(pixel, index, FilterAdapter(self.settings.filter));

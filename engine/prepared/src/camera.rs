@@ -158,6 +158,12 @@ impl KernelCamera {
         view
     }
 
+    /// Checks whether the views depend on the time in the shutter.
+    #[inline]
+    pub fn moves(&self) -> bool {
+        self.poses.len() > 1
+    }
+
     /// Checks whether the views depend on the position on the lens.
     #[inline]
     pub fn has_lens(&self) -> bool {

@@ -3,7 +3,7 @@
 use crate::compile::{Emitter, EmitterShape, NONE};
 use crate::texture::Texture;
 use femc_emission::light::{
-    Cone, Parallelogram, PhotometricPoint, PhotometricSolid, Ring, Solid, Sphere, Torus, Triangle,
+    Cone, Parallelogram, PhotometricPoint, PhotometricSolid, Ring, Solid, Sphere, Torus, Triangle, UniformRectangle,
 };
 use femc_emission::{
     AngularProfile, BsdfLobes, Emission, EmissionCone, EmittingSides, IntensityDistribution, Light, LightBounds,
@@ -238,6 +238,17 @@ impl Lights {
         }
         let both = emission.sides == EmittingSides::Two;
         Some((corners, emission.radiance(1.0), both))
+    }
+
+    /// Returns the sole light of the scene if it is a stationary rectangle of the same radiance everywhere, and the maximum distance
+    /// of the traced surface from it, m.
+    pub fn sole_rectangle(&self) -> Option<(UniformRectangle, f32)> {
+        let sole = self.sampler.sole()? as usize;
+        let instance = &self.instances[sole];
+        let Light::Parallelogram(parallelogram) = &self.lights[sole] else { return None };
+        let is_plain = instance.moving_instance == NONE && instance.texture == NONE;
+        let rectangle = parallelogram.uniform_rectangle().filter(|_| is_plain)?;
+        Some((rectangle, instance.position_error))
     }
 
     /// Samples the point of a stationary flat light that is seen from `reference` in direction `dir` (unit), with density 1.

@@ -1,10 +1,10 @@
 //! The AVX2 instruction set: one register per vector, no fused multiply-add.
 
-use super::{Kernel, Lanes, Simd, Vector, WIDTH, sealed::Sealed};
+use super::{Integers, Kernel, Lanes, Simd, Vector, WIDTH, sealed::Sealed};
 use std::{
     arch::x86_64::*,
     mem::MaybeUninit,
-    ops::{Add, BitAnd, BitOr, Div, Mul, Sub},
+    ops::{Add, BitAnd, BitOr, BitXor, Div, Mul, Sub},
 };
 
 /// Token that proves that the processor has AVX2 and the bit instructions that come with it.
@@ -13,6 +13,9 @@ pub struct Token(());
 
 #[derive(Clone, Copy)]
 pub struct Floats(__m256);
+
+#[derive(Clone, Copy)]
+pub struct Whole(__m256i);
 
 /// Table of lane numbers: entry `m` lists the set bits of `m`, one lane number per byte.
 static COMPRESS: [u64; 256] = {
@@ -73,6 +76,7 @@ operators! {
     Div div _mm256_div_ps;
     BitAnd bitand _mm256_and_ps;
     BitOr bitor _mm256_or_ps;
+    BitXor bitxor _mm256_xor_ps;
 }
 
 macro_rules! methods {
@@ -117,10 +121,89 @@ impl Vector for Floats {
     }
 }
 
+macro_rules! integer_methods {
+    ($($method:ident $intrinsic:ident;)*) => {$(
+        #[inline(always)]
+        fn $method(self, other: Self) -> Self {
+            // SAFETY: a vector can only be made from a token, which proves AVX2.
+            Self(unsafe { $intrinsic(self.0, other.0) })
+        }
+    )*};
+}
+
+impl Integers for Whole {
+    integer_methods! {
+        plus _mm256_add_epi32;
+        times _mm256_mullo_epi32;
+        and _mm256_and_si256;
+        or _mm256_or_si256;
+        xor _mm256_xor_si256;
+    }
+    #[inline(always)]
+    fn constant(self, value: u32) -> Self {
+        // SAFETY: a vector can only be made from a token, which proves AVX2.
+        Self(unsafe { _mm256_set1_epi32(value.cast_signed()) })
+    }
+    #[inline(always)]
+    fn shifted_up<const BITS: i32>(self) -> Self {
+        // SAFETY: a vector can only be made from a token, which proves AVX2.
+        Self(unsafe { _mm256_slli_epi32::<BITS>(self.0) })
+    }
+    #[inline(always)]
+    fn shifted_down<const BITS: i32>(self) -> Self {
+        // SAFETY: a vector can only be made from a token, which proves AVX2.
+        Self(unsafe { _mm256_srli_epi32::<BITS>(self.0) })
+    }
+    #[inline(always)]
+    fn reversed(self) -> Self {
+        // SAFETY: a vector can only be made from a token, which proves AVX2.
+        unsafe {
+            let nibble = _mm256_set1_epi8(15);
+            // Bits of a nibble in reverse order, and the same in the upper half of a byte.
+            let low = _mm256_setr_epi8(
+                0, 8, 4, 12, 2, 10, 6, 14, 1, 9, 5, 13, 3, 11, 7, 15, 0, 8, 4, 12, 2, 10, 6, 14, 1, 9, 5, 13, 3, 11, 7,
+                15,
+            );
+            let high = _mm256_slli_epi32::<4>(low);
+            let upper = _mm256_and_si256(_mm256_srli_epi32::<4>(self.0), nibble);
+            let bytes = _mm256_or_si256(
+                _mm256_shuffle_epi8(high, _mm256_and_si256(self.0, nibble)),
+                _mm256_shuffle_epi8(low, upper),
+            );
+            let order = _mm256_setr_epi8(
+                3, 2, 1, 0, 7, 6, 5, 4, 11, 10, 9, 8, 15, 14, 13, 12, 3, 2, 1, 0, 7, 6, 5, 4, 11, 10, 9, 8, 15, 14, 13,
+                12,
+            );
+            Self(_mm256_shuffle_epi8(bytes, order))
+        }
+    }
+}
+
 impl Sealed for Token {}
 
 impl Simd for Token {
     type V = Floats;
+    type I = Whole;
+    #[inline(always)]
+    fn integers(self, lanes: &[u32; WIDTH]) -> Whole {
+        // SAFETY: the token proves AVX2; `lanes` holds eight u32.
+        Whole(unsafe { _mm256_loadu_si256(lanes.as_ptr().cast()) })
+    }
+    #[inline(always)]
+    fn to_floats(self, integers: Whole) -> Floats {
+        // SAFETY: the token proves AVX2.
+        Floats(unsafe { _mm256_cvtepi32_ps(integers.0) })
+    }
+    #[inline(always)]
+    fn bits(self, floats: Floats) -> Whole {
+        // SAFETY: the token proves AVX2.
+        Whole(unsafe { _mm256_castps_si256(floats.0) })
+    }
+    #[inline(always)]
+    fn with_bits(self, bits: Whole) -> Floats {
+        // SAFETY: the token proves AVX2.
+        Floats(unsafe { _mm256_castsi256_ps(bits.0) })
+    }
     #[inline(always)]
     fn splat(self, x: f32) -> Floats {
         // SAFETY: the token proves AVX2.

@@ -1,4 +1,4 @@
-//! Vectors of eight floats, and the choice of the instruction set at run time.
+//! Vectors of eight floats or integers, and the choice of the instruction set at run time.
 //!
 //! A [`Level`] holds the token of the best instruction set that the processor has. Vectors can only be made from a token, so code
 //! for an instruction set cannot be reached without it. All instruction sets do the same IEEE operations (no fused multiply-add),
@@ -11,7 +11,7 @@ mod avx2;
 mod portable;
 
 use std::mem::MaybeUninit;
-use std::ops::{Add, BitAnd, BitOr, Div, Mul, Sub};
+use std::ops::{Add, BitAnd, BitOr, BitXor, Div, Mul, Sub};
 
 /// Number of lanes of a vector.
 pub const WIDTH: usize = 8;
@@ -35,6 +35,7 @@ pub trait Vector:
     + Div<Output = Self>
     + BitAnd<Output = Self>
     + BitOr<Output = Self>
+    + BitXor<Output = Self>
 {
     /// Returns the lesser of each pair of lanes.
     fn min(self, other: Self) -> Self;
@@ -56,11 +57,82 @@ pub trait Vector:
     fn lanes(self) -> Lanes;
 }
 
+/// One integer of 32 bits, or eight. Arithmetic wraps.
+pub trait Integers: Copy {
+    /// Returns `value` in each lane.
+    fn constant(self, value: u32) -> Self;
+    /// Returns the sum.
+    fn plus(self, other: Self) -> Self;
+    /// Returns the lower half of the product.
+    fn times(self, other: Self) -> Self;
+    /// Returns the bits that are set in both.
+    fn and(self, other: Self) -> Self;
+    /// Returns the bits that are set in any of both.
+    fn or(self, other: Self) -> Self;
+    /// Returns the bits that are set in one of both.
+    fn xor(self, other: Self) -> Self;
+    /// Shifts toward higher bits.
+    fn shifted_up<const BITS: i32>(self) -> Self;
+    /// Shifts toward lower bits, and fills with 0.
+    fn shifted_down<const BITS: i32>(self) -> Self;
+    /// Returns the bits in reverse order.
+    fn reversed(self) -> Self;
+}
+
+impl Integers for u32 {
+    #[inline(always)]
+    fn constant(self, value: u32) -> Self {
+        value
+    }
+    #[inline(always)]
+    fn plus(self, other: Self) -> Self {
+        self.wrapping_add(other)
+    }
+    #[inline(always)]
+    fn times(self, other: Self) -> Self {
+        self.wrapping_mul(other)
+    }
+    #[inline(always)]
+    fn and(self, other: Self) -> Self {
+        self & other
+    }
+    #[inline(always)]
+    fn or(self, other: Self) -> Self {
+        self | other
+    }
+    #[inline(always)]
+    fn xor(self, other: Self) -> Self {
+        self ^ other
+    }
+    #[inline(always)]
+    fn shifted_up<const BITS: i32>(self) -> Self {
+        self << BITS
+    }
+    #[inline(always)]
+    fn shifted_down<const BITS: i32>(self) -> Self {
+        self >> BITS
+    }
+    #[inline(always)]
+    fn reversed(self) -> Self {
+        self.reverse_bits()
+    }
+}
+
 /// An instruction set. Only this crate can implement it: the caller's `unsafe` code trusts the number that [`Simd::compress`]
 /// returns.
 pub trait Simd: Copy + sealed::Sealed {
     /// Vector type of this instruction set.
     type V: Vector;
+    /// Vector of integers.
+    type I: Integers;
+    /// Loads integers from memory.
+    fn integers(self, lanes: &[u32; WIDTH]) -> Self::I;
+    /// Converts integers below 2^31 to floats, with rounding.
+    fn to_floats(self, integers: Self::I) -> Self::V;
+    /// Returns the bits of floats.
+    fn bits(self, floats: Self::V) -> Self::I;
+    /// Returns the floats with these bits.
+    fn with_bits(self, bits: Self::I) -> Self::V;
     /// Makes a vector with `x` in every lane.
     fn splat(self, x: f32) -> Self::V;
     /// Loads lanes from memory.
@@ -150,11 +222,33 @@ mod tests {
                 a.sqrt(),
                 less.select(a, b),
                 simd.splat(3.0) * a,
+                a ^ simd.splat(-0.0),
             ];
             // The bits of a NaN may differ between instruction sets, but NaN must stay NaN.
             let bits = |x: f32| u64::from(if x.is_nan() { u32::MAX } else { x.to_bits() });
             let mut out: Vec<_> = vectors.iter().flat_map(|v| v.lanes().0.map(bits)).collect();
             out.push(u64::from(less.signs()));
+            let (i, j) =
+                (simd.bits(a), simd.integers(&[0, 1, u32::MAX, 0x8000_0001, 12_345, 0x00ff_00ff, 77, 1 << 24]));
+            let integers = [
+                i.constant(9),
+                i.plus(j),
+                i.times(j),
+                i.and(j),
+                i.or(j),
+                i.xor(j),
+                j.shifted_up::<5>(),
+                j.shifted_down::<5>(),
+                i.xor(j).reversed(),
+                simd.bits(simd.to_floats(i.shifted_down::<1>())),
+            ];
+            for v in integers {
+                // Halves of the bits are whole numbers that a float holds exactly.
+                for half in [v.and(v.constant(0xffff)), v.shifted_down::<16>()] {
+                    out.extend(simd.to_floats(half).lanes().0.map(|x| u64::from(x as u32)));
+                }
+                out.push(u64::from(simd.with_bits(v).signs()));
+            }
             for mask in 0..256 {
                 let mut room = [const { MaybeUninit::uninit() }; WIDTH];
                 let count = simd.compress(mask, a, &[0, 1, 2, 3, 4, 5, 6, 7], &mut room);

@@ -1,8 +1,8 @@
 //! The portable instruction set: plain arrays, which the compiler vectorizes where it can (SSE2, NEON).
 
-use super::{Lanes, Simd, Vector, WIDTH, sealed::Sealed};
+use super::{Integers, Lanes, Simd, Vector, WIDTH, sealed::Sealed};
 use std::mem::MaybeUninit;
-use std::ops::{Add, BitAnd, BitOr, Div, Mul, Sub};
+use std::ops::{Add, BitAnd, BitOr, BitXor, Div, Mul, Sub};
 
 /// Plain arrays, which the compiler vectorizes where it can.
 #[derive(Clone, Copy, Debug)]
@@ -10,6 +10,48 @@ pub struct Token;
 
 #[derive(Clone, Copy)]
 pub struct Floats([f32; WIDTH]);
+
+#[derive(Clone, Copy)]
+pub struct Whole([u32; WIDTH]);
+
+impl Integers for Whole {
+    #[inline(always)]
+    fn constant(self, value: u32) -> Self {
+        Self([value; WIDTH])
+    }
+    #[inline(always)]
+    fn plus(self, other: Self) -> Self {
+        Self(std::array::from_fn(|i| self.0[i].plus(other.0[i])))
+    }
+    #[inline(always)]
+    fn times(self, other: Self) -> Self {
+        Self(std::array::from_fn(|i| self.0[i].times(other.0[i])))
+    }
+    #[inline(always)]
+    fn and(self, other: Self) -> Self {
+        Self(std::array::from_fn(|i| self.0[i].and(other.0[i])))
+    }
+    #[inline(always)]
+    fn or(self, other: Self) -> Self {
+        Self(std::array::from_fn(|i| self.0[i].or(other.0[i])))
+    }
+    #[inline(always)]
+    fn xor(self, other: Self) -> Self {
+        Self(std::array::from_fn(|i| self.0[i].xor(other.0[i])))
+    }
+    #[inline(always)]
+    fn shifted_up<const BITS: i32>(self) -> Self {
+        Self(self.0.map(|x| x << BITS))
+    }
+    #[inline(always)]
+    fn shifted_down<const BITS: i32>(self) -> Self {
+        Self(self.0.map(|x| x >> BITS))
+    }
+    #[inline(always)]
+    fn reversed(self) -> Self {
+        Self(self.0.map(u32::reverse_bits))
+    }
+}
 
 #[inline(always)]
 fn zip(a: Floats, b: Floats, f: impl Fn(f32, f32) -> f32) -> Floats {
@@ -40,6 +82,7 @@ operators! {
     Div div |a, b| a / b;
     BitAnd bitand |a, b| f32::from_bits(a.to_bits() & b.to_bits());
     BitOr bitor |a, b| f32::from_bits(a.to_bits() | b.to_bits());
+    BitXor bitxor |a, b| f32::from_bits(a.to_bits() ^ b.to_bits());
 }
 
 impl Vector for Floats {
@@ -85,6 +128,23 @@ impl Sealed for Token {}
 
 impl Simd for Token {
     type V = Floats;
+    type I = Whole;
+    #[inline(always)]
+    fn integers(self, lanes: &[u32; WIDTH]) -> Whole {
+        Whole(*lanes)
+    }
+    #[inline(always)]
+    fn to_floats(self, integers: Whole) -> Floats {
+        Floats(integers.0.map(|x| x as f32))
+    }
+    #[inline(always)]
+    fn bits(self, floats: Floats) -> Whole {
+        Whole(floats.0.map(f32::to_bits))
+    }
+    #[inline(always)]
+    fn with_bits(self, bits: Whole) -> Floats {
+        Floats(bits.0.map(f32::from_bits))
+    }
     #[inline(always)]
     fn splat(self, x: f32) -> Floats {
         Floats([x; WIDTH])

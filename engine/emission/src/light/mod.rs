@@ -19,7 +19,7 @@ use femc_math::color::luminance;
 use femc_math::elementary::double;
 use femc_math::glam::{DVec3, Vec3A};
 use femc_math::{Rgb, cross, gamma};
-pub use parallelogram::Parallelogram;
+pub use parallelogram::{Parallelogram, UniformRectangle};
 pub use photometric_point::PhotometricPoint;
 pub use photometric_solid::{Face, PhotometricSolid, Solid};
 pub use ring::Ring;
@@ -294,6 +294,42 @@ fn flat_cone(normal: Vec3A, emission: &Emission) -> EmissionCone {
 fn area_pdf(area: f64, distance2: f64, cos: f64) -> f32 {
     let pdf = (distance2 / (area * cos.abs())) as f32;
     if pdf.is_finite() { pdf } else { 0.0 }
+}
+
+/// Returns the density over solid angle of a point drawn uniformly over `area` m2; 0 if it is not finite.
+#[inline]
+fn single_area_pdf(area: f32, distance2: f32, cos: f32) -> f32 {
+    let pdf = distance2 / (area * cos.abs());
+    if pdf.is_finite() { pdf } else { 0.0 }
+}
+
+/// Assembles a sample at a point of a flat light, in single precision.
+/// - `position`: sum of a point and of two products, of which no part is larger than `scale` by axis, m;
+/// - `pdf`: density, 1/sr, for the squared distance, m2, and the cosine at the light;
+/// - `radiance`: radiance for that cosine, cd/m2.
+#[inline]
+fn sample_of_point(
+    reference: Vec3A,
+    position: Vec3A,
+    normal: Vec3A,
+    scale: Vec3A,
+    pdf: impl FnOnce(f32, f32) -> f32,
+    radiance: impl FnOnce(f32) -> Rgb,
+    uv: [f32; 2],
+) -> Option<LightSample> {
+    let between = position - reference;
+    let distance2 = between.length_squared();
+    let distance = distance2.sqrt();
+    let dir = between / distance;
+    let cos = dir.dot(normal);
+    let (pdf, radiance) = (pdf(distance2, cos), radiance(-cos));
+    // A reference at the light itself, or too far away, has no direction.
+    let is_lit = pdf > 0.0 && pdf.is_finite() && distance2 > 0.0 && distance2.is_finite();
+    if !is_lit || radiance == Rgb::ZERO {
+        return None;
+    }
+    let error = (position.abs() + scale) * gamma(5);
+    Some(LightSample { dir, distance, position, normal, error, radiance, pdf, delta: DeltaKind::No, uv })
 }
 
 /// Returns direction and distance from `reference` to `position`, in double precision.

@@ -74,6 +74,12 @@ impl LightSampler {
         self.nodes.is_empty()
     }
 
+    /// Returns the only light that can be chosen; `None` if there are several, or none.
+    #[inline]
+    pub fn sole(&self) -> Option<u32> {
+        self.sole
+    }
+
     /// Computes the weights of the lights for `context`.
     #[inline]
     pub fn weigh(&self, context: &impl LightSampleContext, weights: &mut LightWeights) {

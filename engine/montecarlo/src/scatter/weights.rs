@@ -219,7 +219,7 @@ impl Tally {
         let sampled = |technique| {
             let (mut tracer, mut out) =
                 (tracer(technique), PathSample { color: Rgb::ZERO, albedo: Rgb::ZERO, depth: f32::INFINITY });
-            let _ = tracer.scatter_at_surface::<false, false>(&mut path.clone(), surface, &mut out);
+            let _ = tracer.scatter_at_surface::<false, false>(&mut path.clone(), surface.clone(), &mut out);
             (tracer, out.color)
         };
         let (mut all, light_of_all) = sampled(None);

@@ -118,8 +118,17 @@ fn frame_statistics(prepared: &Prepared, settings: &Settings, ends: &[u32]) -> L
 
 #[test]
 fn statistics_change_no_bit_of_a_tile_and_hold_all_laws() {
-    for text in [ROOM.to_owned(), format!("{FOG}{ROOM}")] {
-        let (settings, prepared) = (settings(), prepared(&text, &settings()));
+    let small = |method| Settings { method, size: Some([24, 16]), ..settings() };
+    let cases = [
+        (ROOM.to_owned(), settings()),
+        (format!("{FOG}{ROOM}"), settings()),
+        (include_str!("../../../../scenes/cornell.mgf").to_owned(), small(Method::Pt)),
+        (include_str!("../../../../scenes/glossy.mgf").to_owned(), small(Method::Pt)),
+        (include_str!("../../../../scenes/glossy.mgf").to_owned(), small(Method::Femc)),
+        (GAP.to_owned(), guided_settings()),
+    ];
+    for (text, settings) in cases {
+        let prepared = prepared(&text, &settings);
         for rect in tiling(&prepared).rects() {
             let alone = RenderTask::new(&prepared, &settings, rect, 0..8).render(Outputs::default()).unwrap().tile;
             let (tile, statistics) = render_tile_statistics(&prepared, &settings, rect, 0..8);

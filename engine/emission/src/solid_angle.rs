@@ -1,8 +1,8 @@
 //! Triangles and rectangles seen from a point: solid angle, and uniform points over it.
 //!
 //! The reference point is already subtracted. One arc tangent gives the solid angle. Sines and cosines of the spherical angles come
-//! from the edges' plane normals, so a sample costs only one more sine-cosine. Computations use double precision, except those of
-//! [`RectangleView`].
+//! from the edges' plane normals, so a sample costs only one more sine-cosine. [`RectangleView`] computes in single precision, all else in
+//! double precision.
 
 use femc_math::elementary::double::{atan2, sin_cos};
 use femc_math::elementary::{fast_atan2, sin_cos_of_turns};

@@ -1,8 +1,8 @@
 //! Shared mathematics: the glam re-export, elementary functions with the same bits on every machine, orthonormal frames, warps,
 //! counter-based randomness and scrambled Sobol points.
 //!
-//! Everything here is a pure function of its arguments. Transcendental functions come from the `libm` crate (see [`elementary`])
-//! and never from the platform, so all machines of a mixed farm render the same picture.
+//! Everything here is a pure function of its arguments. Transcendental functions come from the `libm` crate or are polynomials
+//! (see [`elementary`]). They never come from the platform, so all machines of a mixed farm render the same picture.
 #![deny(missing_docs)]
 
 pub mod color;

@@ -304,7 +304,8 @@ fn single_area_pdf(area: f32, distance2: f32, cos: f32) -> f32 {
 }
 
 /// Assembles a sample at a point of a flat light, in single precision.
-/// - `position`: sum of a point and of two products, of which no part is larger than `scale` by axis, m;
+/// - `position`: point of the light, m, computed as a corner plus a multiple of each edge;
+/// - `scale`: upper bound of the corner's and the multiples' coordinates, m;
 /// - `pdf`: density, 1/sr, for the squared distance, m2, and the cosine at the light;
 /// - `radiance`: radiance for that cosine, cd/m2.
 #[inline]

@@ -1,7 +1,8 @@
 //! A parallelogram, front side `edge_u x edge_v`.
 //!
 //! A rectangle is sampled uniformly over its solid angle (\[urena2013\]). Any other parallelogram is sampled as the two triangles
-//! of its diagonal, one of which is chosen by solid angle, in double precision. The limits are those of [`crate::solid_angle`].
+//! of its diagonal, one of which is chosen by solid angle. The triangles are computed in double precision. The limits are those of
+//! [`crate::solid_angle`].
 
 use super::triangle::sample_facing_hemisphere;
 use super::{LightSample, bounding_box, intersect_plane, sample_of_point, single_area_pdf};

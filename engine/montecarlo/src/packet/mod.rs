@@ -3,8 +3,7 @@
 //! Each lane traces one sample after the other. A ray is traced as in [`Tracer::sample`]. Where it reaches a matte or rough surface,
 //! the path waits for the other lanes. Light and direction are then computed for all of them at a time ([`vertices`]). Any other
 //! vertex is computed by the lane's own tracer. Lanes do the same operations as the tracer, in the same order, so samples are equal
-//! to the bit to those traced one by one. A guided
-//! path leaves a surface by its own tracer. Scenes with media or clear surfaces and recorded paths have no lanes yet.
+//! to the bit to those traced one by one. Scenes with media or clear surfaces, guided paths and recorded paths have no lanes.
 
 mod rectangle;
 mod vectors;
@@ -14,8 +13,6 @@ use crate::dimensions as dim;
 use crate::path_state::{PathState, PreviousVertex, SegmentOrigin};
 use crate::record::{PathEnd, RecordLevel, Termination};
 use crate::roulette::LONG_PATH;
-use crate::scatter::Vertex;
-use crate::surface::SurfaceInteraction;
 use crate::tracer::{PathSample, PixelFilter, Tracer, TracerCounters};
 use crate::window::DirectionNumbers;
 use femc_emission::{BsdfLobes, PointContext};
@@ -51,8 +48,6 @@ struct Lane<'a> {
     camera_light: Rgb,
     /// BSDF of the rough surface at which the path waits.
     rough: Option<&'a Bsdf>,
-    /// Guided vertex at which the path waits.
-    guided: Option<Vertex<'a>>,
     /// Context for which the lamps were weighed there.
     light_context: PointContext,
 }
@@ -74,7 +69,7 @@ impl<'a> Packet<'a> {
     /// - `tracer`: creates the tracer of a lane.
     pub fn new(tracer: impl Fn() -> Tracer<'a>) -> Self {
         let first = tracer();
-        let is_plain = first.field.is_none() && first.settings.single_technique.is_none();
+        let is_plain = first.guidance.is_none() && first.field.is_none() && first.settings.single_technique.is_none();
         let scene = if is_plain { LaneScene::new(first.scene) } else { None };
         // Lanes without a common step would only wait for each other.
         let width = if scene.is_some() { WIDTH } else { 1 };
@@ -85,7 +80,6 @@ impl<'a> Packet<'a> {
             out: PathSample::NOTHING,
             camera_light: Rgb::ZERO,
             rough: None,
-            guided: None,
             light_context: NO_CONTEXT,
         };
         Self { lanes: std::iter::repeat_with(lane).take(width).collect(), scene, vertices: Vertices::default() }
@@ -148,7 +142,7 @@ impl<'a> Packet<'a> {
         if vertices.used == 0 {
             return goes_on;
         }
-        let (to_evaluate, hard) = vertices.sample_lamps(scene);
+        let (to_evaluate, unsampled) = vertices.sample_lamps(scene);
         for index in bits(to_evaluate) {
             lanes[index].evaluate(index, vertices);
         }
@@ -159,7 +153,7 @@ impl<'a> Packet<'a> {
             let ray = vertices.shadow_ray(index, path.ray.time);
             visible |= u32::from(!tracer.scene.world.occluded(&ray)) << index;
         }
-        for index in bits(vertices.rough & !vertices.guided) {
+        for index in bits(vertices.rough) {
             lanes[index].sample_direction(index, vertices);
         }
         let continuing = vertices.leave(scene, visible);
@@ -167,7 +161,7 @@ impl<'a> Packet<'a> {
             let flow = lanes[index].leave(index, vertices, continuing >> index & 1 == 1);
             lanes[index].advance(flow, samples);
         }
-        for index in bits(hard) {
+        for index in bits(unsampled) {
             let flow = lanes[index].scatter_again();
             lanes[index].advance(flow, samples);
         }
@@ -238,11 +232,6 @@ impl Lane<'_> {
             Scattering::Matte { .. } => None,
             Scattering::Rough(bsdf) => Some(bsdf),
         };
-        if tracer.guidance.is_some() {
-            let surface = SurfaceInteraction::new(tracer.scene, &path.ray, at.0, at.1);
-            self.guided = Some(tracer.begin_vertex::<false>(path, surface));
-            vertices.guided |= 1 << index;
-        }
         // A sole lamp is chosen without regard to the surface.
         if scene.lamp.is_none() {
             let lobes = self.rough.and_then(|bsdf| bsdf.glossy_lobes(wo()));
@@ -271,18 +260,12 @@ impl Lane<'_> {
         }
     }
 
-    /// Evaluates the rough or guided surface at which the path waits, for the point of the lamp.
+    /// Evaluates the rough surface at which the path waits, for the point of the lamp.
     #[inline(always)]
     fn evaluate(&self, index: usize, vertices: &mut Vertices) {
-        let (wi, dir) = vertices.lamp_direction(index);
-        if let Some(bsdf) = self.rough {
-            let wo = vertices.wo.get(index);
-            vertices.set_value(index, bsdf.eval(wo, wi));
-            vertices.set_pdf(index, bsdf.pdf(wo, wi));
-        }
-        if let Some(vertex) = &self.guided {
-            vertices.set_pdf(index, vertex.directions().pdf(wi, dir));
-        }
+        let Some(bsdf) = self.rough else { return };
+        let (wo, wi) = (vertices.wo.get(index), vertices.lamp_direction(index));
+        vertices.set_value(index, bsdf.eval(wo, wi), bsdf.pdf(wo, wi));
     }
 
     /// Samples the direction in which the path leaves a rough surface.
@@ -296,11 +279,8 @@ impl Lane<'_> {
     /// Continues the path from the surface at which it waits, or ends it there.
     #[inline(always)]
     fn leave(&mut self, index: usize, vertices: &Vertices, continues: bool) -> ControlFlow<Termination> {
-        let Self { tracer, path, out, .. } = self;
-        out.color = vertices.color(index);
-        if let Some(vertex) = self.guided.take() {
-            return tracer.leave_vertex::<false, false>(path, &vertex, out);
-        }
+        let path = &mut self.path;
+        self.out.color = vertices.color(index);
         path.vertices += 1;
         path.throughput = vertices.throughput(index);
         if !continues {
@@ -318,12 +298,6 @@ impl Lane<'_> {
     #[inline(never)]
     fn scatter_again(&mut self) -> ControlFlow<Termination> {
         let Self { tracer, path, out, .. } = self;
-        if let Some(vertex) = self.guided.take() {
-            if let Some(event) = tracer.sample_next_event::<false>(path, &vertex) {
-                tracer.add_next_event::<false, false>(path, &vertex, &event, out);
-            }
-            return tracer.leave_vertex::<false, false>(path, &vertex, out);
-        }
         let at: Option<(Hit, ShadingPoint)> =
             tracer.scene.world.intersect(&path.ray).map(|hit| (hit, tracer.scene.shading_point(&path.ray, &hit)));
         match at {

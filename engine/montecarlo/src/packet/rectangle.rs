@@ -11,8 +11,8 @@ use std::f32::consts::TAU;
 pub struct LampPoints<V> {
     /// Lanes with a point that sends light to the reference.
     pub lit: u32,
-    /// Lanes that need the scalar function.
-    pub hard: u32,
+    /// Lanes whose point the scalar function must sample, because the lamp nearly fills a hemisphere.
+    pub unsampled: u32,
     pub dir: V3<V>,
     pub position: V3<V>,
     pub error: V3<V>,
@@ -39,23 +39,19 @@ pub fn sample_points<S: Simd>(
         dark |= simd.is_positive(behind).signs();
     }
     let center = corner + V3::splat(simd, 0.5 * (edge_u + edge_v));
-    let is_near =
-        (simd.splat(solid_angle::FAR_RATIO2) * center.dot(center)).le(simd.splat(lamp.reach2)).signs() & !dark;
+    let is_near = (simd.splat(solid_angle::FAR_RATIO2) * center.dot(center)).le(simd.splat(lamp.reach2));
     let mut at = u;
-    let mut solid_angle_pdf = None;
-    let mut hard = 0;
-    if is_near != 0 {
+    let mut by_solid_angle = None;
+    let mut unsampled = 0;
+    if is_near.signs() & !dark != 0 {
         let [x, y] = lamp.axes;
         let (x, y) = (corner.dot(V3::splat(simd, x)), corner.dot(V3::splat(simd, y)));
         let view = Views::new(simd, [x, y, simd.abs(behind)], lamp.size);
-        let is_view = simd.splat(solid_angle::MIN_RECTANGLE_SOLID_ANGLE).le(view.solid_angle);
-        hard = simd.splat(solid_angle::MAX_SOLID_ANGLE as f32).le(view.solid_angle).signs() & is_near;
-        let far = center_is_far(simd, lamp, center);
+        let is_view = is_near & simd.splat(solid_angle::MIN_RECTANGLE_SOLID_ANGLE).le(view.solid_angle);
+        unsampled = (is_near & simd.splat(solid_angle::MAX_SOLID_ANGLE as f32).le(view.solid_angle)).signs() & !dark;
         let sampled = view.sample(simd, u);
-        let pdf = simd.splat(1.0) / view.solid_angle;
-        let is_area = far | is_view.select(simd.splat(0.0), simd.splat(-0.0));
-        at = [is_area.select(u[0], sampled[0]), is_area.select(u[1], sampled[1])];
-        solid_angle_pdf = Some((far, is_view, pdf));
+        at = [is_view.select(sampled[0], u[0]), is_view.select(sampled[1], u[1])];
+        by_solid_angle = Some((is_view, simd.splat(1.0) / view.solid_angle));
     }
     let position =
         V3::splat(simd, lamp.origin) + V3::splat(simd, edge_u).scale(at[0]) + V3::splat(simd, edge_v).scale(at[1]);
@@ -66,9 +62,9 @@ pub fn sample_points<S: Simd>(
     let cos = dir.dot(normal);
     let by_area = distance2 / (simd.splat(lamp.area) * simd.abs(cos));
     let by_area = simd.abs(by_area).lt(simd.splat(f32::INFINITY)).select(by_area, simd.splat(0.0));
-    let pdf = match solid_angle_pdf {
+    let pdf = match by_solid_angle {
         None => by_area,
-        Some((far, is_view, pdf)) => far.select(by_area, is_view.select(pdf, by_area)),
+        Some((is_view, pdf)) => is_view.select(pdf, by_area),
     };
     let mut lit = simd.is_positive(pdf).signs()
         & simd.finite(pdf)
@@ -80,12 +76,7 @@ pub fn sample_points<S: Simd>(
     }
     let error = (position.abs(simd) + V3::splat(simd, lamp.scale)).scale(simd.splat(gamma(5)));
     let error = error.plus(simd.splat(position_error));
-    LampPoints { lit: lit & !dark & !hard, hard, dir, position, error, pdf }
-}
-
-#[inline(always)]
-fn center_is_far<S: Simd>(simd: S, lamp: &UniformRectangle, center: V3<S::V>) -> S::V {
-    simd.splat(lamp.reach2).lt(simd.splat(solid_angle::FAR_RATIO2) * center.dot(center))
+    LampPoints { lit: lit & !dark & !unsampled, unsampled, dir, position, error, pdf }
 }
 
 /// Views of the rectangle: `RectangleView` in lanes.

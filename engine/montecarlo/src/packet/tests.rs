@@ -1,4 +1,4 @@
-//! Samples of packets equal those of the scalar loop to the bit.
+//! A packet computes the same bits as the scalar loop for each sample.
 
 use super::*;
 use crate::test_scene::prepare_with_camera;

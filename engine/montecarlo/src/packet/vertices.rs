@@ -99,8 +99,6 @@ pub struct Vertices {
     pub used: u32,
     /// Lanes of rough surfaces.
     pub rough: u32,
-    /// Lanes of guided paths.
-    pub guided: u32,
     pub position: VectorLanes,
     error: VectorLanes,
     /// Geometric normals on the front side.
@@ -176,7 +174,7 @@ impl Rays {
 impl Vertices {
     /// Removes all vertices.
     pub fn clear(&mut self) {
-        (self.used, self.rough, self.guided, self.lamps.lit) = (0, 0, 0, 0);
+        (self.used, self.rough, self.lamps.lit) = (0, 0, 0);
     }
 
     /// Adds the vertex of a path.
@@ -224,31 +222,26 @@ impl Vertices {
         lamps.can_be_hit.set(lane, if light.delta == DeltaKind::Position { 0.0 } else { 1.0 });
     }
 
-    /// Samples points on the only lamp, if it is a rectangle, and evaluates matte surfaces. Returns the lanes of rough or guided
+    /// Samples points on the only lamp, if it is a rectangle, and evaluates matte surfaces. Returns the lanes of rough
     /// surfaces that must be evaluated. Lanes for which the lamp cannot be sampled are removed from the vertices, and returned second.
     pub fn sample_lamps(&mut self, scene: &LaneScene) -> (u32, u32) {
-        let hard = scene.level.run(SampleLamps { scene, vertices: self });
-        self.used &= !hard;
-        self.rough &= !hard;
-        self.guided &= !hard;
-        ((self.rough | self.guided) & self.lamps.lit, hard)
+        let unsampled = scene.level.run(SampleLamps { scene, vertices: self });
+        self.used &= !unsampled;
+        self.rough &= !unsampled;
+        (self.rough & self.lamps.lit, unsampled)
     }
 
-    /// Returns the direction to the point of the lamp, in the local frame and in the world's.
+    /// Returns the direction to the point of the lamp, local frame.
     #[inline(always)]
-    pub fn lamp_direction(&self, lane: usize) -> (Vec3A, Vec3A) {
-        (self.lamps.wi.get(lane), self.lamps.dir.get(lane))
+    pub fn lamp_direction(&self, lane: usize) -> Vec3A {
+        self.lamps.wi.get(lane)
     }
 
-    /// Replaces the BSDF times the cosine for the point of the lamp, 1/sr.
+    /// Replaces the BSDF times the cosine for the point of the lamp, and the density with which the path would be scattered toward
+    /// it, 1/sr.
     #[inline(always)]
-    pub fn set_value(&mut self, lane: usize, value: Rgb) {
+    pub fn set_value(&mut self, lane: usize, value: Rgb, pdf: f32) {
         self.lamps.value.set(lane, value);
-    }
-
-    /// Replaces the density with which the path would be scattered toward the point of the lamp, 1/sr.
-    #[inline(always)]
-    pub fn set_pdf(&mut self, lane: usize, pdf: f32) {
         self.lamps.scatter_pdf.set(lane, pdf);
     }
 
@@ -348,7 +341,7 @@ impl Kernel for SampleLamps<'_> {
         let mut cannot = 0;
         let dir = if let Some((lamp, position_error)) = &scene.lamp {
             let u = vertices.point_numbers.next_2d(simd);
-            let LampPoints { lit, hard, dir, position, error, pdf } =
+            let LampPoints { lit, unsampled, dir, position, error, pdf } =
                 sample_points(simd, lamp, *position_error, surfaces.position, u);
             lamps.lit = lit;
             lamps.position = position.store();
@@ -358,7 +351,7 @@ impl Kernel for SampleLamps<'_> {
             lamps.pdf.0 = pdf.lanes();
             lamps.can_be_hit.0 = simd.splat(1.0).lanes();
             lamps.dir = dir.store();
-            cannot = hard & vertices.used;
+            cannot = unsampled & vertices.used;
             dir
         } else {
             lamps.dir.load(simd)

@@ -30,7 +30,7 @@ pub use bounds::Aabb;
 pub use interaction::{Interaction, triangle_interaction};
 pub use motion::Pose;
 pub use offset::{offset_origin, shadow_segment};
-pub use ray::{Hit, Ray};
+pub use ray::{Hit, Ray, RayLanes};
 pub use shape::{Facing, Quadric};
 pub use world::{InstanceInput, World};
 

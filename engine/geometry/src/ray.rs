@@ -1,4 +1,5 @@
 use femc_math::glam::Vec3A;
+use femc_simd::{Lanes, WIDTH};
 
 /// A ray; hits have `t` in (0, `t_max`).
 #[derive(Clone, Copy, Debug)]
@@ -22,6 +23,34 @@ impl Ray {
     /// Returns the point at distance `t`, m.
     pub fn at(&self, t: f32) -> Vec3A {
         self.origin + self.dir * t
+    }
+}
+
+/// Several rays, one in each lane.
+#[derive(Clone, Copy, Debug)]
+pub struct RayLanes<'a> {
+    /// Origins by axis, m, world frame.
+    pub origin: &'a [Lanes; 3],
+    /// Unit directions by axis, world frame.
+    pub dir: &'a [Lanes; 3],
+    /// Maximum distances, m, exclusive; may be infinite.
+    pub t_max: &'a Lanes,
+    /// Times in the shutter, 0 to 1.
+    pub time: &'a Lanes,
+}
+
+impl RayLanes<'_> {
+    /// Returns the ray of a lane.
+    #[inline(always)]
+    pub fn ray(&self, lane: usize) -> Ray {
+        let vector =
+            |axes: &[Lanes; 3]| Vec3A::new(axes[0].0[lane % WIDTH], axes[1].0[lane % WIDTH], axes[2].0[lane % WIDTH]);
+        Ray {
+            origin: vector(self.origin),
+            dir: vector(self.dir),
+            t_max: self.t_max.0[lane % WIDTH],
+            time: self.time.0[lane % WIDTH],
+        }
     }
 }
 

@@ -1,14 +1,14 @@
 //! Placed instances, and the ray queries on them.
 
 use crate::{
-    Aabb, Blas, Hit, Interaction, Pose, Ray,
+    Aabb, Blas, Hit, Interaction, Pose, Ray, RayLanes,
     interaction::triangle_interaction,
     kernel::{
-        AnyLeaf, ClosestHit, Kernel, Level, LocalRay, NearestLeaf, Simd, blas_closest, blas_occluded, traverse_any,
-        traverse_nearest_first,
+        AnyLeaf, ClosestHit, Kernel, Level, LocalRay, LocalRays, NearestLeaf, Simd, blas_closest, blas_occluded,
+        traverse_any, traverse_nearest_first,
     },
     motion::{Motion, Placement},
-    tree::{Child, LeafRule, Tree, collapse},
+    tree::{Child, LeafRule, Tree, WIDTH, collapse},
 };
 use femc_math::{
     gamma,
@@ -103,14 +103,55 @@ impl World {
             Some(blas) => self.level.run(SingleBlasClosest { blas, ray }),
             None => self.level.run(ClosestHitKernel { world: self, ray }),
         }?;
-        let blas = &self.instances[hit.instance as usize].blas;
-        if let Some(quadric) = (hit.primitive as usize).checked_sub(blas.triangles.len()) {
-            let place = self.placement(hit.instance, ray.time);
-            let local = place.map_or(ray.at(hit.t), |p| p.to_local.transform_point3a(ray.at(hit.t)));
-            let uv = blas.quadrics[quadric].nearest(local.as_dvec3()).uv;
-            (hit.u, hit.v) = (uv[0] as f32, uv[1] as f32);
+        if self.is_shape(&hit) {
+            self.find_parameters(ray, &mut hit);
         }
         Some(hit)
+    }
+
+    /// Finds the closest hits of several rays, as [`Self::intersect`] does. Returns the lanes with a hit.
+    /// - `used`: lanes with a ray;
+    /// - `hits`: receives the hits.
+    pub fn intersect_lanes(&self, rays: RayLanes<'_>, used: u32, hits: &mut [Hit; WIDTH]) -> u32 {
+        let Some(blas) = self.single_blas() else {
+            return set_lanes(used, |lane| {
+                let found = self.intersect(&rays.ray(lane));
+                hits[lane] = found.unwrap_or(hits[lane]);
+                found.is_some()
+            });
+        };
+        let found = self.level.run(ClosestInLanes { blas, rays, used, hits });
+        for lane in lanes(found) {
+            if self.is_shape(&hits[lane]) {
+                self.find_parameters(&rays.ray(lane), &mut hits[lane]);
+            }
+        }
+        found
+    }
+
+    /// Checks whether a hit is on an analytic shape.
+    #[inline(always)]
+    fn is_shape(&self, hit: &Hit) -> bool {
+        hit.primitive as usize >= self.instances[hit.instance as usize].blas.triangles.len()
+    }
+
+    /// Computes the parameters of a hit on an analytic shape.
+    #[inline(never)]
+    fn find_parameters(&self, ray: &Ray, hit: &mut Hit) {
+        let blas = &self.instances[hit.instance as usize].blas;
+        let place = self.placement(hit.instance, ray.time);
+        let local = place.map_or(ray.at(hit.t), |p| p.to_local.transform_point3a(ray.at(hit.t)));
+        let uv = blas.quadrics[hit.primitive as usize - blas.triangles.len()].nearest(local.as_dvec3()).uv;
+        (hit.u, hit.v) = (uv[0] as f32, uv[1] as f32);
+    }
+
+    /// Returns the lanes of rays that hit anything, as [`Self::occluded`] does.
+    /// - `used`: lanes with a ray.
+    pub fn occluded_lanes(&self, rays: RayLanes<'_>, used: u32) -> u32 {
+        match self.single_blas() {
+            Some(blas) => self.level.run(OcclusionInLanes { blas, rays, used }),
+            None => set_lanes(used, |lane| self.occluded(&rays.ray(lane))),
+        }
     }
 
     /// Returns whether anything is hit with t in (0, `t_max`).
@@ -131,6 +172,16 @@ impl World {
                 triangle_interaction(&vertices.map(Vec3A::from_array), hit.u, hit.v)
             }
             _ => self.placed_interaction(ray, hit),
+        }
+    }
+
+    /// Returns the vertices of the triangle of `hit`, m, if its instance has the world's frame.
+    #[inline(always)]
+    pub fn world_triangle(&self, hit: &Hit) -> Option<&[[f32; 3]; 3]> {
+        let Instance { blas, transform } = &self.instances[hit.instance as usize];
+        match transform {
+            InstanceTransform::Identity => blas.triangles.get(hit.primitive as usize),
+            InstanceTransform::Fixed(_) | InstanceTransform::Moving(_) => None,
         }
     }
 
@@ -245,6 +296,75 @@ impl LeafRule for OneInstance<'_> {
         Child::first_kind(self.0[items[0] as usize])
     }
     fn clear(&mut self) {}
+}
+
+/// Iterates over the numbers of the set bits.
+#[inline(always)]
+fn lanes(mut mask: u32) -> impl Iterator<Item = usize> {
+    std::iter::from_fn(move || {
+        let lane = (mask != 0).then(|| mask.trailing_zeros() as usize % WIDTH);
+        mask &= mask.wrapping_sub(1);
+        lane
+    })
+}
+
+/// Returns the lanes of a mask that meet a condition.
+fn set_lanes(used: u32, mut condition: impl FnMut(usize) -> bool) -> u32 {
+    lanes(used).fold(0, |set, lane| set | u32::from(condition(lane)) << lane)
+}
+
+/// Closest hits in the only instance.
+struct ClosestInLanes<'a> {
+    blas: &'a Blas,
+    rays: RayLanes<'a>,
+    used: u32,
+    hits: &'a mut [Hit; WIDTH],
+}
+
+impl Kernel for ClosestInLanes<'_> {
+    type Output = u32;
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) -> u32 {
+        let Self { blas, rays, mut used, hits } = self;
+        let local_rays = LocalRays::new(simd, rays.origin, rays.dir);
+        let mut found = 0;
+        while used != 0 {
+            let lane = used.trailing_zeros() as usize % WIDTH;
+            used &= used - 1;
+            let mut best = ClosestHit::new(rays.t_max.0[lane]);
+            if blas_closest(simd, blas, local_rays.ray(lane), &mut best) {
+                hits[lane] = best.hit(0);
+                found |= 1 << lane;
+            }
+        }
+        found
+    }
+}
+
+/// Occlusion by the only instance.
+struct OcclusionInLanes<'a> {
+    blas: &'a Blas,
+    rays: RayLanes<'a>,
+    used: u32,
+}
+
+impl Kernel for OcclusionInLanes<'_> {
+    type Output = u32;
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) -> u32 {
+        let Self { blas, rays, mut used } = self;
+        let local_rays = LocalRays::new(simd, rays.origin, rays.dir);
+        let mut occluded = 0;
+        while used != 0 {
+            let lane = used.trailing_zeros() as usize % WIDTH;
+            used &= used - 1;
+            let hit = blas_occluded(simd, blas, local_rays.ray(lane), rays.t_max.0[lane]);
+            occluded |= u32::from(hit) << lane;
+        }
+        occluded
+    }
 }
 
 struct SingleBlasClosest<'a> {

@@ -4,7 +4,8 @@
 //! root, division and the other IEEE operations are exact and are used directly. The price is a few nanoseconds per call on some
 //! targets. Paths use functions for less general arguments, which consist of such operations alone.
 
-use std::f32::consts::{FRAC_PI_2, PI, TAU};
+use glam::Vec3A;
+use std::f32::consts::{FRAC_PI_2, LOG2_E, PI, TAU};
 
 macro_rules! forward {
     ($($(#[$doc:meta])* $name:ident($($arg:ident),+) = $single:ident, $double:ident;)*) => {
@@ -86,6 +87,31 @@ pub fn sin_cos_of_turns(turns: f32) -> (f32, f32) {
     (flip(a, quarter), flip(b, quarter + 1))
 }
 
+/// `e^-x` for `x` >= 0, with a relative error below 2e-7; 0 for `x` > 87, where the result is not a normal number.
+#[inline]
+pub fn decay(x: f32) -> f32 {
+    decay_of_each(Vec3A::splat(x)).x
+}
+
+/// [`decay`] of each coordinate.
+#[inline]
+pub fn decay_of_each(x: Vec3A) -> Vec3A {
+    /// Adding it rounds to the nearest integer, which then is in the lowest bits of the mantissa.
+    const ROUND: f32 = 1.5 * 8_388_608.0;
+    /// Parts of the logarithm of 2. The first has few digits, so its products with small integers are exact.
+    const LN_2: [f32; 2] = [0.693_145_75, 1.428_606_8e-6];
+    const MAX: f32 = 87.0;
+    let c = Vec3A::splat;
+    let shifted = c(ROUND) - x * LOG2_E;
+    let power = shifted - c(ROUND);
+    let r = (-x - power * LN_2[0]) - power * LN_2[1];
+    let sum = c(1.0 / 24.0) + r * (c(1.0 / 120.0) + r * (c(1.0 / 720.0) + r * (1.0 / 5040.0)));
+    let sum = c(0.5) + r * (c(1.0 / 6.0) + r * sum);
+    let mantissa = c(1.0) + (r + r * r * sum);
+    let scale = shifted.to_array().map(|shifted| f32::from_bits(shifted.to_bits().wrapping_add(127) << 23));
+    Vec3A::select(x.cmpgt(c(MAX)), Vec3A::ZERO, mantissa * Vec3A::from_array(scale))
+}
+
 /// Factors of r^1, r^3, .. of the arc tangent of r in [0, 1]; the relative error of the sum is at most 9e-8.
 pub const ATAN: [f32; 8] = [
     0.999_999_9,
@@ -132,5 +158,14 @@ mod tests {
         for (y, x) in [(0.0, 1.0), (1.0, 0.0), (-1.0, 0.0), (1e-30, 1.0), (-0.5, -0.5), (0.0, -1.0)] {
             assert!((fast_atan2(y, x) - atan2(y, x)).abs() < 3e-7, "{y} {x}");
         }
+        let mut decay_error = 0.0f64;
+        for k in 0..87_000 {
+            for x in [k as f32 * 1e-3, k as f32 * 1e-9] {
+                decay_error = decay_error.max((f64::from(decay(x)) * double::exp(x.into()) - 1.0).abs());
+            }
+        }
+        assert!(decay_error < 2e-7, "{decay_error}");
+        assert_eq!((decay(0.0), decay(88.0), decay(f32::INFINITY)), (1.0, 0.0, 0.0));
+        assert!(decay(f32::NAN).is_nan());
     }
 }

@@ -31,7 +31,7 @@ mod tracer;
 mod window;
 
 pub use first_hit::{FirstSurface, first_surface};
-pub use packet::{Packet, SampleNumber};
+pub use packet::{Packet, SampleNumber, has_lanes};
 pub use receiver::{Receiver, Sensitivity};
 pub use record::{Recorder, Recording};
 pub use seen_tables::keep_seen_tables;

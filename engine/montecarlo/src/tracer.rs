@@ -133,7 +133,7 @@ impl<'a> Guidance<'a> {
 const LENS_CENTER: [f32; 2] = [0.5; 2];
 
 /// Time in the middle of the shutter.
-const SHUTTER_CENTER: f32 = 0.5;
+pub(crate) const SHUTTER_CENTER: f32 = 0.5;
 
 /// Tracer of the samples of one frame on one thread.
 /// - `R`: recorder of the paths; `()` records nothing.

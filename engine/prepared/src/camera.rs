@@ -52,10 +52,11 @@ pub struct View {
     /// Point of the lens.
     pub origin: Vec3A,
     /// Vector to the middle of the film's image, not unit.
-    toward: Vec3A,
+    pub toward: Vec3A,
     /// Steps of one pixel to the right and one down on the film's image.
-    steps: [Vec3A; 2],
-    middle: [f32; 2],
+    pub steps: [Vec3A; 2],
+    /// Middle of the film, pixels.
+    pub middle: [f32; 2],
     time: f32,
 }
 
@@ -178,7 +179,7 @@ impl KernelCamera {
     }
 
     /// Returns the view if the camera does not move and is a pinhole.
-    pub(crate) fn pinhole(&self) -> Option<View> {
+    pub fn pinhole(&self) -> Option<View> {
         (self.poses.len() == 1 && self.lens_radius == 0.0).then(|| self.view([0.5; 2], 0.0))
     }
 
@@ -193,8 +194,15 @@ impl KernelCamera {
 
     /// Returns the distance of `position` from the eye along the view axis at mid-shutter, m.
     pub fn depth(&self, position: Vec3A, time: f32) -> f32 {
+        let (eye, axis) = self.axis(time);
+        (position - eye).dot(axis)
+    }
+
+    /// Returns the eye, and the unit direction of the view axis, at a time in the shutter.
+    #[inline]
+    pub fn axis(&self, time: f32) -> (Vec3A, Vec3A) {
         let pose = self.pose(time);
-        (position - pose.origin).dot(pose.forward.normalize())
+        (pose.origin, pose.forward.normalize())
     }
 
     /// Returns the eye at shutter opening.

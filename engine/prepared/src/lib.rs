@@ -32,4 +32,4 @@ pub use lights::Lights;
 pub use material::{Crossing, KernelMaterial, Orientation};
 pub use next_frame::NextFrame;
 pub use scene_source::SceneSource;
-pub use shading_point::ShadingPoint;
+pub use shading_point::{FlatTriangle, ShadingPoint};

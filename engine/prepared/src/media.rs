@@ -7,7 +7,7 @@
 use femc_geometry::Aabb;
 use femc_math::Rgb;
 use femc_math::color::luminance;
-use femc_math::elementary::{exp, exp_m1, ln, ln_1p};
+use femc_math::elementary::{decay, decay_of_each, exp_m1, ln, ln_1p};
 use femc_math::glam::{Affine3, Affine3A, Vec3A};
 use femc_scattering::Phase;
 use femc_scene::Medium;
@@ -52,7 +52,7 @@ impl KernelMedium {
     fn density(&self, z: f32) -> f32 {
         match self.profile {
             DensityProfile::Uniform => 1.0,
-            DensityProfile::Height { z0, inverse_scale } => exp(-((z - z0) * inverse_scale).max(0.0)),
+            DensityProfile::Height { z0, inverse_scale } => decay(((z - z0) * inverse_scale).max(0.0)),
         }
     }
 
@@ -76,12 +76,12 @@ impl KernelMedium {
         if length <= 0.0 {
             return below;
         }
-        let start = exp(-((oz + dz * above.0 - z0) * inverse_scale).max(0.0));
+        let start = decay(((oz + dz * above.0 - z0) * inverse_scale).max(0.0));
         let rate = dz * inverse_scale * length;
         let mean = if rate.abs() < 1e-3 { 1.0 - 0.5 * rate } else { -exp_m1(-rate) / rate };
         // On a descending ray far above the fog, `start` underflows while `mean` overflows, so measure from the dense end instead.
         if rate < -60.0 {
-            let end = exp(-((oz + dz * above.1 - z0) * inverse_scale).max(0.0));
+            let end = decay(((oz + dz * above.1 - z0) * inverse_scale).max(0.0));
             return below + end / (-dz * inverse_scale);
         }
         below + start * mean * length
@@ -128,6 +128,11 @@ impl MediumStack {
             self.media.copy_within(i + 1..n, i);
             self.count -= 1;
         }
+    }
+
+    /// Checks whether the path is in no medium.
+    pub fn is_empty(&self) -> bool {
+        self.count == 0
     }
 
     /// Iterates over the media, outermost first.
@@ -320,11 +325,20 @@ impl Media {
         out: &mut MediaRay,
     ) -> bool {
         let t_max = t_max.min(MAX_DISTANCE);
-        out.crossings.clear();
         out.intervals.clear();
         out.active.clear();
         out.present.clear();
         (out.oz, out.dz) = (origin.z, dir.z);
+        if let [(medium, Bounds::Box { to_local, min, max })] = &self.regions[..]
+            && medium_stack.is_empty()
+        {
+            // A single box and nothing else is by far the most common case.
+            let Some((a, b)) = slab(to_local, origin, dir, *min, *max, t_max) else { return false };
+            out.present.push(*medium);
+            self.push_interval(a, b, out);
+            return true;
+        }
+        out.crossings.clear();
         out.present.extend(medium_stack.iter());
         for (region, (medium, bounds)) in self.regions.iter().enumerate() {
             match bounds {
@@ -342,14 +356,6 @@ impl Media {
                 self.push_interval(0.0, t_max, out);
             }
             return !out.intervals.is_empty();
-        }
-        if let [(a, region, _), (b, ..)] = out.crossings[..]
-            && out.present.is_empty()
-        {
-            // A single box and nothing else is by far the most common case.
-            out.present.push(self.regions[region as usize].0);
-            self.push_interval(a, b, out);
-            return true;
         }
         out.crossings.sort_by(|x, y| x.0.total_cmp(&y.0).then(x.1.cmp(&y.1)).then(x.2.cmp(&y.2)));
         let mut start = 0.0;
@@ -443,7 +449,7 @@ impl Media {
         for interval in &ray.intervals {
             depth += self.depth(ray, interval, interval.start, interval.end).0;
         }
-        attenuate(depth)
+        decay_of_each(depth)
     }
 
     /// Returns the range of the ray in which something scatters: (first, last) distance, m.
@@ -529,8 +535,8 @@ impl Media {
             }
             let depth = self.depth(ray, interval, interval.start, t);
             let (scatter, rate) = self.coefficients(ray, interval, t);
-            let pdf = channel_mean(rate * attenuate(drawn + depth.1));
-            let weight = scatter * attenuate(all + depth.0);
+            let pdf = channel_mean(rate * decay_of_each(drawn + depth.1));
+            let weight = scatter * decay_of_each(all + depth.0);
             return (pdf > 0.0 && weight.max_element() > 0.0).then_some(ScatterEvent {
                 t,
                 weight,
@@ -560,21 +566,21 @@ impl Media {
                 };
                 let part = self.depth(ray, interval, interval.start, t);
                 let (scatter, rate) = self.coefficients(ray, interval, t);
-                let pdf = channel_mean(rate * attenuate(drawn + part.1));
+                let pdf = channel_mean(rate * decay_of_each(drawn + part.1));
                 if pdf <= 0.0 {
                     return DistanceSample::Through { weight: Rgb::ZERO };
                 }
-                let weight = scatter * attenuate(all + part.0) / pdf;
+                let weight = scatter * decay_of_each(all + part.0) / pdf;
                 return DistanceSample::Scatter(ScatterEvent { t, weight, pdf, interval: index as u32 });
             }
             all += depth.0;
             drawn = reached;
         }
-        let probability = channel_mean(attenuate(drawn));
+        let probability = channel_mean(decay_of_each(drawn));
         if probability <= 0.0 {
             return DistanceSample::Through { weight: Rgb::ZERO };
         }
-        DistanceSample::Through { weight: attenuate(all) / probability }
+        DistanceSample::Through { weight: decay_of_each(all) / probability }
     }
 
     /// Returns the distance in `interval` at which the sampled optical depth of one channel reaches `target`. It must be reached.
@@ -611,7 +617,7 @@ impl Media {
         let mut radiance = Rgb::ZERO;
         let mut passed = Rgb::ZERO;
         for interval in &ray.intervals {
-            let before = attenuate(passed);
+            let before = decay_of_each(passed);
             if !interval.varies {
                 if interval.glow.max_element() > 0.0 {
                     let length = interval.end - interval.start;
@@ -646,7 +652,7 @@ impl Media {
                 glow += medium.glow * medium.density(ray.oz + ray.dz * t);
             }
         }
-        glow * attenuate(self.depth(ray, interval, interval.start, t).0) / pdf
+        glow * decay_of_each(self.depth(ray, interval, interval.start, t).0) / pdf
     }
 
     /// Returns the phase function at an event: that of one of the media present, sampled with `u` in proportion to its scattering.
@@ -734,31 +740,22 @@ fn channel_mean(c: Rgb) -> f32 {
     (c.x + c.y + c.z) * (1.0 / 3.0)
 }
 
-/// Returns `exp(-depth)` per channel, with one exponential if the channels are equal.
-#[inline]
-fn attenuate(depth: Rgb) -> Rgb {
-    if depth.x == depth.y && depth.y == depth.z {
-        return Rgb::splat(exp(-depth.x));
-    }
-    Rgb::new(exp(-depth.x), exp(-depth.y), exp(-depth.z))
-}
-
 /// Returns the range of the ray in the box, clipped to [0, t_max].
+#[inline]
 fn slab(to_local: &Affine3A, origin: Vec3A, dir: Vec3A, min: Vec3A, max: Vec3A, t_max: f32) -> Option<(f32, f32)> {
     let o = to_local.transform_point3a(origin);
     let d = to_local.transform_vector3a(dir);
-    let (mut a, mut b) = (0.0f32, t_max);
-    for axis in 0..3 {
-        if d[axis] == 0.0 {
-            if o[axis] < min[axis] || o[axis] > max[axis] {
-                return None;
-            }
-            continue;
+    let inverse = d.recip();
+    let (t0, t1) = ((min - o) * inverse, (max - o) * inverse);
+    let (mut near, mut far) = (t0.min(t1), t0.max(t1));
+    let parallel = d.cmpeq(Vec3A::ZERO);
+    if parallel.any() {
+        if (parallel & (o.cmplt(min) | o.cmpgt(max))).any() {
+            return None;
         }
-        let inverse = 1.0 / d[axis];
-        let (t0, t1) = ((min[axis] - o[axis]) * inverse, (max[axis] - o[axis]) * inverse);
-        a = a.max(t0.min(t1));
-        b = b.min(t0.max(t1));
+        near = Vec3A::select(parallel, Vec3A::NEG_INFINITY, near);
+        far = Vec3A::select(parallel, Vec3A::INFINITY, far);
     }
+    let (a, b) = (near.max_element().max(0.0), far.min_element().min(t_max));
     (a < b).then_some((a, b))
 }

@@ -1,6 +1,6 @@
 //! Conversion of a hit to a surface point for shading.
 
-use crate::compile::NONE;
+use crate::compile::{NONE, Primitive};
 use crate::frame::Prepared;
 use crate::material::mapped_normal;
 use femc_geometry::{Hit, Ray};
@@ -27,14 +27,44 @@ pub struct ShadingPoint {
     pub light: u32,
 }
 
+/// A flat triangle in the prepared frame. The hit alone determines its points ([`triangle_interaction`]).
+///
+/// [`triangle_interaction`]: femc_geometry::triangle_interaction
+#[derive(Clone, Copy, Debug)]
+pub struct FlatTriangle<'a> {
+    /// Vertices, m.
+    pub vertices: &'a [[f32; 3]; 3],
+    /// Index of the material.
+    pub material: u32,
+    /// Index of the light, or `NONE`.
+    pub light: u32,
+}
+
 impl Prepared {
+    /// Returns the triangle of a hit, if it is flat and does not need the pose of its instance.
+    #[inline(always)]
+    pub fn flat_triangle(&self, hit: &Hit) -> Option<FlatTriangle<'_>> {
+        let (primitive, light) = self.primitive(hit);
+        if primitive.corners != NONE {
+            return None;
+        }
+        let vertices = self.world.world_triangle(hit)?;
+        Some(FlatTriangle { vertices, material: primitive.material, light })
+    }
+
+    /// Returns the data of the primitive of a hit, and the index of its light or `NONE`.
+    #[inline(always)]
+    fn primitive(&self, hit: &Hit) -> (Primitive, u32) {
+        let instance = &self.instances[hit.instance as usize];
+        let primitive = instance.compiled.primitives[hit.primitive as usize];
+        (primitive, if primitive.emitter == NONE { NONE } else { instance.first_light + primitive.emitter })
+    }
+
     /// Returns the surface point of a hit.
     #[inline]
     pub fn shading_point(&self, ray: &Ray, hit: &Hit) -> ShadingPoint {
         let geometry = self.world.interaction(ray, hit);
-        let instance = &self.instances[hit.instance as usize];
-        let primitive = instance.compiled.primitives[hit.primitive as usize];
-        let light = if primitive.emitter == NONE { NONE } else { instance.first_light + primitive.emitter };
+        let (primitive, light) = self.primitive(hit);
         let mut point = ShadingPoint {
             position: geometry.position,
             error: geometry.error,

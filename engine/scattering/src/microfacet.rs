@@ -3,9 +3,9 @@
 //! All directions are on the upper side (z > 0); callers flip them. `alpha` is the roughness, > 0. Normals are sampled among the
 //! VISIBLE ones (\[heitz2018\]) by spherical caps (\[dupuy2023\]). There is only single scattering, so rough lobes lose energy.
 
-use femc_math::elementary::sin_cos;
+use femc_math::elementary::sin_cos_of_turns;
 use femc_math::glam::Vec3A;
-use std::f32::consts::{PI, TAU};
+use std::f32::consts::PI;
 
 /// Roughness up to which a lobe is treated as perfectly specular: it is narrower than `f32` directions resolve.
 pub const SMOOTH_ALPHA: f32 = 1e-4;
@@ -54,7 +54,7 @@ pub fn sample_visible_normal(wo: Vec3A, alpha: f32, u: [f32; 2]) -> Vec3A {
     let half_z = (1.0 - u[1]) * (1.0 + stretched.z);
     let z = half_z - stretched.z;
     let r = ((1.0 - z) * (1.0 + z)).max(0.0).sqrt();
-    let (sin, cos) = sin_cos(TAU * u[0]);
+    let (sin, cos) = sin_cos_of_turns(u[0]);
     Vec3A::new((r * cos + stretched.x) * alpha, (r * sin + stretched.y) * alpha, half_z).normalize()
 }
 

@@ -210,6 +210,15 @@ impl Simd for Token {
         Floats(unsafe { _mm256_set1_ps(x) })
     }
     #[inline(always)]
+    fn mask(self, bits: u32) -> Floats {
+        // SAFETY: the token proves AVX2.
+        unsafe {
+            let lane_bits = _mm256_setr_epi32(1, 2, 4, 8, 16, 32, 64, 128);
+            let set = _mm256_and_si256(_mm256_set1_epi32(bits.cast_signed()), lane_bits);
+            Floats(_mm256_castsi256_ps(_mm256_cmpeq_epi32(set, lane_bits)))
+        }
+    }
+    #[inline(always)]
     fn load(self, lanes: &Lanes) -> Floats {
         // SAFETY: the token proves AVX2; `Lanes` holds eight floats and is aligned to 32 bytes.
         Floats(unsafe { _mm256_load_ps(lanes.0.as_ptr()) })

@@ -135,6 +135,8 @@ pub trait Simd: Copy + sealed::Sealed {
     fn with_bits(self, bits: Self::I) -> Self::V;
     /// Makes a vector with `x` in every lane.
     fn splat(self, x: f32) -> Self::V;
+    /// Makes a mask from bits, lane 0 lowest.
+    fn mask(self, bits: u32) -> Self::V;
     /// Loads lanes from memory.
     fn load(self, lanes: &Lanes) -> Self::V;
     /// Packs the lanes that `mask` selects. Each becomes one entry of `room`, with the lane of `high` in its upper 32 bits and the
@@ -223,6 +225,7 @@ mod tests {
                 less.select(a, b),
                 simd.splat(3.0) * a,
                 a ^ simd.splat(-0.0),
+                simd.mask(0xa6) & a,
             ];
             // The bits of a NaN may differ between instruction sets, but NaN must stay NaN.
             let bits = |x: f32| u64::from(if x.is_nan() { u32::MAX } else { x.to_bits() });

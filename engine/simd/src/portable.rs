@@ -150,6 +150,10 @@ impl Simd for Token {
         Floats([x; WIDTH])
     }
     #[inline(always)]
+    fn mask(self, bits: u32) -> Floats {
+        Floats(std::array::from_fn(|i| lane_mask(bits >> i & 1 == 1)))
+    }
+    #[inline(always)]
     fn load(self, lanes: &Lanes) -> Floats {
         Floats(lanes.0)
     }

@@ -8,7 +8,7 @@
 
 use super::{LightSample, assemble_sample};
 use crate::emission::{Emission, EmittingSides};
-use femc_math::elementary::double::sin_cos;
+use femc_math::elementary::sin_cos_of_turns;
 use femc_math::gamma;
 use femc_math::glam::{DVec3, Vec3A};
 use std::f64::consts::{PI, TAU};
@@ -41,6 +41,13 @@ enum Wall {
     Far,
 }
 
+/// Returns sine and cosine of an angle in turns.
+#[inline]
+fn sin_cos(turns: f32) -> (f64, f64) {
+    let (sin, cos) = sin_cos_of_turns(turns);
+    (sin.into(), cos.into())
+}
+
 impl OutsideView {
     /// Returns the cone; `None` from inside. `to_center`: from the reference to the center, m.
     #[inline]
@@ -65,7 +72,7 @@ impl OutsideView {
 
     #[inline]
     fn sample_wall(&self, u: [f32; 2], wall: Wall) -> DVec3 {
-        let (sin_phi, cos_phi) = sin_cos(TAU * f64::from(u[1]));
+        let (sin_phi, cos_phi) = sin_cos(u[1]);
         let distance = self.distance2.sqrt();
         let versine = f64::from(u[0]) * self.versine;
         let (sin2, cos) = (versine * (2.0 - versine), 1.0 - versine);
@@ -158,7 +165,7 @@ impl Sphere {
             View::Inside => {
                 let cos = 1.0 - 2.0 * f64::from(u[0]);
                 let sin = (1.0 - cos * cos).max(0.0).sqrt();
-                let (sin_phi, cos_phi) = sin_cos(TAU * f64::from(u[1]));
+                let (sin_phi, cos_phi) = sin_cos(u[1]);
                 let dir = DVec3::new(sin * cos_phi, sin * sin_phi, cos);
                 let along = dir.dot(to_center);
                 let across2 = to_center.length_squared() - along * along;
@@ -169,7 +176,7 @@ impl Sphere {
                 // From a point on the sphere, equal areas are equal shares of cos / pi; u = 1 is the reference itself.
                 let cos = 1.0 - 2.0 * f64::from(u[0]);
                 let sin = (1.0 - cos * cos).max(0.0).sqrt();
-                let (sin_phi, cos_phi) = sin_cos(TAU * f64::from(u[1]));
+                let (sin_phi, cos_phi) = sin_cos(u[1]);
                 let (x, y) = axis.any_orthonormal_pair();
                 axis * cos + (x * cos_phi + y * sin_phi) * sin
             }

@@ -1,7 +1,7 @@
 //! Tests of the leaves of a bottom-level tree: blocks of eight triangles, and shapes.
 
 use super::{
-    local_ray::LocalRay,
+    local_ray::RayData,
     traversal::{self, AnyLeaf, NearestLeaf},
 };
 use crate::{
@@ -10,6 +10,7 @@ use crate::{
     shape::Span,
     tree::{Child, Lanes, WIDTH},
 };
+use femc_math::glam::Vec3A;
 use femc_simd::{Simd, Vector};
 
 /// The closest hit so far.
@@ -44,7 +45,7 @@ impl ClosestHit {
 
 /// Improves `best` with the closest hit in `blas`. Returns whether there was one.
 #[inline(always)]
-pub(crate) fn blas_closest<S: Simd>(simd: S, blas: &Blas, ray: &LocalRay, best: &mut ClosestHit) -> bool {
+pub(crate) fn blas_closest<S: Simd>(simd: S, blas: &Blas, ray: impl RayData, best: &mut ClosestHit) -> bool {
     let before = best.primitive;
     best.primitive = u32::MAX;
     traversal::traverse_nearest_first(simd, &blas.tree, ray, best.t, &mut ClosestVisitor { simd, blas, ray, best });
@@ -57,23 +58,23 @@ pub(crate) fn blas_closest<S: Simd>(simd: S, blas: &Blas, ray: &LocalRay, best: 
 
 /// Returns whether anything in `blas` is hit before `t_max`.
 #[inline(always)]
-pub(crate) fn blas_occluded<S: Simd>(simd: S, blas: &Blas, ray: &LocalRay, t_max: f32) -> bool {
+pub(crate) fn blas_occluded<S: Simd>(simd: S, blas: &Blas, ray: impl RayData, t_max: f32) -> bool {
     traversal::traverse_any(simd, &blas.tree, ray, t_max, &mut OcclusionVisitor { simd, blas, ray, t_max })
 }
 
-struct ClosestVisitor<'a, S> {
+struct ClosestVisitor<'a, S, R> {
     simd: S,
     blas: &'a Blas,
-    ray: &'a LocalRay,
+    ray: R,
     best: &'a mut ClosestHit,
 }
 
-impl<S: Simd> NearestLeaf for ClosestVisitor<'_, S> {
+impl<S: Simd, R: RayData> NearestLeaf for ClosestVisitor<'_, S, R> {
     #[inline(always)]
     fn visit(&mut self, leaf: Child) -> f32 {
         if leaf.is_second_kind() {
             let shape = &self.blas.shapes[leaf.index()];
-            if let Some(t) = shape_distance(shape, self.ray, self.best.t)
+            if let Some(t) = shape_distance(shape, self.ray.vectors(), self.ray.mirrored(), self.best.t)
                 && self.best.admits(t, shape.primitive)
             {
                 *self.best = ClosestHit { t, primitive: shape.primitive, u: 0.0, v: 0.0, tie_limit: shape.primitive };
@@ -88,19 +89,19 @@ impl<S: Simd> NearestLeaf for ClosestVisitor<'_, S> {
     }
 }
 
-struct OcclusionVisitor<'a, S> {
+struct OcclusionVisitor<'a, S, R> {
     simd: S,
     blas: &'a Blas,
-    ray: &'a LocalRay,
+    ray: R,
     t_max: f32,
 }
 
-impl<S: Simd> AnyLeaf for OcclusionVisitor<'_, S> {
+impl<S: Simd, R: RayData> AnyLeaf for OcclusionVisitor<'_, S, R> {
     #[inline(always)]
     fn visit(&mut self, leaf: Child) -> bool {
         if leaf.is_second_kind() {
             let shape = &self.blas.shapes[leaf.index()];
-            shape_distance(shape, self.ray, self.t_max).is_some_and(|t| t < self.t_max)
+            shape_distance(shape, self.ray.vectors(), self.ray.mirrored(), self.t_max).is_some_and(|t| t < self.t_max)
         } else {
             let block = &self.blas.blocks[leaf.index()];
             match BlockCrossings::find(self.simd, block, self.ray, self.t_max) {
@@ -112,12 +113,14 @@ impl<S: Simd> AnyLeaf for OcclusionVisitor<'_, S> {
 }
 
 /// Returns the distance of the first valid crossing, at most `t_max`.
+/// - `vectors`: origin and direction of the ray;
+/// - `mirrored`: whether the shape is seen through a map of negative determinant.
 #[inline(never)]
-fn shape_distance(shape: &Shape, ray: &LocalRay, t_max: f32) -> Option<f32> {
+fn shape_distance(shape: &Shape, vectors: [Vec3A; 2], mirrored: bool, t_max: f32) -> Option<f32> {
     // The end is extended so that ties are found; the caller compares in f32.
     let span = Span { from: 0.0, to: f64::from(t_max) * (1.0 + 1e-7) };
-    let crossings = shape.crossings(ray.mirrored);
-    let t = shape.quadric.intersect(ray.origin.as_dvec3(), ray.dir.as_dvec3(), span, crossings)?;
+    let [origin, dir] = vectors;
+    let t = shape.quadric.intersect(origin.as_dvec3(), dir.as_dvec3(), span, shape.crossings(mirrored))?;
     Some(t as f32).filter(|&t| t > 0.0 && t <= t_max)
 }
 
@@ -164,12 +167,15 @@ impl<V: Vector> BlockCrossings<V> {
     /// from the edge functions. Its sign is then that of `normal . (vertex - origin)` over `normal . dir`, which error bounds can
     /// guarantee even for grazing rays.
     #[inline(always)]
-    fn find<S: Simd<V = V>>(simd: S, block: &Block, ray: &LocalRay, t_max: f32) -> Option<Self> {
-        let [kx, ky, kz] = ray.axes;
-        let (origin, dir) = (ray.origin.to_array(), ray.dir.to_array());
+    fn find<S: Simd<V = V>>(simd: S, block: &Block, ray: impl RayData, t_max: f32) -> Option<Self> {
+        let [kx, ky, kz] = ray.axes();
         let (rx, ry, rz) = (&block.rows[kx], &block.rows[ky], &block.rows[kz]);
-        let (ox, oy, oz) = (simd.splat(origin[kx]), simd.splat(origin[ky]), simd.splat(origin[kz]));
-        let (sx, sy) = (simd.splat(ray.shear[0]), simd.splat(ray.shear[1]));
+        let (ox, oy, oz) = (
+            simd.splat(ray.permuted_origin(0)),
+            simd.splat(ray.permuted_origin(1)),
+            simd.splat(ray.permuted_origin(2)),
+        );
+        let (sx, sy) = (simd.splat(ray.shear(0)), simd.splat(ray.shear(1)));
         let frame = ShearFrame { origin: [ox, oy, oz], shear: [sx, sy] };
         let (a, ax, ay) = frame.corner(simd, rx, ry, rz, 0);
         let (_, bx, by) = frame.corner(simd, rx, ry, rz, 1);
@@ -184,7 +190,8 @@ impl<V: Vector> BlockCrossings<V> {
             return None;
         }
         let (nx, ny, nz) = (simd.load(&rx[3]), simd.load(&ry[3]), simd.load(&rz[3]));
-        let (dx, dy, dz) = (simd.splat(dir[kx]), simd.splat(dir[ky]), simd.splat(dir[kz]));
+        let (dx, dy, dz) =
+            (simd.splat(ray.permuted_dir(0)), simd.splat(ray.permuted_dir(1)), simd.splat(ray.permuted_dir(2)));
         let slope = nx * dx + ny * dy + nz * dz;
         let t = (nx * a[0] + ny * a[1] + nz * a[2]) / slope;
         let in_range = zero.lt(t) & t.le(simd.splat(t_max));
@@ -193,7 +200,7 @@ impl<V: Vector> BlockCrossings<V> {
             return None;
         }
         // A mirrored frame swaps the sides.
-        let from_behind = if ray.mirrored { slope.lt(zero).signs() } else { zero.lt(slope).signs() };
+        let from_behind = if ray.mirrored() { slope.lt(zero).signs() } else { zero.lt(slope).signs() };
         mask &= !(block.culled & from_behind);
         let edges = [u, v, w];
         let on_edge = (least.equal(zero) | greatest.equal(zero)).signs() & mask;
@@ -210,7 +217,7 @@ impl<V: Vector> BlockCrossings<V> {
 
     /// Updates `best` with the nearest crossing. Among equally near ones, the lowest primitive wins.
     #[inline(always)]
-    fn update_closest(&self, block: &Block, ray: &LocalRay, best: &mut ClosestHit) {
+    fn update_closest(&self, block: &Block, ray: impl RayData, best: &mut ClosestHit) {
         let t = self.t.lanes().0;
         let mut taken = None;
         let mut mask = self.mask;
@@ -240,7 +247,7 @@ impl<V: Vector> BlockCrossings<V> {
 /// Returns the mask without the lanes of `on_edge` that f64 edge functions find outside.
 #[cold]
 #[inline(never)]
-fn remove_missed_lanes(block: &Block, ray: &LocalRay, mask: u32, on_edge: u32) -> u32 {
+fn remove_missed_lanes(block: &Block, ray: impl RayData, mask: u32, on_edge: u32) -> u32 {
     (0..WIDTH)
         .filter(|lane| on_edge >> lane & 1 == 1)
         .fold(mask, |mask, lane| if exact_edges(block, ray, lane).is_some() { mask } else { mask & !(1 << lane) })
@@ -250,13 +257,12 @@ fn remove_missed_lanes(block: &Block, ray: &LocalRay, mask: u32, on_edge: u32) -
 /// edge-on.
 #[cold]
 #[inline(never)]
-fn exact_edges(block: &Block, ray: &LocalRay, lane: usize) -> Option<[f32; 3]> {
-    let [kx, ky, kz] = ray.axes;
-    let origin = ray.origin.to_array();
+fn exact_edges(block: &Block, ray: impl RayData, lane: usize) -> Option<[f32; 3]> {
+    let [kx, ky, kz] = ray.axes();
     let corner = |i: usize| {
-        let at = |k: usize| block.rows[k][i].0[lane] - origin[k];
+        let at = |k: usize| block.rows[k][i].0[lane] - ray.origin(k);
         let z = at(kz);
-        (f64::from(at(kx) - ray.shear[0] * z), f64::from(at(ky) - ray.shear[1] * z))
+        (f64::from(at(kx) - ray.shear(0) * z), f64::from(at(ky) - ray.shear(1) * z))
     };
     let ((ax, ay), (bx, by), (cx, cy)) = (corner(0), corner(1), corner(2));
     let edges = [cx * by - cy * bx, ax * cy - ay * cx, bx * ay - by * ax];

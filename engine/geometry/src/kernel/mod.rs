@@ -11,5 +11,5 @@ mod traversal;
 
 pub(crate) use femc_simd::{Kernel, Level, Simd};
 pub(crate) use leaf::{ClosestHit, blas_closest, blas_occluded};
-pub(crate) use local_ray::LocalRay;
+pub(crate) use local_ray::{LocalRay, LocalRays};
 pub(crate) use traversal::{AnyLeaf, NearestLeaf, traverse_any, traverse_nearest_first};

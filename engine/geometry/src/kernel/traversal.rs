@@ -1,7 +1,7 @@
 //! Traversal of an eight-wide tree, nearest first or in any order.
 
 use super::{
-    local_ray::LocalRay,
+    local_ray::RayData,
     stack::{Entry, Stack},
 };
 use crate::tree::{Child, Node, Tree};
@@ -31,12 +31,11 @@ struct Slabs<V> {
 
 impl<V: Vector> Slabs<V> {
     #[inline(always)]
-    fn new<S: Simd<V = V>>(simd: S, ray: &LocalRay) -> Self {
-        let (o, i) = (ray.origin, ray.inverse);
+    fn new<S: Simd<V = V>>(simd: S, ray: impl RayData) -> Self {
         Self {
-            origin: [simd.splat(o.x), simd.splat(o.y), simd.splat(o.z)],
-            inverse: [simd.splat(i.x), simd.splat(i.y), simd.splat(i.z)],
-            near: ray.dir_is_negative,
+            origin: [simd.splat(ray.origin(0)), simd.splat(ray.origin(1)), simd.splat(ray.origin(2))],
+            inverse: [simd.splat(ray.inverse(0)), simd.splat(ray.inverse(1)), simd.splat(ray.inverse(2))],
+            near: [ray.near(0), ray.near(1), ray.near(2)],
             zero: simd.splat(0.0),
             // Ize's bound for the rounding of both ends (\[ize2013\]): no box that the exact ray hits is missed.
             widen: simd.splat(1.0 + 2.0 * gamma(3)),
@@ -64,7 +63,7 @@ impl<V: Vector> Slabs<V> {
 pub(crate) fn traverse_nearest_first<S: Simd>(
     simd: S,
     tree: &Tree,
-    ray: &LocalRay,
+    ray: impl RayData,
     limit: f32,
     leaf: &mut impl NearestLeaf,
 ) {
@@ -105,7 +104,13 @@ pub(crate) fn traverse_nearest_first<S: Simd>(
 
 /// Visits leaves whose boxes the ray hits before `limit`, until one ends the traversal. Returns whether one did.
 #[inline(always)]
-pub(crate) fn traverse_any<S: Simd>(simd: S, tree: &Tree, ray: &LocalRay, limit: f32, leaf: &mut impl AnyLeaf) -> bool {
+pub(crate) fn traverse_any<S: Simd>(
+    simd: S,
+    tree: &Tree,
+    ray: impl RayData,
+    limit: f32,
+    leaf: &mut impl AnyLeaf,
+) -> bool {
     let slabs = Slabs::new(simd, ray);
     let mut stack = Stack::new();
     let limit = simd.splat(limit);

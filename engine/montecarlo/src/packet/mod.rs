@@ -1,29 +1,34 @@
 //! Paths side by side: vertices at opaque surfaces are computed in the lanes of vectors.
 //!
-//! Each lane traces one sample after the other. A ray is traced as in [`Tracer::sample`]. Where it reaches a matte or rough surface,
-//! the path waits for the other lanes. Light and direction are then computed for all of them at a time ([`vertices`]). Any other
-//! vertex is computed by the lane's own tracer. Lanes do the same operations as the tracer, in the same order, so samples are equal
-//! to the bit to those traced one by one. Scenes with media or clear surfaces, guided paths and recorded paths have no lanes.
+//! Each lane traces one sample after the other. The steps of a path are done for all lanes at a time: its beginning ([`paths`]), its
+//! rays, the points that they hit ([`points`]), and light and direction there ([`vertices`]) if the surface is matte or rough. Any
+//! other vertex is computed by the lane's own tracer. Lanes do the same operations as the tracer, in the same order, so samples are
+//! equal to the bit to those traced one by one. Scenes with media or clear surfaces, guided paths and recorded paths have no lanes.
 
+mod paths;
+mod points;
 mod rectangle;
+mod rough;
 mod vectors;
 mod vertices;
 
 use crate::dimensions as dim;
 use crate::path_state::{PathState, PreviousVertex, SegmentOrigin};
-use crate::record::{PathEnd, RecordLevel, Termination};
+use crate::record::{RecordLevel, Termination};
 use crate::roulette::LONG_PATH;
-use crate::tracer::{PathSample, PixelFilter, Tracer, TracerCounters};
-use crate::window::DirectionNumbers;
+use crate::tracer::{PathSample, PixelFilter, SHUTTER_CENTER, Tracer, TracerCounters};
 use femc_emission::{BsdfLobes, PointContext};
-use femc_geometry::{Hit, Ray};
+use femc_geometry::Ray;
 use femc_math::glam::Vec3A;
 use femc_math::{Frame, Rgb, SampleStream};
-use femc_prepared::ShadingPoint;
+use femc_prepared::Prepared;
+use femc_prepared::compile::NONE;
 use femc_prepared::media::MediumStack;
-use femc_scattering::Bsdf;
 use femc_simd::WIDTH;
+use paths::{CameraRays, PathLanes};
+use points::{FindPoints, PointLanes};
 use std::ops::ControlFlow;
+use vectors::FloatLanes;
 use vertices::{LaneScene, Scattering, Vertices};
 
 /// Number of a sample: pixel (row-major index in the whole film), and sample of the pixel.
@@ -33,8 +38,12 @@ pub type SampleNumber = (u32, u32);
 pub struct Packet<'a> {
     lanes: Vec<Lane<'a>>,
     /// `None`: a single lane traces each sample to its end.
-    scene: Option<LaneScene>,
+    scene: Option<LaneScene<'a>>,
+    paths: PathLanes,
+    points: PointLanes,
     vertices: Vertices,
+    /// Work done in lanes.
+    counters: TracerCounters,
 }
 
 /// One of the paths.
@@ -42,26 +51,61 @@ struct Lane<'a> {
     tracer: Tracer<'a>,
     /// Sample of the path; `None`: the lane waits for one.
     sample: Option<SampleNumber>,
+    /// The path. The parts that are in [`PathLanes`], too, are true only after [`Self::load`].
     path: PathState,
     out: PathSample,
     /// Light of small emitters that the camera sees, cd/m2.
     camera_light: Rgb,
-    /// BSDF of the rough surface at which the path waits.
-    rough: Option<&'a Bsdf>,
-    /// Context for which the lamps were weighed there.
+    /// Context for which the lamps were weighed at the latest vertex.
     light_context: PointContext,
 }
 
 /// Ray of a lane that waits for its first sample.
-const NO_RAY: Ray = Ray { origin: Vec3A::ZERO, dir: Vec3A::Z, t_max: 0.0, time: 0.0 };
+const NO_RAY: Ray = Ray { origin: Vec3A::ZERO, dir: Vec3A::Z, t_max: 0.0, time: SHUTTER_CENTER };
 /// Context of a place without lamps to choose from.
 const NO_CONTEXT: PointContext = PointContext { position: Vec3A::ZERO, normal: Vec3A::ZERO, lobes: None };
 
 /// Samples to trace, and their receiver.
+trait SampleQueue {
+    type Filter: PixelFilter;
+    /// Returns the next sample to trace.
+    fn next(&mut self) -> Option<SampleNumber>;
+    /// Returns the filter of the film.
+    fn filter(&self) -> Self::Filter;
+    /// Receives a finished sample.
+    fn finish(&mut self, number: SampleNumber, sample: PathSample);
+}
+
 struct Samples<I, F, D> {
     numbers: I,
     filter: F,
     done: D,
+}
+
+impl<I: Iterator<Item = SampleNumber>, F: PixelFilter, D: FnMut(SampleNumber, PathSample)> SampleQueue
+    for Samples<I, F, D>
+{
+    type Filter = F;
+
+    #[inline(always)]
+    fn next(&mut self) -> Option<SampleNumber> {
+        self.numbers.next()
+    }
+
+    #[inline(always)]
+    fn filter(&self) -> F {
+        self.filter
+    }
+
+    #[inline(always)]
+    fn finish(&mut self, number: SampleNumber, sample: PathSample) {
+        (self.done)(number, sample);
+    }
+}
+
+/// Checks whether unguided paths of a frame are traced side by side.
+pub fn has_lanes(scene: &Prepared) -> bool {
+    LaneScene::new(scene).is_some()
 }
 
 impl<'a> Packet<'a> {
@@ -79,10 +123,16 @@ impl<'a> Packet<'a> {
             path: PathState::new(NO_RAY, SegmentOrigin::Delta, MediumStack::default(), SampleStream::new(0, 0, 0, 0)),
             out: PathSample::NOTHING,
             camera_light: Rgb::ZERO,
-            rough: None,
             light_context: NO_CONTEXT,
         };
-        Self { lanes: std::iter::repeat_with(lane).take(width).collect(), scene, vertices: Vertices::default() }
+        Self {
+            lanes: std::iter::repeat_with(lane).take(width).collect(),
+            scene,
+            paths: PathLanes::default(),
+            points: PointLanes::default(),
+            vertices: Vertices::default(),
+            counters: TracerCounters::default(),
+        }
     }
 
     /// Replaces the instruction set, to test that all give the same bits.
@@ -95,7 +145,7 @@ impl<'a> Packet<'a> {
 
     /// Returns the work done so far.
     pub fn counters(&self) -> TracerCounters {
-        self.lanes.iter().map(|lane| lane.tracer.counters).sum()
+        self.lanes.iter().map(|lane| lane.tracer.counters).chain([self.counters]).sum()
     }
 
     /// Computes samples. They end in any order.
@@ -104,9 +154,9 @@ impl<'a> Packet<'a> {
         &mut self,
         numbers: impl Iterator<Item = SampleNumber>,
         filter: impl PixelFilter,
-        mut done: impl FnMut(SampleNumber, PathSample),
+        done: impl FnMut(SampleNumber, PathSample),
     ) {
-        let mut samples = Samples { numbers, filter, done: &mut done };
+        let mut samples = Samples { numbers, filter, done };
         match &self.scene {
             Some(_) => while self.step(&mut samples) {},
             None => {
@@ -119,128 +169,217 @@ impl<'a> Packet<'a> {
     }
 
     /// Traces one ray of each path. Returns false if there is no path.
-    fn step(
-        &mut self,
-        samples: &mut Samples<
-            impl Iterator<Item = SampleNumber>,
-            impl PixelFilter,
-            impl FnMut(SampleNumber, PathSample),
-        >,
-    ) -> bool {
-        let Self { lanes, scene: Some(scene), vertices } = self else { return false };
-        let mut goes_on = false;
+    fn step(&mut self, samples: &mut impl SampleQueue) -> bool {
+        let active = self.begin_paths(samples);
+        if active == 0 {
+            return false;
+        }
+        let escaped = self.trace_rays(active);
+        let Self { lanes, scene: Some(scene), paths, points, vertices, counters } = self else { return false };
+        for index in bits(escaped) {
+            lanes[index].finish(index, paths, samples);
+        }
+        scene.level.run(FindPoints { points, paths });
         vertices.clear();
-        for (index, lane) in lanes.iter_mut().enumerate() {
-            if lane.sample.is_none() && !lane.begin(samples) {
-                continue;
-            }
-            goes_on = true;
-            if let Some(flow) = lane.trace_ray(index, scene, vertices) {
-                lane.advance(flow, samples);
+        for index in bits(points.used) {
+            if let Some(flow) = lanes[index].arrive(index, scene, paths, points, vertices) {
+                lanes[index].advance(flow, index, paths, samples);
             }
         }
         if vertices.used == 0 {
-            return goes_on;
+            return true;
         }
-        let (to_evaluate, unsampled) = vertices.sample_lamps(scene);
-        for index in bits(to_evaluate) {
-            lanes[index].evaluate(index, vertices);
-        }
-        let mut visible = 0;
-        for index in bits(vertices.find_shadow_rays(scene)) {
-            let Lane { tracer, path, .. } = &mut lanes[index];
-            tracer.counters.shadow_rays += 1;
-            let ray = vertices.shadow_ray(index, path.ray.time);
-            visible |= u32::from(!tracer.scene.world.occluded(&ray)) << index;
-        }
-        for index in bits(vertices.rough) {
-            lanes[index].sample_direction(index, vertices);
-        }
-        let continuing = vertices.leave(scene, visible);
+        let unsampled = vertices.sample_lamps(scene, points, paths);
+        let (rays, used) = vertices.shadow_rays(&paths.time);
+        let visible = used & !scene.prepared.world.occluded_lanes(rays, used);
+        counters.shadow_rays += u64::from(used.count_ones());
+        let continuing = vertices.leave(scene, visible, points, paths);
+        paths.scattered |= vertices.used;
         for index in bits(vertices.used) {
-            let flow = lanes[index].leave(index, vertices, continuing >> index & 1 == 1);
-            lanes[index].advance(flow, samples);
+            if continuing >> index & 1 == 1 {
+                lanes[index].path.bounce += 1;
+            } else {
+                lanes[index].finish(index, paths, samples);
+            }
         }
         for index in bits(unsampled) {
-            let flow = lanes[index].scatter_again();
-            lanes[index].advance(flow, samples);
+            let flow = lanes[index].scatter(index, paths, points);
+            lanes[index].advance(flow, index, paths, samples);
         }
-        goes_on
+        true
+    }
+
+    /// Begins a sample in each lane that waits for one. Returns the lanes with a path.
+    #[inline(always)]
+    fn begin_paths(&mut self, samples: &mut impl SampleQueue) -> u32 {
+        let Self { lanes, scene: Some(scene), paths, .. } = self else { return 0 };
+        let (mut active, mut begun) = (0, 0);
+        let mut film = [FloatLanes::default(); 2];
+        for (index, lane) in lanes.iter_mut().enumerate() {
+            if lane.sample.is_none() {
+                lane.sample = samples.next();
+                let Some((pixel, sample)) = lane.sample else { continue };
+                lane.out = PathSample::NOTHING;
+                paths.begin(index);
+                if scene.view.is_some() && scene.prepared.camera_emitters.get(pixel).is_none() {
+                    begun |= 1 << index;
+                    let position = lane.begin(pixel, sample, samples.filter());
+                    film[0].set(index, position[0]);
+                    film[1].set(index, position[1]);
+                } else {
+                    (lane.path, lane.camera_light) =
+                        lane.tracer.begin_path(pixel, sample, samples.filter(), RecordLevel::End);
+                    paths.origin.set(index, lane.path.ray.origin);
+                    paths.dir.set(index, lane.path.ray.dir);
+                }
+                paths.time.set(index, lane.path.ray.time);
+            }
+            lane.path.begin_ray();
+            active |= 1 << index;
+        }
+        if let Some((view, _)) = &scene.view
+            && begun != 0
+        {
+            scene.level.run(CameraRays { view, lanes: begun, film: &film, paths });
+        }
+        active
+    }
+
+    /// Traces the next rays of paths to the closest surfaces. Returns the lanes of rays that hit nothing.
+    #[inline(always)]
+    fn trace_rays(&mut self, active: u32) -> u32 {
+        let Self { scene: Some(scene), paths, points, counters, .. } = self else { return 0 };
+        let rays = paths.rays();
+        points.clear();
+        let found = scene.prepared.world.intersect_lanes(rays, active, &mut points.hits);
+        for index in bits(found) {
+            let hit = points.hits[index];
+            match scene.prepared.flat_triangle(&hit) {
+                Some(triangle) => points.add_flat(index, triangle),
+                None => points.add(index, &scene.prepared.shading_point(&rays.ray(index), &hit)),
+            }
+        }
+        let count = u64::from(active.count_ones());
+        counters.rays += count;
+        counters.segments += count;
+        active & !found
     }
 }
 
 /// Returns the numbers of the set bits.
 fn bits(mut mask: u32) -> impl Iterator<Item = usize> {
     std::iter::from_fn(move || {
-        let bit = (mask != 0).then(|| mask.trailing_zeros() as usize);
+        let bit = (mask != 0).then(|| mask.trailing_zeros() as usize % WIDTH);
         mask &= mask.wrapping_sub(1);
         bit
     })
 }
 
-impl Lane<'_> {
-    /// Begins a sample. Returns false if there is none.
+impl<'a> Lane<'a> {
+    /// Begins a sample for a camera at rest without a lens, in a pixel without small emitters: `Tracer::begin_path`. Returns the
+    /// position on the film, pixels.
     #[inline(always)]
-    fn begin(
-        &mut self,
-        samples: &mut Samples<
-            impl Iterator<Item = SampleNumber>,
-            impl PixelFilter,
-            impl FnMut(SampleNumber, PathSample),
-        >,
-    ) -> bool {
-        self.sample = samples.numbers.next();
-        let Some((pixel, sample)) = self.sample else { return false };
-        (self.path, self.camera_light) = self.tracer.begin_path(pixel, sample, samples.filter, RecordLevel::End);
-        self.out = PathSample::NOTHING;
-        true
+    fn begin(&mut self, pixel: u32, sample: u32, filter: impl PixelFilter) -> [f32; 2] {
+        let Self { tracer, path, .. } = self;
+        path.stream = SampleStream::new(tracer.settings.seed, tracer.scene.frame, pixel, sample);
+        path.stream.seek(dim::FILM);
+        path.previous.origin = SegmentOrigin::Delta;
+        path.awaits_first_surface = true;
+        path.ray.time = SHUTTER_CENTER;
+        (path.bounce, path.rays) = (0, 0);
+        self.camera_light = Rgb::ZERO;
+        let offset = filter.sample(path.stream.next_2d());
+        let center = tracer.scene.camera.center(pixel);
+        [center[0] + offset[0], center[1] + offset[1]]
     }
 
-    /// Traces the next ray of the path. `None`: the path waits at a surface.
+    /// Returns the vertex before the current segment.
     #[inline(always)]
-    fn trace_ray(
+    fn previous(&self, index: usize, paths: &PathLanes) -> PreviousVertex {
+        if paths.scattered >> index & 1 == 0 {
+            return self.path.previous;
+        }
+        let origin = SegmentOrigin::Surface { light_context: self.light_context, pdf: paths.pdf.get(index) };
+        PreviousVertex { position: paths.previous.get(index), origin }
+    }
+
+    /// Copies the path from the lanes.
+    #[inline(always)]
+    fn load(&mut self, index: usize, paths: &PathLanes) {
+        self.path.ray = paths.rays().ray(index);
+        self.path.throughput = paths.throughput.get(index);
+        self.path.roulette_scale = paths.roulette_scale.get(index);
+        self.path.previous = self.previous(index, paths);
+        self.out.color = paths.color.get(index);
+    }
+
+    /// Copies the path to the lanes.
+    #[inline(always)]
+    fn store(&self, index: usize, paths: &mut PathLanes) {
+        paths.scattered &= !(1 << index);
+        paths.origin.set(index, self.path.ray.origin);
+        paths.dir.set(index, self.path.ray.dir);
+        paths.throughput.set(index, self.path.throughput);
+        paths.roulette_scale.set(index, self.path.roulette_scale);
+        paths.color.set(index, self.out.color);
+    }
+
+    /// Brings the path to a surface. `None`: the path waits there.
+    #[inline(always)]
+    fn arrive(
         &mut self,
         index: usize,
-        scene: &LaneScene,
+        scene: &LaneScene<'a>,
+        paths: &mut PathLanes,
+        points: &PointLanes,
         vertices: &mut Vertices,
     ) -> Option<ControlFlow<Termination>> {
+        if points.light(index) != NONE {
+            self.add_emission(index, paths, points);
+        }
         let Self { tracer, path, out, .. } = self;
-        let hit = tracer.find_hit(path);
-        let at = match tracer.reach::<false, false>(path, hit, out) {
-            ControlFlow::Break(flow) => return Some(flow),
-            ControlFlow::Continue(at) => at,
-        };
-        let (_, point) = &at;
-        let dir = path.ray.dir;
         let is_inner = path.rays <= LONG_PATH && !tracer.settings.is_last(path.bounce);
-        let surface = if is_inner { scene.surface(tracer.scene, point, dir) } else { None };
-        let Some((facing, scattering)) = surface else {
-            return Some(tracer.continue_at::<false, false>(path, at, out));
-        };
-        let wo = || Frame::from_normal(facing).to_local(-dir);
+        let scattering = if is_inner { scene.scattering(points, index) } else { None };
+        let Some(scattering) = scattering else { return Some(self.scatter(index, paths, points)) };
+        let dir = paths.dir.get(index);
+        let wo = || Frame::from_normal(points.facing.get(index)).to_local(-dir);
         if path.awaits_first_surface {
             path.awaits_first_surface = false;
-            out.depth = tracer.scene.camera.depth(point.position, path.ray.time);
+            let position = points.position.get(index);
+            out.depth = match &scene.view {
+                Some((_, axis)) => axis.depth(position),
+                None => tracer.scene.camera.depth(position, path.ray.time),
+            };
             let albedo = match scattering {
                 Scattering::Matte { reflectance } => reflectance,
-                Scattering::Rough(bsdf) => bsdf.albedo(wo()),
+                Scattering::Rough(surface) => surface.albedo(wo()),
             };
-            out.albedo = path.throughput * albedo;
+            out.albedo = paths.throughput.get(index) * albedo;
         }
-        vertices.add(index, path, point, (facing, scattering), out.color);
-        self.rough = match scattering {
-            Scattering::Matte { .. } => None,
-            Scattering::Rough(bsdf) => Some(bsdf),
-        };
+        vertices.add(index, path, scattering);
         // A sole lamp is chosen without regard to the surface.
         if scene.lamp.is_none() {
-            let lobes = self.rough.and_then(|bsdf| bsdf.glossy_lobes(wo()));
-            let lobes = lobes.map(|(diffuse, glossy, alpha)| BsdfLobes { diffuse, glossy, alpha, wo: -dir });
-            let lit_side = if point.normal.dot(dir) > 0.0 { -point.normal } else { point.normal };
-            self.light_context = tracer.scene.lights.point_context(point.position, lit_side, lobes);
+            let lobes = match scattering {
+                Scattering::Matte { .. } => None,
+                Scattering::Rough(surface) => {
+                    let (diffuse, glossy, alpha) = surface.lobes(wo());
+                    Some(BsdfLobes { diffuse, glossy, alpha, wo: -dir })
+                }
+            };
+            let normal = points.normal.get(index);
+            let lit_side = if points.back >> index & 1 == 1 { -normal } else { normal };
+            self.light_context = tracer.scene.lights.point_context(points.position.get(index), lit_side, lobes);
             self.sample_lamp(index, vertices);
         }
         None
+    }
+
+    /// Adds the emission of the surface that the path has reached.
+    #[inline(never)]
+    fn add_emission(&self, index: usize, paths: &mut PathLanes, points: &PointLanes) {
+        let (ray, (_, point)) = (paths.rays().ray(index), points.point(index));
+        let emission = self.tracer.emitter_hit(&ray, &point, &self.previous(index, paths));
+        paths.color.set(index, paths.color.get(index) + paths.throughput.get(index) * emission);
     }
 
     /// Chooses a lamp, and samples a point on it.
@@ -260,70 +399,39 @@ impl Lane<'_> {
         }
     }
 
-    /// Evaluates the rough surface at which the path waits, for the point of the lamp.
-    #[inline(always)]
-    fn evaluate(&self, index: usize, vertices: &mut Vertices) {
-        let Some(bsdf) = self.rough else { return };
-        let (wo, wi) = (vertices.wo.get(index), vertices.lamp_direction(index));
-        vertices.set_value(index, bsdf.eval(wo, wi), bsdf.pdf(wo, wi));
-    }
-
-    /// Samples the direction in which the path leaves a rough surface.
-    #[inline(always)]
-    fn sample_direction(&mut self, index: usize, vertices: &mut Vertices) {
-        let Some(bsdf) = self.rough else { return };
-        let numbers = DirectionNumbers::draw(&mut self.path, bsdf);
-        vertices.add_direction(index, bsdf.sample(vertices.wo.get(index), numbers.u, numbers.choice));
-    }
-
-    /// Continues the path from the surface at which it waits, or ends it there.
-    #[inline(always)]
-    fn leave(&mut self, index: usize, vertices: &Vertices, continues: bool) -> ControlFlow<Termination> {
-        let path = &mut self.path;
-        self.out.color = vertices.color(index);
-        path.vertices += 1;
-        path.throughput = vertices.throughput(index);
-        if !continues {
-            return ControlFlow::Break(path.end(PathEnd::Absorbed));
-        }
-        let (ray, pdf) = vertices.next_ray(index, path.ray.time);
-        let origin = SegmentOrigin::Surface { light_context: self.light_context, pdf };
-        path.previous = PreviousVertex { position: vertices.position.get(index), origin };
-        path.ray = ray;
-        path.bounce += 1;
-        ControlFlow::Continue(())
-    }
-
-    /// Scatters the path at the surface of its current ray by its own tracer.
+    /// Scatters the path at the surface that it has reached by its own tracer.
     #[inline(never)]
-    fn scatter_again(&mut self) -> ControlFlow<Termination> {
+    fn scatter(&mut self, index: usize, paths: &mut PathLanes, points: &PointLanes) -> ControlFlow<Termination> {
+        self.load(index, paths);
         let Self { tracer, path, out, .. } = self;
-        let at: Option<(Hit, ShadingPoint)> =
-            tracer.scene.world.intersect(&path.ray).map(|hit| (hit, tracer.scene.shading_point(&path.ray, &hit)));
-        match at {
-            Some(at) => tracer.continue_at::<false, false>(path, at, out),
-            None => ControlFlow::Break(path.end(PathEnd::Escaped)),
-        }
+        let flow = tracer.continue_at::<false, false>(path, points.point(index), out);
+        self.store(index, paths);
+        flow
     }
 
-    /// Ends the path, and the sample after its last branch.
+    /// Continues the path after a vertex that its own tracer has scattered, or ends it.
     #[inline(always)]
     fn advance(
         &mut self,
         flow: ControlFlow<Termination>,
-        samples: &mut Samples<
-            impl Iterator<Item = SampleNumber>,
-            impl PixelFilter,
-            impl FnMut(SampleNumber, PathSample),
-        >,
+        index: usize,
+        paths: &PathLanes,
+        samples: &mut impl SampleQueue,
     ) {
-        let ControlFlow::Break(termination) = flow else { return };
-        if self.tracer.end_path::<false>(&mut self.path, termination, &mut self.out).is_break()
-            && let Some(number) = self.sample.take()
-        {
-            self.out.color += self.camera_light;
-            (samples.done)(number, self.out);
+        if flow.is_break() {
+            self.finish(index, paths, samples);
         }
+    }
+
+    /// Ends the path and its sample: `Tracer::end_path` without branches.
+    #[inline(always)]
+    fn finish(&mut self, index: usize, paths: &PathLanes, samples: &mut impl SampleQueue) {
+        let Some(number) = self.sample.take() else { return };
+        // The film must count a path with an invalid throughput as a bad sample.
+        let is_valid = paths.throughput.get(index).is_finite();
+        self.out.color = if is_valid { paths.color.get(index) } else { Rgb::NAN };
+        self.out.color += self.camera_light;
+        samples.finish(number, self.out);
     }
 }
 

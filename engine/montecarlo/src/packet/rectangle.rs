@@ -16,8 +16,12 @@ pub struct LampPoints<V> {
     pub dir: V3<V>,
     pub position: V3<V>,
     pub error: V3<V>,
+    pub normal: V3<V>,
+    pub radiance: V3<V>,
     /// Density, 1/sr.
     pub pdf: V,
+    /// 0 for lamps that are points, otherwise 1.
+    pub can_be_hit: V,
 }
 
 /// Samples points from `u` in [0, 1)^2.
@@ -76,7 +80,17 @@ pub fn sample_points<S: Simd>(
     }
     let error = (position.abs(simd) + V3::splat(simd, lamp.scale)).scale(simd.splat(gamma(5)));
     let error = error.plus(simd.splat(position_error));
-    LampPoints { lit: lit & !dark & !unsampled, unsampled, dir, position, error, pdf }
+    LampPoints {
+        lit: lit & !dark & !unsampled,
+        unsampled,
+        dir,
+        position,
+        error,
+        normal,
+        radiance: V3::splat(simd, lamp.radiance),
+        pdf,
+        can_be_hit: simd.splat(1.0),
+    }
 }
 
 /// Views of the rectangle: `RectangleView` in lanes.

@@ -71,10 +71,12 @@ const LAMPS: [(&str, &str); 5] = [
     ("three lamps", "f p1 p2 p3 p4\nsph p5 .1\nf p5 p6 p7\n"),
 ];
 
-const WALLS: [(&str, &str); 4] = [
+const WALLS: [(&str, &str); 6] = [
     ("matte", " c\n rd .7\n"),
     ("rough", " c\n rd .3\n rs .4 .2\n"),
     ("metal", " c\n rs .8 .3\n"),
+    ("plastic", " ir 1.5 0\n c\n rd .3\n rs .9 .2\n"),
+    ("silver", " ir .15 3.6\n c\n rs .8 .3\n"),
     ("mirror", " c\n rd .3\n rs .4 0\n"),
 ];
 

@@ -36,6 +36,12 @@ impl VectorLanes {
         let [x, y, z] = &self.0;
         V3 { x: simd.load(x), y: simd.load(y), z: simd.load(z) }
     }
+
+    /// Replaces the lanes of a mask.
+    #[inline(always)]
+    pub fn replace<S: Simd>(&mut self, simd: S, mask: S::V, new: V3<S::V>) {
+        *self = new.or_else(mask, self.load(simd)).store();
+    }
 }
 
 /// Floats in memory.
@@ -59,12 +65,10 @@ impl FloatLanes {
         self.0.0[lane % WIDTH]
     }
 
-    /// Sets all bits of the lanes whose bit is set in `mask`, and none of the others.
+    /// Replaces the lanes of a mask.
     #[inline(always)]
-    pub fn set_mask(&mut self, mask: u32) {
-        for (lane, x) in self.0.0.iter_mut().enumerate() {
-            *x = f32::from_bits(0u32.wrapping_sub(mask >> lane & 1));
-        }
+    pub fn replace<S: Simd>(&mut self, simd: S, mask: S::V, new: S::V) {
+        self.0 = mask.select(new, simd.load(&self.0)).lanes();
     }
 }
 
@@ -123,6 +127,28 @@ impl<V: Vector> V3<V> {
     #[inline(always)]
     pub fn negated<S: Simd<V = V>>(self, simd: S) -> Self {
         Self { x: simd.negate(self.x), y: simd.negate(self.y), z: simd.negate(self.z) }
+    }
+
+    /// Returns the greater coordinates of both.
+    #[inline(always)]
+    pub fn max(self, other: Self) -> Self {
+        Self { x: self.x.max(other.x), y: self.y.max(other.y), z: self.z.max(other.z) }
+    }
+
+    /// Returns the greatest coordinate.
+    #[inline(always)]
+    pub fn max_element(self) -> V {
+        self.x.max(self.y).max(self.z)
+    }
+
+    /// `femc_math::cross`.
+    #[inline(always)]
+    pub fn cross(self, other: Self) -> Self {
+        Self {
+            x: self.y * other.z - other.y * self.z,
+            y: self.z * other.x - other.z * self.x,
+            z: self.x * other.y - other.x * self.y,
+        }
     }
 
     #[inline(always)]

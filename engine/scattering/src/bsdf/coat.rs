@@ -31,6 +31,12 @@ impl Coat {
         Self { rs, fresnel, normalization }
     }
 
+    /// Returns `1 / (1 - R_mean)`; 1 without an index.
+    #[inline]
+    pub fn normalization(&self) -> Rgb {
+        self.normalization
+    }
+
     /// Returns R at `cos` in [0, 1].
     #[inline]
     pub fn reflectance(&self, cos: f32) -> Rgb {

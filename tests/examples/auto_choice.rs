@@ -11,7 +11,7 @@
 //! the ratio of `auto` to the better method, with the upper end of its 95 % interval over seeds.
 
 use femc_montecarlo::Guidance;
-use femc_pipeline::method_choice::{Pilot, RAYS_PER_GUIDED_VERTEX, choose_method};
+use femc_pipeline::method_choice::{Pilot, choose_method, work};
 use femc_pipeline::radiosity::{self, SolveOptions};
 use femc_pipeline::{Method, SceneSource, Settings, StopCondition, plan_job, prepare_frame};
 use femc_tests::clock::processor_seconds;
@@ -55,12 +55,13 @@ fn main() -> Result<(), Box<dyn Error>> {
         let methods = [None, Some(guidance)];
         let measured_spp = spp.min(256);
         let measured = measure(&methods, &prepared, size, measured_spp, 2);
-        let rays_per_second =
-            measured[0].rays * f64::from(measured_spp) * f64::from(size * size) / measured[0].seconds.max(1e-9);
-        let first_pass = first_pass_seconds * rays_per_second;
+        let work_of_sample = [(Method::Pt, &measured[0]), (Method::Femc, &measured[1])]
+            .map(|(method, measured)| work(&prepared, method, measured.rays, measured.guided));
+        let work_per_second =
+            work_of_sample[0] * f64::from(measured_spp) * f64::from(size * size) / measured[0].seconds.max(1e-9);
+        let first_pass = first_pass_seconds * work_per_second;
         let samples = f64::from(spp) * f64::from(size * size);
-        let work = [0, 1]
-            .map(|method: usize| samples * (measured[method].rays + RAYS_PER_GUIDED_VERTEX * measured[method].guided));
+        let work = work_of_sample.map(|work| samples * work);
         let plan = plan_job(source.scene(), &settings, Some(&[1]))?;
         let (mut ratios, mut chosen, mut estimated, mut gains) = (Vec::new(), 0, 0.0, Vec::new());
         let (mut variances, mut most_gains) = (0.0, 0.0);

@@ -21,6 +21,7 @@ use femc_geometry::Ray;
 use femc_math::Rgb;
 use femc_math::elementary::double::{exp, ln, pow};
 use femc_math::glam::DVec3;
+use femc_montecarlo::has_lanes;
 use femc_montecarlo::record::{
     BranchEvent, Continuation, Contribution, InteractionKind, LightTechnique, RecordLevel, Recorder, Termination,
     Vertex,
@@ -58,7 +59,10 @@ const GAIN_POWER: f64 = 0.22;
 const EXPECTED_GAIN_DEVIATION: f64 = 0.3;
 const PILOT_GAIN_DEVIATION: f64 = 0.15;
 /// Work of a vertex at which guides sample directions, in rays of a scene whose rays are fast.
-pub const RAYS_PER_GUIDED_VERTEX: f64 = 1.0;
+const RAYS_PER_GUIDED_VERTEX: f64 = 1.0;
+/// Work of a ray of paths that are traced side by side ([`has_lanes`]), in rays of paths traced one after the other. Guided paths are
+/// traced one after the other.
+const WORK_OF_LANE_RAY: f64 = 0.45;
 /// Minimum ratio of the samples' variance to the variance of the light that no guide can improve.
 const MIN_POSSIBLE_GAIN: f64 = 1.25;
 
@@ -78,8 +82,10 @@ pub struct MethodChoice {
 pub struct Pilot {
     /// Number of samples traced.
     pub samples: u64,
-    /// Work of a sample of path tracing, in rays.
+    /// Work of a sample of path tracing, in rays of paths traced one after the other.
     pub rays_a_sample: f64,
+    /// Work of a ray of path tracing, in the same unit.
+    pub work_of_ray: f64,
     /// Expected number of samples a pixel of the frame.
     pub samples_a_pixel: f64,
     /// Variance of a sample over the squared mean, over all pixels and channels.
@@ -91,7 +97,7 @@ pub struct Pilot {
     /// Reason why the tested first pass cannot be used.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub untrusted: Option<String>,
-    /// Number of rays of all frames with path tracing.
+    /// Work of all frames with path tracing, in the same rays.
     pub rays: f64,
     /// Work of the first passes that the frames share, in the same rays.
     pub first_pass_rays: f64,
@@ -163,7 +169,7 @@ impl Pilot {
 
     /// Returns the gain of two passes that scenes with this variance have on average.
     fn expected_gain(&self) -> f64 {
-        pow((self.variance / GAINLESS_VARIANCE).max(1.0), GAIN_POWER).min(self.most_gain)
+        self.work_of_ray * pow((self.variance / GAINLESS_VARIANCE).max(1.0), GAIN_POWER).min(self.most_gain)
     }
 
     /// Returns the work of two passes for the error of path tracing, as a share of path tracing's work.
@@ -248,6 +254,7 @@ fn run_pilot(
     let settings = Settings { size: Some(pilot::scaled_film_size(film, pixels.min(pilot::PIXELS))), ..settings };
     let prepared = prepare_frame(source, &settings, frame, None)?;
     let paths = PilotSamples::trace(&prepared, &settings)?;
+    let work_of_ray = work_of_ray(&prepared, settings.method);
     let samples_a_pixel = match settings.stop {
         StopCondition::Spp(spp) => f64::from(spp),
         StopCondition::Error(_) | StopCondition::Time(_) => {
@@ -263,6 +270,7 @@ fn run_pilot(
     let mut found = Pilot {
         samples: paths.samples,
         rays_a_sample: paths.rays_per_sample,
+        work_of_ray,
         samples_a_pixel,
         variance: paths.relative_variance(),
         most_gain: paths.max_gain(),
@@ -270,7 +278,8 @@ fn run_pilot(
         untrusted: None,
         rays,
         first_pass_rays,
-        learning_rays: LEARNING_WORK * f64::from(femc_guiding::pilot_path_count(film)) * paths.rays_per_sample * frames,
+        learning_rays: LEARNING_WORK * f64::from(femc_guiding::pilot_path_count(film)) * paths.rays_per_sample * frames
+            / work_of_ray,
     };
     let mut solved = None;
     if found.is_promising() {
@@ -308,6 +317,17 @@ fn run_pilot(
     Ok(Some((found, solved)))
 }
 
+/// Returns the work of a ray, in rays of paths traced one after the other.
+fn work_of_ray(prepared: &Prepared, method: Method) -> f64 {
+    if method == Method::Pt && has_lanes(prepared) { WORK_OF_LANE_RAY } else { 1.0 }
+}
+
+/// Returns the work of samples, in rays of paths traced one after the other.
+/// - `rays`: number of rays and shadow rays; `guided`: number of vertices at which guides sample directions.
+pub fn work(prepared: &Prepared, method: Method, rays: f64, guided: f64) -> f64 {
+    work_of_ray(prepared, method) * rays + RAYS_PER_GUIDED_VERTEX * guided
+}
+
 /// Returns a message without its advice.
 fn without_advice(message: &str) -> &str {
     message.split_once(';').map_or(message, |(what, _)| what)
@@ -331,8 +351,8 @@ impl PilotSamples {
         let task = RenderTask::new(prepared, settings, whole, 0..VARIANCE_PILOT_SPP);
         let (rendered, noise) = task.render_rows(PixelNoise::default)?;
         let samples = whole.area() * u64::from(VARIANCE_PILOT_SPP);
-        let rays =
-            (rendered.rays + rendered.shadow_rays) as f64 + RAYS_PER_GUIDED_VERTEX * rendered.guided_vertices as f64;
+        let rays = (rendered.rays + rendered.shadow_rays) as f64;
+        let rays = work(prepared, settings.method, rays, rendered.guided_vertices as f64);
         let pixels = noise.into_iter().flat_map(PixelNoise::into_pixels).collect();
         Ok(Self { samples, rays_per_sample: rays / samples as f64, film: [width, height], pixels })
     }
@@ -442,12 +462,21 @@ struct PixelNoise {
     half: usize,
     current_sums: LightSums,
     finished_pixels: Vec<LightSums>,
-    /// Number of times that the path has left a diffuse surface, and light that a guide could have found.
-    diffuse_bounces: u32,
+    /// Light that a guide could have found.
     guidable: DVec3,
-    /// `diffuse_bounces` of the original path while a copy is split off, and those of the copies that wait.
-    original: u32,
-    waiting: Vec<u32>,
+    path: PathInteractions,
+    /// Interactions of the original path while a copy is split off, and those of the copies that wait.
+    original: PathInteractions,
+    waiting: Vec<PathInteractions>,
+}
+
+/// Interactions of a path so far.
+#[derive(Clone, Copy, Debug, Default)]
+struct PathInteractions {
+    /// Number of times that the path has left a diffuse surface.
+    diffuse: u32,
+    /// Whether the path has been reflected by a mirror or refracted since it left a rough surface.
+    is_specular: bool,
 }
 
 impl PixelNoise {
@@ -468,33 +497,39 @@ impl Recorder for PixelNoise {
             self.finished_pixels.push(std::mem::take(&mut self.current_sums));
         }
         self.current_pixel = Some(pixel);
-        (self.diffuse_bounces, self.guidable) = (0, DVec3::ZERO);
+        (self.path, self.guidable) = (PathInteractions::default(), DVec3::ZERO);
         RecordLevel::All
     }
 
     fn vertex(&mut self, _: impl FnOnce() -> Vertex) {}
 
     fn leave(&mut self, continuation: Continuation) {
-        self.diffuse_bounces += u32::from(continuation.interaction == InteractionKind::Diffuse);
+        let path = &mut self.path;
+        match continuation.interaction {
+            InteractionKind::Diffuse => *path = PathInteractions { diffuse: path.diffuse + 1, is_specular: false },
+            InteractionKind::Reflection | InteractionKind::Refraction => path.is_specular = true,
+            InteractionKind::Glossy | InteractionKind::Volume => path.is_specular = false,
+            InteractionKind::Straight | InteractionKind::Absorbed | InteractionKind::Emission => {}
+        }
     }
 
     fn occluded(&mut self, _: impl FnOnce() -> Ray) {}
 
     fn contribution(&mut self, contribution: impl FnOnce() -> Contribution) {
         let contribution = contribution();
-        // A lamp that is hit from the first surface is direct light: it is also sampled from there.
-        let before = u32::from(contribution.technique == LightTechnique::EmitterHit);
-        if self.diffuse_bounces > before {
+        // A lamp that is hit straight from the first surface is direct light: it is also sampled from there.
+        let is_sampled = contribution.technique == LightTechnique::EmitterHit && !self.path.is_specular;
+        if self.path.diffuse > u32::from(is_sampled) {
             self.guidable += contribution.color.as_dvec3();
         }
     }
 
     fn branch(&mut self, event: BranchEvent) {
         match event {
-            BranchEvent::Begin => self.original = self.diffuse_bounces,
-            BranchEvent::Suspend => self.waiting.push(std::mem::replace(&mut self.diffuse_bounces, self.original)),
-            BranchEvent::Discard => self.diffuse_bounces = self.original,
-            BranchEvent::Resume => self.diffuse_bounces = self.waiting.pop().unwrap_or_default(),
+            BranchEvent::Begin => self.original = self.path,
+            BranchEvent::Suspend => self.waiting.push(std::mem::replace(&mut self.path, self.original)),
+            BranchEvent::Discard => self.path = self.original,
+            BranchEvent::Resume => self.path = self.waiting.pop().unwrap_or_default(),
         }
     }
 
@@ -541,11 +576,20 @@ mod tests {
     /// With an error as the stop, the pilot estimates the number of samples.
     #[test]
     fn an_error_is_worth_as_much_as_the_samples_that_it_takes() {
-        let source = source("gallery");
+        let source = source("screen");
         let [coarse, fine] = [0.5, 0.005].map(|error| choose_for(&source, [320, 240], StopCondition::Error(error)));
         let spp = |choice: &MethodChoice| choice.pilot.as_ref().expect("a pilot").samples_a_pixel;
         assert!(spp(&fine) > 100.0 * spp(&coarse), "{coarse:?} {fine:?}");
         assert_eq!((coarse.method, fine.method), (Method::Pt, Method::Femc));
+    }
+
+    /// Most of the noise below a lamp in a glass ball is in paths that hit the lamp through the glass.
+    #[test]
+    fn light_through_glass_counts_as_light_that_guides_find() {
+        let choice = choose_for(&source("pendant"), [96, 96], StopCondition::Spp(1024));
+        let found = choice.pilot.as_ref().expect("a pilot");
+        assert!(found.most_gain > 4.0, "{choice:?}");
+        assert_eq!(choice.method, Method::Femc, "{choice:?}");
     }
 
     /// A white floor under a small lamp, in the open: light that leaves the floor reaches nothing else.

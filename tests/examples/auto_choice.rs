@@ -71,6 +71,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             let Some(Pilot {
                 samples: drawn,
                 rays_a_sample,
+                work_of_ray,
                 first_pass_rays,
                 learning_rays,
                 gain,
@@ -88,7 +89,8 @@ fn main() -> Result<(), Box<dyn Error>> {
             (variances, most_gains) = (variances + variance, most_gains + most_gain);
             // A first pass that was solved for the choice counts once.
             let spare = if gain.is_some() && !is_guided { first_pass } else { 0.0 };
-            let pilot = drawn as f64 * rays_a_sample + spare;
+            // A pilot traces its paths one after the other.
+            let pilot = drawn as f64 * rays_a_sample / work_of_ray + spare;
             let own = costs[usize::from(is_guided)] + measured[usize::from(is_guided)].variance * pilot;
             ratios.push(own / costs[0].min(costs[1]));
         }

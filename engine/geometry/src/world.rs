@@ -14,6 +14,7 @@ use femc_math::{
     gamma,
     glam::{Affine3A, Vec3A},
 };
+use femc_simd::lanes_of;
 use std::sync::Arc;
 
 /// A placed group.
@@ -121,7 +122,7 @@ impl World {
             });
         };
         let found = self.level.run(ClosestInLanes { blas, rays, used, hits });
-        for lane in lanes(found) {
+        for lane in lanes_of(found) {
             if self.is_shape(&hits[lane]) {
                 self.find_parameters(&rays.ray(lane), &mut hits[lane]);
             }
@@ -298,19 +299,9 @@ impl LeafRule for OneInstance<'_> {
     fn clear(&mut self) {}
 }
 
-/// Iterates over the numbers of the set bits.
-#[inline(always)]
-fn lanes(mut mask: u32) -> impl Iterator<Item = usize> {
-    std::iter::from_fn(move || {
-        let lane = (mask != 0).then(|| mask.trailing_zeros() as usize % WIDTH);
-        mask &= mask.wrapping_sub(1);
-        lane
-    })
-}
-
 /// Returns the lanes of a mask that meet a condition.
 fn set_lanes(used: u32, mut condition: impl FnMut(usize) -> bool) -> u32 {
-    lanes(used).fold(0, |set, lane| set | u32::from(condition(lane)) << lane)
+    lanes_of(used).fold(0, |set, lane| set | u32::from(condition(lane)) << lane)
 }
 
 /// Closest hits in the only instance.

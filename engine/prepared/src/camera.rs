@@ -194,15 +194,8 @@ impl KernelCamera {
 
     /// Returns the distance of `position` from the eye along the view axis at mid-shutter, m.
     pub fn depth(&self, position: Vec3A, time: f32) -> f32 {
-        let (eye, axis) = self.axis(time);
-        (position - eye).dot(axis)
-    }
-
-    /// Returns the eye, and the unit direction of the view axis, at a time in the shutter.
-    #[inline]
-    pub fn axis(&self, time: f32) -> (Vec3A, Vec3A) {
         let pose = self.pose(time);
-        (pose.origin, pose.forward.normalize())
+        (position - pose.origin).dot(pose.forward.normalize())
     }
 
     /// Returns the eye at shutter opening.

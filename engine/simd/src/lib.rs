@@ -149,6 +149,17 @@ mod sealed {
     pub trait Sealed {}
 }
 
+/// Iterates over the lanes whose bits are set in a mask. Kernels need a loop instead: closures are not compiled for their instruction
+/// set.
+#[inline(always)]
+pub fn lanes_of(mut mask: u32) -> impl Iterator<Item = usize> {
+    std::iter::from_fn(move || {
+        let lane = (mask != 0).then(|| mask.trailing_zeros() as usize % WIDTH);
+        mask &= mask.wrapping_sub(1);
+        lane
+    })
+}
+
 /// Work that is compiled for each instruction set.
 pub trait Kernel {
     /// Result of the work.

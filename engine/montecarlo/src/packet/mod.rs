@@ -24,7 +24,7 @@ use femc_math::{Frame, Rgb, SampleStream};
 use femc_prepared::Prepared;
 use femc_prepared::compile::NONE;
 use femc_prepared::media::MediumStack;
-use femc_simd::WIDTH;
+use femc_simd::{WIDTH, lanes_of};
 use paths::{CameraRays, PathLanes};
 use points::{FindPoints, PointLanes};
 use std::ops::ControlFlow;
@@ -176,12 +176,12 @@ impl<'a> Packet<'a> {
         }
         let escaped = self.trace_rays(active);
         let Self { lanes, scene: Some(scene), paths, points, vertices, counters } = self else { return false };
-        for index in bits(escaped) {
+        for index in lanes_of(escaped) {
             lanes[index].finish(index, paths, samples);
         }
         scene.level.run(FindPoints { points, paths });
         vertices.clear();
-        for index in bits(points.used) {
+        for index in lanes_of(points.used) {
             if let Some(flow) = lanes[index].arrive(index, scene, paths, points, vertices) {
                 lanes[index].advance(flow, index, paths, samples);
             }
@@ -195,14 +195,14 @@ impl<'a> Packet<'a> {
         counters.shadow_rays += u64::from(used.count_ones());
         let continuing = vertices.leave(scene, visible, points, paths);
         paths.scattered |= vertices.used;
-        for index in bits(vertices.used) {
+        for index in lanes_of(vertices.used) {
             if continuing >> index & 1 == 1 {
                 lanes[index].path.bounce += 1;
             } else {
                 lanes[index].finish(index, paths, samples);
             }
         }
-        for index in bits(unsampled) {
+        for index in lanes_of(unsampled) {
             let flow = lanes[index].scatter(index, paths, points);
             lanes[index].advance(flow, index, paths, samples);
         }
@@ -237,7 +237,7 @@ impl<'a> Packet<'a> {
             lane.path.begin_ray();
             active |= 1 << index;
         }
-        if let Some((view, _)) = &scene.view
+        if let Some(view) = &scene.view
             && begun != 0
         {
             scene.level.run(CameraRays { view, lanes: begun, film: &film, paths });
@@ -252,7 +252,7 @@ impl<'a> Packet<'a> {
         let rays = paths.rays();
         points.clear();
         let found = scene.prepared.world.intersect_lanes(rays, active, &mut points.hits);
-        for index in bits(found) {
+        for index in lanes_of(found) {
             let hit = points.hits[index];
             match scene.prepared.flat_triangle(&hit) {
                 Some(triangle) => points.add_flat(index, triangle),
@@ -264,15 +264,6 @@ impl<'a> Packet<'a> {
         counters.segments += count;
         active & !found
     }
-}
-
-/// Returns the numbers of the set bits.
-fn bits(mut mask: u32) -> impl Iterator<Item = usize> {
-    std::iter::from_fn(move || {
-        let bit = (mask != 0).then(|| mask.trailing_zeros() as usize % WIDTH);
-        mask &= mask.wrapping_sub(1);
-        bit
-    })
 }
 
 impl<'a> Lane<'a> {
@@ -345,11 +336,7 @@ impl<'a> Lane<'a> {
         let wo = || Frame::from_normal(points.facing.get(index)).to_local(-dir);
         if path.awaits_first_surface {
             path.awaits_first_surface = false;
-            let position = points.position.get(index);
-            out.depth = match &scene.view {
-                Some((_, axis)) => axis.depth(position),
-                None => tracer.scene.camera.depth(position, path.ray.time),
-            };
+            out.depth = tracer.scene.camera.depth(points.position.get(index), path.ray.time);
             let albedo = match scattering {
                 Scattering::Matte { reflectance } => reflectance,
                 Scattering::Rough(surface) => surface.albedo(wo()),

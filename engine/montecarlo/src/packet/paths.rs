@@ -3,7 +3,6 @@
 use super::vectors::{FloatLanes, V3, VectorLanes};
 use femc_geometry::RayLanes;
 use femc_math::Rgb;
-use femc_math::glam::Vec3A;
 use femc_prepared::camera::View;
 use femc_simd::{Kernel, Lanes, Simd, Vector, WIDTH};
 
@@ -68,20 +67,5 @@ impl Kernel for CameraRays<'_> {
         let dir = dir.over(dir.dot(dir).sqrt());
         paths.dir.replace(simd, begins, dir);
         paths.origin.replace(simd, begins, V3::splat(simd, view.origin));
-    }
-}
-
-/// Eye and view axis of a camera at rest, for the depths of points.
-#[derive(Clone, Copy)]
-pub struct ViewAxis {
-    pub eye: Vec3A,
-    pub axis: Vec3A,
-}
-
-impl ViewAxis {
-    /// `KernelCamera::depth`.
-    #[inline(always)]
-    pub fn depth(&self, position: Vec3A) -> f32 {
-        (position - self.eye).dot(self.axis)
     }
 }

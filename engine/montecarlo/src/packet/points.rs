@@ -32,7 +32,6 @@ pub struct PointLanes {
     /// Hits of the rays.
     pub hits: [Hit; WIDTH],
     uv: [Vec2; WIDTH],
-    parametric: [[f32; 2]; WIDTH],
     materials: [u32; WIDTH],
     lights: [u32; WIDTH],
 }
@@ -54,7 +53,6 @@ impl Default for PointLanes {
             weights: [FloatLanes::default(); 2],
             hits: [Hit { t: 0.0, instance: 0, primitive: 0, u: 0.0, v: 0.0 }; WIDTH],
             uv: [Vec2::ZERO; WIDTH],
-            parametric: [[0.0; 2]; WIDTH],
             materials: [0; WIDTH],
             lights: [NONE; WIDTH],
         }
@@ -91,7 +89,6 @@ impl PointLanes {
         self.error.set(lane, point.error);
         self.normal.set(lane, point.normal);
         self.shading.set(lane, point.shading_normal);
-        self.parametric[lane % WIDTH] = point.parametric;
         self.uv[lane % WIDTH] = point.uv;
         self.materials[lane % WIDTH] = point.material;
         self.lights[lane % WIDTH] = point.light;
@@ -124,7 +121,7 @@ impl PointLanes {
             normal: self.normal.get(lane),
             shading_normal: self.shading.get(lane),
             uv: self.uv(lane),
-            parametric: if self.flat >> lane & 1 == 1 { [hit.u, hit.v] } else { self.parametric[lane % WIDTH] },
+            parametric: [hit.u, hit.v],
             material: self.material(lane),
             light: self.light(lane),
         };

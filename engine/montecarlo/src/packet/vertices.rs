@@ -3,7 +3,7 @@
 //! The lanes do the same operations as the tracer, in the same order. A single rectangular lamp is sampled in vectors. Other lamps
 //! are sampled lane by lane with the tracer's functions; all the rest is in vectors, too.
 
-use super::paths::{PathLanes, ViewAxis};
+use super::paths::PathLanes;
 use super::points::PointLanes;
 use super::rectangle::{LampPoints, sample_points};
 use super::rough::{RoughLanes, RoughSurfaces};
@@ -29,18 +29,18 @@ pub struct LaneScene<'a> {
     /// The frame.
     pub prepared: &'a Prepared,
     /// Surfaces of each material, by side (front, back).
-    surfaces: Vec<[LaneSurface; 2]>,
+    surfaces: Vec<[LaneSurface<'a>; 2]>,
     /// The only lamp, if it is a rectangle, and the maximum distance of the traced surface from it, m.
     pub lamp: Option<(UniformRectangle, f32)>,
     /// View of a camera at rest without a lens, in a scene at rest.
-    pub view: Option<(View, ViewAxis)>,
+    pub view: Option<View>,
     /// Instruction set.
     pub level: Level,
 }
 
 /// A side of a material.
 #[derive(Clone, Copy)]
-enum LaneSurface {
+enum LaneSurface<'a> {
     /// Not scattered in lanes.
     Other,
     /// Lambertian reflection of one color.
@@ -48,7 +48,7 @@ enum LaneSurface {
     /// Lambertian reflection with a texture.
     Textured { map: u32 },
     /// Reflection without a delta.
-    Rough,
+    Rough(&'a Opaque),
 }
 
 /// Scattering of a surface.
@@ -69,24 +69,22 @@ impl<'a> LaneScene<'a> {
         if !scene.media.is_empty() || scene.has_clear_surfaces || scene.lights.is_empty() {
             return None;
         }
-        let side = |material: &KernelMaterial, crossing| {
+        let side = |material: &'a KernelMaterial, crossing| {
             if crossing != Crossing::Scatter || material.orientation != Orientation::TowardViewer {
                 return LaneSurface::Other;
             }
             match (&material.bsdf, material.map_rd) {
                 (Bsdf::Diffuse(diffuse), None) => LaneSurface::Matte { reflectance: diffuse.rd },
                 (Bsdf::Diffuse(_), Some(map)) => LaneSurface::Textured { map },
-                (Bsdf::Opaque(opaque), None) if !opaque.is_smooth() => LaneSurface::Rough,
+                (Bsdf::Opaque(opaque), None) if !opaque.is_smooth() => LaneSurface::Rough(opaque),
                 _ => LaneSurface::Other,
             }
         };
-        let axis = |(eye, axis)| ViewAxis { eye, axis };
-        let view = if scene.world.moves() { None } else { scene.camera.pinhole() };
         Some(Self {
             prepared: scene,
             surfaces: scene.materials.iter().map(|it| it.crossing.map(|crossing| side(it, crossing))).collect(),
             lamp: scene.lights.sole_rectangle(),
-            view: view.map(|view| (view, axis(scene.camera.axis(0.0)))),
+            view: if scene.world.moves() { None } else { scene.camera.pinhole() },
             level: scene.lights.sampler().level(),
         })
     }
@@ -103,10 +101,7 @@ impl<'a> LaneScene<'a> {
         match self.surfaces[material][side] {
             LaneSurface::Other => None,
             LaneSurface::Matte { reflectance } => Some(Scattering::Matte { reflectance }),
-            LaneSurface::Rough => match &self.prepared.materials[material].bsdf {
-                Bsdf::Opaque(opaque) => Some(Scattering::Rough(opaque)),
-                _ => None,
-            },
+            LaneSurface::Rough(opaque) => Some(Scattering::Rough(opaque)),
             LaneSurface::Textured { map } => textured(self.prepared, material, map, points.uv(lane)),
         }
     }
@@ -245,7 +240,7 @@ impl Vertices {
     /// Adds the light of the lamp, and samples the directions in which the paths continue. Returns the lanes of paths that
     /// continue.
     /// - `visible`: lanes whose shadow rays hit nothing.
-    pub fn leave(&mut self, scene: &LaneScene<'_>, visible: u32, points: &PointLanes, paths: &mut PathLanes) -> u32 {
+    pub fn leave(&self, scene: &LaneScene<'_>, visible: u32, points: &PointLanes, paths: &mut PathLanes) -> u32 {
         scene.level.run(Leave { vertices: self, visible, points, paths })
     }
 }

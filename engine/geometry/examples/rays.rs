@@ -6,12 +6,13 @@
 //! contenders trace the same primary rays ("coherent") and cosine-distributed rays from their hit points ("bounce"). The best of
 //! the interleaved rounds counts.
 
-use femc_geometry::{Blas, Cull, InstanceInput, Pose, Ray, TriangleInput, World, offset_origin};
+use femc_geometry::{Blas, Cull, Hit, InstanceInput, Pose, Ray, RayLanes, TriangleInput, World, offset_origin};
 use femc_math::{
     cross,
     elementary::{sin_cos, tan},
     glam::{Affine3A, Vec3A},
 };
+use femc_simd::{Lanes, WIDTH, lanes_of};
 use obvhs::{
     BvhBuildParams, bvh2::builder::build_bvh2_from_tris, cwbvh::builder::build_cwbvh_from_tris, ray::RayHit,
     triangle::Triangle,
@@ -141,6 +142,34 @@ pub fn rays(mesh: &Mesh, world: &World, n: usize) -> [Vec<Ray>; 2] {
     [primary, bounce]
 }
 
+/// Rays by coordinate, for calls with several rays.
+struct RayArrays {
+    origin: [Lanes; 3],
+    dir: [Lanes; 3],
+    t_max: Lanes,
+    time: Lanes,
+}
+
+impl RayArrays {
+    /// Copies up to [`WIDTH`] rays. Returns their lanes, too.
+    fn new(rays: &[Ray]) -> (Self, u32) {
+        let none = [Lanes::ZERO; 3];
+        let mut arrays = Self { origin: none, dir: none, t_max: Lanes::ZERO, time: Lanes::ZERO };
+        for (lane, ray) in rays.iter().enumerate() {
+            for axis in 0..3 {
+                arrays.origin[axis].0[lane] = ray.origin[axis];
+                arrays.dir[axis].0[lane] = ray.dir[axis];
+            }
+            (arrays.t_max.0[lane], arrays.time.0[lane]) = (ray.t_max, ray.time);
+        }
+        (arrays, (1 << rays.len()) - 1)
+    }
+
+    fn rays(&self) -> RayLanes<'_> {
+        RayLanes { origin: &self.origin, dir: &self.dir, t_max: &self.t_max, time: &self.time }
+    }
+}
+
 fn tally(rays: &[Ray], trace: impl Fn(&Ray) -> Option<f32>) -> TraceSummary {
     rays.iter().filter_map(trace).fold((0, 0.0), |(n, s), t| (n + 1, s + f64::from(t)))
 }
@@ -154,7 +183,7 @@ pub fn contenders(mesh: &Mesh, world: World) -> Vec<Contender> {
     let two_triangles: Vec<Triangle> = two.primitive_indices.iter().map(|&i| all[i as usize]).collect();
     let wide = build_cwbvh_from_tris(&all, params, &mut Duration::default());
     let wide_triangles: Vec<Triangle> = wide.primitive_indices.iter().map(|&i| all[i as usize]).collect();
-    let shadow_world = world.clone();
+    let [shadow_world, lane_world, shadow_lane_world] = [(); 3].map(|()| world.clone());
     vec![
         (
             "obvhs bvh2".into(),
@@ -175,6 +204,29 @@ pub fn contenders(mesh: &Mesh, world: World) -> Vec<Contender> {
             }),
         ),
         ("femc".into(), Box::new(move |rays: &[Ray]| tally(rays, |r| world.intersect(r).map(|h| h.t)))),
+        (
+            "femc, 8 a call".into(),
+            Box::new(move |rays: &[Ray]| {
+                let mut summary = (0, 0.0);
+                for rays in rays.chunks(WIDTH) {
+                    let (lanes, used) = RayArrays::new(rays);
+                    let mut hits = [Hit { t: 0.0, instance: 0, primitive: 0, u: 0.0, v: 0.0 }; WIDTH];
+                    let found = lane_world.intersect_lanes(lanes.rays(), used, &mut hits);
+                    summary = lanes_of(found).fold(summary, |(n, s), lane| (n + 1, s + f64::from(hits[lane].t)));
+                }
+                summary
+            }),
+        ),
+        (
+            "femc any hit, 8".into(),
+            Box::new(move |rays: &[Ray]| {
+                let count = rays.chunks(WIDTH).map(|rays| {
+                    let (lanes, used) = RayArrays::new(rays);
+                    shadow_lane_world.occluded_lanes(lanes.rays(), used).count_ones() as usize
+                });
+                (count.sum(), 0.0)
+            }),
+        ),
         ("femc any hit".into(), Box::new(move |rays: &[Ray]| tally(rays, |r| shadow_world.occluded(r).then_some(0.0)))),
     ]
 }
@@ -204,7 +256,7 @@ pub fn compare(sets: &[(&str, &[Ray])], contenders: &[Contender], rounds: usize)
             for ((speed, (hits, sum)), (name, _)) in best.iter().zip(contenders) {
                 let mean = sum / *hits as f64;
                 println!(
-                    "{set:9} {threads}T {name:14} {speed:8.3} Mrays/s {:7.1} ns  hits {hits} mean t {mean:.5}",
+                    "{set:9} {threads}T {name:15} {speed:8.3} Mrays/s {:7.1} ns  hits {hits} mean t {mean:.5}",
                     1e3 * threads as f64 / speed
                 );
             }

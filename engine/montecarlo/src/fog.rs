@@ -15,6 +15,7 @@ use crate::shadow::ShadowTester;
 use crate::square;
 use crate::technique::{MisTechnique, mis_weight};
 use crate::tracer::TracerCounters;
+use crate::window::DirectionNumbers;
 use femc_emission::{DeltaKind, DirectionContext, LightWeights, SegmentContext};
 use femc_field::DirectionTable;
 use femc_math::Rgb;
@@ -34,7 +35,7 @@ const ANGLES_FROM_CAMERA: u32 = 6;
 const ANGLES: u32 = 3;
 
 /// The media of a ray, and the weights of the lights for it.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub struct FoggyRay {
     /// Media of the ray.
     pub media: MediaRay,
@@ -228,47 +229,51 @@ impl FogSampler<'_> {
         self.scene.media.emitting_medium(&self.ray.media)
     }
 
-    /// Returns the context of an event for sampling directions toward lights. `None` if there are no lights.
-    fn direction_context(&self, path: &PathState, position: Vec3A, event: &ScatterEvent) -> Option<DirectionContext> {
-        let (extinction, phase) = self.scene.media.event_properties(&self.ray.media, event);
-        (!self.scene.lights.sampler().is_empty()).then_some(DirectionContext {
-            position,
-            wo: -path.ray.dir,
-            extinction,
-            phase,
-        })
+    /// Weighs the lights for directions toward them after an event, and returns the event's context for [`Self::sample_direction`].
+    /// `None`: directions are not sampled toward lights.
+    pub fn weigh_directions(&mut self, path: &PathState, collision: &Collision) -> Option<DirectionContext> {
+        let many = self.scene.lights.sampler();
+        if path.bounce >= MAX_GUIDED_SEGMENTS || many.is_empty() {
+            return None;
+        }
+        let (extinction, phase) = self.scene.media.event_properties(&self.ray.media, &collision.event);
+        let from = DirectionContext { position: collision.position, wo: -path.ray.dir, extinction, phase };
+        many.weigh_directions(&from, self.direction_weights);
+        Some(from)
     }
 
     /// Samples the direction after an event.
-    /// - `table`: table of directions from which a share of the directions is sampled.
+    /// - `from`: value of [`Self::weigh_directions`];
+    /// - `table`: table of directions from which a share of the directions is sampled;
+    /// - `copy`: number of a copy of the path, and the number of copies.
     pub fn sample_direction(
         &mut self,
         path: &mut PathState,
         collision: &Collision,
+        from: Option<&DirectionContext>,
         table: Option<&DirectionTable>,
+        [copy, copies]: [u32; 2],
     ) -> Option<DirectionSample> {
         let scene = self.scene;
         let (media, event, many) = (&scene.media, &collision.event, scene.lights.sampler());
         path.stream.seek(path.base + dim::LOBE);
-        let mut choice = path.stream.next_1d();
+        let choice = path.stream.next_1d();
         path.stream.seek(path.base + dim::DIRECTION);
-        let u = path.stream.next_2d();
-        let from = (path.bounce < MAX_GUIDED_SEGMENTS)
-            .then(|| self.direction_context(path, collision.position, event))
-            .flatten();
+        let numbers = DirectionNumbers { u: path.stream.next_2d(), choice };
+        let DirectionNumbers { u, mut choice } = if copy == 0 { numbers } else { numbers.of_copy(copy, copies) };
         let table_share = if table.is_some() { TABLE_SHARE } else { 0.0 };
         let is_guide_sample = choice < table_share;
         if !is_guide_sample {
             choice = (choice - table_share) / (1.0 - table_share);
         }
         let mut toward_light = None;
-        if let Some(from) = &from {
-            many.weigh_directions(from, self.direction_weights);
+        if let Some(from) = from {
             if !is_guide_sample && choice >= PHASE_SHARE {
                 choice = (choice - PHASE_SHARE) / (1.0 - PHASE_SHARE);
                 path.stream.seek(path.base + dim::LIGHT_DIRECTION);
-                toward_light =
-                    many.sample_direction(from, self.direction_weights, dim::uniform_48(path.stream.next_2d()), u);
+                let lamp = dim::uniform_48(path.stream.next_2d()) + f64::from(copy) / f64::from(copies);
+                let lamp = if lamp >= 1.0 { lamp - 1.0 } else { lamp };
+                toward_light = many.sample_direction(from, self.direction_weights, lamp, u);
             } else {
                 choice /= PHASE_SHARE;
             }
@@ -279,7 +284,7 @@ impl FogSampler<'_> {
             _ => toward_light.unwrap_or_else(by_phase),
         };
         let (value, phase) = media.phase(&self.ray.media, event, -path.ray.dir, dir);
-        let unguided = match &from {
+        let unguided = match from {
             None => phase,
             Some(from) => {
                 PHASE_SHARE * phase + (1.0 - PHASE_SHARE) * many.direction_pdf(from, self.direction_weights, dir, phase)
@@ -471,7 +476,10 @@ f e f g h
             for seed in 0..40_000 {
                 let mut path = center_path(&scene, seed);
                 let collision = Collision { event, position: path.ray.origin + path.ray.dir * event.t };
-                let scattered = fixture.sampler().sample_direction(&mut path, &collision, table).expect("a direction");
+                let mut fog = fixture.sampler();
+                let from = fog.weigh_directions(&path, &collision);
+                let scattered =
+                    fog.sample_direction(&mut path, &collision, from.as_ref(), table, [0, 1]).expect("a direction");
                 assert!((scattered.dir.length() - 1.0).abs() < 1e-4);
                 solid_angle.add(1.0 / f64::from(scattered.pdf));
                 weight.add(luminance(scattered.weight).into());

@@ -11,6 +11,7 @@ pub mod record;
 mod camera_next_event;
 mod dimensions;
 mod emission;
+mod first_branches;
 mod first_hit;
 mod fog;
 mod guided;

@@ -7,13 +7,28 @@ use crate::record::{
     Continuation, Contribution, Decision, InteractionKind, LightTechnique, PathEnd, Recorder, Termination, Vertex,
     VertexLocation,
 };
+use crate::roulette::RouletteRule;
 use crate::tracer::{PathSample, Tracer};
 use crate::window::WindowDecision;
+use femc_emission::DirectionContext;
+use femc_field::DirectionTable;
 use femc_geometry::{Ray, shadow_segment};
 use femc_math::Rgb;
 use femc_math::glam::Vec3A;
 use femc_prepared::Prepared;
 use std::ops::ControlFlow;
+
+/// A collision from which a path continues.
+#[derive(Clone, Copy)]
+struct CollisionExit<'s> {
+    collision: &'s Collision,
+    /// Context for directions toward lights.
+    lights: Option<&'s DirectionContext>,
+    /// Table of directions of the guide.
+    table: Option<&'s DirectionTable>,
+    /// Rule of Russian roulette.
+    rule: RouletteRule,
+}
 
 impl<R: Recorder> Tracer<'_, R> {
     /// Returns the sampler of the media of the current ray, and the recorder.
@@ -127,7 +142,7 @@ impl<R: Recorder> Tracer<'_, R> {
             record!(recorder.contribution(|| Contribution::from_field(color, path.throughput, path.bounce, position)));
             return ControlFlow::Break(path.end(PathEnd::Field));
         }
-        // Fog is not split: light that the copies hit would need the weights of the lamps for the segment before.
+        // The window splits no path in fog: light that the copies hit would need the weights of the lamps for the segment before.
         let guidance = self.guidance;
         let decision = guidance.map_or(WindowDecision::Unknown, |guidance| {
             guidance.decide(path, guidance.field.fog.scattered_radiance(position, -path.ray.dir))
@@ -140,9 +155,44 @@ impl<R: Recorder> Tracer<'_, R> {
         }
         let guides = guidance.filter(|guidance| guidance.samples_directions && !guidance.field.tables.is_empty());
         let table = guides.and_then(|guidance| guidance.field.fog_table_at(position));
+        record!(self.recorder.decide(Decision::Direction, path.bounce, &mut path.stream));
+        let from = self.fog_sampler().0.weigh_directions(path, collision);
+        let from = CollisionExit { collision, lights: from.as_ref(), table, rule: decision.roulette_rule() };
+        let copies = self.first_branches(path);
+        if copies > 1 {
+            self.split_at_collision::<RECORD_ALL>(path, &from, copies);
+        }
+        let flow = self.continue_from_collision::<RECORD_ALL>(path, &from, [0, copies]);
+        std::mem::swap(&mut self.fog, &mut self.fog_before);
+        flow
+    }
+
+    /// Splits a path at its first vertex, a collision, into copies of equal weight. All but one become branches that wait to be traced.
+    #[inline(never)]
+    fn split_at_collision<const RECORD_ALL: bool>(
+        &mut self,
+        path: &mut PathState,
+        from: &CollisionExit<'_>,
+        copies: u32,
+    ) {
+        self.first_fog.clone_from(&self.fog);
+        self.split_path::<RECORD_ALL>(path, copies, |tracer, branch, copy| {
+            tracer.continue_from_collision::<RECORD_ALL>(branch, from, [copy, copies])
+        });
+    }
+
+    /// Samples the direction in which a path continues from a collision.
+    /// - `copy`: number of a copy of the path, and the number of copies.
+    #[inline(always)]
+    fn continue_from_collision<const RECORD_ALL: bool>(
+        &mut self,
+        path: &mut PathState,
+        from: &CollisionExit<'_>,
+        copy: [u32; 2],
+    ) -> ControlFlow<Termination> {
+        let CollisionExit { collision, lights, table, rule } = *from;
         let (mut fog, recorder) = self.fog_sampler();
-        record!(recorder.decide(Decision::Direction, path.bounce, &mut path.stream));
-        let Some(scattered) = fog.sample_direction(path, collision, table) else {
+        let Some(scattered) = fog.sample_direction(path, collision, lights, table, copy) else {
             return ControlFlow::Break(path.end(PathEnd::Absorbed));
         };
         record!(
@@ -152,14 +202,14 @@ impl<R: Recorder> Tracer<'_, R> {
             })
         );
         path.throughput *= scattered.weight;
-        std::mem::swap(&mut self.fog, &mut self.fog_before);
+        let position = collision.position;
         let origin = SegmentOrigin::Medium { collision: *collision, phase_pdf: scattered.phase_pdf };
         path.previous = PreviousVertex { position, origin };
         path.ray = Ray { origin: position, dir: scattered.dir, t_max: f32::INFINITY, time: path.ray.time };
         record!(self.recorder.decide(Decision::Roulette, path.bounce, &mut path.stream));
         path.bounce += 1;
         path.roulette_scale *= scattered.pdf / scattered.phase_pdf;
-        path.roulette::<true>(decision.roulette_rule())
+        path.roulette::<true>(rule)
     }
 }
 

@@ -9,7 +9,7 @@ use crate::record::{
 use crate::roulette::RouletteRule;
 use crate::surface::SurfaceInteraction;
 use crate::tracer::{PathSample, Tracer};
-use crate::window::{DirectionNumbers, MAX_BRANCHES, WindowDecision};
+use crate::window::{DirectionNumbers, MAX_BRANCHES, WindowDecision, branch_number};
 use femc_emission::PointContext;
 use femc_field::{Field, Side};
 use femc_geometry::{Ray, offset_origin};
@@ -106,6 +106,10 @@ impl<'a, R: Recorder> Tracer<'a, R> {
         }));
         let mut guide = None;
         let mut decision = WindowDecision::Unknown;
+        let copies = self.first_branches(path);
+        if copies > 1 && !surface.bsdf.is_delta_only() {
+            decision = WindowDecision::Copies(copies);
+        }
         let mut expected = None;
         if let Some(guidance) = self.guidance {
             let SurfaceGuide { leaf, radiance, region } = SurfaceGuide::new(guidance.field, guidance.targets, &surface);
@@ -179,7 +183,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
         self.continue_path::<MEDIA, RECORD_ALL>(path, from, numbers, decision.roulette_rule())
     }
 
-    /// Splits a path at its latest vertex into copies of equal weight. All but one become branches that wait to be traced.
+    /// Splits a path at a surface.
     /// - `numbers`: random numbers of the direction of the remaining path.
     #[inline(never)]
     fn split<const MEDIA: bool, const RECORD_ALL: bool>(
@@ -189,14 +193,28 @@ impl<'a, R: Recorder> Tracer<'a, R> {
         numbers: DirectionNumbers,
         copies: u32,
     ) {
+        self.split_path::<RECORD_ALL>(path, copies, |tracer, branch, copy| {
+            let numbers = numbers.of_copy(copy, copies);
+            tracer.continue_path::<MEDIA, RECORD_ALL>(branch, from, numbers, RouletteRule::LongPaths)
+        });
+    }
+
+    /// Splits a path at its latest vertex into copies of equal weight. All but one become branches that wait to be traced.
+    /// - `depart`: samples the direction in which a copy continues.
+    #[inline(always)]
+    pub(crate) fn split_path<const RECORD_ALL: bool>(
+        &mut self,
+        path: &mut PathState,
+        copies: u32,
+        depart: impl Fn(&mut Self, &mut PathState, u32) -> ControlFlow<Termination>,
+    ) {
         path.throughput /= copies as f32;
         path.roulette_scale *= copies as f32;
         self.branches += copies - 1;
         for copy in 1..copies {
             let mut branch = *path;
-            let numbers = numbers.of_copy(copy, copies);
             record!(self.recorder.branch(BranchEvent::Begin));
-            if self.continue_path::<MEDIA, RECORD_ALL>(&mut branch, from, numbers, RouletteRule::LongPaths).is_break() {
+            if depart(self, &mut branch, copy).is_break() {
                 record!(self.recorder.branch(BranchEvent::Discard));
                 // A copy with an invalid throughput makes the sample a bad one.
                 if !branch.throughput.is_finite() {
@@ -204,7 +222,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                 }
             } else {
                 record!(self.recorder.branch(BranchEvent::Suspend));
-                branch.stream = path.stream.branch(u64::from(path.rays) << 32 | u64::from(copy));
+                branch.stream = path.stream.branch(branch_number(path.rays, copy));
                 self.pending.push(branch);
             }
         }

@@ -2,6 +2,7 @@
 
 use crate::camera_next_event::{CAMERA_NEXT_EVENTS, CameraSample};
 use crate::dimensions as dim;
+use crate::first_branches::MAX_FIRST_BRANCHES;
 use crate::fog::FoggyRay;
 use crate::path_state::{PathState, SegmentOrigin};
 use crate::record::{BranchEvent, Contribution, Decision, LightTechnique, PathEnd, RecordLevel, Recorder, Termination};
@@ -143,6 +144,8 @@ pub struct Tracer<'a, R = ()> {
     /// Media of the current segment, and of the segment before the latest vertex.
     pub(crate) fog: FoggyRay,
     pub(crate) fog_before: FoggyRay,
+    /// Media of the segment that ended at the first vertex, if the path was split there.
+    pub(crate) first_fog: FoggyRay,
     /// Weights of the lights for the latest surface, and for directions from a point in fog.
     pub(crate) surface_weights: LightWeights,
     pub(crate) direction_weights: LightWeights,
@@ -151,6 +154,8 @@ pub struct Tracer<'a, R = ()> {
     pub(crate) field: Option<&'a Field>,
     /// Guidance of the paths by a field.
     pub(crate) guidance: Option<Guidance<'a>>,
+    /// Number of branches into which an unguided path is split at its first vertex.
+    pub(crate) first_branches: u32,
     /// Branches of the current sample that wait to be traced, and the number of all its branches.
     pub(crate) pending: Vec<PathState>,
     pub(crate) branches: u32,
@@ -176,11 +181,13 @@ impl<'a, R: Recorder> Tracer<'a, R> {
             settings,
             fog: FoggyRay::default(),
             fog_before: FoggyRay::default(),
+            first_fog: FoggyRay::default(),
             surface_weights: LightWeights::default(),
             direction_weights: LightWeights::default(),
             shadow: ShadowTester::default(),
             field: None,
             guidance: None,
+            first_branches: 1,
             pending: Vec::new(),
             branches: 1,
             counters: TracerCounters::default(),
@@ -200,6 +207,13 @@ impl<'a, R: Recorder> Tracer<'a, R> {
     /// Guides paths with a field. The mean of the samples is unchanged for any field.
     pub fn with_guidance(mut self, guidance: Guidance<'a>) -> Self {
         self.guidance = Some(guidance);
+        self
+    }
+
+    /// Splits unguided paths into several branches, at most 8, at their first vertex that is not only a mirror or glass. The mean of
+    /// the samples is unchanged. The branches share the camera ray and the light of the lamps at the vertex.
+    pub fn with_first_branches(mut self, branches: u32) -> Self {
+        self.first_branches = branches.clamp(1, MAX_FIRST_BRANCHES);
         self
     }
 
@@ -307,8 +321,12 @@ impl<'a, R: Recorder> Tracer<'a, R> {
         *path = branch;
         record!(self.recorder.branch(BranchEvent::Resume));
         // Light that the branch hits with its next ray is weighted against the lights at its latest vertex.
-        if let SegmentOrigin::Surface { light_context, .. } = &path.previous.origin {
-            self.scene.lights.weigh(light_context, &mut self.surface_weights);
+        match &path.previous.origin {
+            SegmentOrigin::Surface { light_context, .. } => {
+                self.scene.lights.weigh(light_context, &mut self.surface_weights);
+            }
+            SegmentOrigin::Medium { .. } => self.fog_before.clone_from(&self.first_fog),
+            SegmentOrigin::Delta | SegmentOrigin::Camera { .. } => {}
         }
         ControlFlow::Continue(())
     }

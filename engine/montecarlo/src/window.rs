@@ -155,14 +155,28 @@ impl DirectionNumbers {
     /// Returns the numbers of one of several copies, shifted by a point of a Hammersley set. The numbers of each copy are uniform, and
     /// the copies are evenly spread.
     pub fn of_copy(self, copy: u32, copies: u32) -> Self {
-        let shift = |number: f32, by: f32| {
-            let sum = number + by;
-            (if sum >= 1.0 { sum - 1.0 } else { sum }).min(1.0 - f32::EPSILON / 2.0)
-        };
-        let inverse = copy.reverse_bits() as f32 * (1.0 / 4_294_967_296.0);
+        let [across, along] = copy_shift(copy, copies);
         let [u, v] = self.u;
-        Self { u: [shift(u, copy as f32 / copies as f32), shift(v, inverse)], choice: shift(self.choice, inverse) }
+        Self { u: [wrapped(u + across), wrapped(v + along)], choice: wrapped(self.choice + along) }
     }
+}
+
+/// Returns the point of a Hammersley set by which the random numbers of a copy are shifted.
+pub(crate) fn copy_shift(copy: u32, copies: u32) -> [f32; 2] {
+    [copy as f32 / copies as f32, copy.reverse_bits() as f32 * (1.0 / 4_294_967_296.0)]
+}
+
+/// Returns the number of the random stream of a copy.
+/// - `rays`: number of rays of the path so far.
+#[inline(always)]
+pub(crate) fn branch_number(rays: u32, copy: u32) -> u64 {
+    u64::from(rays) << 32 | u64::from(copy)
+}
+
+/// Wraps a number in [0, 2) to [0, 1).
+#[inline(always)]
+fn wrapped(sum: f32) -> f32 {
+    (if sum >= 1.0 { sum - 1.0 } else { sum }).min(1.0 - f32::EPSILON / 2.0)
 }
 
 #[cfg(test)]

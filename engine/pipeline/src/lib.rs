@@ -13,6 +13,7 @@ mod layers;
 pub mod measure;
 pub mod method_choice;
 mod outputs;
+mod path_splitting;
 pub mod pilot;
 mod plan;
 mod preparation;

@@ -232,6 +232,19 @@ impl Pilot {
     }
 }
 
+/// Prepares the frame of a pilot, whose paths are split as those of the whole frame.
+/// - `whole`: the frame with all its pixels.
+fn prepare_pilot(
+    source: &SceneSource,
+    settings: &Settings,
+    frame: u32,
+    whole: &Prepared,
+) -> Result<Prepared, PrepareError> {
+    let mut prepared = prepare_frame(source, settings, frame, Some(whole))?;
+    prepared.first_branches = whole.first_branches;
+    Ok(prepared)
+}
+
 /// Traces some paths of the first frame, and the same samples with guides if that may pay. `None`: the job is too small for a
 /// pilot.
 fn run_pilot(
@@ -251,8 +264,9 @@ fn run_pilot(
         return Ok(None);
     }
     let film = [plan.tiling.width, plan.tiling.height];
+    let whole = prepare_world(source, &settings, frame, None)?;
     let settings = Settings { size: Some(pilot::scaled_film_size(film, pixels.min(pilot::PIXELS))), ..settings };
-    let prepared = prepare_frame(source, &settings, frame, None)?;
+    let prepared = prepare_pilot(source, &settings, frame, &whole)?;
     let paths = PilotSamples::trace(&prepared, &settings)?;
     let work_of_ray = work_of_ray(&prepared, settings.method);
     let samples_a_pixel = match settings.stop {
@@ -288,7 +302,7 @@ fn run_pilot(
         let more = (MAX_PILOT_SHARE * all / f64::from(2 * VARIANCE_PILOT_SPP)).min(pilot::PIXELS);
         let (settings, prepared, paths) = if more > pixels {
             let settings = Settings { size: Some(pilot::scaled_film_size(film, more)), ..settings };
-            let prepared = prepare_frame(source, &settings, frame, Some(&prepared))?;
+            let prepared = prepare_pilot(source, &settings, frame, &whole)?;
             let paths = PilotSamples::trace(&prepared, &settings)?;
             found.samples += paths.samples;
             (settings, prepared, paths)

@@ -3,6 +3,7 @@
 use crate::first_pass::{
     FrameLight, attach_first_pass, attach_targets, first_pass_world, learn_targets, solve_first_pass,
 };
+use crate::path_splitting::choose_branches;
 use crate::settings::{Method, Settings};
 use femc_guiding::document::TargetDocument;
 use femc_layers::Feature;
@@ -54,7 +55,9 @@ pub fn prepare_world(
     frame: u32,
     previous: Option<&Prepared>,
 ) -> Result<Prepared, PrepareError> {
-    femc_prepared::prepare_frame(source, &frame_spec(settings, frame), previous)
+    let mut prepared = femc_prepared::prepare_frame(source, &frame_spec(settings, frame), previous)?;
+    prepared.first_branches = choose_branches(&prepared, settings);
+    Ok(prepared)
 }
 
 /// Returns the key of the inputs from which [`prepare_frame`] makes the frame, including the next frame if the frame has motion

@@ -208,7 +208,7 @@ pub(crate) fn frame_tracer<'a, R: Recorder>(prepared: &'a Prepared, settings: &S
     match (settings.method, prepared.field()) {
         (Method::Fem, Some(field)) => tracer.with_field(field),
         (Method::Femc | Method::Femc1998, Some(field)) => tracer.with_guidance(Guidance::new(prepared, field)),
-        _ => tracer,
+        _ => tracer.with_first_branches(prepared.first_branches),
     }
 }
 

@@ -123,6 +123,8 @@ pub struct Prepared {
     targets: Option<Arc<TargetGuide>>,
     /// Mean light that the field expects at the first surfaces of the frame, cd/m2, once it was computed.
     pub field_light: OnceLock<f32>,
+    /// Number of branches into which unguided paths are split at their first vertices. The renderer chooses it.
+    pub first_branches: u32,
     cache: Cache,
 }
 
@@ -216,6 +218,7 @@ fn prepare_with(
             field: previous.field.clone(),
             targets: None,
             field_light: OnceLock::new(),
+            first_branches: 1,
             cache: previous.cache.clone(),
         },
         previous => build_world(scene, scalars, &view, frame_key, camera, spec.frame, previous)?,
@@ -297,6 +300,7 @@ fn build_world(
         field: None,
         targets: None,
         field_light: OnceLock::new(),
+        first_branches: 1,
         cache,
     })
 }

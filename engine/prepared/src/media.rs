@@ -160,7 +160,7 @@ struct Interval {
 }
 
 /// Buffers of [`Media::find_intervals`], reused for all rays.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub struct MediaRay {
     crossings: Vec<(f32, u32, i32)>,
     intervals: Vec<Interval>,

@@ -5,6 +5,7 @@
 //! other vertex is computed by the lane's own tracer. Lanes do the same operations as the tracer, in the same order, so samples are
 //! equal to the bit to those traced one by one. Scenes with media or clear surfaces, guided paths and recorded paths have no lanes.
 
+mod departures;
 mod paths;
 mod points;
 mod rectangle;
@@ -17,6 +18,8 @@ use crate::path_state::{PathState, PreviousVertex, SegmentOrigin};
 use crate::record::{RecordLevel, Termination};
 use crate::roulette::LONG_PATH;
 use crate::tracer::{PathSample, PixelFilter, SHUTTER_CENTER, Tracer, TracerCounters};
+use crate::window::branch_number;
+use departures::{Branches, Leave};
 use femc_emission::{BsdfLobes, PointContext};
 use femc_geometry::Ray;
 use femc_math::glam::Vec3A;
@@ -42,6 +45,7 @@ pub struct Packet<'a> {
     paths: PathLanes,
     points: PointLanes,
     vertices: Vertices,
+    branches: Branches,
     /// Work done in lanes.
     counters: TracerCounters,
 }
@@ -57,6 +61,18 @@ struct Lane<'a> {
     /// Light of small emitters that the camera sees, cd/m2.
     camera_light: Rgb,
     /// Context for which the lamps were weighed at the latest vertex.
+    light_context: PointContext,
+    /// Branches that wait to be traced, as bits, and what they share.
+    waiting: u32,
+    first: FirstVertex,
+}
+
+/// Parts of a path at its first vertex that its branches share.
+#[derive(Clone, Copy)]
+struct FirstVertex {
+    /// Random numbers of the sample.
+    stream: SampleStream,
+    /// Context for which the lamps were weighed.
     light_context: PointContext,
 }
 
@@ -124,6 +140,8 @@ impl<'a> Packet<'a> {
             out: PathSample::NOTHING,
             camera_light: Rgb::ZERO,
             light_context: NO_CONTEXT,
+            waiting: 0,
+            first: FirstVertex { stream: SampleStream::new(0, 0, 0, 0), light_context: NO_CONTEXT },
         };
         Self {
             lanes: std::iter::repeat_with(lane).take(width).collect(),
@@ -131,6 +149,7 @@ impl<'a> Packet<'a> {
             paths: PathLanes::default(),
             points: PointLanes::default(),
             vertices: Vertices::default(),
+            branches: Branches::new(first.first_branches),
             counters: TracerCounters::default(),
         }
     }
@@ -175,15 +194,17 @@ impl<'a> Packet<'a> {
             return false;
         }
         let escaped = self.trace_rays(active);
-        let Self { lanes, scene: Some(scene), paths, points, vertices, counters } = self else { return false };
+        let Self { lanes, scene: Some(scene), paths, points, vertices, branches, counters } = self else {
+            return false;
+        };
         for index in lanes_of(escaped) {
-            lanes[index].finish(index, paths, samples);
+            lanes[index].finish(index, paths, branches, samples);
         }
         scene.level.run(FindPoints { points, paths });
         vertices.clear();
         for index in lanes_of(points.used) {
             if let Some(flow) = lanes[index].arrive(index, scene, paths, points, vertices) {
-                lanes[index].advance(flow, index, paths, samples);
+                lanes[index].advance(flow, index, paths, branches, samples);
             }
         }
         if vertices.used == 0 {
@@ -193,18 +214,24 @@ impl<'a> Packet<'a> {
         let (rays, used) = vertices.shadow_rays(&paths.time);
         let visible = used & !scene.prepared.world.occluded_lanes(rays, used);
         counters.shadow_rays += u64::from(used.count_ones());
-        let continuing = vertices.leave(scene, visible, points, paths);
+        let split = if branches.exist() { first_vertices(lanes, vertices.used) } else { 0 };
+        let continuing = scene.level.run(Leave { vertices, visible, points, paths, split, branches });
+        for index in lanes_of(split) {
+            let lane = &mut lanes[index];
+            lane.waiting = branches.waiting(index);
+            lane.first = FirstVertex { stream: lane.path.stream, light_context: lane.light_context };
+        }
         paths.scattered |= vertices.used;
         for index in lanes_of(vertices.used) {
             if continuing >> index & 1 == 1 {
                 lanes[index].path.bounce += 1;
             } else {
-                lanes[index].finish(index, paths, samples);
+                lanes[index].finish(index, paths, branches, samples);
             }
         }
         for index in lanes_of(unsampled) {
             let flow = lanes[index].scatter(index, paths, points);
-            lanes[index].advance(flow, index, paths, samples);
+            lanes[index].advance(flow, index, paths, branches, samples);
         }
         true
     }
@@ -266,6 +293,11 @@ impl<'a> Packet<'a> {
     }
 }
 
+/// Returns the lanes whose paths are at their first vertex: `Tracer::first_branches`.
+fn first_vertices(lanes: &[Lane<'_>], used: u32) -> u32 {
+    lanes_of(used).filter(|index| lanes[*index].path.bounce == 0).fold(0, |first, index| first | 1 << index)
+}
+
 impl<'a> Lane<'a> {
     /// Begins a sample for a camera at rest without a lens, in a pixel without small emitters: `Tracer::begin_path`. Returns the
     /// position on the film, pixels.
@@ -278,6 +310,7 @@ impl<'a> Lane<'a> {
         path.awaits_first_surface = true;
         path.ray.time = SHUTTER_CENTER;
         (path.bounce, path.rays) = (0, 0);
+        tracer.branches = 1;
         self.camera_light = Rgb::ZERO;
         let offset = filter.sample(path.stream.next_2d());
         let center = tracer.scene.camera.center(pixel);
@@ -402,22 +435,53 @@ impl<'a> Lane<'a> {
         &mut self,
         flow: ControlFlow<Termination>,
         index: usize,
-        paths: &PathLanes,
+        paths: &mut PathLanes,
+        branches: &Branches,
         samples: &mut impl SampleQueue,
     ) {
         if flow.is_break() {
-            self.finish(index, paths, samples);
+            self.finish(index, paths, branches, samples);
         }
     }
 
-    /// Ends the path and its sample: `Tracer::end_path` without branches.
+    /// Continues with a branch of the sample: `Tracer::end_path`. Returns false if there is none.
     #[inline(always)]
-    fn finish(&mut self, index: usize, paths: &PathLanes, samples: &mut impl SampleQueue) {
-        let Some(number) = self.sample.take() else { return };
+    fn resume(&mut self, index: usize, paths: &mut PathLanes, branches: &Branches) -> bool {
+        if self.waiting == 0 && self.tracer.pending.is_empty() {
+            return false;
+        }
+        if let Some(branch) = self.tracer.pending.pop() {
+            self.path = branch;
+            if let SegmentOrigin::Surface { light_context, .. } = branch.previous.origin {
+                self.tracer.scene.lights.weigh(&light_context, &mut self.tracer.surface_weights);
+            }
+            self.out.color = paths.color.get(index);
+            self.store(index, paths);
+            return true;
+        }
+        // The branch that began to wait last.
+        let branch = self.waiting.ilog2();
+        self.waiting &= !(1 << branch);
+        paths.copy_lane(index, branches.paths(branch));
+        self.light_context = self.first.light_context;
+        self.tracer.scene.lights.weigh(&self.light_context, &mut self.tracer.surface_weights);
+        (self.path.bounce, self.path.rays) = (1, 1);
+        self.path.stream = self.first.stream.branch(branch_number(1, branch));
+        true
+    }
+
+    /// Ends the path, and its sample if no branch waits.
+    #[inline(always)]
+    fn finish(&mut self, index: usize, paths: &mut PathLanes, branches: &Branches, samples: &mut impl SampleQueue) {
         // The film must count a path with an invalid throughput as a bad sample.
-        let is_valid = paths.throughput.get(index).is_finite();
-        self.out.color = if is_valid { paths.color.get(index) } else { Rgb::NAN };
-        self.out.color += self.camera_light;
+        if !paths.throughput.get(index).is_finite() {
+            paths.color.set(index, Rgb::NAN);
+        }
+        if self.resume(index, paths, branches) {
+            return;
+        }
+        let Some(number) = self.sample.take() else { return };
+        self.out.color = paths.color.get(index) + self.camera_light;
         samples.finish(number, self.out);
     }
 }

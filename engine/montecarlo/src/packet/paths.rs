@@ -34,6 +34,18 @@ impl PathLanes {
         self.roulette_scale.set(lane, 1.0);
     }
 
+    /// Continues the path of a lane as one of `other`, which was scattered in lanes.
+    #[inline(always)]
+    pub fn copy_lane(&mut self, lane: usize, other: &Self) {
+        self.scattered |= 1 << lane;
+        self.previous.set(lane, other.previous.get(lane));
+        self.pdf.set(lane, other.pdf.get(lane));
+        self.origin.set(lane, other.origin.get(lane));
+        self.dir.set(lane, other.dir.get(lane));
+        self.throughput.set(lane, other.throughput.get(lane));
+        self.roulette_scale.set(lane, other.roulette_scale.get(lane));
+    }
+
     /// Returns the next rays.
     #[inline(always)]
     pub fn rays(&self) -> RayLanes<'_> {

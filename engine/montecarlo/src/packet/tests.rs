@@ -89,11 +89,13 @@ fn scene(lamp: &str, wall: &str) -> Prepared {
 }
 
 /// Compares samples of pixels all over the film.
-fn compare(name: &str, scene: &Prepared, settings: PathSettings, level: Level) {
+/// - `directions`: number of directions at first surfaces.
+fn compare(name: &str, scene: &Prepared, settings: PathSettings, directions: u32, level: Level) {
     const PIXELS: u32 = 600;
     let [width, height] = scene.camera.film;
     let pixel = |number: u32| (number * (width * height / PIXELS), number % 7);
-    let mut packet = Packet::new(|| Tracer::new(scene, settings));
+    let tracer = || Tracer::new(scene, settings).with_first_branches(directions);
+    let mut packet = Packet::new(tracer);
     assert!(packet.scene.is_some(), "{name}: no lanes");
     packet.set_level(level);
     let mut found = vec![None; PIXELS as usize];
@@ -101,7 +103,7 @@ fn compare(name: &str, scene: &Prepared, settings: PathSettings, level: Level) {
         let index = (0..PIXELS).find(|at| pixel(*at) == number).expect("a sample");
         assert!(found[index as usize].replace(sample).is_none(), "{name}: twice");
     });
-    let mut scalar = Tracer::new(scene, settings);
+    let mut scalar = tracer();
     let mut lit = 0;
     for (number, found) in (0..PIXELS).map(pixel).zip(found) {
         let expected = scalar.sample(number.0, number.1, Tent);
@@ -119,10 +121,10 @@ fn packets_have_the_bits_of_the_scalar_loop() {
     for ((lamp_name, lamp), (wall_name, wall)) in LAMPS.into_iter().flat_map(|lamp| WALLS.map(|wall| (lamp, wall))) {
         let scene = scene(lamp, wall);
         let name = format!("{lamp_name}, {wall_name}");
-        for max_depth in [0, 3] {
+        for (max_depth, directions) in [(0, 1), (3, 1), (0, 4), (2, 3)] {
             let settings = PathSettings { seed: 5, max_depth, single_technique: None };
             for level in [Level::detect(), Level::PORTABLE] {
-                compare(&name, &scene, settings, level);
+                compare(&name, &scene, settings, directions, level);
             }
         }
     }

@@ -10,7 +10,7 @@ use super::rough::{RoughLanes, RoughSurfaces};
 use super::vectors::{FloatLanes, Frames, Functions, V3, VectorLanes};
 use crate::dimensions as dim;
 use crate::path_state::PathState;
-use crate::roulette::{RR_MIN_RAYS, RR_THRESHOLD};
+use crate::roulette::RR_MIN_RAYS;
 use femc_emission::light::UniformRectangle;
 use femc_emission::{DeltaKind, LightSample};
 use femc_geometry::RayLanes;
@@ -122,21 +122,21 @@ pub struct Vertices {
     /// Lanes with a vertex.
     pub used: u32,
     /// Reflectances of matte surfaces.
-    reflectance: VectorLanes,
-    rough: RoughLanes,
+    pub reflectance: VectorLanes,
+    pub rough: RoughLanes,
     /// Lanes in which Russian roulette may end the path.
-    is_long: u32,
+    pub is_long: u32,
     point_numbers: StreamLanes,
-    direction_numbers: StreamLanes,
-    lobe_numbers: StreamLanes,
-    roulette_numbers: StreamLanes,
+    pub direction_numbers: StreamLanes,
+    pub lobe_numbers: StreamLanes,
+    pub roulette_numbers: StreamLanes,
     lamps: LampLanes,
     /// Directions toward the previous vertices, local frame.
-    wo: VectorLanes,
+    pub wo: VectorLanes,
     /// Shadow rays.
     shadow: Rays,
     /// Light of the lamp's points if nothing occludes them, cd/m2.
-    light: VectorLanes,
+    pub light: VectorLanes,
 }
 
 /// Sampled points of lamps.
@@ -236,28 +236,21 @@ impl Vertices {
         let Rays { used, origin, dir, length } = &self.shadow;
         (RayLanes { origin: &origin.0, dir: &dir.0, t_max: &length.0, time: &time.0 }, *used)
     }
-
-    /// Adds the light of the lamp, and samples the directions in which the paths continue. Returns the lanes of paths that
-    /// continue.
-    /// - `visible`: lanes whose shadow rays hit nothing.
-    pub fn leave(&self, scene: &LaneScene<'_>, visible: u32, points: &PointLanes, paths: &mut PathLanes) -> u32 {
-        scene.level.run(Leave { vertices: self, visible, points, paths })
-    }
 }
 
 /// Surfaces in the registers.
-struct Surfaces<V> {
-    position: V3<V>,
-    error: V3<V>,
-    normal: V3<V>,
-    facing: V3<V>,
+pub struct Surfaces<V> {
+    pub position: V3<V>,
+    pub error: V3<V>,
+    pub normal: V3<V>,
+    pub facing: V3<V>,
     /// Lanes whose frame's normal points away from the front side.
     turned: u32,
 }
 
 impl<V: Vector> Surfaces<V> {
     #[inline(always)]
-    fn load<S: Simd<V = V>>(simd: S, points: &PointLanes) -> Self {
+    pub fn load<S: Simd<V = V>>(simd: S, points: &PointLanes) -> Self {
         let (normal, facing) = (points.normal.load(simd), points.facing.load(simd));
         Self {
             position: points.position.load(simd),
@@ -270,7 +263,7 @@ impl<V: Vector> Surfaces<V> {
 
     /// Returns the lanes in which shading and geometry agree on the side of incident directions: `SurfaceInteraction::sides_agree`.
     #[inline(always)]
-    fn sides_agree<S: Simd<V = V>>(&self, simd: S, local_z: V, dir: V3<V>) -> u32 {
+    pub fn sides_agree<S: Simd<V = V>>(&self, simd: S, local_z: V, dir: V3<V>) -> u32 {
         !(simd.is_positive(local_z).signs() ^ simd.is_positive(self.normal.dot(dir)).signs() ^ self.turned)
     }
 }
@@ -333,64 +326,5 @@ impl Kernel for SampleLamps<'_> {
         shadow.dir = dir.or_else(is_long, V3 { x: simd.splat(1.0), y: zero, z: zero }).store();
         shadow.length.0 = (is_long & length).lanes();
         vertices.used & lamps.unsampled
-    }
-}
-
-/// Adds the light of visible lamps, samples directions, and performs Russian roulette. Returns the lanes that continue.
-struct Leave<'a> {
-    vertices: &'a Vertices,
-    visible: u32,
-    points: &'a PointLanes,
-    paths: &'a mut PathLanes,
-}
-
-impl Kernel for Leave<'_> {
-    type Output = u32;
-
-    #[inline(always)]
-    fn run<S: Simd>(self, simd: S) -> u32 {
-        let Self { vertices, visible, points, paths } = self;
-        let surfaces = Surfaces::load(simd, points);
-        let frames = Frames::from_normal(simd, surfaces.facing);
-        let throughput = paths.throughput.load(simd);
-        let light = (throughput * vertices.light.load(simd)).masked(simd.mask(visible));
-        let color = paths.color.load(simd) + light;
-        // Direction.
-        let u = vertices.direction_numbers.next_2d(simd);
-        let mut wi = simd.cosine_hemisphere(u);
-        let mut pdf = simd.abs(wi.z) * simd.splat(FRAC_1_PI);
-        let mut weight = vertices.reflectance.load(simd);
-        if vertices.rough.used != 0 {
-            let is_rough = simd.mask(vertices.rough.used);
-            let surfaces = RoughSurfaces::new(simd, &vertices.rough, vertices.wo.load(simd));
-            let sampled = surfaces.sample(u, vertices.lobe_numbers.next_1d(simd));
-            wi = sampled.0.or_else(is_rough, wi);
-            weight = sampled.1.or_else(is_rough, weight);
-            pdf = is_rough.select(sampled.2, pdf);
-        }
-        let dir = frames.to_world(wi);
-        let mut goes_on = vertices.used & simd.is_positive(pdf).signs() & surfaces.sides_agree(simd, wi.z, dir);
-        let throughput = throughput * weight;
-        // Russian roulette.
-        let most = throughput.max_element();
-        goes_on &= simd.finite(throughput.x) & simd.finite(throughput.y) & simd.finite(throughput.z);
-        let is_left = simd.is_positive(most);
-        goes_on &= is_left.signs();
-        let q = (most * simd.load(&paths.roulette_scale.0) / simd.splat(RR_THRESHOLD)).min(simd.splat(1.0));
-        let may_end = is_left & simd.mask(vertices.is_long) & q.lt(simd.splat(1.0));
-        if may_end.signs() & goes_on != 0 {
-            let number = vertices.roulette_numbers.next_1d(simd);
-            goes_on &= !(may_end.signs() & q.le(number).signs());
-        }
-        // The next ray.
-        let used = simd.mask(vertices.used);
-        paths.color.replace(simd, used, color);
-        paths.throughput.replace(simd, used, throughput.over(may_end.select(q, simd.splat(1.0))));
-        paths.pdf.replace(simd, used, pdf);
-        paths.previous.replace(simd, used, surfaces.position);
-        let origin = simd.offset_origin(surfaces.position, surfaces.error, surfaces.normal, dir);
-        paths.origin.replace(simd, used, origin);
-        paths.dir.replace(simd, used, dir);
-        goes_on
     }
 }

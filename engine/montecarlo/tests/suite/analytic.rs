@@ -12,7 +12,7 @@ use std::sync::Arc;
 /// Probability of a false alarm over all tests here.
 const LEVEL: f64 = 1e-4;
 /// Number of z tests here.
-const TESTS: usize = 11;
+const TESTS: usize = 22;
 /// Relative error of a mean without variance.
 const ROUNDING: f64 = 1e-5;
 const ALL: [Option<MisTechnique>; 3] = [None, Some(MisTechnique::Light), Some(MisTechnique::Scatter)];
@@ -47,17 +47,19 @@ pub(crate) fn prepare(text: &str, camera: &str) -> Prepared {
     prepare_frame(&SceneSource::new(Arc::new(scene)), &spec, None).unwrap_or_else(|error| panic!("{error}"))
 }
 
-fn sample(scene: &Prepared, settings: PathSettings, filter: Square) -> f64 {
-    luminance(Tracer::new(scene, settings).sample(0, 0, filter).color).into()
+/// - `branches`: number of branches at the first vertex.
+fn sample(scene: &Prepared, settings: PathSettings, filter: Square, branches: u32) -> f64 {
+    luminance(Tracer::new(scene, settings).with_first_branches(branches).sample(0, 0, filter).color).into()
 }
 
 /// Returns the luminance of the emitter that the camera sees, cd/m2.
 fn emitted(scene: &Prepared) -> f64 {
     let settings = PathSettings { seed: 1, max_depth: 1, single_technique: Some(MisTechnique::Scatter) };
-    sample(scene, settings, CENTER)
+    sample(scene, settings, CENTER, 1)
 }
 
-/// Tests the mean luminance of the only pixel with each of some techniques. Each sample has its own seed, so all are independent.
+/// Tests the mean luminance of the only pixel with each of some techniques, with one branch at the first vertex and with several.
+/// Each sample has its own seed, so all are independent.
 fn assert_mean(
     name: &str,
     scene: &Prepared,
@@ -65,16 +67,17 @@ fn assert_mean(
     techniques: &[Option<MisTechnique>],
     expected: f64,
 ) {
-    for &single_technique in techniques {
+    for (&single_technique, branches) in techniques.iter().flat_map(|technique| [(technique, 1), (technique, 4)]) {
         let mut moments = Moments::default();
         for seed in 0..30_000 {
-            moments.add(sample(scene, PathSettings { seed, max_depth, single_technique }, filter));
+            moments.add(sample(scene, PathSettings { seed, max_depth, single_technique }, filter, branches));
         }
         let p = moments.p_value(expected);
         let error = moments.standard_error() / expected;
         let is_exact = (moments.mean / expected - 1.0).abs() < ROUNDING;
-        assert!(is_exact || p >= sidak(LEVEL, TESTS), "{name}, {single_technique:?}: {moments:?} for {expected}: {p}");
-        assert!(error < 0.03, "{name}, {single_technique:?}: too noisy: {error}");
+        let name = format!("{name}, {single_technique:?}, {branches} branches");
+        assert!(is_exact || p >= sidak(LEVEL, TESTS), "{name}: {moments:?} for {expected}: {p}");
+        assert!(error < 0.03, "{name}: too noisy: {error}");
     }
 }
 

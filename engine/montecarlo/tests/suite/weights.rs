@@ -18,7 +18,7 @@ use femc_stats::testing::{Moments, sidak, z_test};
 
 /// Probability of a false alarm over all tests here, and the number of comparisons.
 const LEVEL: f64 = 1e-4;
-const TESTS: usize = 64;
+const TESTS: usize = 160;
 
 /// Camera that looks at the floor.
 const CAMERA: &str = "camera main =\n origin 0 -1.9 1\n target 0 0 0\n fov 2\n film 1 1\n";
@@ -104,10 +104,12 @@ fn guide(scene: &Prepared) -> (Field, TargetGuide) {
     (field, targets)
 }
 
-/// Guidance of one run.
+/// Guidance or branches of one run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Guided {
     No,
+    /// No guidance, but several branches at first vertices.
+    Branches,
     Directions,
     Window,
     Both,
@@ -129,7 +131,9 @@ impl Run<'_> {
         for seed in first_seed..first_seed + self.samples {
             let settings = PathSettings { seed, max_depth: self.max_depth, single_technique: technique };
             let mut tracer = Tracer::new(self.scene, settings);
-            if guided != Guided::No {
+            if guided == Guided::Branches {
+                tracer = tracer.with_first_branches(4);
+            } else if guided != Guided::No {
                 let window = match guided {
                     Guided::Directions => WeightWindow { lower: 0.0, upper: f32::INFINITY },
                     _ => WeightWindow::default(),
@@ -155,6 +159,8 @@ impl Run<'_> {
         let reference = self.moments(Guided::No, Some(Light), 1 << 40);
         let runs = [
             (Guided::No, None),
+            (Guided::Branches, None),
+            (Guided::Branches, Some(Scatter)),
             (Guided::Directions, None),
             (Guided::Directions, Some(Scatter)),
             (Guided::Window, None),

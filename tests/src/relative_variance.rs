@@ -62,7 +62,7 @@ pub fn measure(
                     let path = PathSettings { seed: 1 + method as u64, max_depth: 0, single_technique: None };
                     let tracer = || match guidances[method] {
                         Some(guidance) => Tracer::new(prepared, path).with_guidance(guidance),
-                        None => Tracer::new(prepared, path),
+                        None => Tracer::new(prepared, path).with_first_branches(prepared.first_branches),
                     };
                     let mut packet = Packet::new(tracer);
                     let first = row as u32 * size;

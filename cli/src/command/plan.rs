@@ -280,11 +280,7 @@ fn pilot(resolved: &ResolvedRequest, prepared: &Prepared, frame: u32) -> Result<
     }
     let small = femc_pipeline::pilot::film_size(resolved.film());
     let settings = femc_pipeline::Settings { size: Some(small), ..resolved.settings.clone() };
-    let first_branches = prepared.first_branches;
-    let mut prepared =
-        femc_pipeline::prepare_frame(&resolved.source, &settings, frame, Some(prepared)).map_err(failed)?;
-    // Its pixels are larger than those of the frame, whose paths it estimates.
-    prepared.first_branches = first_branches;
+    let prepared = femc_pipeline::prepare_pilot(&resolved.source, &settings, frame, prepared).map_err(failed)?;
     let (clock, begun) = (Clock, Clock.now());
     femc_pipeline::pilot::estimate_samples(&prepared, &settings, || clock.since(begun) >= PILOT_DURATION)
         .map_err(failed)

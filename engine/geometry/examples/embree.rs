@@ -2,7 +2,8 @@
 //! `cargo run --release -p femc-geometry --features yardsticks --example embree LIBEMBREE4.so [MESH.bin]`.
 //!
 //! The library is loaded at run time, so femc is not built with it. Wheels of `embreex` contain one. The meshes, rays and rounds are
-//! those of the example `rays`. Embree traces single rays (`rtcIntersect1`, `rtcOccluded1`) in a scene of medium build quality.
+//! those of the example `rays`. Embree gets one ray a call (`rtcIntersect1`, `rtcOccluded1`). It builds its tree with medium quality, its
+//! default.
 #![allow(unsafe_code, reason = "calls of a C library")]
 
 #[path = "rays.rs"]
@@ -86,7 +87,8 @@ unsafe impl Send for EmbreeScene {}
 impl EmbreeScene {
     /// Builds the mesh. The library stays loaded.
     fn build(library: &'static Library, mesh: &Mesh) -> Result<Self, libloading::Error> {
-        // SAFETY: the types are those of `rtcore.h`. Each buffer has the size that is asked for, and is filled before the commit.
+        // SAFETY: the functions have the types of Embree's header `rtcore.h`. Embree allocates the two buffers for as many elements as
+        // this code asks for, and the loop writes no others.
         unsafe {
             let new_device = library.get::<NewDevice>(b"rtcNewDevice")?;
             let new_scene = library.get::<NewScene>(b"rtcNewScene")?;

@@ -48,7 +48,7 @@ pub use layers::{
 };
 pub use outputs::Outputs;
 pub use plan::{FIRST_PASS_FEATURE, OmittedFeature, Plan, PlanError, plan_job};
-pub use preparation::{attach_learned_targets, frame_key, prepare_frame, prepare_world};
+pub use preparation::{attach_learned_targets, frame_key, prepare_frame, prepare_pilot, prepare_world};
 pub use render::{FilterAdapter, RenderError, RenderTask, RenderedTile};
 /// Name of the engine build. Two programs with the same name compute the same bits for the same job (`build.rs` defines the name,
 /// `tests/builds` compares).

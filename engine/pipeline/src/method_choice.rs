@@ -13,7 +13,7 @@ use crate::first_pass::{
 use crate::first_pass_steps::{count_surfaces, first_pass_blocks};
 use crate::pilot;
 use crate::plan::Plan;
-use crate::preparation::{attach_learned_targets, frame_key, prepare_frame, prepare_world};
+use crate::preparation::{attach_learned_targets, frame_key, prepare_pilot, prepare_world};
 use crate::render::{RenderError, RenderTask};
 use crate::settings::{Method, Settings, StopCondition};
 use femc_film::Rect;
@@ -230,19 +230,6 @@ impl Pilot {
             }
         }
     }
-}
-
-/// Prepares the frame of a pilot, whose paths are split as those of the whole frame.
-/// - `whole`: the frame with all its pixels.
-fn prepare_pilot(
-    source: &SceneSource,
-    settings: &Settings,
-    frame: u32,
-    whole: &Prepared,
-) -> Result<Prepared, PrepareError> {
-    let mut prepared = prepare_frame(source, settings, frame, Some(whole))?;
-    prepared.first_branches = whole.first_branches;
-    Ok(prepared)
 }
 
 /// Traces some paths of the first frame, and the same samples with guides if that may pay. `None`: the job is too small for a

@@ -104,10 +104,16 @@ impl Pilot {
     /// Traces more pixels, up to `pixels`.
     fn trace(&mut self, prepared: &Prepared, settings: &Settings, pixels: u32) {
         let more = self.pixels.len() as u32..pixels;
-        self.pixels.par_extend(more.into_par_iter().map(|number| {
-            let pixel = pilot_pixel(prepared.camera.film, number);
-            [1, MAX_BRANCHES].map(|branches| PilotPixel::trace(prepared, settings, pixel, branches))
-        }));
+        let path = PathSettings { seed: SEED, max_depth: settings.max_depth, single_technique: None };
+        let packet = |branches| Packet::new(|| Tracer::new(prepared, path).with_first_branches(branches));
+        let pixels = more.into_par_iter().map_init(
+            || [1, MAX_BRANCHES].map(packet),
+            |packets, number| {
+                let pixel = pilot_pixel(prepared.camera.film, number);
+                packets.each_mut().map(|packet| PilotPixel::trace(packet, settings, pixel))
+            },
+        );
+        self.pixels.par_extend(pixels);
     }
 
     /// Returns the costs of the samples.
@@ -132,9 +138,9 @@ impl Pilot {
 
 impl PilotPixel {
     /// Traces the samples of a pixel.
-    fn trace(prepared: &Prepared, settings: &Settings, pixel: u32, branches: u32) -> Self {
-        let path = PathSettings { seed: SEED, max_depth: settings.max_depth, single_technique: None };
-        let mut packet = Packet::new(|| Tracer::new(prepared, path).with_first_branches(branches));
+    fn trace(packet: &mut Packet<'_>, settings: &Settings, pixel: u32) -> Self {
+        let rays = |packet: &Packet<'_>| packet.counters().rays + packet.counters().shadow_rays;
+        let before = rays(packet);
         let mut replicates = [DVec3::ZERO; REPLICATES];
         packet.trace(
             (0..SAMPLES).map(|sample| (pixel, sample)),
@@ -146,8 +152,7 @@ impl PilotPixel {
                 }
             },
         );
-        let work = packet.counters();
-        Self { replicates, rays: work.rays + work.shadow_rays }
+        Self { replicates, rays: rays(packet) - before }
     }
 
     fn mean(&self) -> DVec3 {

@@ -21,7 +21,31 @@ pub fn prepare_frame(
     frame: u32,
     previous: Option<&Prepared>,
 ) -> Result<Prepared, PrepareError> {
-    let mut prepared = prepare_world(source, settings, frame, previous)?;
+    finish_frame(prepare_world(source, settings, frame, previous)?, source, settings, frame)
+}
+
+/// Prepares a frame with fewer pixels, for a pilot, as [`prepare_frame`] does. Its paths have as many branches as those of the
+/// whole frame: larger pixels would need another number.
+/// - `settings`: settings with the smaller film;
+/// - `whole`: the whole frame.
+pub fn prepare_pilot(
+    source: &SceneSource,
+    settings: &Settings,
+    frame: u32,
+    whole: &Prepared,
+) -> Result<Prepared, PrepareError> {
+    let mut prepared = femc_prepared::prepare_frame(source, &frame_spec(settings, frame), Some(whole))?;
+    prepared.first_branches = whole.first_branches;
+    finish_frame(prepared, source, settings, frame)
+}
+
+/// Solves the first pass of a frame, if the method has one, and learns its targets.
+fn finish_frame(
+    mut prepared: Prepared,
+    source: &SceneSource,
+    settings: &Settings,
+    frame: u32,
+) -> Result<Prepared, PrepareError> {
     if settings.method.has_first_pass() && prepared.field().is_none() {
         let world = first_pass_world(source, settings, frame, Some(&prepared))?;
         let solution = solve_first_pass(&world, settings.method, &AtomicBool::new(false));

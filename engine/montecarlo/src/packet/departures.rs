@@ -20,9 +20,9 @@ pub struct Branches {
 
 impl Branches {
     /// Creates the branches.
-    /// - `directions`: number of directions at a first vertex.
-    pub fn new(directions: u32) -> Self {
-        let count = directions.max(1) as usize - 1;
+    /// - `branches`: number of branches of a path at its first vertex, with the path itself.
+    pub fn new(branches: u32) -> Self {
+        let count = branches.max(1) as usize - 1;
         Self { paths: std::iter::repeat_with(PathLanes::default).take(count).collect(), going: vec![0; count] }
     }
 
